@@ -58,7 +58,7 @@ ROOMS = {
     "reproduce": {"estimate", "kinds", "model", "report"},
     "workflows": {
         *("box", "live", "record", "session", "files", "report", "reproduce"),
-        *("plan", "correct", "export", "estimate", "kinds", "model"),
+        *("plan", "correct", "export", "checks", "estimate", "kinds", "model"),
     },
     "cli": {
         *("workflows", "box", "live", "record", "session", "files", "report"),

@@ -44,6 +44,45 @@ SYSTEMATIC = f"[; or, nearly as well supported: {{others}}]. {{estimated}} {CHI2
 
 PROPOSAL = "[: {@hold_out} {fraction:g}][ {@seed} {seed}][ holds out {rows:#row}][ and leaves at least half the rows of each of the {combinations} combinations of names in the fit]"
 
+QUICK_FIT = "([{as_given:!}in a quick fit: RMS {with_change} with this change, {as_given} as given||RMS {with_change} in a quick fit either way; relative to their declared noise, the residuals are smaller with this change])."
+CORRECT = "Correct this."
+CORRECT_OR_LEAVE_OUT = "Correct this, or give {leave_out:@leave_out} (rows numbered from 1 over all inputs)."
+
+INPUTS: Mapping[str, tuple[str, str]] = {
+    "wrong-unit": ("{what} are in {are}, not in {called}", CORRECT),
+    "wrong-robot": ("the observations are of robot {robot}, not of {other}", CORRECT),
+    "other-rotations": ("the rotations are {are}, not {called}", CORRECT),
+    "shifted-rows": ("the joint readings in each row belong to the row {side} it", CORRECT),
+    "joints-ordered": ("the joints' columns are in another order: {order}", CORRECT),
+    "joint-signs": ("the {joints:?sign|signs} of {joints} {joints:?is|are} reversed", CORRECT),
+    "left-handed-readings": (
+        "the axes of the readings of x, y and z are left-handed: two are exchanged, or one has the wrong sign[{rotations:!}, also in the rotations]",
+        CORRECT,
+    ),
+    "left-handed-rig": ("the {axis} of {what} in the rig has the wrong sign", CORRECT),
+    "names-exchanged": (
+        "names are exchanged in all rows: {names}",
+        "Correct this[{bar:!}, and the lengths that follow from the bar].",
+    ),
+    "wrong-labels": (
+        "{n:#row was|rows were} measured with other parts than named: {runs}",
+        "Correct this[{bar:!}, and the lengths that follow from the bar], or give {leave_out:@leave_out} (rows numbered from 1 over all inputs).",
+    ),
+    "rows-apart": (
+        "{n:#row does|rows do} not fit the other {others}, which fit together ({runs}): something in the set-up moved in between, a joint's zero jumped, or the labels of these rows are wrong",
+        CORRECT_OR_LEAVE_OUT,
+    ),
+    "stuck-joint": (
+        "the reading of {joint} is stuck: it is the same in {n:#row} from {first} to {last}, while others move",
+        CORRECT_OR_LEAVE_OUT,
+    ),
+    "wrong-constant": ("{item} differs from the rig in all rows: {off}", "Correct this, or give {@allow} {allow}."),
+    "held-parameters": (
+        "{names:#parameter} that the robot has free by default {names:?is|are} held: {names}",
+        "Free more parameters.",
+    ),
+}
+
 IDENTIFICATION: Mapping[str, Statement] = {
     # the verdict
     "better": Statement(
@@ -94,15 +133,11 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "[{weak:!}Give {@prior} weak.||Check the units, the order and signs of the joints, and the labels.][{limit:!} Or raise {@max_iterations}.]",
     ),
     "still-joint": Statement(WARNING, "{joint} reads {reading} in all rows: if it moved, its readings are wrong."),
-    "labels-unchecked": Statement(
-        WARNING,
-        "Labels were not checked: the rows have too many different labels to search them all.",
-        "Identify fewer at a time.",
-    ),
-    "explanation": Statement(
-        WARNING,
-        "{lead}: {explanation} ([{as_given:!}in a quick fit: RMS {with_change} with this change, {as_given} as given||RMS {with_change} in a quick fit either way; relative to their declared noise, the residuals are smaller with this change])[; correct this, or give {@leave_out} {leave_out} (rows numbered from 1 over all inputs)][; correct this, or give {@allow} {allow}].",
-    ),
+    # interpretations of the inputs that explain the observations
+    **{
+        code: Statement(WARNING, f"{{lead}}: {sentence} {QUICK_FIT}", remedy)
+        for code, (sentence, remedy) in INPUTS.items()
+    },
     "little-freedom": Statement(
         WARNING,
         "Only {freedom:#degree of freedom|degrees of freedom} for {rank:#parameter}[{rig:!} of the robot, besides the unknowns of the rig]: the residuals say nothing about accuracy.",

@@ -140,35 +140,7 @@ class Addition:
     text: str = ""  # what to do, as an instruction to a person
 
 
-class Relabelling(NamedTuple):
-    """Rows that fit other parts of the rig better than those that they name."""
-
-    rows: tuple[int, ...]  # of the table
-    columns: tuple[str, ...]  # of a table, such as chuck and sphere
-    was: tuple[str, ...]  # names in these columns
-    fits: tuple[str, ...]
-    rms_before: float  # m, of the complete fit with the labels as given
-    rms_after: float  # m, with this label and all others found with it corrected
-
-
 STATUSES = ("converged", "max_iterations", "stalled")
-
-
-class WrongInput(StrEnum):
-    """Which input may be interpreted wrongly (``estimate.wrong_inputs``)."""
-
-    UNITS = "units"
-    ROBOT = "robot"
-    ROTATIONS = "rotations"
-    AXES = "axes"  # left-handed
-    SHIFTED = "shifted rows"
-    JOINTS = "joints"
-    LABELS = "labels"
-    SET_UP = "set-up"
-    STUCK = "stuck joint"
-    BAR = "bar"  # another one than rows name
-    CONSTANT = "constant of the rig"
-    HELD = "held parameters"  # not a mistake: too few were free
 
 
 class Unusable(StrEnum):
@@ -183,21 +155,18 @@ class Unusable(StrEnum):
 
 
 class Explanation(NamedTuple):
-    """Another interpretation of the inputs that explains the observations far better.
+    """Another interpretation of the inputs that explains the observations far better: a finding, by code and values.
 
     ``rms_given`` and ``rms`` are the RMS residuals of quick fits of some rows, by SI unit, with the inputs as given and
-    as reinterpreted. ``apply`` lists rows to leave out, "" if that does not help, and ``allow`` is an error to allow.
-    ``chance`` is the probability that correct inputs appear this wrong.
+    as reinterpreted. ``chance`` is the probability that correct inputs appear this wrong.
     """
 
-    what: WrongInput
-    text: str
-    apply: str
+    code: str
+    values: Mapping[str, Any]
     n: int  # rows that it explains
     rms_given: Mapping[str, float]
     rms: Mapping[str, float]
     chance: float
-    allow: str = ""
 
 
 class DriftWith(StrEnum):
@@ -566,10 +535,9 @@ class Estimate(Displayed):
     suggested_free: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n_robot_parameters,)
     hardly_seen: tuple[NullDirection, ...] = ()  # determined less well than by a drawing (estimate.identifiability)
     additions: tuple[Addition, ...] = ()  # if free parameters are unidentifiable or hardly identifiable
-    relabellings: tuple[Relabelling, ...] = ()
-    relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.label_search)
+    alternatives_tried: int = 0  # interpretations of the inputs (checks.inputs)
     explanations: tuple[Explanation, ...] = ()  # of an absurd fit, the most probable first
-    unusable: Unusable | None = None  # the reason, if unusable (estimate.wrong_inputs)
+    unusable: Unusable | None = None  # the reason, if unusable (checks.inputs)
     left_out: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) not fitted or held out
     outlying: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) by estimate.outliers
     scale: RobotScale | None = None  # of its lengths; None: 1 within the tolerances of a drawing

@@ -290,7 +290,6 @@ def full_page():
         table=replace(page.table, rig=np.where(index % 2 == 0, "monday", "tuesday")),
         findings=(
             Finding("wrong-inputs", {"after": {"mm": 43.0}, "large": False}),
-            Finding("labels-unchecked"),
             Finding("no-law", {"tried": 0}),
         ),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),

@@ -31,7 +31,7 @@ SCALARS: dict[str, type | tuple[type, ...]] = {
     "rank_gap": (float, type(None)),
     "chi2_reduced": (float, type(None)),
     "chi2_freedom": float,
-    "relabelling_search": str,
+    "alternatives_tried": int,
     "simulated": bool,
     "usable": bool,
     "unusable_because": (str, type(None)),
@@ -49,7 +49,7 @@ PARAMETER = {
 LISTS = {
     "findings",
     *("inputs", "observations", "free", "null_space", "residual_units", "held_out_by", "parameters"),
-    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen", "systematic", "sessions"),
+    *("suggested_free", "additions", "chi2_band", "suspect", "hardly_seen", "systematic", "sessions"),
     "all_held_out",
     "copies",
     "explanations",

@@ -70,7 +70,7 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     assert document["status"] == "max_iterations"
     assert document["predicted_error"] is None
     # The inputs are right and a fit that goes on shows it: nobody is sent to look for a mistake in them.
-    assert (document["explanations"], document["relabelling_search"]) == ([], "not needed")
+    assert (document["explanations"], document["alternatives_tried"]) == ([], 0)
     stopped = stated(document)["meaningless"].values
     assert stopped["limit"]
     assert not stopped["line"]
@@ -128,19 +128,14 @@ def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: 
     sphere = table.sphere.copy()
     sphere[:20] = "s1"  # the first pairing's rows are of c0 and s0
     result, text = identified(run, tmp_path, replace(table, sphere=sphere), rig)
-    assert result["relabellings"]
-    assert all((r["was"], r["fits"]) == (["c0", "s1"], ["c0", "s0"]) for r in result["relabellings"])
-    assert result["relabellings"][0]["rms_after_mm"] < 0.1 * result["relabellings"][0]["rms_before_mm"]
-    named = {source for r in result["relabellings"] for source in r["rows"]}
-    assert named == {f"t.csv row {i + 2}" for i in range(20)}
     assert (result["usable"], result["unusable_because"]) == (False, "wrong inputs")
     (found,) = result["explanations"]
-    assert found["text"] == "20 rows from t.csv row 2 to t.csv row 21 name sphere s1 but fit sphere s0"
+    assert (found["code"], found["values"]["leave_out"]) == ("wrong-labels", ["1:20"])
+    assert found["values"]["runs"] == ["t.csv row 2 to t.csv row 21: sphere s0, not s1"]
+    assert found["rms_mm"] < 0.1 * found["rms_given_mm"]
     lines = text.splitlines()
     assert lines[0].startswith("This fit is not usable. Its inputs are probably wrong. Residuals of ")
-    assert " ".join(map(str.strip, lines[1:3])).startswith(
-        f"This explains the observations: {found['text']} (in a quick fit: RMS 0.0"
-    )
+    assert lines[1].startswith("This explains the observations: 20 rows were measured with other parts than named: ")
 
 
 def test_chi2_is_shown_with_its_band(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:

@@ -63,7 +63,7 @@ def test_every_field_is_documented() -> None:
         "weights",
         "upper",
         "units",
-        *("source", "distance", "weight", "was", "fits", "rows", "o1", "o4"),
+        *("source", "distance", "weight", "o1", "o4"),
         *(f"{figure}_mm" for figure in (*RMS, "rms_history", "rms_held_out", "mean", "max", "n")),
         *("at", "relative"),
     }

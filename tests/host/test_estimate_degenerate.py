@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table
 
+from truearm.checks.inputs import is_elsewhere
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.solvers import SOLVERS
-from truearm.estimate.wrong_inputs import elsewhere
 from truearm.model.chain import point_forward
 from truearm.types import Point, Rig
 
@@ -96,4 +96,4 @@ def test_a_base_that_may_turn_about_nearly_collinear_chucks_is_found_in_few_step
         assert e.chi2_band[0] < e.chi2_reduced < e.chi2_band[1]
         weak = {name for direction in e.hardly_seen for name in direction.names}
         assert weak & {"link1.alpha", "link1.beta", "link1.gamma"}  # of the base
-        assert not elsewhere(e)  # the turn is no reason to search for wrong labels, which takes seconds
+        assert not is_elsewhere(e)  # the turn is no reason to search for wrong labels, which takes seconds

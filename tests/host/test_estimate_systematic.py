@@ -10,6 +10,7 @@ from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, le
 from tests.host.findings_bench import stated
 
 import truearm
+from truearm.checks.inputs import checked_inputs
 from truearm.errors import InputError
 from truearm.estimate import systematic_candidates
 from truearm.estimate.identify import SolverOptions, identify
@@ -22,7 +23,6 @@ from truearm.estimate.systematic_candidates import in_all_rows
 from truearm.estimate.systematic_confirmation import FOLDS, STRETCHES, path_inflation
 from truearm.estimate.systematic_effects import error_columns, with_effects
 from truearm.estimate.systematic_score import FitChi2, Fitted, WhitenedResiduals
-from truearm.estimate.wrong_inputs import diagnosed
 from truearm.files.result_document import systematic_entries
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
@@ -240,7 +240,7 @@ def test_a_fixture_that_was_moved_is_one_finding_and_once_allowed_none_is_left(s
     before = truearm.identify(robot, rows, worlds.RIG, options=options)
     if before.estimate.unusable:  # by centimetres, a set-up of its own; to first order, the base is not named as well
         (explanation,) = before.estimate.explanations
-        assert (explanation.apply, findings(before.estimate)) == ("1:60", ())
+        assert (explanation.values["leave_out"], findings(before.estimate)) == (["1:60"], ())
     else:
         assert (
             str(the_one(before.estimate).effect) == "base@1:60"
@@ -596,8 +596,9 @@ def test_faults_are_named_and_their_removal_restores_the_tool(fault):
         estimate = worlds.identified(rows)
         found = findings(estimate)
         # A fit that labels bend so far that it does not converge has no such findings, but a label that fits.
-        diagnosis = estimate if found else diagnosed(estimate, CHAIN, worlds.RIG, rows, FREE)
-        relabelled = [(of.rows[0], of.rows[-1] + 1) for of in diagnosis.relabellings]
+        diagnosis = estimate if found else checked_inputs(estimate, CHAIN, worlds.RIG, rows, FREE, FREE, dict)
+        spans = [span for one in diagnosis.explanations for span in one.values.get("leave_out", ())]
+        relabelled = [(int(of.split(":")[0]) - 1, int(of.split(":")[1])) for of in spans]
         named.append(right(found[0]) if found else relabelled == [span])
         bent.append(worlds.tool_error(estimate, plan))
         if named[-1]:

@@ -32,7 +32,7 @@ from truearm.files.result_file import (
     write_result,
 )
 from truearm.kinds.registry import ORIGINS, identifiers
-from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling, Unusable
+from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Unusable
 
 RESULTS = Path(__file__).parents[1] / "data" / "results"
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
@@ -91,7 +91,6 @@ def estimates(draw: st.DrawFn) -> Estimate:
         observability=draw(st.none() | st.builds(Observability, sizes, sizes, sizes, sizes)),
         suggested_free=np.zeros(0, dtype=bool),
         additions=(Addition("pairing", ("c0", "s1"), 2, ("link0.x",), "measure both"),),
-        relabellings=(Relabelling((0, 2), ("chuck", "sphere"), ("c0", "s0"), ("c1", "s0"), draw(sizes), draw(sizes)),),
     )
 
 
@@ -124,7 +123,6 @@ def test_any_estimate_is_strict_json_and_comes_back(estimate: Estimate) -> None:
 @given(estimates())
 def test_rows_are_named_by_their_source(estimate: Estimate) -> None:
     document = result_of(estimate, TABLE, ROBOT).document
-    assert document["relabellings"][0]["rows"] == ["t.csv row 2", "t.csv row 4"]
     addition = {"kind": "pairing", "names": ["c0", "s1"], "rank": 2, "parameters": ["link0.x"], "text": "measure both"}
     assert document["additions"] == [addition]
     named = {f"t.csv row {row + 2}" for row in np.flatnonzero(estimate.suspect)}

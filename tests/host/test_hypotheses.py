@@ -13,6 +13,7 @@ from truearm.checks.held_out import gain_of
 from truearm.checks.labels import relabelled
 from truearm.checks.noise import DECLARED, Kernel, covariance_root
 from truearm.checks.search import Search, searched
+from truearm.checks.trial import Alternative
 from truearm.checks.whitened import whitened_fit
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import build_problem
@@ -243,10 +244,11 @@ def test_wrong_labels_come_back(fault):
     """A mount, or the second half of one, was measured with another part; right labels stay."""
     world = worlds.world("puma560", fault, 3)
     of, wrong = world.site, (world.table.chuck != world.site.chuck) | (world.table.sphere != world.site.sphere)
-    result = relabelled(of.chain, of.rig, world.table, of.free)
-    assert (result.table.chuck == of.chuck).all()
-    assert (result.table.sphere == of.sphere).all()
-    changed = np.concatenate([np.arange(0), *(np.arange(one.first, one.last) for one in result.runs)])
+    given = Alternative(of.chain, of.rig, world.table, of.free, np.arange(len(wrong)))
+    restored, runs = relabelled(given)
+    assert (restored.table.chuck == of.chuck).all()
+    assert (restored.table.sphere == of.sphere).all()
+    changed = np.concatenate([np.arange(0), *(np.arange(one.first, one.last) for one in runs)])
     assert np.array_equal(changed, np.flatnonzero(wrong))
 
 

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from truearm.checks.inputs import explanations_of
+from truearm.checks.trial import Alternative, fitted
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import body_motion
 from truearm.estimate.prior import weak_prior
-from truearm.estimate.wrong_inputs import explanations_of
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
 from truearm.model.chain import forward
 from truearm.model.urdf import free_without_gains
-from truearm.results import WrongInput
 from truearm.units import DEG
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
@@ -100,9 +100,9 @@ def test_radians_in_columns_of_degrees_are_named_where_only_sockets_were_seated(
     chain, rig, free, _ = panda
     table = read_table(MUKCA / "panda_1.csv", chain.joint_units)
     tiny = replace(table, q=DEG.scale * table.q)
-    rows = np.ones(len(table), dtype=bool)
-    (found,), _ = explanations_of(chain, rig, tiny, rows, free, {})
-    assert (found.what, found.text) == (WrongInput.UNITS, "the joint readings are in radians, not in degrees")
+    before = fitted(Alternative(chain, rig, tiny, free, np.arange(len(tiny))))
+    (found,), _ = explanations_of(before, free, {})
+    assert (found.code, found.values["are"]) == ("wrong-unit", "radians")
 
 
 def test_the_forecast_of_an_estimated_step_is_that_of_a_fit_with_the_prior(panda):

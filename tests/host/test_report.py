@@ -158,7 +158,7 @@ def test_the_verdict_is_the_headline_then_doubts_and_advice_then_notes():
     findings = (
         Finding("simulated"),
         Finding("wrong-inputs", {"after": {"mm": 43.0}, "large": False}),
-        Finding("labels-unchecked"),
+        Finding("still-joint", {"joint": "joint2", "reading": "3 deg"}),
         Finding("no-law", {"tried": 0}),
         Finding("correct-next"),
     )

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, FREE
 
+from truearm.checks.inputs import checked_inputs
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.wrong_inputs import diagnosed
-from truearm.results import WrongInput
 
 BAR = worlds.RIG.bars["bar46"]
 
@@ -34,29 +33,27 @@ def renamed(rows, rig, mine):
 
 def explained(rows, rig):
     estimate = identify(CHAIN, rig, rows, free=FREE, options=SolverOptions(reject=True))
-    return diagnosed(estimate, CHAIN, rig, rows, FREE).explanations
+    return checked_inputs(estimate, CHAIN, rig, rows, FREE, FREE, dict).explanations
 
 
-@pytest.mark.parametrize("longer", [15e-3, 150e-3])
+@pytest.mark.parametrize("longer", [pytest.param(15e-3, marks=pytest.mark.soak), 150e-3])
 def test_a_mount_that_was_made_with_another_bar_is_named_and_no_other_row(longer):
     rows, rig, mounts = alternating(940020, longer)
     first, end = mounts[np.argmax(np.diff(mounts)) + np.arange(2)].tolist()
     wrong = renamed(rows, rig, (np.arange(len(rows)) >= first) & (np.arange(len(rows)) < end))
     (one,) = explained(wrong, rig)
-    assert (one.what, one.apply) == (WrongInput.BAR, f"{first + 1}:{end}")
-    assert one.text == (
-        f"{end - first} rows from poses.csv row {first + 2} to poses.csv row {end + 1} were measured with bar "
-        f"{rows.bar[first]}, not {wrong.bar[first]}: correct their bar and their lengths"
-    )
+    assert (one.code, one.values["leave_out"], one.values["bar"]) == ("wrong-labels", [f"{first + 1}:{end}"], True)
+    assert one.values["runs"][0].endswith(f": bar {rows.bar[first]}, not {wrong.bar[first]}")
     assert one.rms["m"] < 1.5 * worlds.SIGMA
     assert one.chance < 1e-3
 
 
+@pytest.mark.soak
 def test_bars_with_each_others_names_are_named():
     rows, rig, _ = alternating(940021, 15e-3)
     first, *_ = explained(renamed(rows, rig, np.ones(len(rows), dtype=bool)), rig)
-    assert (first.what, first.apply) == (WrongInput.BAR, "")
-    assert first.text.startswith("the names of bars bar46 and other are exchanged in all rows")
+    assert (first.code, first.values["bar"]) == ("names-exchanged", True)
+    assert first.values["names"] == ["bar bar46 is other", "bar other is bar46"]
 
 
 @pytest.mark.soak
@@ -67,4 +64,4 @@ def test_a_mount_elsewhere_is_not_another_bar():
     off = np.zeros((len(rows), 3))
     off[first:end] = (0.0, 0.0, 15e-3)
     length = worlds.lengths(worlds.plan(), off) + rows.value - worlds.lengths(worlds.plan())
-    assert all(one.what is not WrongInput.BAR for one in explained(replace(rows, value=length), rig))
+    assert not any(one.values.get("bar") for one in explained(replace(rows, value=length), rig))

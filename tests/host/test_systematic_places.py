@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, FREE, LOWER, SPHERES, TRUTH, UPPER, random_poses
 
+from truearm.checks.inputs import checked_inputs
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem
-from truearm.estimate.wrong_inputs import diagnosed
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.rotation import rotation
-from truearm.results import Effect, WrongInput
+from truearm.results import Effect
 from truearm.types import Point, Rig
 
 BALL = np.array(SPHERES["s1"].xyz)
@@ -72,9 +72,9 @@ def test_a_place_that_is_millimetres_off_is_named_and_once_allowed_nothing_is_le
 @pytest.mark.parametrize(("shift", "turn"), [(20e-3, 0.0), (20e-3, 0.02)])
 def test_a_place_that_is_centimetres_off_is_named_as_a_whole(shift, turn):
     rows, rig = session(940031, shift, turn)
-    estimate = diagnosed(fitted(rows, rig), CHAIN, rig, rows, FREE)
+    estimate = checked_inputs(fitted(rows, rig), CHAIN, rig, rows, FREE, FREE, dict)
     (first,) = estimate.explanations
-    assert (first.what, first.allow, first.apply) == (WrongInput.CONSTANT, "place.left", "")
+    assert (first.code, first.values["allow"]) == ("wrong-constant", "place.left")
     after = fitted(rows, rig, Effect("place.left"))
     assert after.systematic is None
     assert after.chi2_reduced < after.chi2_band[1]

@@ -9,4 +9,7 @@ docs/explanation/hypotheses.md derives every formula. The way through the module
 5. ``search``: the most probable hypothesis, its rivals, and the same again with it as a parameter.
 6. ``averaging``: the stated error of the tool, averaged over the hypotheses.
 7. ``examination``: all of this for an estimate.
+
+A fit that is so far off that first order does not apply has wrong inputs. ``inputs`` decides when to look for them:
+``alternatives`` and ``labels`` transform table and rig, ``trial`` compares quick fits of them.
 """

@@ -1,139 +1,235 @@
-"""Rows that were measured with another part than their label says.
+"""Rows that were measured with another part than their label says, or with a set-up that the other rows do not share.
 
-After a robust fit, each possible pair of labels has a robust log-likelihood in each row, −1.5 log(1 + r²/2s²), with s the
-median residual. The run of rows in which another pair gains most over the given one, less PRICE a row, is relabelled, and
-the next is sought, until none gains SURE. The fit is repeated with the new labels as long as they change. One wrong mount
-can pull a fit along with it: the fits without each mount compete with that of all rows.
+After a robust fit, each possible label has a robust log-likelihood in each row, −1.5 log(1 + r²/2s²), with s the median
+residual; "none of them" has that of a residual of APART s. The run of rows in which another label gains most over the
+given one, less PRICE a row, is relabelled, and the next is sought, until none gains SURE. The fit is repeated with the
+new labels as long as they change. One wrong mount can pull a fit along with it, and a moved set-up half of the rows: the
+fits without each mount, and without each half, compete with that of all rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from itertools import product
-from typing import NamedTuple
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.checks.trial import Alternative, idle_options, misfit, trial_problem
 from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.measured_order import mountings
-from truearm.estimate.solution import Options
 from truearm.estimate.solvers import Loss
-from truearm.estimate.trial_fit import misfit, trial_problem
-from truearm.kinds.registry import kinds
+from truearm.kinds.registry import kinds, rig_names
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import Chain
-from truearm.types import Floats, Indices, Rigs
+from truearm.types import Floats, Indices, Rigs, rigs_by_name, thinned
 
 SURE = 12.0  # nats that a run must gain
 PRICE = 0.3  # nats a row, for being relabelled at all
+APART = 5.0  # usual residuals
+LEAST_APART = 5  # rows
 MOST_RUNS = 12
+MOST_LABELS = 60  # of more, only those that rows have
 MOST_MOUNTS = 40  # each of which is left out in turn
+MOST_ROWS = 150  # of a robust fit
+STEPS = 8
 ROUNDS = 3
+IMPOSSIBLE = -1e3  # log-likelihood of a label that the rig does not have
 FLOOR = 0.05  # of a drawing's tolerance: residuals are not taken for more exact
 
+Labels = Mapping[str, str]  # by column
 
-class WrongLabels(NamedTuple):
-    """Rows [first, last) of the table that fit other labels, by column, by ``gain`` nats; other labels nearly as good."""
+
+@dataclass(frozen=True)
+class WrongLabels:
+    """Rows [first, last) of the given ones that fit other labels by ``gain`` nats, or none at all (None)."""
 
     first: int
     last: int
-    labels: Mapping[str, str]
+    labels: Labels | None
     gain: float
-    rivals: tuple[Mapping[str, str], ...]
 
 
-class Relabelled(NamedTuple):
-    """A table with its labels corrected, and what was corrected."""
+def relabelled(given: Alternative) -> tuple[Alternative, tuple[WrongLabels, ...]]:
+    """Return the given rows with labels as they fit best, without rows that fit none; and the runs that change.
 
-    table: ObservationTable
-    runs: tuple[WrongLabels, ...]
-
-
-def relabelled(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_]) -> Relabelled:
-    """Return the table with its labels as the rows fit best; ``free`` (p,) are the robot's parameters to fit.
-
-    The runs are empty if the given labels fit, or if more than half of the rows would change.
+    There are none if the given labels fit, or if more than half of the rows would change.
     """
-    possible = labels_of(table)
-    original, current = own_labels(table, possible), table
-    score = np.zeros((len(possible), len(table)))
-    labels = original
-    for _ in range(ROUNDS):
-        score = scores(chain, rig, current, free, possible)
-        changed, _ = best_labels(score, original)
-        if (changed == labels).all():
+    table = given.table.select(given.rows)
+    possible = possible_labels(given.rig, table)
+    original = own_labels(table, possible)
+    labels = changed = original
+    runs: list[tuple[int, int, int, float]] = []
+    for attempt in range(ROUNDS):
+        current = with_labels(given.rig, table, possible, labels)
+        score = scores(given, current, labels < len(possible), possible, every_subset=attempt == 0)
+        if score is None:
+            return given, ()
+        changed, runs = best_labels(score, original)
+        if (changed == labels).all() or (changed != original).mean() > 0.5:
             break
-        labels, current = changed, with_labels(table, [possible[i] for i in changed])
-    labels, runs = best_labels(score, original)
-    if not runs or (labels != original).mean() > 0.5:
-        return Relabelled(table, ())
-    out = []
-    for first, last, label, gain in runs:
-        totals = score[:, first:last].sum(axis=1)
-        rivals = [i for i in np.flatnonzero(totals > totals[label] - np.log(100.0)).tolist() if i != label]
-        out.append(WrongLabels(first, last, possible[label], gain, tuple(possible[i] for i in rivals)))
-    return Relabelled(current, tuple(out))
+        labels = changed
+    if not runs or (changed != original).mean() > 0.5:
+        return given, ()
+    fits = changed < len(possible)
+    out = tuple(WrongLabels(*run[:2], possible[run[2]] if run[2] < len(possible) else None, run[3]) for run in runs)
+    whole = np.full(len(given.table), -1)
+    whole[given.rows] = np.where(changed == original, -1, changed)
+    restored = with_labels(given.rig, given.table, possible, np.where(whole < len(possible), whole, -1))
+    only_apart = all(run.labels is None for run in out)
+    spans = [f"{given.rows[run.first] + 1}:{given.rows[run.last - 1] + 1}" for run in out]
+    values: dict[str, Any] = {"runs": [_named(table, run) for run in out], "leave_out": spans}
+    values |= {
+        "bar": bool((restored.bar != given.table.bar).any()),
+        "n": int((changed != original).sum()),
+        "others": int((changed == original).sum()),
+    }
+    code = "rows-apart" if only_apart else "wrong-labels"
+    return replace(given, code=code, values=values, table=restored, rows=given.rows[fits]), out
 
 
-def labels_of(table: ObservationTable) -> list[Mapping[str, str]]:
-    """Return all combinations of labels that rows of the table have, by column."""
-    columns = [column for name in np.unique(table.kind) for column in kinds()[str(name)].labels]
-    names_used = {column: [str(name) for name in np.unique(table[column]) if name] for column in columns}
-    names_used = {column: names for column, names in names_used.items() if names}
-    return [dict(zip(names_used, names, strict=True)) for names in product(*names_used.values())]
+def _named(table: ObservationTable, run: WrongLabels) -> str:
+    """Return the rows of a run, and the labels that they fit instead of their own."""
+    rows = slice(run.first, run.last)
+    first, last = (row_name(table, row) for row in (run.first, run.last - 1))
+    span = first if first == last else f"{first} to {last}"
+    if run.labels is None:
+        return f"{span}: none of the rig"
+    changes = [
+        f"{column} {name}, not {' or '.join(sorted(set(table[column][rows]) - {name}))}"
+        for column, name in run.labels.items()
+        if (~np.isin(table[column][rows], ["", name])).any()
+    ]
+    return f"{span}: {' and '.join(changes)}"
 
 
-def own_labels(table: ObservationTable, possible: Sequence[Mapping[str, str]]) -> Indices:
-    """Return which (n,) of the possible labels each row has; the first for rows without any."""
+def row_name(table: ObservationTable, row: int) -> str:
+    """Return where a row comes from, without the folder, which would reveal somebody's paths."""
+    return re.split(r"[\\/]", str(table.source[row]))[-1]
+
+
+def possible_labels(rigs: Rigs, table: ObservationTable) -> list[Labels]:
+    """Return all combinations of names that rows may have in the columns that operators confuse, by column."""
+    columns = dict.fromkeys(column for kind in np.unique(table.kind) for column in kinds()[str(kind)].labels)
+    used = {column: sorted(set(table[column].tolist()) - {""}) for column in columns}
+    used = {column: names for column, names in used.items() if names}
+    in_rigs = [rig_names(rig) for rig in rigs_by_name(rigs).values()]
+    known = {
+        column: sorted({*names, *(name for rig in in_rigs for name in rig.get(column, ()))})
+        for column, names in used.items()
+    }
+    most = np.prod([len(names) for names in known.values()])
+    return [
+        dict(zip(used, names, strict=True)) for names in product(*(known if most <= MOST_LABELS else used).values())
+    ]
+
+
+def own_labels(table: ObservationTable, possible: Sequence[Labels]) -> Indices:
+    """Return which (n,) of the possible labels each row has; an empty name agrees with all."""
     out = np.zeros(len(table), dtype=np.intp)
-    for number, labels in enumerate(possible):
-        out[np.all([table[column] == name for column, name in labels.items()], axis=0)] = number
+    for number, labels in reversed(list(enumerate(possible))):
+        out[np.all([(table[column] == name) | (table[column] == "") for column, name in labels.items()], axis=0)] = (
+            number
+        )
     return out
 
 
-def with_labels(table: ObservationTable, labels: Sequence[Mapping[str, str]]) -> ObservationTable:
-    """Return the table with labels (n), in rows that have some."""
-    names_by_column = {column: np.array([row[column] for row in labels]) for column in labels[0]}
-    return table.replace(
-        **{column: np.where(table[column] == "", "", names) for column, names in names_by_column.items()}
+def with_labels(rigs: Rigs, table: ObservationTable, possible: Sequence[Labels], labels: Indices) -> ObservationTable:
+    """Return the table with the possible labels of these numbers (n,); rows keep their own where there is none."""
+    names = {column: [labels_of_row[column] for labels_of_row in possible] for column in possible[0]}
+    has = (labels >= 0) & (labels < len(possible))
+    every = np.where(has, labels, 0)
+    return renamed(
+        rigs, table, {column: np.where(has, np.array(of)[every], table[column]) for column, of in names.items()}
     )
 
 
+def renamed(rigs: Rigs, table: ObservationTable, names: Mapping[str, NDArray[Any]]) -> ObservationTable:
+    """Return the table with other names (n,) in some columns, where rows have any; a length follows from its bar's name."""
+    names = {column: np.where(table[column] == "", "", new) for column, new in names.items()}
+    if "bar" not in names or (names["bar"] == table.bar).all():
+        return table.replace(**names)
+    value = table.value.copy()
+    for row in np.flatnonzero(names["bar"] != table.bar).tolist():
+        bars = rigs_by_name(rigs)[str(table.rig[row])].bars
+        was, now = bars[str(table.bar[row])], bars[str(names["bar"][row])]
+        value[row] = now.zero + now.gain * (value[row] - was.zero) / was.gain
+    return table.replace(**names, value=value)
+
+
 def scores(
-    chain: Chain,
-    rig: Rigs,
+    given: Alternative,
     table: ObservationTable,
-    free: NDArray[np.bool_],
-    possible: Sequence[Mapping[str, str]],
-) -> Floats:
-    """Return the robust log-likelihood (l, n) of each row with each of the labels, by the best of the robust fits."""
-    mount = mountings(table)
-    numbers = np.unique(mount)
-    without = [np.ones(len(table), dtype=bool)]
-    if 3 < numbers.size <= MOST_MOUNTS:
-        without += [mount != number for number in numbers]
-    best, total = np.zeros(0), -np.inf
-    parameters: Mapping[str, float] = {}
-    for rows in without:
+    used: NDArray[np.bool_],
+    possible: Sequence[Labels],
+    every_subset: bool = True,
+) -> Floats | None:
+    """Return the robust log-likelihood (l + 1, n) of each row under each label and none, by the best of the robust fits.
+
+    None without any fit.
+    """
+    best, scale = -np.inf, 1.0
+    parameters: Mapping[str, float] | None = None
+    start: Mapping[str, float] = {}
+    for rows in islice(subsets(table, np.flatnonzero(used)), None if every_subset else 1):
         try:
-            problem, columns, _ = trial_problem(chain, rig, table.select(rows), free)
-        except ProblemError:
+            problem, columns, _ = trial_problem(given.chain, given.rig, table.select(rows), given.free)
+            x = fit(problem, columns, problem.at(start), idle_options(STEPS)._replace(loss=Loss.CAUCHY)).x
+            fitted = dict(zip(problem.names, x.tolist(), strict=True))
+            start = start or fitted
+            square = misfit(given.chain, given.rig, table.select(used), fitted)
+        except (ProblemError, np.linalg.LinAlgError):
             continue
-        x = fit(problem, columns, problem.start, Options(max_iterations=8, loss=Loss.CAUCHY)).x
-        trial = dict(zip(problem.names, x.tolist(), strict=True))
-        square = misfit(chain, rig, table, trial)
-        if (value := float(likelihood(square, scale_of(square)).sum())) > total:
-            best, total, parameters = square, value, trial
-    scale = scale_of(best)
-    squares = [misfit(chain, rig, with_labels(table, [labels] * len(table)), parameters) for labels in possible]
-    return np.stack([likelihood(square, scale) for square in squares])
+        size, value = split(square)
+        if value > best:
+            best, scale, parameters = value, size, fitted
+    if parameters is None:
+        return None
+    out = np.full((len(possible) + 1, len(table)), IMPOSSIBLE)
+    out[-1] = likelihood(np.array(APART**2), 1.0)
+    for number, labels in enumerate(possible):
+        valid = _valid(given.rig, table, labels)
+        other = with_labels(given.rig, table.select(valid), [labels], np.zeros(valid.sum(), dtype=np.intp))
+        out[number, valid] = likelihood(misfit(given.chain, given.rig, other, parameters), scale)
+    return out
 
 
-def scale_of(square: Floats) -> float:
-    """Return the size of usual residuals from their squares (n,), in tolerances of a drawing."""
-    return max(1.4826 * float(np.sqrt(np.nanmedian(square))), FLOOR)
+def split(square: Floats) -> tuple[float, float]:
+    """Return the size of the residuals of at least half of the rows, the smaller ones, and the likelihood of all.
+
+    The others have a variance of their own, so that rows with wrong labels count alike however far off they are.
+    """
+    ordered = np.maximum(np.sort(square), FLOOR**2)
+    k = np.arange(ordered.size // 2, ordered.size)
+    total = np.cumsum(ordered)
+    cost = k * np.log(total[k - 1] / k) + (ordered.size - k) * np.log((total[-1] - total[k - 1]) / (ordered.size - k))
+    good = k[np.argmin(cost)]
+    return 1.4826 * float(np.sqrt(np.median(ordered[:good]))), -0.5 * float(cost.min())
+
+
+def _valid(rigs: Rigs, table: ObservationTable, labels: Labels) -> NDArray[np.bool_]:
+    """Return the rows (n,) whose rig has these names."""
+    out = np.ones(len(table), dtype=bool)
+    for name, rig in rigs_by_name(rigs).items():
+        known = rig_names(rig)
+        if any(column in known and label not in known[column] for column, label in labels.items()):
+            out &= table.rig != name
+    return out
+
+
+def subsets(table: ObservationTable, rows: Indices) -> Iterator[Indices]:
+    """Return some of the rows; then without each mount, and without each half."""
+    mount = mountings(table)[rows]
+    half = rows >= len(table) // 2
+    kept = [np.ones(rows.size, dtype=bool), half, ~half]
+    numbers = np.unique(mount)
+    if 3 < numbers.size <= MOST_MOUNTS:
+        kept += [mount != number for number in numbers]
+    for mask in kept:
+        yield rows[mask][thinned(int(mask.sum()), MOST_ROWS)]
 
 
 def likelihood(square: Floats, scale: float) -> Floats:
@@ -142,14 +238,24 @@ def likelihood(square: Floats, scale: float) -> Floats:
 
 
 def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[tuple[int, int, int, float]]]:
-    """Return labels (n,) and the runs in which they are not the ``original`` ones: first row, after last, label, gain."""
+    """Return labels (n,) and the runs in which they are not the ``original`` ones: first row, after last, label, gain.
+
+    The last label stands for none, which fewer than LEAST_APART rows do not get.
+    """
     labels, runs = original.copy(), list[tuple[int, int, int, float]]()
     each = np.arange(original.size)
+    allowed = list(range(len(score)))
     while len(runs) < MOST_RUNS:
-        candidates = [(*best_run(gains - score[labels, each] - PRICE), number) for number, gains in enumerate(score)]
+        candidates = [(*best_run(score[number] - score[labels, each] - PRICE), number) for number in allowed]
         gain, first, last, label = max(candidates)
         if gain < SURE:
             break
+        if label == len(score) - 1 and last - first < LEAST_APART:
+            allowed.remove(label)
+            continue
+        if label == len(score) - 1:  # a few rows at an end of the table are no set-up of their own
+            first = 0 if first < LEAST_APART else first
+            last = labels.size if last > labels.size - LEAST_APART else last
         labels[first:last] = label
         runs.append((first, last, label, gain))
     return labels, sorted(runs)

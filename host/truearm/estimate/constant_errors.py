@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.better_fit import some_rows
 from truearm.estimate.fit import fit
 from truearm.estimate.problem import Problem, build_problem, modelled_of
 from truearm.estimate.solution import Options, Solution, of_data
@@ -28,7 +27,7 @@ from truearm.estimate.whitened_rows import only
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Effect, OffBy, SystematicError, SystematicErrors
-from truearm.types import Floats, Rigs
+from truearm.types import Floats, Rigs, thinned
 
 MOST_ROWS = 400  # of a fit that ranks the items
 FITS = Options(max_iterations=20)
@@ -70,7 +69,7 @@ def one_constant(of: Fitting, found: SystematicErrors, state: FitChi2) -> System
     ``state`` is χ² of the fit. ``moves`` of what is returned is not known yet.
     """
     few = np.zeros(of.used.size, dtype=bool)
-    few[some_rows(of.used, MOST_ROWS)] = True
+    few[np.flatnonzero(of.used)[thinned(int(of.used.sum()), MOST_ROWS)]] = True
     tried = [(_chi2(of, cause, few), cause) for cause in in_all_rows(of.problem)]
     ranked = [tried[i] for i in largest_first([-chi2 for chi2, _ in tried])]
     if not ranked or not math.isfinite(ranked[0][0]):

@@ -55,7 +55,7 @@ def result_of(
     parts = {si: estimate.parts.get(si, ResidualParts(math.nan, math.nan)) for si in units}
     content = {
         **_entry(estimate, "status", "message", "solver", "loss", "iterations", "n_observations", "rank", "rank_gap"),
-        **_entry(estimate, "null_space", "hardly_seen", "additions", "relabelling_search"),
+        **_entry(estimate, "null_space", "hardly_seen", "additions", "alternatives_tried"),
         **_entry(estimate, "chi2_reduced", "chi2_band", "chi2_freedom"),
         **_entry(estimate, "rms_before", "rms_raw", "rms_after", units=units),
         **{key("rms_history", si): [shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
@@ -70,15 +70,11 @@ def result_of(
         "n_free": int(free[: estimate.n_robot_parameters].sum()) - len(estimate.law_parameters),
         "free": names[free],
         "suggested_free": names[np.flatnonzero(estimate.suggested_free)],
-        "relabellings": [
-            _entry(rows, "columns", "was", "fits", "rms_before_mm", "rms_after_mm", rows=_sources(table, rows.rows))
-            for rows in estimate.relabellings
-        ],
         "usable": not estimate.unusable,
         "unusable_because": estimate.unusable,
         "explanations": [
-            _entry(explanation, "what", "text", "n", "rms_given", "rms", "chance", units=list(explanation.rms_given))
-            | {"apply": _remedy(explanation.apply, explanation.allow)}
+            _entry(explanation, "code", "n", "rms_given", "rms", "chance", units=list(explanation.rms_given))
+            | {"values": dict(explanation.values)}
             for explanation in estimate.explanations
         ],
         "residual_units": [UNITS[si].scale.suffix for si in units],

@@ -177,11 +177,10 @@ class Result(Struct, frozen=True, kw_only=True):
     hardly_seen: tuple[NullDirection, ...] = ()
     observability: Figures | None = None
     additions: tuple[Addition, ...] = ()
-    relabellings: tuple[Entry, ...] = ()
-    relabelling_search: Name = ""
+    alternatives_tried: Count = 0
     usable: bool = True
     unusable_because: Unusable | None = None
-    explanations: tuple[Entry, ...] = ()
+    explanations: tuple[dict[Name, Any], ...] = ()
     residual_units: Names = ()
     rms_before_mm: Residual = UNSET
     rms_before_deg: Residual = UNSET

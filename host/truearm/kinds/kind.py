@@ -34,7 +34,7 @@ class Kind:
     entries: tuple[Entries[Any], ...] = ()  # entry types of rig files that it uses, its own and shared ones
     free_names: tuple[str, ...] = ()  # identifiers without entries in the rig: then any name is valid
     point: str = ""  # the column that names the measured point of the end; "" if there is none
-    labels: tuple[str, ...] = ()  # columns whose names an operator can confuse (estimate.label_search)
+    labels: tuple[str, ...] = ()  # columns whose names an operator can confuse (checks.labels)
     grouped_by: tuple[str, ...]
     regions: tuple[str, ...] = ()
     drawn_from: tuple[str, ...] = ()

@@ -115,13 +115,12 @@ def _unusable(because: Unusable, document: Document) -> Finding:
 def wrong_first(document: Document) -> bool:
     """Return whether inputs are to be corrected before more is measured.
 
-    A fit that did not converge is one of these if it is explained or labels were searched: with right inputs it may only
-    need more iterations.
+    A fit that did not converge is one of these if other interpretations were tried: with right inputs it may only need more
+    iterations.
     """
     because = document["unusable_because"]
-    doubted = document["relabelling_search"] != "not needed" or bool(document["explanations"])
     wrong = (Unusable.WRONG_INPUTS, Unusable.RESIDUALS, Unusable.SCALE)
-    return because in wrong or (because == Unusable.NOT_CONVERGED and doubted)
+    return because in wrong or (because == Unusable.NOT_CONVERGED and document["alternatives_tried"] > 0)
 
 
 def inputs(document: Document) -> Iterator[Finding]:
@@ -130,18 +129,14 @@ def inputs(document: Document) -> Iterator[Finding]:
     if document["unusable_because"] and not explanations:
         for joint in document["defaults"]["still"]:
             yield Finding("still-joint", {"joint": joint["joint"], "reading": _size(joint["at"], joint["unit"])})
-    if document["relabelling_search"] == "too many groups":
-        yield Finding("labels-unchecked")
     for number, explanation in enumerate(explanations):
         with_change, as_given = (sizes(explanation, name) for name in ("rms", "rms_given"))
         values = {
             "lead": "This explains them too" if number else "This explains the observations",
-            "explanation": explanation["text"],
             "with_change": with_change,
             "as_given": as_given if as_given != with_change else None,
-            **(explanation["apply"] or {}),
         }
-        yield Finding("explanation", values)
+        yield Finding(explanation["code"], explanation["values"] | values)
     if document["status"] != "converged" and not SOLVERS[document["solver"]].ends_by_recipe and not explanations:
         is_line = any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", entry["name"]) for entry in document["parameters"])
         is_weak = document["hardly_seen"] and document["prior"] == Prior.NONE

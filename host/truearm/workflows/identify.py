@@ -13,6 +13,8 @@ import numpy as np
 from truearm import option_defaults
 from truearm.arguments import Checked, with_choices
 from truearm.bounds import ITERATIONS, SEED, OneOf
+from truearm.checks.alternatives import Robots
+from truearm.checks.inputs import checked_inputs
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
@@ -22,13 +24,11 @@ from truearm.estimate.identify import SolverOptions, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
 from truearm.estimate.law_outliers import fitted_without_outliers
-from truearm.estimate.other_readings import Candidate
 from truearm.estimate.prediction import predicted_point_error, tool_undetermined
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import modelled_of
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.estimate.wrong_inputs import absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_document import copies_of, result_of
 from truearm.files.result_file import Input, RobotFrames, looks_like_result, write_result
@@ -226,10 +226,10 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     return found
 
 
-def _other_robots() -> dict[str, Candidate]:
+def _other_robots() -> Robots:
     """Return the built-in robots by name, to which observations may belong."""
     robots = {name: builtin_robot(name) for name in builtin_names()}
-    return {name: Candidate(robot.chain, robot.free) for name, robot in robots.items()}
+    return {name: (robot.chain, robot.free) for name, robot in robots.items()}
 
 
 def default_prior(robot: Robot, solver: str) -> Prior:
@@ -311,11 +311,13 @@ def identified(
         )
 
     def checked(estimate: Estimate) -> Estimate:
-        others = _other_robots() if absurd(estimate) or elsewhere(estimate) else {}
         offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
         with step("trying other interpretations of the inputs"):
-            found = diagnosed(estimate, chain, rig, table, selection.free, others, robot.free, offsets)
-            return with_scale(chain, found)
+            estimate = checked_inputs(estimate, chain, rig, table, selection.free, robot.free, _other_robots, offsets)
+        if estimate.explanations and estimate.unusable:
+            # To first order about a fit that wrong inputs distort, other rows and items would seem to be off.
+            estimate = replace(estimate, systematic=None)
+        return with_scale(chain, estimate)
 
     def with_laws(estimate: Estimate) -> tuple[Chain, Estimate]:
         request = LawRequest(LawMode(options.joint_laws), sigma, effects, robot.gravity)

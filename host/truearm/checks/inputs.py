@@ -1,0 +1,197 @@
+"""Whether the inputs of a fit are right: other interpretations of table and rig are tried if it is doubtful.
+
+If a robot's residuals after identification are larger than the tolerances of a drawing (1 mm, 5 mrad), if its fit does
+not converge, or if base, tool or links are far from where they were described, the cause is rarely the robot. All
+interpretations of ``alternatives`` are then ranked by their evidence in a few rows, and the best are fitted. The formulas
+are in docs/explanation/hypotheses.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from truearm.checks.alternatives import Robots, tiers
+from truearm.checks.examination import GROSS
+from truearm.checks.labels import relabelled
+from truearm.checks.trial import (
+    AS_WELL,
+    FAR,
+    HUNDREDFOLD,
+    Alternative,
+    Trial,
+    evidence,
+    explains,
+    fitted,
+    log_chance,
+    placed,
+)
+from truearm.estimate.solvers import SOLVERS
+from truearm.estimate.uncertainty import LEAST_FREEDOM
+from truearm.kinds.table import ObservationTable
+from truearm.model.chain import Chain
+from truearm.results import Estimate, Explanation, Figures, Unusable
+from truearm.types import Mask, Rigs
+from truearm.units import UNITS
+
+ROUNDS = ((16, 2), (4, 8))  # the best alternatives that go on, after base, tool and rig were placed in so many steps
+MOST_NAMED = 3
+RIVALS = math.log(100.0)  # nats, of explanations that are reported with the best
+MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search
+TENFOLD = 0.1  # of χ²
+NOISE_LEVEL = 0.01  # probability that declared noise alone leaves a larger χ²
+SURELY = 6.0  # standard deviations, of a displacement that its own uncertainty does not explain
+HELD = "held-parameters"
+
+
+def checked_inputs(
+    estimate: Estimate,
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    free: Mask,
+    usual: Mask,
+    robots: Callable[[], Robots],
+    allowed: Collection[str] = (),
+) -> Estimate:
+    """Return the estimate with explanations if it is doubtful, and with the reason if it is not usable.
+
+    ``free`` (p,) are the parameters requested for identification, before any were fixed by default; ``usual`` (p,)
+    those that the robot has free by default; ``robots`` are others to try. Items that are ``allowed`` to be off were
+    fitted.
+    """
+    given = Alternative(chain, rig, table, free, np.flatnonzero(estimate.fitted))
+    explanations: tuple[Explanation, ...] = ()
+    tried = 0
+    doubtful = _absurd(estimate) or is_elsewhere(estimate) or estimate.chi2_reduced > GROSS**2
+    misfit = estimate.systematic is None and estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT)
+    before = fitted(given) if doubtful or misfit else None
+    if before is not None and before.freedom >= 1.0:
+        # The trial ran longer than a fit that only needs more iterations.
+        finished = _unconverged(estimate) and before.plausible and before.displacement <= FAR
+        if doubtful and not finished:
+            explanations, tried = explanations_of(before, usual, robots(), allowed)
+        elif misfit:
+            explanations, tried = other_set_up(before)
+    estimate = replace(estimate, explanations=explanations, alternatives_tried=tried)
+    return replace(estimate, unusable=_unusable(estimate))
+
+
+def explanations_of(
+    before: Trial, usual: Mask, robots: Robots, allowed: Collection[str] = ()
+) -> tuple[tuple[Explanation, ...], int]:
+    """Return explanations of the rows that are better than the inputs as given, and how many alternatives were tried."""
+    given = before.alternative
+    held = usual & ~given.free
+    if held.any():
+        # A few parameters do not show which interpretation is correct: all are judged with the robot's default ones.
+        names = [name for name, is_held in zip(given.chain.parameter_names, held, strict=True) if is_held]
+        given = replace(given, free=usual | given.free)
+        freed = fitted(replace(given, code=HELD, values={"names": names}))
+        if freed is None or freed.freedom < 1.0:
+            return (), 1
+        if explains(before, freed, 1, 1.0):
+            return (_explanation(before, freed, 1),), 1
+        before = freed
+    n, tried = given.rows.size, 1
+    found: list[Trial] = []
+    for many in tiers(given, robots, allowed):
+        tried += len(many)
+        found = explaining(before, many, tried)
+        if found:
+            break
+    found.sort(key=lambda trial: -evidence(trial, n))
+    rivals = [
+        _explanation(before, trial, tried) for trial in found if evidence(trial, n) > evidence(found[0], n) - RIVALS
+    ]
+    distinct = {(rival.code, str(rival.values)): rival for rival in reversed(rivals)}
+    return tuple(reversed(distinct.values()))[:MOST_NAMED], tried
+
+
+def other_set_up(before: Trial) -> tuple[tuple[Explanation, ...], int]:
+    """Return the rows with other labels or another set-up, if the declared noise explains all others.
+
+    A joint that steps by a degree bends a fit too far for an analysis of first order, but leaves less than a millimetre.
+    """
+    labels, runs = relabelled(before.alternative)
+    after = fitted(labels) if runs else None
+    if after is None or not explains(before, after, 1, TENFOLD):
+        return (), 1
+    by_noise = special.chdtri(after.freedom, NOISE_LEVEL) / after.freedom
+    return ((_explanation(before, after, 1),) if after.reduced <= by_noise else ()), 1
+
+
+def explaining(before: Trial, many: Sequence[Alternative], count: int) -> list[Trial]:
+    """Return the trials of alternatives that explain the rows, of those with the greatest evidence in quick fits."""
+    n = before.alternative.rows.size
+    goal = (AS_WELL if before.displacement > FAR else HUNDREDFOLD) * before.reduced
+    trials: list[Trial | None] = []
+    for most, steps in ROUNDS:
+        trials = [placed(alternative, steps) for alternative in many]
+        scores = [math.inf if trial is None else -evidence(trial, n) for trial in trials]
+        best = np.argsort(scores, kind="stable")[:most].tolist()
+        many, trials = [many[i] for i in best], [trials[i] for i in best]
+    starts = [None if trial is None else trial.parameters for trial in trials]
+    finals = [fitted(alternative, goal, start) for alternative, start in zip(many, starts, strict=True)]
+    return [trial for trial in finals if trial is not None and explains(before, trial, count)]
+
+
+def _explanation(before: Trial, after: Trial, count: int) -> Explanation:
+    given = after.alternative
+    chance = math.exp(min(log_chance(after.reduced / before.reduced, after.freedom) + math.log(count), 0.0))
+    values = dict(given.values)
+    for effect in given.effects:
+        off = {name: after.off[name] for name in after.off if name == str(effect) or name.startswith(f"{effect}.")}
+        values["off"] = [f"{name.rpartition('.')[2]} {_sized(name, size, after)}" for name, size in off.items()]
+    return Explanation(given.code, values, given.rows.size, before.rms, after.rms, chance)
+
+
+def _sized(name: str, size: float, trial: Trial) -> str:
+    return UNITS[trial.units[name]].scale.text(size, ".3g")
+
+
+def _absurd(estimate: Estimate) -> bool:
+    """Return whether correct inputs hardly give such a fit: not converged, or residuals beyond a drawing's tolerances."""
+    return _unconverged(estimate) or _beyond(estimate, "weak_sigma")
+
+
+def is_elsewhere(estimate: Estimate) -> bool:
+    """Return whether parameters moved far from their described values: wrong labels may rotate a fixture.
+
+    If the observations hardly determine one of them, such as the turn of the base about nearly collinear chucks, it may
+    be far away with correct labels, and others follow it along its arc.
+    """
+    p = estimate.n_robot_parameters
+    wide = np.array([UNITS[unit].wide_sigma for unit in estimate.units[:p]])
+    moved = np.abs(estimate.value - estimate.nominal)[:p]
+    far = moved > FAR * wide
+    sigma = np.nan_to_num(estimate.sigma[:p])  # NaN: not identifiable
+    return bool(far.any() and (moved > SURELY * sigma)[far].all())
+
+
+def _unusable(estimate: Estimate) -> Unusable | None:
+    if _unconverged(estimate):
+        return Unusable.NOT_CONVERGED
+    if not estimate.chi2_freedom >= LEAST_FREEDOM:
+        return Unusable.NO_FREEDOM
+    if any(explanation.code == HELD for explanation in estimate.explanations):
+        return None
+    if estimate.explanations:
+        return Unusable.WRONG_INPUTS
+    return Unusable.RESIDUALS if _beyond(estimate, "wide_sigma") else None
+
+
+def _unconverged(estimate: Estimate) -> bool:
+    return estimate.status != "converged" and not SOLVERS[estimate.solver].ends_by_recipe
+
+
+def _beyond(estimate: Estimate, tolerance: str) -> bool:
+    """Return whether the rows used have an RMS beyond a tolerance that the declared noise does not explain."""
+    if estimate.chi2_reduced <= estimate.chi2_band[1]:
+        return False
+    figures = Figures.by_unit(estimate.residual, estimate.used)
+    return any(of_unit.rms > getattr(UNITS[unit], tolerance) for unit, of_unit in figures.items())

@@ -1,0 +1,225 @@
+"""Quick fits of some rows, which compare interpretations of the inputs under one wide prior.
+
+The robot's parameters have the tolerances of manual mounting (``prior.wide_prior``), base and tool a metre and a radian.
+The formulas are in docs/explanation/hypotheses.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from truearm.errors import ProblemError
+from truearm.estimate.fit import fit
+from truearm.estimate.frame_choice import mounting
+from truearm.estimate.information import half, observe, spectrum
+from truearm.estimate.levenberg_marquardt import idle
+from truearm.estimate.prior import wide_prior
+from truearm.estimate.problem import Problem, build_problem, modelled_of
+from truearm.estimate.solution import Options, of_data
+from truearm.estimate.uncertainty import goodness, prior_shares
+from truearm.kinds.table import ObservationTable
+from truearm.model.chain import Chain
+from truearm.results import Effect, Figures
+from truearm.types import Floats, Indices, Mask, Residuals, Rigs, thinned
+from truearm.units import UNITS
+
+FEW_ROWS = 60  # that rank interpretations before the robot is fitted
+MOST_ROWS = 200  # of a fit of the robot
+STEPS = 20
+STEPS_TO_PLACE = 8  # if only base, tool and rig are placed
+WORTH = 0.01  # of χ², by all of the last steps: wrong inputs are wrong by centimetres
+RECENT = 3  # steps, of which the best one is taken for all those left
+LEVEL = 1e-3  # probability that any interpretation explains correct inputs
+HUNDREDFOLD = 0.01  # of χ²
+FAR, NEAR = 10.0, 3.0  # tolerances of manual mounting: 100 mm or 0.5 rad, 30 mm or 0.16 rad
+AS_WELL = 2.0  # of χ²
+LARGEST_SHIFT = 5.0  # tolerances of manual mounting: the paper's PUMA differs by 1.3
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """An interpretation of the inputs, and the finding if it explains the observations.
+
+    ``rows`` (m,) of the table are those that it explains. It multiplies the numbers of ``rescaled`` columns by factors.
+    """
+
+    chain: Chain
+    rig: Rigs
+    table: ObservationTable
+    free: Mask  # (p,)
+    rows: Indices
+    code: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    effects: tuple[Effect, ...] = ()
+    rescaled: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A fit of an alternative to ``n_residuals`` residuals: χ²/ν, ν, RMS by SI unit, and parameters by name.
+
+    ``moved`` is the displacement of base or tool, and of an item of the rig with an effect, from the described place;
+    ``shifted`` that of any other parameter of the robot; both in tolerances of manual mounting. ``off`` is how far each
+    parameter is from its start.
+    """
+
+    alternative: Alternative
+    reduced: float
+    freedom: float
+    rms: Mapping[str, float]
+    parameters: Mapping[str, float]
+    off: Mapping[str, float]
+    units: Mapping[str, str]
+    moved: float
+    shifted: float
+
+    @property
+    def displacement(self) -> float:
+        return max(self.moved, self.shifted)
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the residuals are within the tolerances of a drawing."""
+        return all(rms <= UNITS[unit].weak_sigma for unit, rms in self.rms.items())
+
+
+def evidence(trial: Trial, n: int) -> float:
+    """Return the logarithm of a trial's evidence, up to a constant; rows that it leaves out of ``n`` count as one each."""
+    share = trial.alternative.rows.size / n
+    return -0.5 * (share * trial.freedom * math.log(max(trial.reduced, 1e-300)) + trial.displacement**2)
+
+
+def log_chance(ratio: float, freedom: float) -> float:
+    """Return the log probability that two mean squares with equal degrees of freedom have a ratio of at most ``ratio``."""
+    share, half_freedom = ratio / (1.0 + ratio), max(freedom, 1.0) / 2.0
+    chance = special.betainc(half_freedom, half_freedom, share)
+    if chance > 1e-280:
+        return math.log(chance)
+    # First term of the incomplete beta function; the next is smaller by the share.
+    return (
+        half_freedom * math.log(max(share, 1e-300))
+        - math.log(half_freedom)
+        - float(special.betaln(half_freedom, half_freedom))
+    )
+
+
+def explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOLD) -> bool:
+    """Return whether one of ``count`` alternatives explains the rows and is close to the described robot.
+
+    Either its fit is far better, beyond chance. Or it is as good with the same readings, and places everything where it
+    was described, while the inputs as given do not.
+    """
+    ratio = after.reduced / before.reduced
+    better = ratio < least and log_chance(ratio, after.freedom) + math.log(count) < math.log(LEVEL)
+    nearer = (
+        not after.alternative.rescaled and ratio < AS_WELL and before.displacement > FAR and after.displacement < NEAR
+    )
+    return after.plausible and after.shifted < LARGEST_SHIFT and (better or nearer)
+
+
+def trial_problem(
+    chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, effects: Sequence[Effect] = ()
+) -> tuple[Problem, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the problem, its fitted columns (P,), and which parameters (P,) place base, tool or an item with an effect."""
+    mounted = mounting(chain, chain.params_nominal).either
+    prior = np.where(mounted, [UNITS[p.unit].vague_sigma for p in chain.parameters], wide_prior(chain))
+    modelled = modelled_of(chain, rig, table, effects)
+    problem = build_problem(chain, rig, table, prior, modelled)
+    estimated = np.isin(problem.names, [of_effect.effect.parameter(of_effect.column) for of_effect in modelled])
+    vague = np.where(estimated, [UNITS[unit].vague_sigma for unit in problem.units], problem.prior_sigma)
+    placing = estimated | np.pad(mounted, (0, estimated.size - mounted.size))
+    return replace(problem, prior_sigma=vague), problem.columns(free | mounted), placing
+
+
+def placed(alternative: Alternative, steps: int = STEPS_TO_PLACE) -> Trial | None:
+    """Return the nominal robot with base, tool and rig fitted to a few rows; None if they define no problem."""
+    return _trial(replace(alternative, free=np.zeros_like(alternative.free)), FEW_ROWS, steps)
+
+
+def fitted(alternative: Alternative, goal: float = 0.0, start: Mapping[str, float] | None = None) -> Trial | None:
+    """Return the fit of the robot, base, tool and rig to some rows; None if they define no problem.
+
+    ``start`` are parameters after ``placed``. A fit that will not reach a χ²/ν of ``goal`` may end early.
+    """
+    if start is None and (trial := placed(alternative)) is not None:
+        start = trial.parameters
+    return _trial(alternative, MOST_ROWS, STEPS, goal, start)
+
+
+def _trial(
+    alternative: Alternative, most: int, steps: int, goal: float = 0.0, start: Mapping[str, float] | None = None
+) -> Trial | None:
+    try:
+        with np.errstate(all="ignore"):
+            trial = _fitted(alternative, most, steps, goal, start or {})
+    except (ProblemError, np.linalg.LinAlgError):
+        return None
+    return trial if np.isfinite(trial.reduced) else None
+
+
+def _fitted(alternative: Alternative, most: int, steps: int, goal: float, start: Mapping[str, float]) -> Trial:
+    chain, free = alternative.chain, alternative.free
+    table = alternative.table.select(alternative.rows[thinned(alternative.rows.size, most)])
+    problem, columns, placing = trial_problem(chain, alternative.rig, table, free, alternative.effects)
+    n = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
+    log_jacobian = sum(
+        np.isfinite(table[name]).sum() * math.log(factor) for name, factor in alternative.rescaled.items()
+    )
+    price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike would fit in any larger unit
+    x = problem.at(start)
+    if problem.of_rig.any() and not start:
+        x = fit(problem, problem.of_rig, x, idle_options(2 * steps)).x
+    solution = fit(problem, columns, x, idle_options(steps, goal * n / price))
+    shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
+    quality = goodness(*of_data(problem, columns, solution), shares)
+    off = solution.x - problem.start
+    moves = np.abs(off) / np.array([UNITS[unit].wide_sigma for unit in problem.units])
+    return Trial(
+        alternative,
+        price * quality.reduced,
+        quality.freedom,
+        {unit: figures.rms for unit, figures in Figures.by_unit(solution.information.residual).items()},
+        dict(zip(problem.names, solution.x.tolist(), strict=True)),
+        dict(zip(problem.names, off.tolist(), strict=True)),
+        dict(zip(problem.names, problem.units, strict=True)),
+        float(moves[placing].max(initial=0.0)),
+        float(moves[: free.size][~placing[: free.size]].max(initial=0.0)),
+    )
+
+
+def idle_options(steps: int, goal: float = 0.0) -> Options:
+    """Return the options of a fit that only distinguishes right from wrong inputs, which by a χ² above ``goal`` are wrong."""
+    idles = idle(WORTH)
+
+    def ends(chi2: Sequence[float]) -> bool:
+        if idles(chi2):
+            return True
+        if len(chi2) <= RECENT:
+            return False
+        best = min(b / a for a, b in pairwise(chi2[-1 - RECENT :]))
+        return chi2[-1] * best ** (steps + 1 - len(chi2)) > goal > 0.0
+
+    return Options(max_iterations=steps, correctors=0, ends=ends)
+
+
+def misfit(chain: Chain, rig: Rigs, table: ObservationTable, parameters: Mapping[str, float]) -> Floats:
+    """Return squares (n,) of the rows' residuals at named parameters, in units of a drawing's tolerances.
+
+    NaN for rows that use parameters without a value. Raises ProblemError.
+    """
+    problem = build_problem(chain, rig, table)
+    nothing = np.zeros(len(problem.names), dtype=bool)
+    return _square(observe(problem, problem.at(parameters), nothing).residual)
+
+
+def _square(residual: Residuals) -> Floats:
+    parts = [(of_unit / UNITS[unit].weak_sigma) ** 2 for unit, of_unit in residual.items()]
+    return np.asarray(np.nansum(parts, axis=0))

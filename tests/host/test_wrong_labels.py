@@ -1,0 +1,139 @@
+"""Wrong labels: rows labelled with another chuck or sphere than the measured one are named, and no others."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from puma_bench import (
+    CHAIN,
+    CHUCKS,
+    FREE,
+    RIG,
+    SIGMA,
+    SPHERES,
+    TRUTH,
+    lengths,
+    points,
+    random_poses,
+    shell_table,
+    table,
+)
+
+from truearm.checks.inputs import explanations_of
+from truearm.checks.labels import relabelled
+from truearm.checks.trial import Alternative, fitted
+from truearm.kinds.table import ObservationTable
+from truearm.types import Rig
+
+
+@pytest.fixture(scope="module")
+def shells():
+    return shell_table(400, 0.46, np.random.default_rng(0), SIGMA)
+
+
+def labels(t, rig=RIG, rows=None):
+    """Return the given rows, by default all, with other labels as they fit."""
+    return relabelled(Alternative(CHAIN, rig, t, FREE, np.arange(len(t)) if rows is None else rows))
+
+
+def with_names(t, **columns):
+    changed = {}
+    for name, moves in columns.items():
+        column = getattr(t, name).astype(object)
+        for rows, label in moves:
+            column[rows] = label
+        changed[name] = column.astype(str)
+    return replace(t, **changed)
+
+
+def of(t, chuck, sphere):
+    return (t.chuck == chuck) & (t.sphere == sphere)
+
+
+def restored(t, right, rig=RIG):
+    result, _ = labels(t, rig)
+    return all((getattr(result.table, column) == getattr(right, column)).all() for column in ("chuck", "sphere"))
+
+
+CASES = {
+    "a chuck": {"chuck": [(("c0", "s1"), "c2")]},
+    "a sphere": {"sphere": [(("c1", "s1"), "s2")]},
+    "another sphere": {"sphere": [(("c2", "s0"), "s1")]},
+    "two spheres exchanged": {"sphere": [(("c0", "s1"), "s2"), (("c0", "s2"), "s1")]},
+}
+
+
+@pytest.mark.parametrize("case", ["a chuck", *(pytest.param(one, marks=pytest.mark.soak) for one in list(CASES)[1:])])
+def test_shells_with_a_wrong_label_come_back(shells, case):
+    changes = {column: [(of(shells, *pair), name) for pair, name in moves] for column, moves in CASES[case].items()}
+    wrong = with_names(shells, **changes)
+    assert restored(wrong, shells)
+
+
+@pytest.mark.soak
+def test_two_chucks_exchanged_everywhere_are_named(shells):
+    wrong = with_names(shells, chuck=[(shells.chuck == "c0", "c2"), (shells.chuck == "c2", "c0")])
+    (found, *_), _ = explanations_of(fitted(Alternative(CHAIN, RIG, wrong, FREE, np.arange(400))), FREE, {})
+    assert (found.code, found.values["names"]) == ("names-exchanged", ["chuck c0 is c2", "chuck c2 is c0"])
+
+
+@pytest.mark.soak
+def test_held_out_rows_are_not_relabelled_and_noise_is_no_label(shells):
+    rows = of(shells, "c0", "s1")
+    wrong = with_names(shells, chuck=[(rows, "c2")])
+    assert labels(wrong, rows=np.flatnonzero(~rows))[1] == ()
+    loud = replace(shells, value=shells.value + 5e-4 * np.random.default_rng(5).normal(size=400))
+    assert labels(loud)[1] == ()
+
+
+@pytest.mark.soak
+def test_when_nothing_fits_nothing_is_named(shells):
+    """Lengths of another world: the residuals are large, but no label explains them."""
+    wild = replace(shells, value=np.random.default_rng(6).uniform(0.3, 0.8, len(shells)))
+    assert explanations_of(fitted(Alternative(CHAIN, RIG, wild, FREE, np.arange(400))), FREE, {})[0] == ()
+
+
+def on(day, t):
+    return replace(t, rig=np.full(len(t), day))
+
+
+@pytest.mark.soak
+def test_a_wrong_label_among_several_rigs_is_named_in_its_own(shells):
+    """On Tuesday the chucks stood elsewhere, under the names of Monday's, and one shell got a wrong one."""
+    moved = points("c", [(x + 0.2, y - 0.1, z + 0.05) for x, y, z in (p.xyz for p in CHUCKS.values())])
+    rng = np.random.default_rng(7)
+    pairs = [(c, s) for c in CHUCKS for s in SPHERES for _ in range(30)]
+    q = random_poses(len(pairs), rng)
+    tuesday = table(q, lengths(TRUTH, q, pairs, moved) + SIGMA * rng.normal(size=len(q)), pairs)
+    rigs = {"mon": RIG, "tue": Rig(moved, SPHERES, RIG.bars)}
+    right = ObservationTable.joined([on("mon", shells), on("tue", tuesday)])
+    wrong = with_names(right, chuck=[(np.concatenate([np.zeros(400, bool), of(tuesday, "c1", "s2")]), "c0")])
+    assert restored(wrong, right, rigs)
+    assert labels(right, rigs)[1] == ()
+
+
+@pytest.mark.soak
+def test_chucks_exchanged_on_one_day_only_are_named(shells):
+    later = shell_table(180, 0.5, np.random.default_rng(8), SIGMA)
+    swapped = with_names(later, chuck=[(later.chuck == "c0", "c2"), (later.chuck == "c2", "c0")])
+    right, wrong = (ObservationTable.joined([on("mon", shells), on("tue", other)]) for other in (later, swapped))
+    assert restored(wrong, right, {"mon": RIG, "tue": RIG})
+
+
+@pytest.mark.soak
+def test_one_of_twenty_seven_shells_is_named():
+    """Three radii about each of three chucks, with three spheres."""
+    rng = np.random.default_rng(9)
+    shells = [replace(shell_table(135, r, rng, SIGMA), shell=np.full(135, f"r{r}")) for r in (0.42, 0.46, 0.50)]
+    t = ObservationTable.joined(shells)
+    assert restored(with_names(t, chuck=[(of(t, "c0", "s1") & (t.shell == "r0.46"), "c2")]), t)
+
+
+def test_a_name_left_empty_is_the_only_one_there_is(shells):
+    """A rig of one chuck, which rows need not name: a wrong sphere is named, the empty name is not a wrong label."""
+    one = Rig({"c0": CHUCKS["c0"]}, SPHERES, RIG.bars)
+    right = shells.select(shells.chuck == "c0")
+    right = replace(right, chuck=np.full(len(right), ""))
+    wrong = with_names(right, sphere=[(np.arange(len(right)) < 40, "s2")])
+    assert set(right.sphere[:40]) == {"s0"}
+    assert restored(wrong, right, one)
