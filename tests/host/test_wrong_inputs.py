@@ -453,8 +453,9 @@ def test_the_evidence_of_a_change_of_units_has_its_jacobian():
     assert thousandth.reduced == pytest.approx(1e6 * one.reduced)
     assert thousandfold.reduced == pytest.approx(one.reduced)
     nearer = replace(one, moved=0.0, shifted=0.0)
-    assert evidence(nearer, 360) - evidence(one, 360) == pytest.approx(0.5 * one.displacement**2)
-    assert evidence(nearer, 720) == pytest.approx(0.5 * evidence(nearer, 360))
+    assert evidence(one, nearer) - evidence(one, one) == pytest.approx(0.5 * one.displacement**2)
+    better = replace(nearer, reduced=0.5 * one.reduced)
+    assert evidence(one, better) == pytest.approx(0.5 * one.freedom * np.log(2.0))
 
 
 TABLE = Rig(targets=devices.TARGETS, planes={"table": Plane("table", (0.4, 0.0, 0.3), (0.0, 0.0, 1.0), sigma=3e-5)})

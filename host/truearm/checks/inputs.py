@@ -97,16 +97,18 @@ def explanations_of(
         if explains(before, freed, 1, 1.0):
             return (_explanation(before, freed, 1),), 1
         before = freed
-    n, tried = given.rows.size, 1
+    tried = 1
     found: list[Trial] = []
     for many in tiers(given, robots, allowed):
         tried += len(many)
         found = explaining(before, many, tried)
         if found:
             break
-    found.sort(key=lambda trial: -evidence(trial, n))
+    found.sort(key=lambda trial: -evidence(before, trial))
     rivals = [
-        _explanation(before, trial, tried) for trial in found if evidence(trial, n) > evidence(found[0], n) - RIVALS
+        _explanation(before, trial, tried)
+        for trial in found
+        if evidence(before, trial) > evidence(before, found[0]) - RIVALS
     ]
     distinct = {(rival.code, str(rival.values)): rival for rival in reversed(rivals)}
     return tuple(reversed(distinct.values()))[:MOST_NAMED], tried
@@ -127,12 +129,11 @@ def other_set_up(before: Trial) -> tuple[tuple[Explanation, ...], int]:
 
 def explaining(before: Trial, many: Sequence[Alternative], count: int) -> list[Trial]:
     """Return the trials of alternatives that explain the rows, of those with the greatest evidence in quick fits."""
-    n = before.alternative.rows.size
     goal = (AS_WELL if before.displacement > FAR else HUNDREDFOLD) * before.reduced
     trials: list[Trial | None] = []
     for most, steps in ROUNDS:
         trials = [placed(alternative, steps) for alternative in many]
-        scores = [math.inf if trial is None else -evidence(trial, n) for trial in trials]
+        scores = [math.inf if trial is None else -evidence(before, trial) for trial in trials]
         best = np.argsort(scores, kind="stable")[:most].tolist()
         many, trials = [many[i] for i in best], [trials[i] for i in best]
     starts = [None if trial is None else trial.parameters for trial in trials]

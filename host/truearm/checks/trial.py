@@ -91,10 +91,11 @@ class Trial:
         return all(rms <= UNITS[unit].weak_sigma for unit, rms in self.rms.items())
 
 
-def evidence(trial: Trial, n: int) -> float:
-    """Return the logarithm of a trial's evidence, up to a constant; rows that it leaves out of ``n`` count as one each."""
-    share = trial.alternative.rows.size / n
-    return -0.5 * (share * trial.freedom * math.log(max(trial.reduced, 1e-300)) + trial.displacement**2)
+def evidence(before: Trial, after: Trial) -> float:
+    """Return the logarithm of the evidence for an alternative, up to a constant; rows that it leaves out gain nothing."""
+    share = after.alternative.rows.size / before.alternative.rows.size
+    gain = math.log(before.reduced / max(after.reduced, 1e-300))
+    return 0.5 * (share * after.freedom * gain - after.displacement**2)
 
 
 def log_chance(ratio: float, freedom: float) -> float:
