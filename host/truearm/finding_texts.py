@@ -453,7 +453,10 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "no-program": ("{place}: holds no program", "give a program or a folder of programs ({suffixes})"),
     "languages": ("[{place}: ]holds programs of several languages ({names})", "give those of one robot"),
     "binary": ("{place}: holds a NUL byte, so it is not a program", "give the program as text"),
-    "no-move": ("{place}: contains no move", "there is nothing to correct"),
+    "no-move": (
+        "{place}: contains no move[{kept:!} besides those to joint values, which are kept]",
+        "there is nothing to correct",
+    ),
     "redundant": ("{place}: poses do not determine {joints} joints", "correct a table with joints (q1_deg, q2_deg, …)"),
     "joint-moves": ("{place}: moves to joint values, in {lines:#line}", "give {@joint_moves} keep or correct"),
     "frame": (
@@ -473,7 +476,7 @@ UNDETERMINED = (
     "nothing determines in which of its configurations the arm reaches this target, and each needs another correction"
 )
 REASONS = {
-    "absent-routine": "{name} is in none of the files and may change data or displace the program; give {@unchanged} NAME if it does not",
+    "absent-routine": "{name} is in none of the files and may change data or displace the program; add the file that defines it, or leave out {@strict}",
     "aimless": "it has no target in the program",
     "ambiguous": "{name} is declared in several modules, such as in {where}",
     "argument": "{name} is an argument of {function} in {where}, which may change it[{outside:!}; give {@unchanged} NAME if it does not]",

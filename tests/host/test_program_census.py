@@ -194,7 +194,7 @@ LS = {
     "frame set": ls("UFRAME[1]=PR[1]\nL P[1] 100mm/sec FINE !R"),
     "circle": ls("C P[1] P[2] 100mm/sec FINE !K"),
     "coordinated": ls("L P[1] 100mm/sec FINE COORD !R"),
-    "computed": ls("L P[R[1]] 100mm/sec FINE !R\nL P[9] 100mm/sec FINE !R"),
+    "computed": ls("L P[1] 100mm/sec FINE !R\nL P[R[1]] 100mm/sec FINE !R\nL P[9] 100mm/sec FINE !R"),
     "another tool": ls("L P[1] 100mm/sec FINE !R", LS_POINTS.replace("UT : 1", "UT : 2")),
     "external axis": ls("L P[1] 100mm/sec FINE !R", LS_POINTS.replace("R =   0.0 deg", "R =   0.0 deg,\n\tE1=  5.0  mm")),
 }  # fmt: skip
@@ -345,6 +345,8 @@ STRANGE_LS = {
     "offset condition": ls("OFFSET CONDITION PR[1]\nL P[1] 100mm/sec FINE Offset !R"),
     "touched": ls("Touch Offset PR[1]\nL P[1] 100mm/sec FINE !R\nTouch Offset End"),
     "tool set": ls("UTOOL[R[1]]=PR[3]\nL P[1] 100mm/sec FINE !R"),
+    "tool set in a condition": ls("IF R[1]=1,UTOOL[1]=PR[3]\nL P[1] 100mm/sec FINE !R"),
+    "tool read": ls("PR[3]=UTOOL[1]\nL P[1] 100mm/sec FINE !K"),
     "tool of the system": ls("$MNUTOOL[1,1]=PR[1]\nL P[1] 100mm/sec FINE !R"),
     "active tool": ls("UTOOL_NUM=1\nUFRAME_NUM=0\nPAYLOAD[1]\nCALL GRIP(1)\nL P[1] 100mm/sec FINE !K"),
     "remark": ls("!PR[2]=P[2]\n//L P[3] 100mm/sec FINE Offset,PR[1]\nL P[1] 100mm/sec FINE !K"),
@@ -455,6 +457,19 @@ OUTSIDE = {  # what files that are not there may do: with --strict, and for name
 def test_what_other_files_may_change(name):
     text, surroundings = OUTSIDE[name]
     check("rapid", [text], **{"frames": GIVEN, **surroundings})
+
+
+STRICT = [
+    ("urscript", [script("grip()\nmovel(p[0.4,0.1,0.3,0,3.1,0]) #R")]),
+    ("krl", krl(f"grip()\n{ACTIVE}LIN XP1 ;R")),
+    ("ls", ls("CALL GRIP(1)\nL P[1] 100mm/sec FINE !R")),
+    ("ls", ls("CALL Q\nL P[1] 100mm/sec FINE !K") | {"q.ls": "/PROG Q\n/MN\n   1:  DO[1]=ON ;\n/POS\n/END\n"}),
+]
+
+
+@pytest.mark.parametrize(("language", "files"), STRICT)
+def test_strict_refuses_poses_that_a_routine_of_no_file_may_displace(language, files):
+    check(language, files, frames=GIVEN, strict=True)
 
 
 BROKEN_KRL = [

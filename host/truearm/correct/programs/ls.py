@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import PurePath
 
 from truearm.correct.programs.data import Datum, Form, Literal, Place
 from truearm.correct.programs.poses import check_reach
@@ -25,7 +26,10 @@ POSE = ("Xmm", "Ymm", "Zmm", "Rdeg", "Pdeg", "Wdeg")  # W, P, R about fixed x, y
 JOINTS = tuple(f"J{axis}deg" for axis in range(1, 7))
 REMARK = ("!", "//")
 RUN_TIME = re.compile(r"\b(Offset|Tool_Offset|INC|VOFFSET|SKIP|COORD|RTCP|Weave|PSPI|EV)\b", re.IGNORECASE)
-DISPLACING = re.compile(r"Touch\s+Offset\b|(?:UFRAME|UTOOL|\$MNUFRAME|\$MNUTOOL)(?=\s*\[)", re.IGNORECASE)
+DISPLACING = re.compile(
+    r"Touch\s+Offset\b|(?:\bUFRAME|\bUTOOL|\$MNUFRAME|\$MNUTOOL)(?=\s*\[[^=]*=)", re.IGNORECASE
+)  # also after IF …,
+CALLED = re.compile(r"\b(?:CALL|RUN)\s+(\w+)", re.IGNORECASE)
 LINE_TRACK = re.compile(r"\bLINE_TRACK_SCHEDULE_NUMBER\s*:\s*[1-9]", re.IGNORECASE)
 BRANCHING = re.compile(r"(LBL\[|CALL|RUN|IF|ELSE|ENDIF|FOR|ENDFOR|SELECT|\w+\s*$)", re.IGNORECASE)
 
@@ -34,8 +38,9 @@ def read_ls(files: Sequence[Source], surroundings: Surroundings) -> Program:
     """Read LS files. Tools and user frames are given by the names ut1, uf1 …; uf0 is the world."""
     reading = Reading(Program("ls", list(files)), surroundings)
     parsed = [_File(reading, number, source.text) for number, source in enumerate(files)]
+    programs = {PurePath(source.name).stem.lower() for source in files}
     for file in parsed:
-        file.read()
+        file.read(programs)
     for file in parsed:
         file.add_moves()
     return reading.program
@@ -53,8 +58,11 @@ class _File:
     statements: list[tuple[int, int]] = field(default_factory=list)
     tracked: Uncertain | None = None
 
-    def read(self) -> None:
-        """Note the points, their uses and what displaces them: a frame that is set counts in all files."""
+    def read(self, programs: Collection[str]) -> None:
+        """Note the points, their uses and what displaces them: a frame that is set counts in all files.
+
+        Calls of other programs than ``programs`` lead out of the files.
+        """
         start = self.text.find("/MN") + len("/MN")
         end = self.text.find("/POS") if "/POS" in self.text else len(self.text)
         self.points = {int(match[1]): match.span(2) for match in POINT_DATA.finditer(self.text, end)}
@@ -62,15 +70,21 @@ class _File:
         self.statements = [span for span in spans if not self.text.startswith(REMARK, *span)]
         if (match := LINE_TRACK.search(self.text, 0, start)) is not None:
             self.tracked = Uncertain("displacing", name="LINE_TRACK", where=self.where(match.start()))
+        computed = set()
         for first, last in self.statements:
             for point in POINT.finditer(self.text, first, last):
                 if point[1].upper() == "P" and point[2].isdigit():
                     datum = Datum(f"P[{point[2]}]", "point", "var", Place(self.number, point.start()))
                     self.data.setdefault(int(point[2]), datum).uses.add(datum.place)
-                elif point[1].upper() == "P" and not MOVE.match(self.text, first, last):
-                    self.tracked = Uncertain("assigned", name="a point by a computed number", where=self.where(first))
-            if (match := DISPLACING.match(self.text, first, last)) is not None:
+                elif point[1].upper() == "P":
+                    computed.add(Place(self.number, point.start()))
+            if (match := DISPLACING.search(self.text, first, last)) is not None:
                 self.reading.displace("displacing", match[0], Place(self.number, first))
+            for call in CALLED.finditer(self.text, first, last):
+                if call[1].lower() not in programs:
+                    self.reading.program.absent[call[1]] = None
+        for datum in self.data.values():
+            datum.uses |= computed  # a computed number may be that of any point
 
     def where(self, offset: int) -> str:
         """Return the line of an offset."""

@@ -94,8 +94,6 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Task:
             _note_uses(task, statement)
             if statement.is_instruction:
                 _note_instruction(task, statement)
-    if surroundings.strict and task.program.absent:
-        task.displace("absent-routine", next(iter(task.program.absent)), Place(0, 0))
     return task
 
 

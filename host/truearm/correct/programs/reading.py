@@ -78,8 +78,8 @@ class Reading:
             where = self.program.where(place)
             raise Uncertain(code, name=datum.name, where=where, function=function, outside=not datum.changes)
         is_visible = datum.kind != "const" and not datum.local
-        if self.surroundings.strict and self.program.absent and is_visible and not is_trusted:
-            raise Uncertain("absent-routine", name=next(iter(self.program.absent)))
+        if is_visible and not is_trusted:
+            self.check_absent()
 
     def given(self, name: str, otherwise: Uncertain) -> Floats:
         """Return the tool or work object that is given by a name. Raises ``otherwise`` if it is not."""
@@ -92,6 +92,12 @@ class Reading:
         """Raise Uncertain if no pose is certain."""
         if self.displaced is not None:
             raise self.displaced.again()
+        self.check_absent()
+
+    def check_absent(self) -> None:
+        """Raise Uncertain if a routine in none of the files may do anything."""
+        if self.surroundings.strict and self.program.absent:
+            raise Uncertain("absent-routine", name=next(iter(self.program.absent)))
 
     def displace(self, code: str, name: str, place: Place) -> None:
         """Note why no pose is certain."""
