@@ -365,15 +365,19 @@ BAD_PROGRAMS = {
     "f.mod": (b" " * (64 * 2**20 + 1), "64 MiB"),
     "g.script": (b"", "nothing to correct"),
     "h.script": (b"movej([0,0,0,0,0,0])", "give --joint-moves keep or correct"),
+    "i.script": (b"movej([0,0,0,0,0,0])", "no move besides those to joint values", "--joint-moves", "keep"),
+    "j.script": (b"movel(pose_trans(get_actual_tcp_pose(),p[0,0,-0.025,0,0,0]))", "line 1: movel(pose_trans(get"),
+    "k.ls": (b"/MN\n   1:J PR[1] 100% FINE ;\n/POS\n/END\n", "--mark has no effect", "--partial", "--mark"),
 }
 
 
 @pytest.mark.parametrize("name", BAD_PROGRAMS)
 def test_bad_programs_are_one_line(bench, tmp_path, capsys, name):
-    text, says = BAD_PROGRAMS[name]
+    text, says, *more = BAD_PROGRAMS[name]
     (tmp_path / name).write_bytes(text)
     out = tmp_path / f"out-{name}"
-    code, said, err = run(capsys, "correct", bench.folder / "result.json", tmp_path / name, "--out", out, *FRAMES)
+    given = bench.folder / "result.json", tmp_path / name, "--out", out
+    code, said, err = run(capsys, "correct", *given, *FRAMES, *more)
     assert (code, said) == (2, "")
     assert says in err
     assert not out.exists()

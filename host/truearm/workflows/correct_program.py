@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from textwrap import shorten
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.programs.census import Census
 from truearm.correct.programs.corrected_text import (
+    COMMENTS,
     CONFIGURED,
     Joints,
     changed_files,
@@ -179,6 +179,8 @@ def correct_program(
     programs = read_programs(language, [Source(name, data) for name, data in files.items()], _surroundings(options))
     title = next(iter(files)) if len(files) == 1 else counted(len(files), "program file")
     _check_moves(title, programs, how.pair, options)
+    if options.mark and language not in COMMENTS:
+        raise InputError("no-effect", place=Argument("mark"), reason="such a program has no comments beside moves")
     frames = _controller_frames(language, names, options, how.pair)
     joints_change = options.joint_moves is JointMoves.CORRECT
     censuses = [Census(program, joints_change) for program in programs]
@@ -188,6 +190,8 @@ def correct_program(
     refused = _refused(programs)
     places = _corrected_rows(censuses, solution, joints_change)
     n_moves = sum(len(program.moves) for program in programs)
+    if not places and not refused:
+        raise InputError("no-move", place=title, kept=True)
     if not places or (refused and not options.partial):
         good, entries = n_moves - len(refused) if places else 0, [move.entry() for move in refused]
         error = ProgramRefused("uncertain-moves", place=title, good=good, n=n_moves, refused=entries)
@@ -250,8 +254,8 @@ def _refused(programs: Sequence[Program]) -> list[Refused]:
         for move in program.moves:
             if move.reason is not None:
                 source, statement = program.files[move.place.file], program.statement(move)
-                line = source.line(move.place.offset)
-                refused.append(Refused(source.name, line, shorten(statement, 60, placeholder="..."), move.reason))
+                shown = statement if len(statement) <= 60 else f"{statement[:57]}..."
+                refused.append(Refused(source.name, source.line(move.place.offset), shown, move.reason))
     return refused
 
 

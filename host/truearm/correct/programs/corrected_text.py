@@ -16,7 +16,7 @@ from truearm.types import Floats
 
 CONFIGURED = (0, 3, 5)  # axes whose quarter turns cf1, cf4 and cf6 of a robtarget give
 BYTES = ("utf-8", "surrogateescape")  # bytes that are no UTF-8 stay as they are
-COMMENTS = {"rapid": "!", "urscript": "#", "krl": ";", "ls": "!"}
+COMMENTS = {"rapid": "!", "urscript": "#", "krl": ";"}  # Fanuc's LS has none beside statements
 
 
 class Change(NamedTuple):
@@ -115,9 +115,9 @@ def marks_of(program: Program) -> list[Change]:
 
 
 def remarks_of(program: Program, changes: Iterable[Change], remark: str) -> list[Change]:
-    """Return a comment at the end of each changed file. Fanuc's LS has none there."""
+    """Return a comment at the end of each changed file, if its language has comments there."""
     remarks = []
-    for file in sorted({change.file for change in changes} if program.language != "ls" else ()):
+    for file in sorted({change.file for change in changes} if program.language in COMMENTS else ()):
         data = program.files[file].data
         newline = "\r\n" if b"\r\n" in data else "\n"
         before = "" if data.endswith(b"\n") else newline
