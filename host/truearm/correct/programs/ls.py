@@ -6,7 +6,6 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import PurePath
 
 from truearm.correct.programs.data import Datum, Form, Literal, Place
 from truearm.correct.programs.poses import check_reach
@@ -38,7 +37,7 @@ def read_ls(files: Sequence[Source], surroundings: Surroundings) -> Program:
     """Read LS files. Tools and user frames are given by the names ut1, uf1 …; uf0 is the world."""
     reading = Reading(Program("ls", list(files)), surroundings)
     parsed = [_File(reading, number, source.text) for number, source in enumerate(files)]
-    programs = {PurePath(source.name).stem.lower() for source in files}
+    programs = {source.name.rsplit("/", 1)[-1].rsplit(".", 1)[0].lower() for source in files}
     for file in parsed:
         file.read(programs)
     for file in parsed:
