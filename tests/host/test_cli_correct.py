@@ -366,7 +366,7 @@ BAD_PROGRAMS = {
     "g.script": (b"", "nothing to correct"),
     "h.script": (b"movej([0,0,0,0,0,0])", "give --joint-moves keep or correct"),
     "i.script": (b"movej([0,0,0,0,0,0])", "no move besides those to joint values", "--joint-moves", "keep"),
-    "j.script": (b"movel(pose_trans(get_actual_tcp_pose(),p[0,0,-0.025,0,0,0]))", "line 1: movel(pose_trans(get"),
+    "j.script": (b"movel(pose_trans(get_actual_tcp_pose(),p[0,0,0.02500,0,0,0]))", "line 1: movel(pose_trans(get"),
     "k.ls": (b"/MN\n   1:J PR[1] 100% FINE ;\n/POS\n/END\n", "--mark has no effect", "--partial", "--mark"),
 }
 
