@@ -38,9 +38,8 @@ ERROR, REFUSAL, WARNING, RESULT, NOTE, ADVICE = Severity
 MORE_POSES = "Measure more poses, in more of the workspace"
 SHARED = "This is the error in what the rows measure. Errors that all rows share do not show in it."
 SHOWN = "The error that the rows show: {error}[ (95 %: {range})], the mean of {n:#pose} {by}."
-BY_SIGMAS = "[The sigmas predict a tool error of {tool} RMS over {tool_n:#pose}. They hold only if the declared noise explains the residuals, and they grow if the fit estimates more errors.]"
 CHI2_DROP = "χ² falls by {chi2_drop:.4g} with {freedom:#degree of freedom|degrees of freedom}."
-SYSTEMATIC = f"[; or, nearly as well supported: {{others}}]. {{estimated}} {CHI2_DROP}[ Other possible explanations: {{same_item}}.]"
+PARTS = "[ Of it, {parameters} come from the parameters][, {unnamed} from faults that the rows neither show nor exclude][, {faults} from one of: {names}][{parameters:!}.]"
 
 PROPOSAL = "[: {@hold_out} {fraction:g}][ {@seed} {seed}][ holds out {rows:#row}][ and leaves at least half the rows of each of the {combinations} combinations of names in the fit]"
 
@@ -76,7 +75,7 @@ INPUTS: Mapping[str, tuple[str, str]] = {
         "the reading of {joint} is stuck: it is the same in {n:#row} from {first} to {last}, while others move",
         CORRECT_OR_LEAVE_OUT,
     ),
-    "wrong-constant": ("{item} differs from the rig in all rows: {off}", "Correct this, or give {@allow} {allow}."),
+    "wrong-constant": ("{item} differs from the rig in all rows: {off}", "Correct this, or give {@apply} {apply}."),
     "held-parameters": (
         "{names:#parameter} that the robot has free by default {names:?is|are} held: {names}",
         "Free more parameters.",
@@ -153,41 +152,32 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "{n} of {fitted:#row} are bad: they disagree significantly with all others, which the declared noise explains (without the bad rows: RMS {after}, χ² per degree of freedom {chi2}): {rows}. They are more than {most:.0%} of the rows, so they are still in the fit, and all figures are for all rows.",
         "Find their cause, then leave them out, or give {@loss} cauchy.",
     ),
-    "systematic-rows": Statement(WARNING, f"Systematic error: {{rows}} do not fit the others{SYSTEMATIC}"),
-    "systematic-offset": Statement(WARNING, f"Systematic error: {{what}} is off by {{size}} in {{rows}}{SYSTEMATIC}"),
-    "systematic-drift": Statement(
+    "fault": Statement(
         WARNING,
-        f"Systematic error: {{what}} drifts linearly[ in {{minutes}} min] by {{size}} over {{rows}}{SYSTEMATIC}",
+        f"Fault: {{what}}[ by {{size}}][, {{rows}}].[ Or, because these rows do not decide: {{others}}.][ No measurement at these poses can distinguish it from {{aliases}}.] {CHI2_DROP}[ With it, {{gain}}.]",
     ),
-    "systematic-thermal-drift": Statement(
+    "fault-choice": Statement(
         WARNING,
-        f"Systematic error: {{what}} drifts with the box's temperature (which varies by {{over}}) by {{size}} over {{rows}}{SYSTEMATIC}",
+        "The result does not contain it. {choices}.",
+        "[Measure {deciding} again to decide. ]To apply it: {@apply} {first}.",
     ),
-    "systematic-backlash": Statement(
-        WARNING, f"Systematic error: {{what}} has a backlash of {{size}} over {{rows}}{SYSTEMATIC}"
-    ),
-    "systematic-settling": Statement(
+    "fault-unmended": Statement(
         WARNING,
-        f"Systematic error: {{what}} is off in proportion to its last move: the error changes by {{size}} from the largest negative to the largest positive move (read before the arm stood still?), over {{rows}}{SYSTEMATIC}",
+        "The result does not contain it, and nothing is offered to apply[{worse:!}: left-out rows would be predicted worse].[ If all of {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
+        "[Measure {deciding} again to decide.]",
     ),
-    "systematic-undetermined": Statement(
+    "faults-here": Statement(
         WARNING,
-        "These rows hardly determine {numbers}, and the position of the tool depends on {numbers:?it|them}.",
-        "Measure {numbers:?it|them}, and correct the rig.",
+        "{n:#fault is|faults are} in the rows that judge.",
+        "Correct it at its source, or judge the result by rows without it.",
     ),
-    "systematic-apply": Statement(
-        WARNING,
-        "To apply {n:?it|all of them}:[ {allow:@allow}][ {leave_out:@leave_out}].[ χ² per degree of freedom is then {chi2}][, and the tool moves by {moves} RMS][{undetermined:!}, but the tool is then as uncertain as these estimates].[{little:!} This is less than a tenth of the error to expect.][ The cross-validation error is then {held_out:.3g} times as large.]",
+    "faults-applied": Statement(
+        NOTE, "Applied to the parameters: {names}. The residuals are those of the fit before, as the readings are."
     ),
-    "systematic-open": Statement(
-        WARNING,
-        "The rows do not show which of these explanations is right, and the position of the tool depends on it. With the first explanation[{several:!} of each error]:[ χ² per degree of freedom is {chi2}][, and the tool moves by {moves} RMS][{undetermined:!}, but the tool is then as uncertain as these estimates].[{little:!} This is less than a tenth of the error to expect.][ The cross-validation error is then {held_out:.3g} times as large.]",
-        "Check the items that they name, then estimate the error of the one that is wrong with {@allow}.[{certain:!} Until then, apply only what is certain:][ {allow:@allow}][ {leave_out:@leave_out}][{certain:!}.]",
-    ),
-    "systematic-here": Statement(
-        WARNING,
-        "These errors are in the rows that judge.[ Without {n:?it|all of them}, χ² per degree of freedom would be {chi2}.]",
-        "Correct the error at its source, or judge the result by rows without it.",
+    "faults-unseen": Statement(NOTE, "These rows cannot show: {names}."),
+    "noise-learned": Statement(
+        NOTE,
+        "The residuals are not as declared: {noise}, {factor:.2g} times the declared size. A fault is then named only if it predicts rows that were left out.[ Not named for that reason: {refused}.]",
     ),
     "copies": Statement(
         WARNING,
@@ -209,7 +199,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     # the error of the tool
     "tool-error": Statement(
         RESULT,
-        "Tool error predicted from the sigmas: {rms} RMS over {n:#pose}[{relative:!} (excluding the pose of the base)], at most {largest}, at {row}.",
+        f"Expect tool errors of {{rms}} RMS over {{n:#pose}}[{{relative:!}} (excluding the pose of the base)], at most {{largest}}, at {{row}}.{PARTS}",
     ),
     "tool-error-unpredictable": Statement(
         WARNING,
@@ -218,16 +208,11 @@ IDENTIFICATION: Mapping[str, Statement] = {
     "tool-error-shown": Statement(
         RESULT,
         f"{{because}}. Expect errors of {{error}}[ (95 %: {{range}})], the mean of {{n:#pose}} {{by}}. {SHARED}",
-        BY_SIGMAS,
+        "[The parameters' part of the tool error is {tool} RMS over {tool_n:#pose}.]",
     ),
     "tool-error-by-sigmas": Statement(
         RESULT,
-        f"{{because}}. Expect tool errors of {{tool}} RMS over {{tool_n:#pose}}, as the sigmas predict: the rows show only part of the tool's error. {SHOWN}",
-    ),
-    "tool-error-systematic": Statement(
-        WARNING,
-        f"{{because}}. Expect tool errors of at least {{moves}} RMS: the tool moves by that much if these errors are estimated, and their estimates are uncertain too. {SHOWN}",
-        BY_SIGMAS,
+        f"{{because}}. Expect tool errors of {{tool}} RMS over {{tool_n:#pose}}: the rows show only part of the tool's error.{PARTS} {SHOWN}",
     ),
     "tool-error-bad-rows": Statement(
         WARNING,
@@ -246,11 +231,6 @@ IDENTIFICATION: Mapping[str, Statement] = {
         NOTE,
         "{joint} moves by only {spread}, too little to identify its axis[; therefore also held at the nominal values: {held}].",
         "Move it more.",
-    ),
-    "displaced": Statement(
-        NOTE,
-        "The fit places {frames}. This is normal if nobody measured {n:?its place|their places}: the rig then defines where {n:?it is|they are}. If {n:?it was|they were} measured, positions in the rig are wrong by as much, and so are the tool positions that the calibration gives. No residual shows this.",
-        "Check the positions in the rig.",
     ),
     "time-offset": Statement(
         NOTE,

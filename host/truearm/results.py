@@ -228,80 +228,80 @@ class Effect:
         return f"{number}{self.drifts_with.ending if self.drifts_with else ''}{rows}"
 
 
-class OffBy(NamedTuple):
-    """The error of one number of the rig, of a joint or of the base; NaN where the observations cannot determine it."""
+class Rival(NamedTuple):
+    """A possible cause of what the rows show, such as "chuck.c1.step", or "mean": the mean of all causes.
+
+    ``apply`` is the name that an identification takes to apply it, "" if it cannot. ``rows`` [first, after last) are
+    those of the user's table that it concerns, None for all.
+    """
 
     name: str
+    apply: str
+    rows: tuple[int, int] | None
+    weight: float  # its probability among the causes
+    moves: float  # m, RMS motion of the tool if it is applied
+    error: float  # m, RMS error of the tool that is then left
+    gain: float  # share of the squares of left-out rows that it removes
+    gain_t: float  # in standard errors
+
+
+class Size(NamedTuple):
+    """By how much something is off, over the numbers of one SI unit: their norm and its standard deviation."""
+
     unit: str
     value: float
     sigma: float
 
 
-class ErrorForm(StrEnum):
-    """The form of a systematic error."""
+@dataclass(frozen=True)
+class Diagnosis:
+    """An error that the rows show and chance does not explain (docs/explanation/hypotheses.md).
 
-    OFFSET = "offset"
-    DRIFT = "drift"
-    BACKLASH = "backlash"
-    SETTLING = "settling"
-    ROWS = "rows"  # a block of rows does not fit, whatever the cause
+    ``rivals`` are its possible causes, the most probable first; the rows do not decide between them. No measurement at these poses can
+    distinguish the first from its ``aliases``. ``sizes`` are those of the first. ``deciding`` are the names that are mounted
+    in the rows, such as chuck and sphere, that would decide best if they were measured again at the end.
+    """
+
+    rivals: tuple[Rival, ...]
+    mean: Rival
+    aliases: tuple[str, ...]
+    sizes: tuple[Size, ...]
+    drop: float  # of χ², with the first as a parameter
+    freedom: int
+    log_evidence: float  # nats, beside no fault
+    deciding: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class SystematicError:
-    """A systematic error in the rows of a fit that chance does not explain (``estimate.systematic``).
+class ToolClaim:
+    """The stated RMS error of the tool [m] in parts whose squares add up.
 
-    ``effect`` is None where a block of rows does not fit the rest, whatever the cause. ``rows`` are the first row and
-    the one after the last, ``within`` the range of each of the two, with a probability of 95 %. ``size`` ± ``sigma`` is the norm of those values in ``off_by`` that have the ``unit`` of the
-    first one. ``drop`` is the reduction of χ² if the error becomes a parameter (or if these rows are left out), with
-    ``freedom`` degrees of freedom. ``chance`` is the probability that clean data give such a finding anywhere.
-    ``rivals`` explain the data nearly as well.
+    ``parameters``: by the noise of the rows. ``unnamed``: by faults that the rows neither show nor exclude. ``rivals``:
+    by not knowing which cause a fault has. ``shift``: by not applying the mean of the causes. ``noise`` is the
+    declared one or a kernel that was learned, of which the standard deviation is ``noise_scale`` times the declared one.
+    ``chi2_reduced`` is that with the faults as parameters, ``unseen`` what cannot show in these rows,
+    and ``refused`` what is beyond chance but does not predict rows that were left out.
     """
 
-    effect: Effect | None
-    rows: tuple[int, int]
-    within: tuple[tuple[int, int], tuple[int, int]]
-    off_by: tuple[OffBy, ...]
-    unit: str  # SI; "" for a block of rows
-    size: float
-    sigma: float
-    drop: float
-    freedom: int
-    chance: float
-    rivals: tuple[str, ...] = ()
+    parameters: float
+    unnamed: float
+    rivals: float
+    shift: float
+    noise: str
+    noise_scale: float
+    chi2_reduced: float
+    unseen: tuple[str, ...]
+    refused: tuple[str, ...] = ()
 
     @property
-    def form(self) -> ErrorForm:
-        """Return the form of the error."""
-        if self.effect is None:
-            return ErrorForm.ROWS
-        match self.effect.drifts_with:
-            case None:
-                return ErrorForm.OFFSET
-            case DriftWith.TIME | DriftWith.TEMPERATURE:
-                return ErrorForm.DRIFT
-            case DriftWith.DIRECTION:
-                return ErrorForm.BACKLASH
-            case DriftWith.MOVE:
-                return ErrorForm.SETTLING
-            case never:
-                assert_never(never)
+    def applied(self) -> float:
+        """Return the error if the mean of the causes were applied."""
+        return math.hypot(self.parameters, self.unnamed, self.rivals)
 
-
-@dataclass(frozen=True)
-class SystematicErrors:
-    """All systematic errors found in a fit, and the fit to first order if they become parameters.
-
-    ``shift`` (P,) is the resulting change of the parameters and ``moves`` [m] the resulting RMS displacement of the end
-    over the fitted poses. ``held_out_ratio`` is the RMS, in σ, of rows held out in contiguous stretches of the
-    measurement order, relative to the RMS without these errors as parameters; rows that would be left out do not count.
-    """
-
-    found: tuple[SystematicError, ...]
-    chi2_reduced: float
-    shift: Floats
-    moves: float = math.nan
-    held_out_ratio: float = math.nan
+    @property
+    def total(self) -> float:
+        """Return the stated error."""
+        return math.hypot(self.applied, self.shift)
 
 
 class RobotScale(NamedTuple):
@@ -541,8 +541,11 @@ class Estimate(Displayed):
     left_out: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) not fitted or held out
     outlying: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) by estimate.outliers
     scale: RobotScale | None = None  # of its lengths; None: 1 within the tolerances of a drawing
-    systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
-    unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by unit, if systematic or χ² above its range
+    faults: tuple[Diagnosis, ...] = ()  # beyond chance (checks)
+    claim: ToolClaim | None = None  # of the tool's error, with ``covariance`` to match; None: not examined
+    prior_sigma: Floats = field(default_factory=lambda: np.zeros(0))  # (p,) about ``nominal``; inf for none
+    applied: tuple[str, ...] = ()  # causes that were added to ``value``; the residuals are those before
+    unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by unit, if χ² is above its range
     # (n,) where a row was not fitted: held out or, if no row is, in a fit without its pose; NaN for others
     unfitted_error: Residuals = field(default_factory=dict)
     unfitted_error_before: Residuals = field(default_factory=dict)  # empty if only base and tool were fitted
@@ -563,10 +566,10 @@ class Estimate(Displayed):
 
     @property
     def covariance_explains(self) -> bool:
-        """Return whether the covariance says how far the parameters are off, at least without the systematic errors."""
-        if self.systematic is None:
+        """Return whether the covariance says how far the parameters are off, at least with the faults as parameters."""
+        if self.claim is None or not self.faults:
             return not self.unexplained
-        return self.systematic.chi2_reduced <= self.chi2_band[1]
+        return self.claim.chi2_reduced <= self.chi2_band[1]
 
     @property
     def has_little_freedom(self) -> bool:

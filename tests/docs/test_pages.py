@@ -13,8 +13,7 @@ import truearm
 import truearm.extend
 from tests.docs.pages import PAGES, ROOT, Block, blocks, page_skip, unprinted
 from truearm.cli.main import command_tree, main
-from truearm.report.result_findings import GRADUAL
-from truearm.results import DriftWith
+from truearm.report.result_findings import FORMS
 
 BLOCKS = {page: blocks(page.read_text(encoding="utf-8")) for page in PAGES}
 RUN = [(page, kept) for page, found in BLOCKS.items() if (kept := [block for block in found if not block.skip])]
@@ -106,12 +105,11 @@ def test_what_is_not_run_names_tests_that_exist():
             assert (ROOT / path).exists(), f"{page.name}: {path}"
 
 
-def test_every_form_of_a_systematic_error_is_explained():
+def test_every_form_of_a_fault_is_explained():
     page = (ROOT / "docs" / "how-to" / "fit-not-usable.md").read_text(encoding="utf-8")
-    table = page[page.index("## Systematic errors") : page.index("## In a script")]
-    for ending in DriftWith:
-        assert f"{ending.ending}` |" in table
-    assert f"*{GRADUAL}NAME* |" in table
+    table = page[page.index("## Faults") : page.index("## In a script")]
+    for words in FORMS.values():
+        assert f"*{words}*" in table
 
 
 def test_messages_name_pages_by_a_title_that_exists():

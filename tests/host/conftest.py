@@ -75,12 +75,6 @@ def good_text(files: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     return out.read_text(encoding="utf-8")
 
 
-@pytest.fixture
-def only_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the tests for systematic errors, which change no value and no covariance; for fits in great numbers."""
-    monkeypatch.setattr("truearm.estimate.identify.systematic_errors", lambda *_: None)
-
-
 @pytest.fixture(scope="session")
 def noisy() -> tuple[ObservationTable, Rig]:
     table, rig = exact_lengths(180)

@@ -49,17 +49,16 @@ PARAMETER = {
 LISTS = {
     "findings",
     *("inputs", "observations", "free", "null_space", "residual_units", "held_out_by", "parameters"),
-    *("suggested_free", "additions", "chi2_band", "suspect", "hardly_seen", "systematic", "sessions"),
+    *("suggested_free", "additions", "chi2_band", "suspect", "hardly_seen", "faults", "applied", "sessions"),
     "all_held_out",
     "copies",
     "explanations",
-    "displaced",
 }
 OBJECTS = {
     "robot",
     "defaults",
     "scale",
-    "without_systematic",
+    "claim",
     "with_outliers",
     "without_bad_rows",
     "unexplained",

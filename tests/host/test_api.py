@@ -573,7 +573,7 @@ REFUSED = [
     ("xyz", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]] * 2, kind="seat", xyz=[[1.0], [1.0, 2.0]])),
     *(("table", InputError, lambda a, field=field, v=v: truearm.identify(a.robot, replace(a.table, **{field: np.full(getattr(a.table, field).shape, v)}), a.rig))
       for field, v in (("kind", "bar"), ("q", np.nan), ("value", np.nan))),
-    *(("allow", InputError, lambda a, v=v: truearm.identify(a.robot, a.table, a.rig, options=options(allow=(v,))))
+    *(("apply", InputError, lambda a, v=v: truearm.identify(a.robot, a.table, a.rig, options=options(apply=(v,))))
       for v in ("chuck.c1@9999", "chuck.c1.thermal_drift")),
     ("bars", InputError, lambda a: planned(a.robot, a.bench, poses=8, bars=("b99",))),
     *(("q", error, lambda a, v=v: a.result.outside(v)) for v, error in ((None, TypeError), ("home", TypeError), ([0.0] * 6, InputError), ([[0.0] * 5], InputError))),

@@ -13,7 +13,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.problem import build_problem
 
-pytestmark = [pytest.mark.usefixtures("only_the_fit"), pytest.mark.soak]
+pytestmark = pytest.mark.soak
 
 
 @pytest.fixture(scope="module")

@@ -116,7 +116,7 @@ def test_more_bad_rows_than_are_left_out_are_named(loss):
         truearm.load_robot("puma560"), t, RIG, options=truearm.IdentifyOptions(loss=loss, joint_laws="auto")
     )
     assert np.flatnonzero(of.estimate.suspect).tolist() == bad.tolist()
-    assert of.estimate.systematic is None
+    assert not of.estimate.faults
     findings = stated(of.document)
     assert not {"doubtful-residuals", "too-many-outliers"} & set(findings)
     if loss == "cauchy":

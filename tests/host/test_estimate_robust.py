@@ -73,7 +73,6 @@ def test_sandwich_of_least_squares_is_its_covariance():
     np.testing.assert_allclose(sandwich(root, prior, Moments().plus(clean, np.ones(50), 1), 50), expected, atol=1e-12)
 
 
-@pytest.mark.usefixtures("only_the_fit")
 @pytest.mark.soak
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
 def test_errors_are_as_large_as_the_covariance_says(loss):
@@ -95,21 +94,6 @@ def test_errors_are_as_large_as_the_covariance_says(loss):
     # Four standard errors of a mean of χ²(36); the covariance itself is estimated from 300 residuals, ±8 %.
     assert abs(np.mean(nees[loss]) - 36.0) < 4 * np.sqrt(2 * 36 / 40) + 0.08 * 36
     assert np.mean(nees["linear"]) > 100.0
-
-
-def test_the_tests_for_systematic_errors_change_neither_value_nor_covariance(request):
-    """So the Monte Carlo studies can do without them (conftest.only_the_fit)."""
-    t = random_table(300, np.random.default_rng(3), SIGMA)
-    t.value[100:] += 1e-3
-    complete = identify(CHAIN, RIG, t, free=FREE)
-    request.getfixturevalue("only_the_fit")
-    fitted = identify(CHAIN, RIG, t, free=FREE)
-    assert complete.systematic is not None
-    assert fitted.systematic is None
-    np.testing.assert_array_equal(fitted.value, complete.value)
-    np.testing.assert_array_equal(fitted.covariance, complete.covariance)
-    np.testing.assert_array_equal(fitted.sigma, complete.sigma)
-    assert fitted.chi2_reduced == complete.chi2_reduced
 
 
 def test_half_a_percent_of_gross_faults_changes_little():

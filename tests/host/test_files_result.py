@@ -223,7 +223,7 @@ WRONG = {
     "a suggestion that is a number": (("suggested_free",), 7, "suggested_free: expected array, got int"),
     "an error held out that is a number": (("held_out",), 0.1, "held_out: expected object | null, got float"),
     "a band that is a number": (("chi2_band",), 1.0, "chi2_band: expected array | null, got float"),
-    "systematic errors that are none": (("systematic",), None, "systematic: expected array, got null"),
+    "faults that are none": (("faults",), None, "faults: expected array, got null"),
     "a rank in words": (("rank",), "full", "rank: expected int, got str"),
     "a negative gap of the rank": (("rank_gap",), -2.0, "rank_gap: expected float >= 0.0"),
     "a direction without weights": (

@@ -32,7 +32,7 @@ HOST = Path(truearm.finding_texts.__file__).parent
         ("a[{y:!} b|| {x:g}].", {"x": 0.0, "y": True}, "a b."),
         ("a[{y:!} b|| {x:g}].", {"x": 0.0, "y": False}, "a 0."),
         ("give {@leave_out} {x}", {"x": "a\nb"}, "give --leave_out a b"),
-        ("give {rows:@allow}", {"rows": ["a b", "c"]}, "give --allow 'a b' --allow c"),
+        ("give {rows:@apply}", {"rows": ["a b", "c"]}, "give --apply 'a b' --apply c"),
         ("{text}", {"text": "[{not} a template]"}, "[{not} a template]"),
     ],
 )

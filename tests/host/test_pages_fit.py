@@ -64,8 +64,7 @@ def validation():
         **{
             "chi2_reduced": 1.1,
             "chi2_limit": 1.2,
-            "systematic": [],
-            "without_systematic": None,
+            "faults": [],
             "copies": [],
         },
         **{"settled": 21, "kept": 1, "left_out": 2, "regions": [{**numbers, "region": part} for part in parts]},

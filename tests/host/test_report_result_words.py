@@ -1,26 +1,23 @@
 """The error to expect: the largest of what poses show, what the covariance predicts, and what named errors move."""
 
-import math
-
 import numpy as np
 import pytest
 
 import truearm
 from truearm.model.chain import forward
-from truearm.report.result_findings import displaced, joint_zeros, tool_error
+from truearm.report.result_findings import joint_zeros, tool_error
 
 SHOWN = {"mean_mm": 0.09, "low_mm": 0.07, "high_mm": 0.11, "n_mm": 36, "by": "held out"}
 
 
-def error_of(systematic=None, tool=None, without_bad=None, shown=SHOWN):
-    """The error of the tool to expect [mm]: ``systematic`` is how far the tool moves, NaN for not known."""
-    moves = None if systematic is None or math.isnan(systematic) else systematic
+def error_of(tool=None, without_bad=None, shown=SHOWN):
+    """The error of the tool to expect [mm]."""
     document = {
         "status": "converged",
         "usable": True,
         "unexplained": shown,
         "predicted_error": None if tool is None else {"rms_mm": tool[0], "n": tool[1]},
-        "without_systematic": None if systematic is None else {"tool_moves_mm": moves},
+        "faults": [],
         "without_bad_rows": None if without_bad is None else {"tool_moves_mm": without_bad},
     }
     (finding,) = tool_error(document)
@@ -28,35 +25,18 @@ def error_of(systematic=None, tool=None, without_bad=None, shown=SHOWN):
 
 
 @pytest.mark.parametrize(
-    ("systematic", "tool", "code"),
-    [
-        (None, None, "tool-error-shown"),
-        (None, (0.2, 50), "tool-error-by-sigmas"),
-        (math.nan, (0.05, 50), "tool-error-shown"),
-        (0.08, (0.05, 50), "tool-error-shown"),
-        (0.1, (0.2, 50), "tool-error-by-sigmas"),
-        (5.5, (0.2, 50), "tool-error-systematic"),
-        (5.5, None, "tool-error-systematic"),
-    ],
+    ("tool", "code"),
+    [(None, "tool-error-shown"), ((0.2, 50), "tool-error-by-sigmas"), ((0.05, 50), "tool-error-shown")],
 )
-def test_the_largest_is_the_one_to_expect(systematic, tool, code):
-    finding = error_of(systematic, tool)
+def test_the_largest_is_the_one_to_expect(tool, code):
+    finding = error_of(tool)
     assert finding.code == code
     assert (finding.values["error"], finding.values["n"], finding.values["by"]) == ({"mm": 0.09}, 36, "held out")
     assert "0.090 mm (95 %: 0.0700 to 0.1100)" in finding.text()
-    if code == "tool-error-systematic":
-        assert finding.values["moves"] == {"mm": 5.5}
 
 
 def test_poses_left_out_in_turn_are_not_called_held_out():
     assert error_of(shown={**SHOWN, "by": "cross-validation"}).values["by"] == "left out in turn"
-
-
-@pytest.mark.parametrize("frames", [("base",), ("base", "tool")])
-def test_a_base_or_tool_elsewhere_may_be_wrong_positions_in_the_rig(frames):
-    (finding,) = displaced({"displaced": [{"frame": frame, "distance_mm": 12.0, "turn_deg": 0.1} for frame in frames]})
-    assert (finding.code, finding.values["n"]) == ("displaced", len(frames))
-    assert all(f"the {frame} 12 mm from where" in finding.text() for frame in frames)
 
 
 def test_bad_rows_in_the_fit_come_first_whatever_the_rows_show():

@@ -293,7 +293,6 @@ def test_converges_from_ten_centimetres_ten_degrees_five_percent(seed, clean):
     np.testing.assert_allclose(e.value, TRUTH, atol=1e-10)
 
 
-@pytest.mark.usefixtures("only_the_fit")
 @pytest.mark.soak
 def test_errors_are_as_large_as_the_covariance_says():
     """Monte Carlo: NEES in its χ² band, and every parameter's spread against its own σ."""

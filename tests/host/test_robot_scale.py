@@ -9,7 +9,7 @@ import pytest
 import truearm
 from truearm.estimate.robot_scale import LEVEL, robot_scale, with_scale
 from truearm.report.result_findings import verdict
-from truearm.results import SystematicErrors, Unusable
+from truearm.results import Unusable
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
 PANDA = truearm.load_robot("panda")
@@ -40,7 +40,7 @@ def test_a_distance_that_is_two_percent_wrong_is_said(arm):
     assert verdict(given.document).code == "robot-scale"
     assert f"{scale['factor']:.4f} times" in verdict(given.document).text()
     assert (given.document["usable"], given.document["unusable_because"]) == (False, "robot scale")
-    assert given.document["systematic"] == []
+    assert given.document["faults"] == []
 
 
 def test_a_correct_arm_has_no_scale(arm):
@@ -73,15 +73,14 @@ def test_independent_tolerances_are_rarely_a_scale(arm):
     assert sum(robot_scale(PANDA.chain, one) is not None for one in drawn) < 12
 
 
-def test_a_small_scale_is_left_to_the_systematic_errors_that_are_found(arm):
+def test_a_small_scale_is_left_to_the_faults(arm):
     """A sphere that is 2 mm off scales an arm by half a percent."""
-    wrong = SystematicErrors((), 1.0, np.zeros(arm.estimate.value.size))
     for factor, is_scale in ((1.01, False), (1.2, True)):
-        scaled = replace(arm.estimate, value=factor * arm.estimate.nominal, systematic=wrong)
+        scaled = replace(arm.estimate, value=factor * arm.estimate.nominal, faults=(None,))
         found = with_scale(PANDA.chain, scaled)
         assert (found.unusable is Unusable.SCALE) == is_scale
-        assert (found.systematic is None) == is_scale
-        assert with_scale(PANDA.chain, replace(scaled, systematic=None)).unusable is Unusable.SCALE
+        assert (not found.faults) == is_scale
+        assert with_scale(PANDA.chain, replace(scaled, faults=())).unusable is Unusable.SCALE
 
 
 def test_heat_is_no_scale(arm):

@@ -98,7 +98,7 @@ def test_a_bars_zero_that_was_allowed_is_kept():
     """A bar that the rig calls known is 0.3 mm wrong in both sessions: kept, it is not an error of the judged one."""
     plan, rng = worlds.plan(), np.random.default_rng(6)
     first, second = (worlds.wrong_bar(plan, rng).select(np.arange(start, 360, 2)) for start in (0, 1))
-    options = truearm.IdentifyOptions(allow=("bar.bar46.zero",))
+    options = truearm.IdentifyOptions(apply=("bar.bar46.zero",))
     result = truearm.identify(ROBOT, first, worlds.RIG, options=options)
     kept, left = (truearm.validate(result, second, worlds.RIG, keep_rig=keep) for keep in (True, False))
     assert (kept.document["kept"], left.document["kept"]) == (1, 0)
@@ -106,6 +106,6 @@ def test_a_bars_zero_that_was_allowed_is_kept():
     assert not left.document["consistent"]
     # The other bar is another thing: nothing of it is known, so nothing of the rig can be kept.
     slipped = truearm.identify(
-        ROBOT, first, worlds.RIG, options=truearm.IdentifyOptions(allow=("bar.bar46.zero.drift",))
+        ROBOT, first, worlds.RIG, options=truearm.IdentifyOptions(apply=("bar.bar46.zero.drift",))
     )
     assert truearm.validate(slipped, second, worlds.RIG, keep_rig=True).document["kept"] == 0

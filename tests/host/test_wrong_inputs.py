@@ -165,6 +165,7 @@ def test_a_mistake_is_named(mistake):
     assert first_of(estimate)[0] == code
     assert values.items() <= first_of(estimate)[1].items()
     assert estimate.unusable
+    assert not estimate.faults  # one statement about what is wrong
     assert estimate.explanations[0].rms["m"] < 1.5 * SIGMA
     assert estimate.explanations[0].chance < 1e-3
 
@@ -199,6 +200,7 @@ def test_half_a_mount_with_a_wrong_name_is_named_row_by_row(seed):
     code, values = first_of(estimate)
     assert (code, values["leave_out"]) == ("wrong-labels", [f"{first + 1}:{last}"])
     assert values["runs"][0].endswith(f"sphere {worlds.plan().sphere[first]}, not {table.sphere[first]}")
+    assert not estimate.faults  # no other rows, from the first-order test of a fit that is bent by centimetres
     assert estimate.unusable in (Unusable.WRONG_INPUTS, Unusable.NOT_CONVERGED)
 
 
@@ -230,13 +232,13 @@ def test_a_wrong_number_in_the_rig_is_named_and_once_allowed_the_fit_is_usable(w
     robot = truearm.load_robot("puma560")
     given = truearm.identify(robot, rows, rig)
     assert given.estimate.unusable is Unusable.WRONG_INPUTS
-    assert given.estimate.systematic is None  # one statement about what is wrong
+    assert not given.estimate.faults  # one statement about what is wrong
     finding = next(iter(inputs(given.document)))
     assert (finding.code, finding.values["item"]) == ("wrong-constant", name)
-    assert f"give --allow {name}" in finding.text("--{}".format)
-    allowed = truearm.identify(robot, rows, rig, options=truearm.IdentifyOptions(allow=(name,)))
+    assert f"give --apply {name}" in finding.text("--{}".format)
+    allowed = truearm.identify(robot, rows, rig, options=truearm.IdentifyOptions(apply=(name,)))
     assert allowed.estimate.unusable is None
-    assert allowed.estimate.systematic is None
+    assert not allowed.estimate.faults
     assert allowed.estimate.chi2_reduced < 1.3 < given.estimate.chi2_reduced / 100.0
     if what == "bar":
         assert allowed.parameters[name].value == pytest.approx(-size, abs=1e-4)
@@ -303,7 +305,7 @@ def test_a_step_of_a_joint_by_a_degree_is_rows_that_do_not_fit():
     plan, off = worlds.plan(), np.zeros((360, 6))
     off[200:, 3] = np.deg2rad(1.0)
     rows = worlds.table(plan, worlds.lengths(plan, q_off=off) + SIGMA * np.random.default_rng(2).normal(size=360))
-    estimate = replace(identify(PUMA.chain, worlds.RIG, rows, free=PUMA.free), systematic=None)
+    estimate = replace(identify(PUMA.chain, worlds.RIG, rows, free=PUMA.free), faults=())
     (one,) = checked_inputs(estimate, PUMA.chain, worlds.RIG, rows, PUMA.free, PUMA.free, dict).explanations
     assert (one.code, one.values["leave_out"]) == ("rows-apart", ["201:360"])
 

@@ -44,7 +44,8 @@ def test_a_flat_that_sinks_is_named(tmp_path):
     (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
     (tmp_path / "rig.toml").write_text(RIG)
     copy.run("identify", "poses.csv", "--model", "puma560", "--rig", "rig.toml", "--out", "result.json")
-    (found,) = json.loads((tmp_path / "result.json").read_text())["systematic"]
-    assert (found["what"], found["form"]) == ("plane.p.offset", "drift")
-    assert abs(abs(found["size"]) - SUNK) < 4.0 * found["sigma"]
-    assert found["apply"] == {"allow": "plane.p.offset.drift"}
+    (found,) = json.loads((tmp_path / "result.json").read_text())["faults"]
+    (size,) = found["sizes"]
+    assert found["rivals"][0]["name"] == "plane.p.offset.drift"
+    assert found["rivals"][0]["apply"] == "plane.p.offset.drift"
+    assert abs(size["value"] - SUNK) < 4.0 * size["sigma"]

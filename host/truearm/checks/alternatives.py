@@ -263,5 +263,5 @@ def constants(given: Alternative, allowed: Collection[str]) -> Iterator[Alternat
     vague = {name for name, sigma in zip(problem.names, problem.prior_sigma, strict=True) if np.isinf(sigma)}
     for cause in problem.causes:
         if cause.fault.constant and cause.name not in allowed and not vague.issuperset(cause.numbers):
-            values = {"item": cause.name, "allow": cause.name}
+            values = {"item": cause.name, "apply": cause.name}
             yield replace(given, code="wrong-constant", values=values, effects=(*given.effects, Effect(cause.name)))

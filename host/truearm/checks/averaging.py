@@ -1,24 +1,26 @@
 """The stated error of the tool, averaged over what may be wrong.
 
 A hypothesis with the posterior β ~ (β̂, P_β) shifts the parameters by −S A β with A = Sᵀ Jᵀ C: to first order, what the
-fit makes of β. With T = Sᵀ Γ S, and Γ the mean over the poses of the squared motion of the tool by the parameters, its
-mean square error is
+fit makes of β. The error of the parameters then has the mean square
 
-    β̂ᵀAᵀT A β̂ + tr(AᵀT A P_β) .
+    S A (β̂ β̂ᵀ + P_β) Aᵀ Sᵀ .
+
+The average over the hypotheses, in the place of the parameters' covariance, gives the error of anything that follows
+from the parameters.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, build_design, size_of, weigh
+from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, build_design, rows_of, size_of, weigh
 from truearm.checks.noise import DECLARED
 from truearm.checks.search import Detection, Search, columns_of
 from truearm.types import Floats
@@ -30,97 +32,124 @@ LEAST_WEIGHT = 1e-5
 class Part(NamedTuple):
     """One explanation of a finding: its probability among its rivals, and what applying it does to the parameters."""
 
-    name: str
+    weighed: Weighed
     weight: float
+    size: Floats  # (d,) β̂ in typical sizes
     step: Floats  # (k,) from the fit to the fit with it as a parameter
-    moves: float  # [m] RMS motion of the tool by that step
-    spread: float  # [m²] mean square error that the uncertainty of its size adds
+    root: Floats  # (k, d) R of R Rᵀ, the covariance that the uncertainty of its size adds
 
 
 @dataclass(frozen=True)
-class Claim:
-    """The stated RMS error of the tool [m], in parts whose squares add up, for a fit without the findings.
+class Average:
+    """The error of the k parameters, and of the tool by Γ = ``gram`` (k, k) [m²].
 
-    ``parameters``: by the noise of the rows. ``unnamed``: by faults that the rows neither show nor exclude.
-    ``rivals``: by not knowing which of the rivals it is. ``shift``: by not applying their mean. ``choices`` are the
-    explanations of each finding, and ``step`` (k,) applies the mean of all of them.
+    ``parameters`` (k, k) is their covariance by the noise of the rows, ``unnamed`` (k, u) a root of what faults add that
+    the rows neither show nor exclude. ``choices`` are the explanations of each finding.
     """
 
-    parameters: float
-    unnamed: float
-    rivals: float
-    shift: float
+    gram: Floats
+    parameters: Floats
+    unnamed: Floats
     choices: tuple[tuple[Part, ...], ...]
-    step: Floats
 
-    @property
-    def as_fitted(self) -> float:
-        """Return the error of the parameters without any finding applied."""
-        return math.hypot(self.applied, self.shift)
+    def means(self) -> list[Floats]:
+        """Return the mean step (k,) of each finding."""
+        return [np.asarray(sum(part.weight * part.step for part in options)) for options in self.choices]
 
-    @property
-    def applied(self) -> float:
-        """Return the error with the mean of the rivals applied."""
-        return math.hypot(self.parameters, self.unnamed, self.rivals)
+    def moves(self, step: Floats) -> float:
+        """Return the RMS motion [m] of the tool by a step (k,)."""
+        return math.sqrt(max(float(step @ self.gram @ step), 0.0))
+
+    def of_rivals(self) -> Floats:
+        """Return the root (k, r) of what not knowing the rival, and not knowing its size, add."""
+        columns = [np.zeros((len(self.gram), 0))]
+        for options, mean in zip(self.choices, self.means(), strict=True):
+            for part in options:
+                columns.append(math.sqrt(part.weight) * np.column_stack([part.step - mean, part.root]))
+        return np.concatenate(columns, axis=1)
+
+    def bias(self, applied: Mapping[int, Floats]) -> Floats:
+        """Return the mean error (k,) if a step was ``applied`` for some findings, by their numbers."""
+        nothing = np.zeros(len(self.gram))
+        remaining = [mean - applied.get(number, nothing) for number, mean in enumerate(self.means())]
+        return np.asarray(np.sum([nothing, *remaining], axis=0))
+
+    def covariance(self, applied: Mapping[int, Floats]) -> Floats:
+        """Return the mean square error (k, k) of the parameters if steps were ``applied``."""
+        root = np.column_stack([self.unnamed, self.of_rivals(), self.bias(applied)])
+        return np.asarray(self.parameters + root @ root.T)
+
+    def error(self, applied: Mapping[int, Floats]) -> float:
+        """Return the RMS error of the tool [m] if steps were ``applied``."""
+        return math.sqrt(float(np.trace(self.gram @ self.covariance(applied))))
+
+    def parts(self) -> tuple[float, float, float, float]:
+        """Return the parts [m] of the error with nothing applied, as in ``ToolClaim``."""
+        parameters = math.sqrt(float(np.trace(self.gram @ self.parameters)))
+        unnamed, rivals = (
+            math.sqrt(float(np.einsum("kr,kl,lr->", root, self.gram, root, optimize=True)))
+            for root in (self.unnamed, self.of_rivals())
+        )
+        return parameters, unnamed, rivals, self.moves(self.bias({}))
 
 
-def averaged(result: Search, gram: Floats) -> Claim:
-    """Return the claim of a search; ``gram`` (k, k) [m²] is Γ."""
-    fit, kernel = result.build_design.fit, result.build_design.kernel
-    fitted = build_design(fit, DECLARED, columns_of((), fit), robot_prior=True)  # as the parameters were fitted
-    tool = fitted.root.T @ gram @ fitted.root
-    noise = kernel.spread(fitted.basis[: fit.residual.size]) * np.sqrt(result.build_design.variance)
-    knowledge = fitted.basis[fit.residual.size :]
-    parameters = float(np.trace(tool @ (noise.T @ noise + knowledge.T @ knowledge)))
-    weights = posterior(result.table)
-    likely = [
-        (weighed, float(weight)) for weighed, weight in zip(result.table, weights, strict=True) if weight > LEAST_WEIGHT
-    ]
-    unnamed = 0.0
-    for weighed, weight in likely:
-        part = explanation(weighed, weight, result.build_design, fitted, tool)
-        unnamed += weight * (part.moves**2 + part.spread)
-    step, rivals, choices = np.zeros(fit.jac.shape[1]), 0.0, []
-    for detection in result.detections:
-        options = explanations(detection, result, fitted, tool)
-        mean = np.sum([part.weight * part.step for part in options], axis=0)
-        apart = [float((part.step - mean) @ gram @ (part.step - mean)) for part in options]
-        rivals += sum(part.weight * (square + part.spread) for part, square in zip(options, apart, strict=True))
-        step += mean
-        choices.append(options)
-    shift = math.sqrt(max(float(step @ gram @ step), 0.0))
-    return Claim(math.sqrt(parameters), math.sqrt(unnamed), math.sqrt(rivals), shift, tuple(choices), step)
+def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
+    """Return the averaged error of a search; ``covariance`` (k, k) is that of the fit.
+
+    If the noise was learned, the covariance is that which it gives to the same parameters, if the tool's error is larger.
+    """
+    fit, kernel = result.design.fit, result.design.kernel
+    fitted = build_design(fit, DECLARED, robot_prior=True)  # as the parameters were fitted
+    if not kernel.declared:
+        noise = kernel.spread(fitted.basis[: fit.residual.size]) * np.sqrt(result.design.variance)
+        half = np.concatenate([noise, fitted.basis[fit.residual.size :]]) @ fitted.root.T
+        covariance = max((covariance, half.T @ half), key=lambda matrix: float(np.trace(gram @ matrix)))
+    unnamed = [np.zeros((len(gram), 0))]
+    for weighed, weight in zip(result.table, posterior(result.table, result.refused), strict=True):
+        if weight > LEAST_WEIGHT:
+            part = explanation(weighed, float(weight), result.design, fitted)
+            unnamed.append(math.sqrt(weight) * np.column_stack([part.step, part.root]))
+    choices = tuple(explanations(detection, result, fitted) for detection in result.detections)
+    return Average(gram, covariance, np.concatenate(unnamed, axis=1), choices)
 
 
-def posterior(table: Sequence[Weighed]) -> Floats:
-    """Return the probability of each hypothesis beside "nothing", which shares of PRIOR for its kind give."""
+def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
+    """Return the probability of each hypothesis beside "nothing", which shares of PRIOR for its kind give.
+
+    The evidence of those that were ``refused`` does not count: rows that were left out contradict it.
+    """
     share = Counter(weighed.hypothesis.kind for weighed in table)
-    log = np.array([weighed.log_evidence + np.log(PRIOR / share[weighed.hypothesis.kind]) for weighed in table])
+    log = np.array(
+        [
+            (weighed.log_evidence if weighed.name not in refused else min(weighed.log_evidence, 0.0))
+            + np.log(PRIOR / share[weighed.hypothesis.kind])
+            for weighed in table
+        ]
+    )
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
 
 
-def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design, tool: Floats) -> Part:
+def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design) -> Part:
     """Return what the best candidate does to the parameters; its size is that of the ``design``."""
     scale = float(SCALES[np.argmax(weighed.by_scale[:, weighed.best])])
-    size, covariance = size_of(weighed, design.variance, scale)
+    size, root = size_of(weighed, design.variance, scale)
     columns = weighed.hypothesis.candidate(weighed.best, design.fit.row)
-    loading = fitted.basis[: len(columns)].T @ columns
-    step = -loading @ size
-    moves, spread = math.sqrt(float(step @ tool @ step)), float(np.trace(loading.T @ tool @ loading @ covariance))
-    return Part(weighed.name, weight, fitted.root @ step, moves, spread)
+    loading = fitted.root @ (fitted.basis[: len(columns)].T @ columns)
+    return Part(weighed, weight, size, -loading @ size, loading @ root)
 
 
-def explanations(detection: Detection, result: Search, fitted: Design, tool: Floats) -> tuple[Part, ...]:
+def explanations(detection: Detection, result: Search, fitted: Design) -> tuple[Part, ...]:
     """Return the finding and its rivals by their probability, beside all other findings."""
-    fit = result.build_design.fit
+    fit = result.design.fit
     neighbours = columns_of([neighbour for neighbour in result.detections if neighbour is not detection], fit)
-    design = build_design(fit, result.build_design.kernel, neighbours)
+    design = (result.design.bare or result.design).extended(neighbours)
     options = [weigh(weighed.hypothesis, design) for weighed in (detection.best, *detection.rivals)]
     log = np.array([weighed.log_evidence for weighed in options])
+    if rows_of(detection.best) is not None:  # refined: its evidence is that of the search, over all its spans
+        alone = special.logsumexp(detection.best.by_scale[:, 0]) - math.log(len(SCALES))
+        log[0] += detection.best.log_evidence - float(alone)
     weights = np.exp(log - special.logsumexp(log))
-    return tuple(
-        explanation(weighed, float(w), design, fitted, tool) for weighed, w in zip(options, weights, strict=True)
-    )
+    return tuple(explanation(weighed, float(w), design, fitted) for weighed, w in zip(options, weights, strict=True))
 
 
 def unseen(table: Sequence[Weighed], variance: float) -> tuple[str, ...]:

@@ -31,9 +31,13 @@ BEND = 3.0  # of a drift that settles: 1 − exp(−BEND t)
 
 
 class Profiles(NamedTuple):
-    """Candidates that multiply an item's columns by ``values`` (c, n) over the rows."""
+    """Candidates that multiply an item's columns by ``values`` (c, n) over the rows.
+
+    Of a drift, ``rows`` [first, after last) and what it is linear in, None if it settles.
+    """
 
     values: Floats
+    drifts: tuple[tuple[int, int, DriftWith | None], ...] = ()
 
 
 class Spans(NamedTuple):
@@ -42,7 +46,7 @@ class Spans(NamedTuple):
     edges: Indices
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hypothesis:
     """All candidates of one item and form.
 
@@ -84,7 +88,7 @@ class Catalogue:
         self.fit = fit
         self.hypotheses: list[Hypothesis] = []
         self.always = Profiles(np.ones((1, fit.n)))
-        self.drifts = Profiles(drift_profiles(fit))
+        self.drifts = drift_profiles(fit)
         self.steps = Spans(steps_from(np.arange(LEAST_ROWS, fit.n - LEAST_ROWS + 1), fit.n))
         self.runs = Spans(runs_between(np.unique(np.linspace(0, fit.n, KNOTS).astype(np.intp)), fit.n))
 
@@ -201,8 +205,7 @@ def moves_of(fit: WhitenedFit, joint: str, drift: DriftWith) -> Profiles:
 def add_arm(out: Catalogue) -> None:
     """Add a drift of each free parameter of the robot, and a growth of all its lengths together."""
     fit = out.fit
-    robot = np.flatnonzero(~np.isin(fit.names, fit.errors.names))
-    usual = [i for i in robot if fit.units[i] in TYPICAL]
+    usual = [i for i in np.flatnonzero(fit.robot) if fit.units[i] in TYPICAL]
     for i in usual:
         out.add(fit.names[i], "drift", fit.jac[:, [i]], [fit.units[i]], out.drifts)
     lengths = [i for i in usual if fit.units[i] == "m"]
@@ -222,23 +225,24 @@ def add_loose_flange(out: Catalogue) -> None:
     out.add("tool", "loose", np.asarray(columns) * side[fit.row], ["m"] * 3, out.always)
 
 
-def drift_profiles(fit: WhitenedFit) -> Floats:
-    """Return profiles (c, n) of a drift in each session: linear in time, settling, and linear in the temperature."""
-    out = []
+def drift_profiles(fit: WhitenedFit) -> Profiles:
+    """Return the profiles of a drift in each session: linear in time, settling, and linear in the temperature."""
+    values, drifts = [], []
     for session in np.unique(fit.how.session):
-        rows = fit.how.session == session
-        first, last = fit.how.row[rows].min(), fit.how.row[rows].max() + 1
+        rows = np.flatnonzero(fit.how.session == session)
+        first, last = int(fit.how.row[rows[0]]), int(fit.how.row[rows[-1]]) + 1
         for drift in (DriftWith.TIME, DriftWith.TEMPERATURE):
-            course = fit.how.table.during("", drift, int(first), int(last))
+            course = fit.how.table.during("", drift, first, last)
             if course is None or (drift is DriftWith.TEMPERATURE and np.ptp(course) < LEAST_WARMING):
                 continue
             share = (course - course[0]) / np.ptp(course)
-            bent = [-np.expm1(-BEND * share) / -np.expm1(-BEND)] if drift is DriftWith.TIME else []
-            for profile in (share, *bent):
+            bent = -np.expm1(-BEND * share) / -np.expm1(-BEND)
+            for linear, profile in ((drift, share), (None, bent))[: 2 if drift is DriftWith.TIME else 1]:
                 whole = np.zeros(fit.n)
                 whole[rows] = profile[fit.how.row[rows] - first]
-                out.append(whole)
-    return np.array(out).reshape(-1, fit.n)
+                values.append(whole)
+                drifts.append((int(rows[0]), int(rows[-1]) + 1, linear))
+    return Profiles(np.array(values).reshape(-1, fit.n), tuple(drifts))
 
 
 def steps_from(first: Indices, n: int) -> Indices:

@@ -10,39 +10,47 @@ and β ~ N(0, s²I) in units of the typical size. All of it follows from the eig
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
 
 from truearm.checks.catalogue import Hypothesis, Profiles
 from truearm.checks.noise import Kernel
 from truearm.checks.whitened import WhitenedFit
-from truearm.estimate.systematic_score import FitChi2, log_chance
+from truearm.estimate.information import RANK_TOLERANCE
 from truearm.types import Floats, Indices, Mask
 
 SCALES = np.array([0.2, 1.0, 5.0])  # of the typical size, equally probable
 SHOWN = 3.0  # standard deviations
 SEEN = 1e-8  # share of a column's square that must remain after the parameters
 WIDEST = 30.0  # of the typical size: the prior of a finding, which the rows have shown already
-ROUNDING = 1e-11  # of the largest singular value
+
+
+class Sums(NamedTuple):
+    """M (c, d, d) and b (c, d) of c candidates beside the parameters, and tr CᵀC (c,)."""
+
+    square: Floats
+    score: Floats
+    size: Floats
 
 
 @dataclass(frozen=True)
 class Design:
-    """What a fit can follow: rows of residuals, then those of knowledge, divided by the noise.
-
-    ``jac`` (m + κ, k + d): by the k parameters and the d columns of findings, with their prior below.
-    """
+    """What a fit can follow: rows of residuals, then those of knowledge and of the findings' prior, divided by the noise."""
 
     fit: WhitenedFit
     kernel: Kernel
-    jac: Floats
+    jac: Floats  # (m + κ, k) by the parameters
     residual: Floats  # (m + κ,)
-    basis: Floats  # (m + κ, r) Q
-    root: Floats  # (k + d, r) S with Q = jac S, so that S Sᵀ is the covariance
-    remainder: Floats  # (m + κ,) (I − QQᵀ) residual
+    basis: Floats  # (m + κ + f, r) Q, of the parameters and then of the f columns of findings
+    root: Floats  # (k, ·) S with Q = jac S for the parameters alone, so that S Sᵀ is their covariance
+    remainder: Floats  # (m + κ + f,) (I − QQᵀ) residual
     freedom: float  # residuals minus what they determine
+    bare: Design | None = None  # without findings; None: this is it
+    sums: dict[Hypothesis, Sums] = field(default_factory=dict)  # of hypotheses beside the parameters
 
     @property
     def chi2(self) -> float:
@@ -53,9 +61,16 @@ class Design:
         """Return the variance of the noise: 1 as declared, otherwise that of the rest."""
         return 1.0 if self.kernel.declared else max(self.chi2 / max(self.freedom, 1.0), 1e-12)
 
+    @cached_property
+    def follow(self) -> Floats:
+        """Return the dual (m, r + 1) of the basis, without that of ``bare``, and of the remainder."""
+        own = self.basis[:, 0 if self.bare is None else self.bare.basis.shape[1] :]
+        whole = np.concatenate([own, self.remainder[:, None]], axis=1)
+        return self.kernel.dual(whole[: self.fit.residual.size])
+
     def columns(self, columns: Floats) -> Floats:
         """Return columns (m, d) divided by the noise, with zeros for the rows of knowledge."""
-        out = np.zeros((len(self.jac), columns.shape[1]))
+        out = np.zeros((len(self.basis), columns.shape[1]))
         out[: len(columns)] = self.kernel.whiten(columns)
         return out
 
@@ -63,20 +78,38 @@ class Design:
         """Return (I − QQᵀ) by."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
+    def extended(self, findings: Floats) -> Design:
+        """Return the design with further columns ``findings`` (m, f), about a wide prior."""
+        f = findings.shape[1]
+        if not f:
+            return self
+        columns = np.concatenate([self.columns(findings), np.eye(f) / WIDEST])
+        padded = np.concatenate([self.basis, np.zeros((f, self.basis.shape[1]))])
+        columns = columns / np.linalg.norm(columns, axis=0)
+        for _ in range(2):
+            columns = columns - padded @ (padded.T @ columns)
+        u, singular, _ = np.linalg.svd(columns, full_matrices=False)
+        added = u[:, singular > RANK_TOLERANCE]
+        remainder = np.concatenate([self.remainder, np.zeros(f)])
+        return replace(
+            self,
+            basis=np.concatenate([padded, added], axis=1),
+            remainder=remainder - added @ (added.T @ remainder),
+            freedom=self.freedom - float((added[: self.fit.residual.size] ** 2).sum()),
+            bare=self,
+        )
 
-def build_design(fit: WhitenedFit, kernel: Kernel, findings: Floats, robot_prior: bool = False) -> Design:
-    """Return what a fit with further columns ``findings`` (m, d) can follow."""
-    m, k, d = fit.residual.size, fit.jac.shape[1], findings.shape[1]
+
+def build_design(fit: WhitenedFit, kernel: Kernel, robot_prior: bool = False) -> Design:
+    """Return what the parameters of a fit can follow."""
+    m, k = fit.residual.size, fit.jac.shape[1]
     prior = (fit.prior_jac, fit.prior_residual) if robot_prior else (np.zeros((0, k)), np.zeros(0))
-    knowledge = np.concatenate([fit.knowledge_jac, prior[0]])
-    top = kernel.whiten(np.concatenate([fit.jac, findings, fit.residual[:, None]], axis=1))
-    jac = np.zeros((m + len(knowledge) + d, k + d))
-    jac[:m], jac[m : m + len(knowledge), :k] = top[:, :-1], knowledge
-    jac[m + len(knowledge) :, k:] = np.eye(d) / WIDEST
-    residual = np.concatenate([top[:, -1], fit.knowledge_residual, prior[1], np.zeros(d)])
+    top = kernel.whiten(np.concatenate([fit.jac, fit.residual[:, None]], axis=1))
+    jac = np.concatenate([top[:, :-1], fit.knowledge_jac, prior[0]])
+    residual = np.concatenate([top[:, -1], fit.knowledge_residual, prior[1]])
     scale = np.maximum(np.linalg.norm(jac, axis=0), 1e-300)
     u, singular, vt = np.linalg.svd(jac / scale, full_matrices=False)
-    significant = singular > ROUNDING * singular.max(initial=0.0)
+    significant = singular > RANK_TOLERANCE * singular.max(initial=0.0)
     basis, root = u[:, significant], vt[significant].T / singular[significant] / scale[:, None]
     freedom = m - float((basis[:m] ** 2).sum())
     return Design(fit, kernel, jac, residual, basis, root, residual - basis @ (basis.T @ residual), freedom)
@@ -113,64 +146,76 @@ class Weighed(NamedTuple):
 
 
 def moments(hypothesis: Hypothesis, design: Design) -> Moments:
-    """Return M and b of all candidates."""
-    nuisance = None
+    """Return M and b of all candidates: those beside the parameters, less what findings and nuisance follow."""
+    bare = design.bare or design
+    if hypothesis not in bare.sums:
+        bare.sums[hypothesis] = sums_of(hypothesis, bare)
+    square, score, size = bare.sums[hypothesis]
+    added = design.basis[:, bare.basis.shape[1] :]
+    follow = design.follow[:, : added.shape[1]]
     if hypothesis.nuisance is not None:
         projected = design.without(design.columns(hypothesis.nuisance))
-        nuisance = np.linalg.svd(projected, full_matrices=False)
-    if isinstance(hypothesis.candidates, Profiles):
-        sums = []
-        for number in range(hypothesis.count):
-            columns = design.columns(hypothesis.candidate(number, design.fit.row))
-            projected = design.without(columns)
-            if nuisance is not None:
-                basis = nuisance[0][:, nuisance[1] > 1e-6 * nuisance[1].max(initial=0.0)]
-                projected = projected - basis @ (basis.T @ projected)
-            sums.append((projected.T @ projected, projected.T @ design.remainder, np.trace(columns.T @ columns)))
-        square, score, size = (np.array(part) for part in zip(*sums, strict=True))
-    elif design.kernel.plain:
-        square, score, size = sums_of_spans(hypothesis.columns, hypothesis.candidates.edges, design)
-    else:
-        square, score, size = grams_of_spans(hypothesis.columns, hypothesis.candidates.edges, design)
+        u, singular, _ = np.linalg.svd(projected, full_matrices=False)
+        u = u[:, singular > 1e-6 * singular.max(initial=0.0)]
+        added = np.concatenate([added, u], axis=1)
+        follow = np.concatenate([follow, design.kernel.dual(u[: len(follow)])], axis=1)
+    if added.size:
+        cross = products(hypothesis, follow, design.fit.row)
+        square = square - cross @ cross.swapaxes(1, 2)
+        score = score - cross @ (added[: len(bare.remainder)].T @ bare.remainder)
     values, vectors = np.linalg.eigh(square)
     return Moments(
         np.maximum(values, 0.0), vectors, np.einsum("cdk,cd->ck", vectors, score), values > SEEN * size[:, None]
     )
 
 
-def sums_of_spans(columns: Floats, spans: Indices, design: Design) -> tuple[Floats, Floats, Floats]:
-    """Return M (c, d, d), b (c, d) and tr CᵀC (c,) of spans (c, 2) of rows with independent noise.
+def sums_of(hypothesis: Hypothesis, design: Design) -> Sums:
+    """Return the sums of a hypothesis' candidates beside the parameters."""
+    cross = products(hypothesis, design.follow, design.fit.row)
+    by_basis, square = cross[:, :, :-1], squares(hypothesis, design)
+    size = np.maximum(np.trace(square, axis1=1, axis2=2), 1e-300)
+    return Sums(square - by_basis @ by_basis.swapaxes(1, 2), cross[:, :, -1], size)
 
-    CᵀC, QᵀC and Cᵀr over a span are differences of one cumulative sum.
+
+def products(hypothesis: Hypothesis, vectors: Floats, row: Indices) -> Floats:
+    """Return Cᵀ times ``vectors`` (m, x) for each candidate, (c, d, x).
+
+    Those of spans are differences of one cumulative sum.
     """
-    row = design.fit.row
-    edges, index = np.unique(spans, return_inverse=True)
-    first, last = index.reshape(spans.shape).T
-    m, d = columns.shape
-    inside = np.arange(np.searchsorted(row, edges[0]), np.searchsorted(row, edges[-1]))
-    nuisance = np.concatenate([columns, design.basis[:m], design.remainder[:m, None]], axis=1)[inside]
-    cuts = np.searchsorted(row, edges) - inside[0]
-    product = (columns[inside][:, :, None] * nuisance[:, None, :]).reshape(inside.size, -1)
+    columns, candidates = hypothesis.columns, hypothesis.candidates
+    if isinstance(candidates, Profiles):
+        return np.stack([hypothesis.candidate(number, row).T @ vectors for number in range(hypothesis.count)])
+    edges, (first, last), cuts, inside = cuts_of(candidates.edges, row)
+    product = (columns[inside][:, :, None] * vectors[inside][:, None, :]).reshape(inside.size, -1)
     upto = np.zeros((edges.size, product.shape[1]))
-    np.cumsum(np.add.reduceat(product, cuts[:-1], axis=0), axis=0, out=upto[1:])
-    sums = (upto[last] - upto[first]).reshape(last.size, d, -1)
-    square, by_basis = sums[:, :, :d], sums[:, :, d:-1]
-    return square - by_basis @ by_basis.swapaxes(1, 2), sums[:, :, -1], np.trace(square, axis1=1, axis2=2)
+    np.cumsum(np.add.reduceat(product, cuts, axis=0), axis=0, out=upto[1:])
+    return np.asarray((upto[last] - upto[first]).reshape(last.size, columns.shape[1], -1))
 
 
-def grams_of_spans(columns: Floats, spans: Indices, design: Design) -> tuple[Floats, Floats, Floats]:
-    """Return the same for noise that rows share: the columns of a span are U_b − U_a, with U of the rows up to an edge."""
-    row = design.fit.row
-    edges, index = np.unique(spans, return_inverse=True)
-    first, last = index.reshape(spans.shape).T
-    d = columns.shape[1]
+def squares(hypothesis: Hypothesis, design: Design) -> Floats:
+    """Return CᵀC (c, d, d) of the candidates, divided by the noise."""
+    kernel, row, candidates = design.kernel, design.fit.row, hypothesis.candidates
+    if isinstance(candidates, Profiles):
+        every = (kernel.whiten(hypothesis.candidate(number, row)) for number in range(hypothesis.count))
+        return np.stack([columns.T @ columns for columns in every])
+    if kernel.plain:
+        return products(hypothesis, hypothesis.columns / kernel.scale**2, row)
+    # The rows before an edge have the columns U; those of a span are U_b − U_a.
+    edges, (first, last), _, _ = cuts_of(candidates.edges, row)
     before = row[:, None] < edges
-    upto = design.columns((columns[:, None, :] * before[:, :, None]).reshape(len(columns), -1))
-    projected = design.without(upto)
-    gram = (projected.T @ projected).reshape(edges.size, d, edges.size, d).swapaxes(1, 2)
-    score, size = (projected.T @ design.remainder).reshape(-1, d), (upto**2).sum(axis=0).reshape(-1, d).sum(axis=1)
-    square = gram[last, last] - gram[last, first] - gram[first, last] + gram[first, first]
-    return square, score[last] - score[first], np.maximum(size[last] - size[first], 1e-300)
+    d = hypothesis.columns.shape[1]
+    upto = kernel.whiten((hypothesis.columns[:, None, :] * before[:, :, None]).reshape(len(row), -1))
+    gram = (upto.T @ upto).reshape(edges.size, d, edges.size, d).swapaxes(1, 2)
+    return np.asarray(gram[last, last] - gram[last, first] - gram[first, last] + gram[first, first])
+
+
+def cuts_of(spans: Indices, row: Indices) -> tuple[Indices, Indices, Indices, Indices]:
+    """Return the different edges of spans (c, 2), the indices (2, c) of each among them, and for the residuals between the
+    first and the last edge, where each stretch begins and their indices.
+    """
+    edges, index = np.unique(spans, return_inverse=True)
+    inside = np.arange(np.searchsorted(row, edges[0]), np.searchsorted(row, edges[-1]))
+    return edges, index.reshape(spans.shape).T, np.searchsorted(row, edges[:-1]) - inside[0], inside
 
 
 def weigh(hypothesis: Hypothesis, design: Design) -> Weighed:
@@ -183,8 +228,7 @@ def weigh(hypothesis: Hypothesis, design: Design) -> Weighed:
     each = np.logaddexp.reduce(by_scale, axis=0) - np.log(SCALES.size)
     drop = (scores**2 / np.where(sums.significant, sums.values, 1.0)).sum(axis=1)
     freedom = sums.significant.sum(axis=1)
-    state = FitChi2(design.chi2, design.freedom, np.inf if design.kernel.declared else 0.0)
-    chance = log_chance(drop, freedom, state)
+    chance = log_chance(drop, freedom, design)
     best = int(np.argmax(each))
     return Weighed(
         hypothesis,
@@ -198,8 +242,24 @@ def weigh(hypothesis: Hypothesis, design: Design) -> Weighed:
     )
 
 
+def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:
+    """Return the log probability that noise gives such drops (c,) of χ²; 0 without a degree of freedom."""
+    d = np.maximum(freedom, 1).astype(float)
+    if design.kernel.declared:
+        p, half_drop = special.chdtrc(d, drop), np.maximum(drop, 1e-300) / 2.0
+        tail = (d / 2.0 - 1.0) * np.log(half_drop) - half_drop - special.gammaln(d / 2.0)
+    else:
+        # F(d, ν − d) of drop/d over the remaining variance; its tail is an incomplete beta function of the remaining χ².
+        a = np.maximum(design.freedom - d, 0.5) / 2.0
+        remaining = np.clip(1.0 - drop / design.chi2, 1e-300, 1.0 - 1e-15)  # rounding can make a drop exceed χ²
+        p = special.betainc(a, d / 2.0, remaining)
+        tail = a * np.log(remaining) + (d / 2.0 - 1.0) * np.log1p(-remaining) - np.log(a) - special.betaln(a, d / 2.0)
+    deep = p < 1e-280
+    return np.where(freedom == 0, 0.0, np.where(deep, tail, np.log(np.where(deep, 1.0, p))))
+
+
 def size_of(weighed: Weighed, variance: float, scale: float = SCALES[-1]) -> tuple[Floats, Floats]:
-    """Return β (d,) of the best candidate and its covariance (d, d), in typical sizes, with the prior of a scale.
+    """Return β (d,) of the best candidate and a root (d, r) of its covariance, in typical sizes, with the prior of a scale.
 
     Directions of which the rows say less than the typical size does, and that are not SHOWN, have β = 0 and no variance:
     nothing is claimed about them.
@@ -214,8 +274,8 @@ def size_of(weighed: Weighed, variance: float, scale: float = SCALES[-1]) -> tup
     )
     stated = sums.significant[number] & ((information > 1.0) | (square > SHOWN**2))
     vectors = sums.vectors[number][:, stated]
-    covariance = (vectors / (information[stated] + scale**-2.0)) @ vectors.T
-    return covariance @ (sums.vectors[number] @ (sums.scores[number] / variance)), covariance
+    root = vectors / np.sqrt(information[stated] + scale**-2.0)
+    return root @ (root.T @ (sums.vectors[number] @ (sums.scores[number] / variance))), root
 
 
 def rows_of(weighed: Weighed) -> tuple[int, int] | None:

@@ -2,68 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm.checks.averaging import Claim, averaged, unseen
-from truearm.checks.catalogue import catalogue
-from truearm.checks.evidence import Design, rows_of
-from truearm.checks.noise import Kernel
-from truearm.checks.search import Detection, checked, sized
+from truearm.checks.averaging import Average, Part, averaged, unseen
+from truearm.checks.catalogue import Profiles, catalogue
+from truearm.checks.evidence import Design, Weighed, build_design, rows_of, size_of
+from truearm.checks.held_out import LeftOut
+from truearm.checks.noise import DECLARED
+from truearm.checks.search import Search, checked, columns_of
 from truearm.checks.whitened import WhitenedFit, whitened_fit
+from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import FIRST_ORDER, MOST_POSES, body_motion, measured_jacobian
 from truearm.estimate.problem import build_problem, modelled_of
-from truearm.estimate.systematic_score import span_in_table
+from truearm.estimate.validation import Judgement, Ways
 from truearm.estimate.whitened_rows import only
+from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, forward
-from truearm.results import MOVES, Effect, Estimate
-from truearm.types import Floats, Indices, Rigs, thinned
+from truearm.results import MOVES, Diagnosis, DriftWith, Effect, Estimate, Rival, Size, ToolClaim
+from truearm.types import Floats, Indices, Mask, Rigs, thinned
 
 GROSS = 30.0  # σ of the residuals: a fit this distorted shows only that the inputs are wrong
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A fault that the rows show: its names, the most probable first, and its size.
-
-    ``or_names`` are those that no data of these poses can distinguish from the first. ``rows`` [first, after last) are
-    those of the user's table, None for all. ``sizes`` ± ``sigmas`` (d,) are in SI ``units``.
-    """
-
-    names: tuple[str, ...]
-    or_names: tuple[str, ...]
-    rows: tuple[int, int] | None
-    sizes: Floats
-    sigmas: Floats
-    units: tuple[str, ...]
-    drop: float  # of χ²
-    freedom: int
-    log_evidence: float  # nats, beside no fault
-    gain: float  # share of the squares of left-out rows that it removes
-    gain_t: float  # in standard errors
-
-    @property
-    def name(self) -> str:
-        return self.names[0]
+MEAN = "mean"
+EVERY = ".all"  # ends the name of a hypothesis about all items of a type
 
 
 @dataclass(frozen=True)
 class Examination:
-    """All findings about an estimate, in the order of the search, and the error that the tool may have.
+    """The faults in an estimate, in the order of the search, and the error that the tool may have.
 
-    ``step`` (P,) applies the mean of the findings' rivals to the estimate's values; ``refused`` are beyond chance under
-    the learned noise but do not predict rows that were left out; ``unseen`` cannot show in these rows.
+    ``free`` (P,) are the estimate's parameters of ``average``.
     """
 
-    findings: tuple[Finding, ...]
-    noise: Kernel
-    claim: Claim
-    step: Floats
-    refused: tuple[str, ...]
-    unseen: tuple[str, ...]
+    faults: tuple[Diagnosis, ...]
+    claim: ToolClaim
+    average: Average
+    free: Mask
+
+    def applied(self, names: Sequence[str]) -> tuple[Floats, Floats]:
+        """Return the change (P,) of the parameters with some causes applied, and their mean square error (P, P) then.
+
+        "mean" applies the mean of the rivals of each fault. Raises InputError for a cause that no fault has.
+        """
+        steps: dict[int, Floats] = {}
+        for name in names:
+            mine = {
+                number: part.step
+                for number, (fault, options) in enumerate(zip(self.faults, self.average.choices, strict=True))
+                for rival, part in zip(fault.rivals, options, strict=True)
+                if rival.apply == name
+            }
+            if name == MEAN:
+                mine = dict(enumerate(self.average.means()))
+            if not mine:
+                names = [rival.apply for fault in self.faults for rival in fault.rivals if rival.apply]
+                known = f"name one of {', '.join(names)}" if names else "these rows show no fault"
+                raise InputError(Argument("apply"), f" {name}: no cause of a fault in these rows; {known}")
+            steps |= mine
+        full = np.zeros(self.free.size)
+        full[self.free] = np.sum([np.zeros(len(self.average.gram)), *steps.values()], axis=0)
+        covariance = np.zeros((self.free.size, self.free.size))
+        covariance[np.ix_(self.free, self.free)] = self.average.covariance(steps)
+        return full, covariance
 
 
 def examined(
@@ -71,39 +75,75 @@ def examined(
     rig: Rigs,
     table: ObservationTable,
     estimate: Estimate,
-    prior_sigma: Floats | None = None,
     effects: tuple[Effect, ...] = (),
+    any_base: bool = False,
 ) -> Examination | None:
-    """Examine an estimate from ``identify``, with its prior (p,) of the robot and its systematic ``effects``.
+    """Examine an estimate from ``identify`` that has ``effects`` as parameters.
 
-    Returns None for a fit without degrees of freedom, or one distorted beyond GROSS. Findings that move the tool too far
-    for an analysis of first order, such as all sockets of a place where nothing else knows the scale, are none.
+    ``any_base``: the pose of the base is a choice of frame. Returns None for a fit without degrees of freedom, or one
+    distorted beyond GROSS. Findings that move the tool too far for an analysis of first order, such as all sockets of a
+    place where nothing else knows the scale, are none.
     """
     fitted = estimate.fitted
     modelled = [effect.select(fitted) for effect in modelled_of(chain, rig, table, effects)]
-    problem = build_problem(chain, rig, table.select(fitted), prior_sigma, modelled)
+    sigma = estimate.prior_sigma[: len(chain.parameters)]
+    problem = build_problem(chain, rig, table.select(fitted), sigma, modelled)
     if estimate.weight.size:
         problem = only(problem, estimate.weight[fitted] > 0.0)
-    fit = whitened_fit(problem, estimate.value, estimate.free, measured_order(table, chain, fitted))
-    spread = float(fit.residual @ fit.residual) / max(fit.residual.size, 1)
-    if fit.residual.size <= fit.jac.shape[1] or not np.isfinite(spread) or spread > GROSS**2:
+    how = measured_order(table, chain, fitted)
+    fit = whitened_fit(problem, estimate.value, estimate.free, how, estimate.law_parameters)
+    if is_distorted(fit):
         return None
     result = checked(fit, catalogue(fit), places_of(table, fit))
-    gram = tool_gram(chain, rig, table.select(fitted), estimate)
-    claim = averaged(result, gram)
-    if claim.shift > FIRST_ORDER * farthest(chain, estimate, table.q[fitted]):
+    gram = tool_gram(chain, rig, table.select(fitted), estimate, any_base)
+    covariance = estimate.covariance[np.ix_(estimate.free, estimate.free)]
+    average = averaged(result, gram, covariance)
+    if average.moves(average.bias({})) > FIRST_ORDER * farthest(chain, estimate, table.q[fitted]):
         result = replace(result, detections=())
-        claim = averaged(result, gram)
-    step = np.zeros(estimate.value.size)
-    step[estimate.free] = claim.step
-    return Examination(
-        tuple(finding_of(detection, result.build_design, fit) for detection in result.detections),
-        result.build_design.kernel,
-        claim,
-        step,
+        average = averaged(result, gram, covariance)
+    kernel = result.design.kernel
+    declared = build_design(fit, DECLARED).extended(columns_of(result.detections, fit))
+    claim = ToolClaim(
+        *average.parts(),
+        kernel.name,
+        kernel.scale,
+        declared.chi2 / max(declared.freedom, 1.0),
+        unseen(result.table, result.design.variance),
         result.refused,
-        unseen(result.table, result.build_design.variance),
     )
+    return Examination(diagnoses(result, average, table), claim, average, estimate.free)
+
+
+def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> tuple[Diagnosis, ...]:
+    """Return the faults in the ``table``'s rows of a judgement, with the calibration's covariance as knowledge."""
+    problem, x = judgement.problem, judgement.x
+    problem = replace(problem, prior_sigma=np.where(judgement.settled, problem.prior_sigma, np.inf))
+    how = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
+    plain = whitened_fit(problem, x, ways.columns, how)
+    k, none = ways.matrix.shape[1], np.zeros(0)
+    fit = replace(
+        plain,
+        jac=plain.jac @ ways.matrix,
+        knowledge_jac=np.concatenate([plain.knowledge_jac @ ways.matrix, np.eye(ways.known, k)]),
+        knowledge_residual=np.concatenate([plain.knowledge_residual, np.zeros(ways.known)]),
+        prior_jac=np.zeros((0, k)),
+        prior_residual=none,
+        robot=np.zeros(k, dtype=bool),
+        names=(),
+        units=(),
+        values=none,
+    )
+    if is_distorted(fit):
+        return ()
+    result = checked(fit, catalogue(fit), places_of(table, fit))
+    return diagnoses(result, averaged(result, np.zeros((k, k)), np.zeros((k, k))), table)
+
+
+def is_distorted(fit: WhitenedFit) -> bool:
+    """Return whether a fit has no degree of freedom, or is too far from its rows for an analysis of first order."""
+    if fit.residual.size <= fit.jac.shape[1] or not np.isfinite(fit.residual).all():
+        return True
+    return float(fit.residual @ fit.residual) > GROSS**2 * fit.residual.size
 
 
 def farthest(chain: Chain, estimate: Estimate, q: Floats) -> float:
@@ -113,24 +153,108 @@ def farthest(chain: Chain, estimate: Estimate, q: Floats) -> float:
     return float(np.linalg.norm(ends, axis=1).max())
 
 
-def finding_of(detection: Detection, design: Design, fit: WhitenedFit) -> Finding:
-    """Return a finding in rows of the user's table."""
-    span, best = rows_of(detection.best), detection.best
-    rows = None if span is None else span_in_table(*span, fit.how)
-    sizes, sigmas = sized(detection, design)
-    units = best.hypothesis.units
-    return Finding(
-        detection.names,
-        detection.aliases,
-        rows,
-        sizes,
-        sigmas,
-        units,
-        best.drop,
-        best.freedom,
-        best.log_evidence,
-        *detection.gain,
-    )
+def diagnoses(result: Search, average: Average, table: ObservationTable) -> tuple[Diagnosis, ...]:
+    """Return the findings of a search, each with its rivals and what applying one of them, or their mean, gives."""
+    fit, out = result.design.fit, []
+    for number, (detection, options) in enumerate(zip(result.detections, average.choices, strict=True)):
+        neighbours = columns_of([neighbour for neighbour in result.detections if neighbour is not detection], fit)
+        held_out = LeftOut(fit, neighbours, result.blocks)
+        columns = [part.weighed.hypothesis.candidate(part.weighed.best, fit.row) for part in options]
+        residuals = [held_out.residual_with(by) for by in columns]
+        rivals = tuple(
+            rival_of(part, fit, average, {number: part.step}, held_out.gain(residual))
+            for part, residual in zip(options, residuals, strict=True)
+        )
+        mean = np.sum([part.weight * residual for part, residual in zip(options, residuals, strict=True)], axis=0)
+        step = average.means()[number]
+        whole = Rival(MEAN, MEAN, None, 1.0, average.moves(step), average.error({number: step}), *held_out.gain(mean))
+        best = detection.best
+        sizes = sizes_of(options[0].weighed, result.design)
+        out.append(
+            Diagnosis(
+                rivals,
+                whole,
+                detection.aliases,
+                sizes,
+                best.drop,
+                best.freedom,
+                best.log_evidence,
+                deciding(options, fit, table),
+            )
+        )
+    return tuple(out)
+
+
+def rival_of(
+    part: Part, fit: WhitenedFit, average: Average, applied: Mapping[int, Floats], gain: tuple[float, float]
+) -> Rival:
+    """Return an explanation in rows of the user's table."""
+    weighed = part.weighed
+    span = rows_of(weighed)
+    rows = None if span is None else fit.how.in_table(*span)
+    name = "" if weighed.hypothesis.item.endswith(EVERY) else apply_name(weighed, fit)
+    return Rival(weighed.name, name, rows, part.weight, average.moves(part.step), average.error(applied), *gain)
+
+
+def deciding(options: Sequence[Part], fit: WhitenedFit, table: ObservationTable) -> tuple[str, ...]:
+    """Return the names mounted in the rows of which the explanations predict most differently, measured at the end.
+
+    Empty if they agree within the noise of a row wherever something was mounted.
+    """
+    predicted = np.array([fit.jac @ part.step + at_the_end(part.weighed, fit) @ part.size for part in options])
+    weights = np.array([part.weight for part in options])
+    variance = weights @ (predicted - weights @ predicted) ** 2
+    run = fit.how.run[fit.row]
+    by_run = np.bincount(run, variance) / np.maximum(np.bincount(run), 1)
+    if by_run.max() < 1.0:
+        return ()
+    row = fit.how.row[np.flatnonzero(fit.how.run == np.argmax(by_run))[0]]
+    columns = kinds()[str(table.kind[row])].grouped_by
+    return tuple(f"{column} {table[column][row]}" for column in columns if table[column][row])
+
+
+def at_the_end(weighed: Weighed, fit: WhitenedFit) -> Floats:
+    """Return the columns (m, d) of an explanation if all rows were measured again at the end of their session."""
+    candidates, columns = weighed.hypothesis.candidates, weighed.hypothesis.columns
+    if not isinstance(candidates, Profiles):
+        return columns * float(candidates.edges[weighed.best, 1] == fit.n)
+    if not candidates.drifts:
+        return weighed.hypothesis.candidate(weighed.best, fit.row)
+    last = candidates.drifts[weighed.best][1] - 1
+    return np.asarray(columns * candidates.values[weighed.best, last])
+
+
+LAST_MOVE = {"backlash": DriftWith.DIRECTION, "settling": DriftWith.MOVE}
+
+
+def apply_name(weighed: Weighed, fit: WhitenedFit) -> str:
+    """Return the ``Effect`` that an explanation is, which a fit can estimate; otherwise the name of the explanation."""
+    hypothesis, candidates = weighed.hypothesis, weighed.hypothesis.candidates
+    span, drift = rows_of(weighed), LAST_MOVE.get(hypothesis.form)
+    if isinstance(candidates, Profiles) and candidates.drifts:
+        first, last, drift = candidates.drifts[weighed.best]
+        span = first, last
+        if drift is None:
+            return f"{hypothesis.item}.bent_{hypothesis.form}"
+    elif span is None and hypothesis.form != "offset" and drift is None:
+        return hypothesis.name
+    if all(cause.name != hypothesis.item for cause in fit.causes):
+        return hypothesis.name
+    first, last = (0, fit.how.total) if span is None else fit.how.in_table(*span)
+    return str(Effect(hypothesis.item, first, None if last == fit.how.total else last, drift))
+
+
+def sizes_of(weighed: Weighed, design: Design) -> tuple[Size, ...]:
+    """Return the size of an explanation over its numbers of each unit."""
+    value, root = size_of(weighed, design.variance)
+    typical, out = weighed.hypothesis.sizes, []
+    for unit in dict.fromkeys(weighed.hypothesis.units):
+        mine = np.array([other == unit for other in weighed.hypothesis.units])
+        of_unit = (value * typical)[mine]
+        size = float(np.linalg.norm(of_unit))
+        along = of_unit / max(size, 1e-300)
+        out.append(Size(unit, size, float(np.linalg.norm(along @ (root * typical[:, None])[mine]))))
+    return tuple(out)
 
 
 def places_of(table: ObservationTable, fit: WhitenedFit) -> Indices | None:
@@ -139,14 +263,14 @@ def places_of(table: ObservationTable, fit: WhitenedFit) -> Indices | None:
     return np.unique(place, return_inverse=True)[1] if (place != "").all() else None
 
 
-def tool_gram(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
+def tool_gram(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False) -> Floats:
     """Return Γ (k, k) [m²]: the mean square motion of the measured points, over their poses, by the free parameters.
 
-    A motion of all points together does not count where the observations do not determine the base.
+    A motion of all points together does not count where the observations do not determine the base, or with ``any_base``.
     """
     few = table.select(thinned(len(table), MOST_POSES))
     points, flat = measured_jacobian(chain, rig, few, estimate)
-    if np.abs(flat @ estimate.unseen).max(initial=0.0) > MOVES:
+    if any_base or np.abs(flat @ estimate.unseen).max(initial=0.0) > MOVES:
         body, _ = np.linalg.qr(body_motion(points))
         flat = flat - body @ (body.T @ flat)
     motion = flat[:, estimate.free]

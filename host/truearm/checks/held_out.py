@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from truearm.checks.evidence import WIDEST
 from truearm.checks.whitened import WhitenedFit
@@ -13,6 +14,7 @@ from truearm.types import Floats, Indices
 
 BLOCKS = 12  # contiguous stretches of the order of measurement
 FEWEST_PLACES = 3
+JITTER = 1e-12  # of the square of a column
 
 
 class Gain(NamedTuple):
@@ -22,9 +24,6 @@ class Gain(NamedTuple):
     t: float
 
 
-UNKNOWN = Gain(math.nan, math.nan)
-
-
 def left_out_blocks(n: int, places: Indices | None) -> Indices:
     """Return the block (n,) of each row: its place, or one of BLOCKS stretches."""
     if places is not None and np.unique(places).size >= FEWEST_PLACES:
@@ -32,30 +31,62 @@ def left_out_blocks(n: int, places: Indices | None) -> Indices:
     return np.arange(n) * BLOCKS // n
 
 
-def gain_of(fit: WhitenedFit, neighbours: Floats, columns: Floats, blocks: Indices) -> Gain:
-    """Return the gain of a finding's columns (m, d) beside those of others (m, d').
+class LeftOut:
+    """Predictions of each block of rows by a fit to all others, with the columns (m, d) of findings as parameters.
 
-    Each block is predicted by a fit to all other rows: x = (H − H_b)⁻¹(g − g_b), with H and g of all rows and knowledge.
+    x = (H − H_b)⁻¹(g − g_b), with H and g of all rows and knowledge. Further columns enter by their Schur complement.
+    What only the rows of a block determine, such as the sockets of a place, is fitted to these.
     """
-    block = blocks[fit.row]
-    squares = []
-    for added in (neighbours, np.concatenate([neighbours, columns], axis=1)):
-        jac = np.concatenate([fit.jac, added], axis=1)
-        prior = np.zeros((len(fit.knowledge_jac) + len(fit.prior_jac) + added.shape[1], jac.shape[1]))
-        knowledge = np.concatenate([fit.knowledge_jac, fit.prior_jac])
-        prior[: len(knowledge), : knowledge.shape[1]] = knowledge
-        prior[len(knowledge) :, knowledge.shape[1] :] = np.eye(added.shape[1]) / WIDEST
+
+    def __init__(self, fit: WhitenedFit, findings: Floats, blocks: Indices) -> None:
+        d, k = findings.shape[1], fit.jac.shape[1]
+        known = np.concatenate([fit.knowledge_jac, fit.prior_jac])
+        prior = np.zeros((len(known) + d, k + d))
+        prior[: len(known), :k], prior[len(known) :, k:] = known, np.eye(d) / WIDEST
+        jac = np.concatenate([fit.jac, findings], axis=1)
         scale = np.maximum(np.linalg.norm(np.concatenate([jac, prior]), axis=0), 1e-300)
-        jac, prior = jac / scale, prior / scale
-        targets = np.concatenate([fit.knowledge_residual, fit.prior_residual, np.zeros(added.shape[1])])
-        information, score = jac.T @ jac + prior.T @ prior, jac.T @ fit.residual + prior.T @ targets
-        each = []
-        for number in np.unique(block):
-            rows = block == number
-            reduced = information - jac[rows].T @ jac[rows] + 1e-12 * np.eye(len(score))
-            x = np.linalg.solve(reduced, score - jac[rows].T @ fit.residual[rows])
-            each.append(float(((fit.residual[rows] - jac[rows] @ x) ** 2).sum()))
-        squares.append(np.array(each))
-    less = squares[0] - squares[1]
-    error = float(less.std(ddof=1)) / math.sqrt(less.size) if less.size > 1 else math.inf
-    return Gain(float(less.sum() / squares[0].sum()), float(less.mean() / max(error, 1e-12)))
+        self.jac, prior, self.target = jac / scale, prior / scale, fit.residual
+        targets = np.concatenate([fit.knowledge_residual, fit.prior_residual, np.zeros(d)])
+        information, self.score = self.jac.T @ self.jac + prior.T @ prior, self.jac.T @ self.target + prior.T @ targets
+        block = blocks[fit.row]
+        self.rows = [np.flatnonzero(block == number) for number in np.unique(block)]
+        jitter = JITTER * np.eye(k + d)
+        self.factors = [linalg.cho_factor(information - self.jac[of].T @ self.jac[of] + jitter) for of in self.rows]
+        self.own = [self._own_columns(of, prior) for of in self.rows]
+        self.residual = np.empty_like(self.target)
+        for of, factor, own in zip(self.rows, self.factors, self.own, strict=True):
+            score = self.score - self.jac[of].T @ self.target[of]
+            predicted = self.jac[of] @ linalg.cho_solve(factor, score)
+            self.residual[of] = without(own, self.target[of] - predicted)
+
+    def _own_columns(self, of: Indices, prior: Floats) -> Floats:
+        """Return an orthonormal basis of what only a block's rows ``of`` determine."""
+        elsewhere = np.ones(len(self.jac), dtype=bool)
+        elsewhere[of] = False
+        alone = ~(self.jac[elsewhere].any(axis=0) | prior.any(axis=0))
+        return np.linalg.qr(self.jac[of][:, alone])[0]
+
+    def residual_with(self, columns: Floats) -> Floats:
+        """Return the residuals (m,) of all blocks with columns (m, d) as further parameters."""
+        out = np.empty_like(self.residual)
+        cross, square, score = self.jac.T @ columns, columns.T @ columns, columns.T @ self.target
+        for of, factor, own in zip(self.rows, self.factors, self.own, strict=True):
+            mine = columns[of]
+            others = cross - self.jac[of].T @ mine
+            solved = linalg.cho_solve(factor, np.column_stack([others, self.score - self.jac[of].T @ self.target[of]]))
+            reduced = square - mine.T @ mine + np.eye(len(square)) / WIDEST**2 - others.T @ solved[:, :-1]
+            size = np.linalg.solve(reduced, score - mine.T @ self.target[of] - others.T @ solved[:, -1])
+            out[of] = self.residual[of] - without(own, (mine - self.jac[of] @ solved[:, :-1]) @ size)
+        return out
+
+    def gain(self, residual: Floats) -> Gain:
+        """Return the gain of residuals (m,) over those without further columns."""
+        before, after = (np.array([float(of @ of) for of in map(r.take, self.rows)]) for r in (self.residual, residual))
+        less = before - after
+        error = float(less.std(ddof=1)) / math.sqrt(less.size) if less.size > 1 else math.inf
+        return Gain(float(less.sum() / before.sum()), float(less.mean() / max(error, 1e-12)))
+
+
+def without(basis: Floats, values: Floats) -> Floats:
+    """Return values (n,) without their part along an orthonormal basis (n, r)."""
+    return np.asarray(values - basis @ (basis.T @ values))

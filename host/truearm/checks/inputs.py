@@ -68,7 +68,7 @@ def checked_inputs(
     explanations: tuple[Explanation, ...] = ()
     tried = 0
     doubtful = _absurd(estimate) or is_elsewhere(estimate) or estimate.chi2_reduced > GROSS**2
-    misfit = estimate.systematic is None and estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT)
+    misfit = not estimate.faults and estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT)
     before = fitted(given) if doubtful or misfit else None
     if before is not None and before.freedom >= 1.0:
         # The trial ran longer than a fit that only needs more iterations.

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import linalg, special
+from scipy import linalg
 
 from truearm.checks.whitened import WhitenedFit
 from truearm.types import Floats, Indices, Mask
@@ -58,27 +58,30 @@ class Kernel:
             out[index] = solved.reshape(part.shape).transpose(1, 0, 2)
         return out
 
+    def dual(self, vectors: Floats) -> Floats:
+        """Return L⁻ᵀ vectors (m, x): the product of whitened columns with vectors is that of the columns with these."""
+        if self.plain:
+            return vectors / self.scale
+        out = np.empty_like(vectors)
+        for index, lower in self.lower:
+            flat = vectors[index].transpose(1, 0, 2)
+            solved = linalg.solve_triangular(
+                lower, flat.reshape(len(lower), -1), trans=1, lower=True, check_finite=False
+            )
+            out[index] = solved.reshape(flat.shape).transpose(1, 0, 2)
+        return out
+
     def spread(self, columns: Floats) -> Floats:
         """Return Lᵀ columns (m, d): their Gram matrix is columnsᵀ V columns."""
         if self.plain:
             return columns * self.scale
         out = np.empty_like(columns)
         for index, lower in self.lower:
-            out[index] = np.einsum("ji,cjd->cid", lower, columns[index])
+            out[index] = lower.T @ columns[index]
         return out
 
 
 DECLARED = Kernel()
-
-
-def is_odd(residual: Floats, component: Indices, freedom: float) -> bool:
-    """Return whether residuals (m,) of a fit are not what the declared noise gives: their size, or their order."""
-    low, high = special.chdtri(freedom, [1.0 - ODD / 2.0, ODD / 2.0])
-    chi2, product = float(residual @ residual), 0.0
-    for number in np.unique(component):
-        series = residual[component == number]
-        product += float(series[1:] @ series[:-1])
-    return not low <= chi2 <= high or abs(product) / max(chi2, 1e-300) * np.sqrt(residual.size) > ODD_ORDER
 
 
 def similarities(fit: WhitenedFit, rows: Indices) -> Iterator[tuple[str, Floats]]:
@@ -157,13 +160,17 @@ def likelihood(columns: Floats, fit: WhitenedFit, kernel: Kernel, is_known: bool
     """
     white = kernel.whiten(columns)
     k, m = white.shape[1] - 1, len(white)
-    length = np.maximum(np.linalg.norm(columns[:, :k], axis=0), 1e-300)
-    jac = np.concatenate([white[:, :k], fit.knowledge_jac, fit.prior_jac, 1e-6 * np.diag(length)]) / length
-    residual = np.concatenate([white[:, -1], fit.knowledge_residual, fit.prior_residual, np.zeros(k)])
-    q, r = np.linalg.qr(jac)
-    remainder = residual - q @ (q.T @ residual)
-    chi2, freedom = float(remainder @ remainder), m - float((q[:m] ** 2).sum())
+    known = np.concatenate([fit.knowledge_jac, fit.prior_jac])
+    length = np.maximum(np.linalg.norm(np.concatenate([columns[:, :k], known]), axis=0), 1e-300)
+    known = known / length
+    target = np.concatenate([fit.knowledge_residual, fit.prior_residual])
+    jac, residual = white[:, :k] / length, white[:, -1]
+    data = jac.T @ jac
+    lower = np.linalg.cholesky(data + known.T @ known + 1e-12 * np.eye(k))
+    solved = linalg.solve_triangular(lower, np.column_stack([jac.T @ residual + known.T @ target, data]), lower=True)
+    chi2 = float(residual @ residual + target @ target - solved[:, 0] @ solved[:, 0])
+    freedom = m - float(np.trace(linalg.solve_triangular(lower, solved[:, 1:].T, lower=True)))
     variance = 1.0 if is_known else max(chi2 / max(freedom, 1.0), 1e-12)
     determinant = sum(2.0 * len(index) * float(np.log(np.diag(lower)).sum()) for index, lower in kernel.lower)
     value = -0.5 * (freedom * np.log(variance) + chi2 / variance + determinant)
-    return value - float(np.log(np.abs(np.diag(r))).sum()), float(np.sqrt(variance))
+    return value - float(np.log(np.diag(lower)).sum()), float(np.sqrt(variance))

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from truearm.checks.catalogue import KNOTS, LEAST_ROWS, Hypothesis, Profiles, Spans
-from truearm.checks.evidence import Design, Weighed, build_design, rows_of, size_of, weigh
-from truearm.checks.held_out import UNKNOWN, Gain, gain_of, left_out_blocks
-from truearm.checks.noise import DECLARED, Kernel, is_odd, learned_noise
+from truearm.checks.evidence import Design, Weighed, build_design, rows_of, weigh
+from truearm.checks.held_out import LeftOut, left_out_blocks
+from truearm.checks.noise import DECLARED, ODD, ODD_ORDER, learned_noise
 from truearm.checks.whitened import WhitenedFit
 from truearm.types import Floats, Indices
 
@@ -26,16 +27,12 @@ OWN_EDGE = 8  # rows from the edge of a place, where the model's errors make ste
 
 @dataclass(frozen=True)
 class Detection:
-    """A hypothesis beyond chance, those that explain the rows as well, and those that no rows can distinguish from it.
-
-    ``gain`` is what it gives in rows that were left out.
-    """
+    """A hypothesis beyond chance, those that explain the rows as well, and those that no rows can distinguish from it."""
 
     best: Weighed
     rivals: tuple[Weighed, ...]
     aliases: tuple[str, ...]
     columns: Floats  # (m, d) of the best candidate
-    gain: Gain = UNKNOWN
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -48,8 +45,9 @@ class Search:
     """The findings in order, the design with all of them, and the evidence of every hypothesis given them."""
 
     detections: tuple[Detection, ...]
-    build_design: Design
+    design: Design
     table: tuple[Weighed, ...]
+    blocks: Indices  # (n,) of rows to leave out together
     refused: tuple[str, ...] = ()  # beyond chance, but they do not predict rows that were left out
 
 
@@ -58,18 +56,17 @@ def columns_of(detections: Sequence[Detection], fit: WhitenedFit) -> Floats:
     return np.concatenate([np.zeros((fit.residual.size, 0)), *(detection.columns for detection in detections)], axis=1)
 
 
-def searched(
-    fit: WhitenedFit, hypotheses: Sequence[Hypothesis], kernel: Kernel, required: Indices | None = None
-) -> Search:
-    """Return the findings, each the most probable given those before it.
+def searched(bare: Design, hypotheses: Sequence[Hypothesis], blocks: Indices) -> Search:
+    """Return the findings, each the most probable given those before it; ``bare`` is the design without any.
 
-    ``required``: blocks (n,) of rows; a finding must then predict each from the others, or it is refused with its rivals.
+    With a learned noise, a finding must predict each of the ``blocks`` (n,) from the others, or it is refused with its
+    rivals.
     """
     detections: list[Detection] = []
     refused: list[str] = []
-    log_count = math.log(max(len(hypotheses), 1))
+    fit, log_count = bare.fit, math.log(max(len(hypotheses), 1))
     while True:
-        design = build_design(fit, kernel, columns_of(detections, fit))
+        design = bare.extended(columns_of(detections, fit))
         table = tuple(weigh(hypothesis, design) for hypothesis in hypotheses)
         significant = [
             weighed
@@ -77,20 +74,21 @@ def searched(
             if weighed.log_chance + log_count < math.log(LEVEL) and weighed.log_evidence > 0.0
         ]
         significant.sort(key=lambda weighed: -weighed.log_evidence)
-        detection = None
+        detection, held_out = None, None
         for likely in significant if len(detections) < MOST_FINDINGS else ():
             if likely.name in refused:
                 continue
             detection = detected(likely, table, design, refused)
-            if required is None:
+            if bare.kernel.declared:
                 break
-            gain = gain_of(fit, columns_of(detections, fit), detection.columns, required)
+            held_out = held_out or LeftOut(fit, columns_of(detections, fit), blocks)
+            gain = held_out.gain(held_out.residual_with(detection.columns))
             if gain.share > 0.0 and gain.t >= LEAST_T:
                 break
             refused += detection.names
             detection = None
         if detection is None:
-            return Search(tuple(detections), design, table, tuple(dict.fromkeys(refused)))
+            return Search(tuple(detections), design, table, blocks, tuple(dict.fromkeys(refused)))
         detections.append(detection)
 
 
@@ -149,30 +147,30 @@ def checked(fit: WhitenedFit, hypotheses: Sequence[Hypothesis], places: Indices 
     With a learned noise, a finding must also predict blocks of rows that were left out: ``places`` (n,) numbers if the
     rows have several, otherwise stretches in the order of measurement.
     """
-    plain = searched(fit, hypotheses, DECLARED)
-    before = build_design(fit, DECLARED, columns_of((), fit))
-    unusual = [
-        is_odd(design_.remainder[: fit.row.size], fit.component, design_.freedom)
-        for design_ in (before, plain.build_design)
-    ]
-    blocks = left_out_blocks(fit.n, places)
-    if not any(unusual):
-        return with_gains(plain, blocks)
+    blocks, bare = left_out_blocks(fit.n, places), build_design(fit, DECLARED)
+    if bare.chi2 < special.chdtri(bare.freedom, 1.0 - ODD / 2.0):  # too small, which no finding explains
+        kernel = learned_noise(fit)
+        return searched(build_design(fit, kernel), thinned(hypotheses, fit.n, places), blocks)
+    plain = searched(bare, hypotheses, blocks)
+    still_odd = is_odd(plain.design)
+    if not still_odd and not is_odd(bare):
+        return plain
     kernel = learned_noise(fit)
     explained = sum(detection.best.log_evidence for detection in plain.detections)
-    if kernel.declared or (not unusual[1] and explained > kernel.gain):
-        return with_gains(plain, blocks)
-    return with_gains(searched(fit, thinned(hypotheses, fit.n, places), kernel, blocks), blocks)
+    if kernel.declared or (not still_odd and explained > kernel.gain):
+        return plain
+    return searched(build_design(fit, kernel), thinned(hypotheses, fit.n, places), blocks)
 
 
-def with_gains(result: Search, blocks: Indices) -> Search:
-    """Return a search whose findings have their gain in left-out blocks of rows (n,)."""
-    fit = result.build_design.fit
-    detections = []
-    for detection in result.detections:
-        neighbours = columns_of([neighbour for neighbour in result.detections if neighbour is not detection], fit)
-        detections.append(replace(detection, gain=gain_of(fit, neighbours, detection.columns, blocks)))
-    return replace(result, detections=tuple(detections))
+def is_odd(design: Design) -> bool:
+    """Return whether the remaining residuals are larger than the declared noise gives, or correlate in their order."""
+    high = special.chdtri(design.freedom, ODD / 2.0)
+    residual, product = design.remainder[: design.fit.residual.size], 0.0
+    for number in np.unique(design.fit.component):
+        series = residual[design.fit.component == number]
+        product += float(series[1:] @ series[:-1])
+    chi2 = float(residual @ residual)
+    return bool(chi2 > high) or abs(product) / max(chi2, 1e-300) * math.sqrt(residual.size) > ODD_ORDER
 
 
 def thinned(hypotheses: Sequence[Hypothesis], n: int, places: Indices | None) -> list[Hypothesis]:
@@ -191,9 +189,3 @@ def thinned(hypotheses: Sequence[Hypothesis], n: int, places: Indices | None) ->
         if len(spans):
             out.append(replace(hypothesis, candidates=Spans(spans)))
     return out
-
-
-def sized(detection: Detection, design: Design) -> tuple[Floats, Floats]:
-    """Return the sizes (d,) [SI] of a finding beside all others of its design, and their standard deviations."""
-    value, covariance = size_of(detection.best, design.variance)
-    return value * detection.best.hypothesis.sizes, np.sqrt(np.diag(covariance)) * detection.best.hypothesis.sizes

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate.measured_order import Measured
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.estimate.systematic_effects import Cause, Errors, error_columns
-from truearm.estimate.systematic_score import Measured
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.group import Group, KindFault
 from truearm.model.chain import forward
-from truearm.types import Floats, Indices
+from truearm.types import Floats, Indices, Mask
 from truearm.units import UNITS
 
 MOST_ROWS = 1000  # of a longer table, an evenly spaced selection is examined
@@ -43,6 +43,7 @@ class WhitenedFit:
     fitted: frozenset[str]  # numbers that the fit estimates about a wide prior or none: no offset of theirs is a fault
     kind_faults: tuple[KindFault, ...]  # of the kinds, with whitened columns (m, d)
     axes: Floats  # (n, 3, 3) of the end in the base frame
+    robot: Mask  # (k,) its own parameters, without those of joint laws
     names: tuple[str, ...]  # k
     units: tuple[str, ...]  # k
     values: Floats  # (k,)
@@ -53,15 +54,18 @@ class WhitenedFit:
         return int(self.how.row.size)
 
 
-def whitened_fit(problem: Problem, x: Floats, columns: NDArray[np.bool_], how: Measured) -> WhitenedFit:
+def whitened_fit(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], how: Measured, laws: range = range(0)
+) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
-    ``how`` describes the rows of the problem's table.
+    ``how`` describes the rows of the problem's table. The prior of the coefficients of joint ``laws`` is knowledge: it
+    follows from the rows themselves, and without it they would explain anything.
     """
     rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
     kept = rows_used[:: -(-rows_used.size // MOST_ROWS)]
     problem = only(problem, np.isin(np.arange(problem.n_rows), kept))
-    how = replace_rows(how, kept)
+    how = how.take(kept)
     place = np.zeros(problem.n_rows, dtype=np.intp)
     place[kept] = np.arange(kept.size)
     pieces: list[tuple[Indices, Indices, Floats]] = []
@@ -81,7 +85,9 @@ def whitened_fit(problem: Problem, x: Floats, columns: NDArray[np.bool_], how: M
     row, component, whole = (np.concatenate(piece) for piece in zip(*pieces, strict=True))
     order = np.argsort(row, kind="stable")
     k, sigma = int(columns.sum()), problem.prior_sigma[columns]
-    robot = np.arange(k) < int(columns[: problem.n_robot].sum())
+    robot = ~problem.of_rig
+    robot[laws] = False
+    robot = robot[columns]
     error = (problem.start - x)[columns]
     rig, of_robot = (np.flatnonzero(np.isfinite(sigma) & mask) for mask in (~robot, robot))
     wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
@@ -101,16 +107,12 @@ def whitened_fit(problem: Problem, x: Floats, columns: NDArray[np.bool_], how: M
         fitted=frozenset(np.array(problem.names)[problem.prior_sigma >= wide].tolist()),
         kind_faults=_merged(faults, row.size, order),
         axes=forward(problem.chain, x[: problem.n_robot], how.table.q[how.row])[:, :3, :3],
+        robot=robot,
         names=tuple(problem.names_of(columns)),
         units=tuple(unit for unit, is_free in zip(problem.units, columns, strict=True) if is_free),
         values=x[columns],
         how=how,
     )
-
-
-def replace_rows(how: Measured, kept: Indices) -> Measured:
-    """Return the circumstances of some of the rows."""
-    return how._replace(row=how.row[kept], session=how.session[kept], run=how.run[kept], pose=how.pose[kept])
 
 
 def _whitened_group(

@@ -45,7 +45,7 @@ def identify(
     solver: Annotated[str, OneOf(SOLVERS)] = option_defaults.SOLVER,
     loss: Annotated[str, OneOf(tuple(Loss))] = option_defaults.LOSS,
     joint_laws: Annotated[str, OneOf(tuple(LawMode))] = option_defaults.JOINT_LAWS,
-    allow: list[str] | None = None,
+    apply: list[str] | None = None,
     leave_out: list[str] | None = None,
     max_iterations: Annotated[int, ITERATIONS] = option_defaults.MAX_ITERATIONS,
     out: Path | None = None,
@@ -75,10 +75,10 @@ def identify(
     hold_out : GROUP|FRACTION
         Rows to hold out: judged, not fitted. COLUMN=NAME, such as bar=bar61, shell=s46_c1 or place=front (repeatable),
         or a fraction such as 0.2, drawn with --seed.
-    allow : NAME[@FIRST[:LAST]]
-        Estimate a systematic error too: bar.bar46.zero, chuck.c2@183 (from row 183 on, counted from 1 over all inputs),
-        joint2@91:270, bar.bar46.zero.drift or .thermal_drift, joint1.backlash or .settling (repeatable). The check
-        after a fit names what to allow.
+    apply : mean|NAME[@FIRST[:LAST]]
+        Put a fault into the result that the output names: mean, the mean of its possible causes, or one of them, such as
+        bar.bar46.zero, chuck.c2@183 (from row 183 on, counted from 1 over all inputs), joint2@91:270,
+        bar.bar46.zero.drift or .thermal_drift, joint1.backlash or .settling (repeatable).
     leave_out : ROWS
         Rows to leave out completely: 120:140, counted from 1 over all inputs, or a row as messages name it, such as
         'poses.csv row 100' (repeatable).

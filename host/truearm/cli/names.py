@@ -18,6 +18,7 @@ EARLIER = {
     "simulate --robot": "--protocol",
     "demo --rig": "--experiment",
     "--allow-truncated": "--allow-damaged",
+    "--allow": "--apply",
     "--save-table": "--table-out",
     "--picture": "--picture-out",
     "--program": "--program-out",

@@ -55,7 +55,7 @@ def validate(
     Expert options
     --------------
     keep_rig
-        Hold the rig at its identified values: trackers, targets, chucks, bars, and the errors that --allow estimated
+        Hold the rig at its identified values: trackers, targets, chucks, bars, and the faults that --apply estimated
         over all rows (without @FIRST). Only if nothing was moved since.
     """
     from truearm.cli.findings_text import show

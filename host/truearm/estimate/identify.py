@@ -13,7 +13,6 @@ from truearm import option_defaults
 from truearm.errors import ProblemError
 from truearm.estimate.bad_rows import MOST as MOST_BAD
 from truearm.estimate.bad_rows import without_bad_rows
-from truearm.estimate.constant_errors import Fitting, one_constant
 from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
@@ -31,7 +30,7 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import half, observe, of_rows, spectrum, with_prior
 from truearm.estimate.levenberg_marquardt import idle
 from truearm.estimate.mean_error import left_out_errors, mean_errors
-from truearm.estimate.measured_order import measured_order, poses
+from truearm.estimate.measured_order import poses
 from truearm.estimate.other_fits import with_all_rows, without_bad
 from truearm.estimate.outliers import gross_rows, weightless, without_outliers
 from truearm.estimate.pose_effect import pose_effect
@@ -44,18 +43,15 @@ from truearm.estimate.problem import (
     without_effect_priors,
     without_knowledge,
 )
-from truearm.estimate.solution import Options, of_data
+from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
-from truearm.estimate.systematic import moves, systematic_errors, with_robot_prior
 from truearm.estimate.systematic_effects import Modelled
-from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.progress import step
 from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
 from truearm.types import Floats, Indices, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
@@ -186,27 +182,8 @@ def identify(
     wanting = (identifiable_columns(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
-    how = measured_order(table, chain, fitted)
-    wrong = None  # the tests are about a minimum of χ²
-    if found.status == "converged" or SOLVERS[options.solver].ends_by_recipe:
-        with step("testing for systematic errors"):
-            # With the derivatives at the readings as they are: the test subtracts what the parameters follow of them.
-            alike = all(one is other for one, other in zip(still.groups, taken.groups, strict=True))
-            as_fitted = data if alike else of_rows(taken, x, columns)
-            state = FitChi2(unweighted.reduced * unweighted.freedom, unweighted.freedom, unweighted.band[1])
-            wrong = systematic_errors(taken, x, columns, Fitted.of(as_fitted), state, how, table.q[fitted])
-            wrong = with_robot_prior(wrong, columns, as_fitted.root, half(parts))
-    if wrong is not None:
-        if not state.explained and loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise:
-            made = Fitting(
-                chain, rig, table, fitted, problem, columns, x, found.weight > 0.0, prior_sigma, options.effects
-            )
-            wrong = one_constant(made, wrong, state) or wrong
-        wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
-    if bad is not None and wrong is not None and wrong.chi2_reduced <= fit_quality.band[1]:
-        bad = None  # systematic errors explain all rows
     if bad is not None:
-        wrong, distance, beyond = None, bad.distance, bad.bad
+        distance, beyond = bad.distance, bad.bad
     pose = poses(table.select(fitted))
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
@@ -225,7 +202,7 @@ def identify(
     if not np.any(columns & ~mounts):
         unfitted_before = {}
     unexplained: Mapping[str, MeanError] = {}
-    if wrong is not None or not fit_quality.explained:
+    if not fit_quality.explained:
         unexplained = mean_errors(unfitted, poses(table), held_out=held_after is not None)
     used = not_left_out(found.weight)
     estimate = Estimate(
@@ -269,7 +246,7 @@ def identify(
         suggested_free=spread(suggested, free),
         hardly_seen=(*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
         additions=additions(chain, rig, table.select(fitted), names, data.root, known, *wanting),
-        systematic=wrong,
+        prior_sigma=_prior(problem, columns, found),
         unexplained=unexplained,
         unfitted_error=unfitted,
         unfitted_error_before=unfitted_before,
@@ -280,6 +257,13 @@ def identify(
         unseen=sight.unseen,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
+
+
+def _prior(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> Floats:
+    """Return σ (P,) of the prior that the solver used; inf for none."""
+    sigma = problem.prior_sigma.copy()
+    sigma[columns] = found.prior_sigma
+    return sigma
 
 
 def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:

@@ -26,15 +26,13 @@ from truearm.estimate.law_elsewhere import nearer_geometry
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, gated, law_problem, learn, posterior
 from truearm.estimate.law_outliers import outlying_beside_laws
 from truearm.estimate.law_rows import law_rows, with_predicted
-from truearm.estimate.law_systematic import law_systematic
 from truearm.estimate.mean_error import mean_errors
-from truearm.estimate.measured_order import measured_order, poses
+from truearm.estimate.measured_order import poses
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise, pose_information
 from truearm.estimate.problem import build_problem, modelled_of, without_knowledge
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
-from truearm.estimate.systematic import moves
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
 from truearm.estimate.whitened_rows import only
@@ -60,7 +58,9 @@ LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
 JOINT_NOISE = 1e-4  # rad, initial value
 SAME_MOTION = 1e-4  # relative difference of two motions that are one: 4 nm of a curve's mean of 0.04 mrad at a metre
 NULL_ROUNDING = 1e-11  # of the largest singular value of the unknowns
-ERRORS_EXPLAIN = "systematic errors, named above, explain the remaining residuals better than joint laws do; correct or allow them first"
+ERRORS_EXPLAIN = (
+    "faults, named above, explain the remaining residuals better than joint laws do; correct or apply them first"
+)
 LARGER_RESIDUALS = "the fit with joint laws leaves larger residuals than the geometry alone"
 GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"
 
@@ -103,7 +103,7 @@ def with_joint_laws(
     gravity = gravity_of(table.select(estimate.fitted), request.gravity)
     payloads = tuple(dict.fromkeys(payloads_of(rig, table.select(estimate.fitted))))
     laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity, payloads)
-    why_none = _why_none(estimate)
+    why_none = _why_none(chain, estimate)
     if why_none:
         laws = []
     work = _Work(chain, rig, table, estimate, request)
@@ -117,7 +117,7 @@ def with_joint_laws(
             best = work.fitted(carried, learned) if carried else None
             steps.append(_step(name, best) if best else _step(name, estimate))
     found = work.estimate(best) if best else estimate
-    why_none = why_none or _why_dropped(estimate, found)
+    why_none = why_none or _why_dropped(chain, estimate, found)
     if why_none:
         best, tried, steps, reasons = None, {}, steps[:1], [why_none]
     kept = best.of.laws if best else ()
@@ -160,37 +160,44 @@ def _takes_laws(estimate: Estimate) -> bool:
     return SOLVERS[estimate.solver].has_loss and estimate.loss == Loss.LINEAR
 
 
-def _why_none(estimate: Estimate) -> str:
+def _why_none(chain: Chain, estimate: Estimate) -> str:
     """Return why no laws are tried at all; "" if they are."""
     if not _takes_laws(estimate):
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
+    if _rivals_of_laws(chain, estimate) and estimate.covariance_explains:
+        return ERRORS_EXPLAIN
     if estimate.without_bad_rows is not None:
         return "bad rows, named above, explain the residuals; correct them or leave them out first"
     return ""
 
 
-def _why_dropped(geometry: Estimate, laws: Estimate) -> str:
+def _why_dropped(chain: Chain, geometry: Estimate, laws: Estimate) -> str:
     """Return why laws that the evidence supports are not kept; "" if they are."""
-    if _errors_explain_better(geometry, laws):
+    remaining = geometry.claim.chi2_reduced if geometry.claim else math.inf
+    if _rivals_of_laws(chain, geometry) and laws.chi2_reduced > remaining:
         return ERRORS_EXPLAIN
     # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
     return LARGER_RESIDUALS if laws.chi2_reduced > geometry.chi2_reduced else ""
 
 
-def _errors_explain_better(geometry: Estimate, laws: Estimate) -> bool:
-    """Return whether systematic errors explain what the geometry leaves better than the laws that were kept.
+def _rivals_of_laws(chain: Chain, geometry: Estimate) -> bool:
+    """Return whether there are faults, and none of a joint, which laws describe.
 
-    In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows, and in any
-    order a real step, or a chuck that is elsewhere, can be followed by curves to some extent. Laws must therefore leave
-    no larger χ², and no systematic error if such errors explain everything.
+    In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows. In any order a
+    chuck that slipped or is elsewhere can be followed by curves to some extent.
     """
-    wrong = geometry.systematic
-    if wrong is None or geometry.chi2_reduced <= geometry.chi2_band[1]:
-        return False
-    explained = wrong.chi2_reduced <= geometry.chi2_band[1]
-    return laws.chi2_reduced > wrong.chi2_reduced or (explained and laws.systematic is not None)
+    joints = {joint.name for joint in chain.joints}
+    items = {fault.rivals[0].name.rpartition(".")[0] for fault in geometry.faults}
+    return bool(items) and not items & joints
+
+
+def _prior(of: LawProblem, found: Posterior) -> Floats:
+    """Return σ (P,) of the prior about the problem's start, that of the laws as it was learned; inf for none."""
+    sigma = of.problem.prior_sigma.copy()
+    sigma[np.flatnonzero(of.columns)[of.is_law]] = np.linalg.norm(found.prior_root, axis=1)
+    return sigma
 
 
 @dataclass(frozen=True)
@@ -269,15 +276,11 @@ class _Work:
             rows = with_predicted(rows, law_rows(self.problem(of.laws, False), fitted, learned.noise, fitted=False))
         freedom = before.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
-        how = measured_order(self.table, problem.chain, before.fitted)
-        wrong = law_systematic(of, fitted, learned.noise, how, quality, self.table.q[before.fitted])
         judging = held_out is not None
         unfitted = merged({} if judging else rows.left_out, error if judging else {}, before.fitted, self.held)
         unexplained: Mapping[str, MeanError] = {}
-        if wrong is not None or not quality.explained:
+        if not quality.explained:
             unexplained = mean_errors(unfitted, poses(self.table), held_out=judging)
-        if wrong is not None:
-            wrong = replace(wrong, moves=moves(problem.chain, x, x + wrong.shift, self.table.q[before.fitted]))
         number = np.cumsum(before.fitted) - 1  # index of each row among the fitted ones
         return replace(
             before,
@@ -303,7 +306,9 @@ class _Work:
             distance=np.where(before.fitted, rows.distance[number], np.nan),
             suspect=before.fitted & (rows.beyond[number] | (before.weight == 0.0)),
             outlying=spread(outlying_beside_laws(rows, weight > 0.0), before.fitted),
-            systematic=wrong,
+            faults=(),
+            claim=None,
+            prior_sigma=_prior(of, fitted),
             parts=rows.parts,
             pose_error=_pose_error(of, learned.noise),
             suggested_free=np.append(before.suggested_free, np.zeros(added, dtype=bool)),

@@ -2,21 +2,44 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.circumstances import SAME_POSE, Circumstances, runs, sessions
-from truearm.estimate.systematic_score import Measured
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.types import Indices
 
 
+class Measured(NamedTuple):
+    """The circumstances in which n rows were measured, in order."""
+
+    row: Indices  # (n,) in the user's table
+    table: Circumstances  # of all rows of that table
+    session: Indices  # (n,) numbers; a drift extends over one session
+    run: Indices  # (n,) numbers; the same items are mounted during a run
+
+    @property
+    def total(self) -> int:
+        """Return the number of rows of the user's table."""
+        return len(self.table)
+
+    def take(self, kept: Indices) -> Measured:
+        """Return the circumstances of some of the rows."""
+        return self._replace(row=self.row[kept], session=self.session[kept], run=self.run[kept])
+
+    def in_table(self, first: int, last: int) -> tuple[int, int]:
+        """Return the first row and the one after the last in the user's table, from those among these rows."""
+        return (int(self.row[first]) if first else 0), (self.total if last == self.row.size else int(self.row[last]))
+
+
 def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_]) -> Measured:
     """Return how the ``rows`` (n,) of a robot's table were measured; rows of a table are in the order of measurement."""
     some = table.select(rows)
-    return Measured(np.flatnonzero(rows), Circumstances.of(table, chain), sessions(some), mountings(some), poses(some))
+    return Measured(np.flatnonzero(rows), Circumstances.of(table, chain), sessions(some), mountings(some))
 
 
 def poses(table: ObservationTable) -> Indices:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from truearm.estimate.bad_rows import WithoutBad
 from truearm.estimate.information import half, spectrum
+from truearm.estimate.prediction import moves
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Solution, of_data
-from truearm.estimate.systematic import moves
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.model.chain import Chain
 from truearm.results import Figures, OtherFit

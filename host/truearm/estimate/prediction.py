@@ -31,9 +31,8 @@ from truearm.kinds.position import nearest_rotation
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, about, along, forward, point_forward, point_jacobians, trace_point
-from truearm.results import MOVES, Effect, Estimate, PredictedError, SystematicErrors
-from truearm.types import Floats, Rigs, rigs_by_name, thinned
-from truearm.units import UNITS
+from truearm.results import MOVES, Estimate, PredictedError
+from truearm.types import Floats, Rigs, rigs_by_name, rms, thinned
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected
@@ -234,17 +233,8 @@ def body_motion(points: Floats) -> Floats:
     return np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2).reshape(-1, 6)
 
 
-def tool_undetermined(wrong: SystematicErrors | None) -> bool:
-    """Return whether an item is off in all rows by numbers known less accurately than a drawing gives them.
-
-    Two of three coordinates of a chuck may be off by 1 mm beyond doubt, while the third only turns base and arm with it.
-    The covariance of a fit that takes the chuck's place as known does not contain that.
-    """
-    if wrong is None:
-        return False
-    return any(
-        not of.sigma <= UNITS[of.unit].weak_sigma
-        for one in wrong.found
-        if one.effect is not None and one.effect == Effect(one.effect.what)
-        for of in one.off_by
-    )
+def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
+    """Return the RMS distance [m] over the poses between the end's origins for the parameters of x and of ``there``."""
+    p = len(chain.parameters)
+    apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
+    return rms(np.linalg.norm(apart, axis=1))

@@ -41,9 +41,9 @@ def with_scale(chain: Chain, estimate: Estimate) -> Estimate:
     a fit, items that fix the scale would seem to be off.
     """
     scale = robot_scale(chain, estimate)
-    if scale is None or (estimate.systematic is not None and abs(scale.factor - 1.0) < LARGE):
+    if scale is None or (estimate.faults and abs(scale.factor - 1.0) < LARGE):
         return estimate
-    return replace(estimate, scale=scale, systematic=None, unusable=Unusable.SCALE)
+    return replace(estimate, scale=scale, faults=(), unusable=Unusable.SCALE)
 
 
 def robot_scale(chain: Chain, estimate: Estimate) -> RobotScale | None:

@@ -90,7 +90,7 @@ def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], rows: C
         if cause is None:
             names = ", ".join(cause.name for cause in causes)
             raise InputError(
-                Argument("allow"),
+                Argument("apply"),
                 f" {effect}: no systematic error of {effect.what!r} can be estimated here; name one of {names}",
             )
         # The moment at which a drifting item was correct is unknown, so it also has an offset. That of base, tool or
@@ -110,7 +110,7 @@ def profile(effect: Effect, rows: Circumstances) -> Floats:
     n = len(rows)
     first, last = effect.first, n if effect.last is None else effect.last
     if not 0 <= first < last <= n:
-        raise InputError(Argument("allow"), f" {effect}: the table has rows 1 to {n}")
+        raise InputError(Argument("apply"), f" {effect}: the table has rows 1 to {n}")
     out = np.zeros(n)
     if effect.drifts_with is None:
         out[first:last] = 1.0
@@ -118,7 +118,7 @@ def profile(effect: Effect, rows: Circumstances) -> Floats:
     along = rows.during(effect.what, effect.drifts_with, first, last)
     if along is None:
         raise InputError(
-            Argument("allow"),
+            Argument("apply"),
             f" {effect}: rows {first + 1} to {last} have no {effect.drifts_with}, or it does not change",
         )
     out[first:last] = (along - (along.max() + along.min()) / 2.0) / np.ptp(along)

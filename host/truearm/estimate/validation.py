@@ -16,8 +16,7 @@ One χ² test decides whether the errors have that size. With P as the prior of 
 identified ones, the minimum sum of squares of data and priors together is χ² with as many degrees of freedom as there
 are residuals and priors in excess of unknowns: rᵀ(I + A P Aᵀ)⁻¹r once the rig is eliminated. This accounts exactly for
 the errors that rows share, of the robot and of the rig, and for how much n rows can show. Null directions of the
-identification have no prior. The residuals of this fit are tested for systematic errors like those of any other fit
-(``systematic``).
+identification have no prior. ``checks`` examines the residuals of this fit like those of any other.
 """
 
 from __future__ import annotations
@@ -34,18 +33,15 @@ from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
 from truearm.estimate.levenberg_marquardt import DAMPING_START
-from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import Problem, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
-from truearm.estimate.systematic import systematic_errors
 from truearm.estimate.systematic_effects import modelled_effects
-from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import MOVES, Effect, SystematicErrors
+from truearm.results import MOVES, Effect
 from truearm.types import Floats, Residuals, Rigs
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
@@ -144,6 +140,17 @@ def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mappin
     return due
 
 
+class Ways(NamedTuple):
+    """Directions ``matrix`` (k, r) in which the parameters in ``columns`` (P,) may differ from those of a judgement.
+
+    The first ``known`` have the prior N(0, 1): together they have the covariance of the calibration.
+    """
+
+    columns: NDArray[np.bool_]
+    matrix: Floats
+    known: int
+
+
 class Consistency(NamedTuple):
     """Consistency of the rows with declared noise and the calibration's covariance.
 
@@ -153,18 +160,11 @@ class Consistency(NamedTuple):
     chi2: float
     freedom: int
     limit: float
-    systematic: SystematicErrors | None
-
-    @property
-    def explained(self) -> bool:
-        """Return whether noise and covariance explain the errors, and there is no systematic error."""
-        return self.chi2 <= self.limit and self.systematic is None
+    ways: Ways
 
 
-def consistency(
-    judgement: Judgement, table: ObservationTable, covariance: Floats, unseen: Floats
-) -> Consistency | None:
-    """Test a judgement of the ``table``'s rows; arguments as for ``expected``. None without a degree of freedom."""
+def consistency(judgement: Judgement, covariance: Floats, unseen: Floats) -> Consistency | None:
+    """Test a judgement; arguments as for ``expected``. None without a degree of freedom."""
     problem, x, settle = judgement.problem, judgement.x, judgement.settled
     identified = np.flatnonzero(~settle)
     spread = covariance_root(covariance)
@@ -190,18 +190,7 @@ def consistency(
         return None
     chi2 = max(information.chi2 - float(left @ left), 0.0)
     limit = float(special.chdtri(freedom, 1.0 - LEVEL))
-    how = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
-    fitted = Fitted(ways @ root, left)
-    wrong = systematic_errors(
-        problem,
-        x,
-        columns,
-        fitted,
-        FitChi2(chi2, freedom, limit / freedom),
-        how,
-        table.q,
-    )
-    return Consistency(chi2, freedom, limit, wrong)
+    return Consistency(chi2, freedom, limit, Ways(columns, ways, spread.shape[1]))
 
 
 def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:

@@ -15,22 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm import __version__
-from truearm.estimate.displaced_mounts import Displaced
 from truearm.estimate.gain import gain_of
 from truearm.files.result_file import Covariance, Parameter, Result, RobotFrames
 from truearm.files.strict_json import without_nan
 from truearm.kinds import registry
 from truearm.kinds.table import ObservationTable
 from truearm.results import (
-    DriftWith,
+    Diagnosis,
     Estimate,
     Figures,
     HeldOut,
     JointLaws,
     PredictedError,
     ResidualParts,
-    SystematicError,
-    SystematicErrors,
+    Rival,
+    ToolClaim,
 )
 from truearm.types import Residuals
 from truearm.units import MM, MRAD, SUFFIXES, UNITS, key, shown
@@ -41,13 +40,11 @@ def result_of(
     table: ObservationTable,
     robot: RobotFrames,
     predicted: PredictedError | None = None,
-    displaced: Sequence[Displaced] = (),
     **fields: Any,
 ) -> Result:
     """Return the content of result.json for an estimate from ``table``.
 
-    ``predicted`` is the predicted error of the tool, and ``displaced`` are base and tool if they are not where they are
-    described. ``fields`` are those that do not follow from an estimate, such as ``inputs`` and ``prior``.
+    ``predicted`` is the predicted error of the tool. ``fields`` are those that do not follow from an estimate, such as ``inputs`` and ``prior``.
     """
     names, free, units = np.array(estimate.parameter_names), estimate.free, residual_units(estimate)
     q, other_fit = table.q[estimate.fitted], ("n", "rms_after", "chi2_reduced", "value")
@@ -60,7 +57,9 @@ def result_of(
         **_entry(estimate, "rms_before", "rms_raw", "rms_after", units=units),
         **{key("rms_history", si): [shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
         **_by_unit(parts, "rms_", "declared", "unexplained"),
-        **systematic_entries(estimate.systematic, table),
+        "faults": fault_entries(estimate.faults, table),
+        "claim": _claim(estimate.claim),
+        "applied": estimate.applied,
         "truearm_version": __version__,
         "simulated": table.simulated,
         "robot": robot,
@@ -89,7 +88,6 @@ def result_of(
         "held_out": _held_out(estimate.held_out, units),
         "held_out_before": _held_out(estimate.held_out_before, units),
         "predicted_error": predicted and _predicted(predicted),
-        "displaced": [_entry(mount, "frame", "distance_mm", "turn_deg") for mount in displaced],
         "joint_laws": _joint_laws(estimate.joint_laws, units),
         "parameters": _parameters(estimate),
         "covariance": Covariance.of(
@@ -137,38 +135,41 @@ def _json(value: Any) -> Any:
 
 
 def _remedy(leave_out: str, allow: str) -> dict[str, str] | None:
-    return {"leave_out": leave_out} if leave_out else {"allow": allow} if allow else None
+    return {"leave_out": leave_out} if leave_out else {"apply": allow} if allow else None
 
 
-def systematic_entries(errors: SystematicErrors | None, table: ObservationTable) -> dict[str, Any]:
-    """Return the fields ``systematic`` and ``without_systematic`` for systematic errors found in the table's rows."""
-    if errors is None:
-        return {"systematic": [], "without_systematic": None}
-    would_be = _entry(errors, "chi2_reduced", "held_out_ratio", tool_moves_mm=MM.of(errors.moves))
-    entries = {"systematic": [_systematic(error, table) for error in errors.found], "without_systematic": would_be}
-    return dict(_json(entries))
+def fault_entries(faults: Sequence[Diagnosis], table: ObservationTable) -> list[dict[str, Any]]:
+    """Return the field ``faults`` for faults in the table's rows, with rows counted from 1, the last one included."""
+    entries = [
+        _entry(fault, "aliases", "freedom", "log_evidence", "deciding", chi2_drop=fault.drop)
+        | {
+            "sizes": [_entry(size, "unit", "value", "sigma") for size in fault.sizes],
+            "rivals": [_rival(rival, table) for rival in fault.rivals],
+            "mean": _rival(fault.mean, table),
+        }
+        for fault in faults
+    ]
+    return list(_json(entries))
 
 
-def _systematic(error: SystematicError, table: ObservationTable) -> dict[str, Any]:
-    """Return one systematic error; rows count from 1, the last one included."""
-    (first, last), effect = error.rows, error.effect
-    drift, rows = effect and effect.drifts_with, slice(first, last)
-    return {
-        **_entry(error, "form", "size", "sigma", "freedom", "chance", "rivals"),
-        "what": effect and effect.what,
-        "rows": [first + 1, last],
-        "first_within": [row + 1 for row in error.within[0]],
-        "last_within": error.within[1],
+def _rival(rival: Rival, table: ObservationTable) -> dict[str, Any]:
+    first, last = rival.rows or (0, 0)
+    rows = {
+        "first": first + 1,
+        "last": last,
         "from": source_name(table, first),
         "to": source_name(table, last - 1),
-        "unit": error.unit or None,
-        "drifts_with": drift,
-        "over_s": np.ptp(table.time[rows]) if drift is DriftWith.TIME else None,
-        "over_degc": np.ptp(table.temperature[rows]) if drift is DriftWith.TEMPERATURE else None,
-        "off_by": [_entry(number, "name", "unit", "value", "sigma") for number in error.off_by],
-        "chi2_drop": error.drop,
-        "apply": _remedy("" if effect else f"{first + 1}:{last}", str(effect)),
     }
+    entry = _entry(rival, "name", "apply", "weight", "moves_mm", "error_mm", "gain", "gain_t")
+    return {**entry, **(rows if rival.rows else dict.fromkeys(rows))}
+
+
+def _claim(claim: ToolClaim | None) -> Any:
+    """Return the parts of the tool's error."""
+    sizes = ("parameters_mm", "unnamed_mm", "rivals_mm", "shift_mm")
+    return claim and dict(
+        _entry(claim, *sizes, "noise", "chi2_reduced", "unseen", "refused", noise_factor=claim.noise_scale)
+    )
 
 
 def copies_of(copied: NDArray[np.intp], table: ObservationTable) -> list[dict[str, str]]:

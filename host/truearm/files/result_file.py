@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import msgspec
 import numpy as np
-from msgspec import UNSET, Meta, Struct, UnsetType
+from msgspec import UNSET, Meta, Struct, UnsetType, field
 from numpy.typing import NDArray
 
 from truearm.errors import InputError
@@ -200,8 +200,9 @@ class Result(Struct, frozen=True, kw_only=True):
     chi2_freedom: Size | None = None
     suspect: tuple[Entry, ...] = ()
     scale: Figures | None = None
-    systematic: tuple[Entry, ...] = ()
-    without_systematic: Figures | None = None
+    faults: tuple[Entry, ...] = ()
+    claim: Entry | None = None
+    applied: Names = ()
     unexplained: Entry | None = None
     mean_change: Entry | None = None
     with_outliers: Entry | None = None
@@ -216,7 +217,6 @@ class Result(Struct, frozen=True, kw_only=True):
     sessions: tuple[Entry, ...] = ()
     copies: tuple[Entry, ...] = ()
     made_with: dict[Name, str | int | bool | tuple[str, ...] | None] | None = None
-    displaced: tuple[Entry, ...] = ()
     all_held_out: Names = ()
     hold_out_proposal: Figures | None = None
 
@@ -277,6 +277,63 @@ def _of_version_4(document: dict[str, Any]) -> dict[str, Any]:
     return {**document, "format_version": FORMAT_VERSION, "covariance": msgspec.to_builtins(packed)}
 
 
+def _with_faults(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of an earlier truearm, with its systematic errors as faults; what was not stored is null."""
+    earlier = msgspec.convert(document, _EarlierFaults)
+    moves = (earlier.without_systematic or {}).get("tool_moves_mm")
+    unknown = dict.fromkeys(("weight", "moves_mm", "error_mm", "gain", "gain_t"))
+    faults = []
+    for entry in earlier.systematic:
+        first, last = entry.rows
+        rows = {"first": first, "last": last, "from": entry.source, "to": entry.to}
+        what = f"{entry.what or 'rows'}.{entry.form}"
+        names = [(what, (entry.apply or {}).get("allow", "")), *((name, "") for name in entry.rivals)]
+        rivals = [{"name": name, "apply": apply, **unknown, **rows, "moves_mm": moves} for name, apply in names]
+        size = {"unit": entry.unit, "value": entry.size, "sigma": entry.sigma}
+        mean = {"name": "mean", "apply": "", **unknown, **dict.fromkeys(rows), "moves_mm": moves}
+        faults.append(
+            {
+                "aliases": [],
+                "sizes": [size] if entry.unit else [],
+                "rivals": rivals,
+                "mean": mean,
+                "chi2_drop": entry.chi2_drop,
+                "freedom": entry.freedom,
+                "log_evidence": None,
+                "deciding": [],
+            }
+        )
+    explanations = [
+        {**entry, "apply": {"apply": entry["apply"]["allow"]}} if "allow" in (entry.get("apply") or {}) else entry
+        for entry in earlier.explanations
+    ]
+    made_with = document.get("made_with")
+    if isinstance(made_with, dict) and "allow" in made_with:
+        made_with = {"apply" if name == "allow" else name: value for name, value in made_with.items()}
+    return {**document, "faults": faults, "explanations": explanations, "made_with": made_with}
+
+
+class _EarlierFault(Struct, frozen=True):
+    rows: tuple[Count, Count]
+    form: Name = "offset"
+    what: Name | None = None
+    to: Name = ""
+    source: Name = field(default="", name="from")
+    unit: Name | None = None
+    size: Size | None = None
+    sigma: Size | None = None
+    chi2_drop: Size | None = None
+    freedom: Count = 0
+    rivals: Names = ()
+    apply: dict[Name, Name] | None = None
+
+
+class _EarlierFaults(Struct, frozen=True):
+    systematic: Annotated[tuple[_EarlierFault, ...], Meta(max_length=1000)] = ()
+    without_systematic: Figures | None = None
+    explanations: tuple[dict[Name, Any], ...] = ()
+
+
 def checksum(document: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a result's content, independent of its layout. Raises ValueError for non-finite numbers."""
     content = {name: value for name, value in document.items() if name != CHECKSUM}
@@ -316,6 +373,7 @@ def _checked(document: Any, name: str) -> Result:
     if (version >= SINCE_CHECKSUM or CHECKSUM in document) and document.get(CHECKSUM) != checksum(document):
         text = "was changed or damaged: its checksum does not match; copy it again or identify again"
         raise InputError(f"{name}: {text}")
+    document = document if "faults" in document else _with_faults(document)
     return msgspec.convert(document if version == FORMAT_VERSION else _of_version_4(document), Result)
 
 

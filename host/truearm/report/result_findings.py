@@ -12,10 +12,10 @@ from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.findings import Finding, ordered
 from truearm.report.law_findings import law_findings
 from truearm.report.result_words import kind_name
-from truearm.results import DriftWith, ErrorForm, Gain, Unusable, chi2_text
+from truearm.results import Gain, Unusable, chi2_text
 from truearm.session.dwells import DOUBTFUL, NEED_DECISION
 from truearm.text import counted, listed, one_line
-from truearm.units import DEG, MM, MS, SUFFIXES, UNITS, from_shown
+from truearm.units import DEG, MM, MS, SUFFIXES, UNITS
 
 Document = Mapping[str, Any]
 
@@ -25,8 +25,27 @@ FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, whereve
 MAX_COPIES = 5  # copied rows that are named
 MAX_ROWS = 6  # bad rows that are named
 MAX_TERMS = 4  # parameters that are named
-LITTLE = 0.1  # of the error to expect: a tool motion below it changes nothing that the calibration is used for
-GRADUAL = "a gradual change of "  # begins a rival that is no form of ``Effect``
+MAX_CHOICES = 6  # causes whose application is described
+MAX_UNSEEN = 12  # causes that cannot show and are named
+EVERY = ".all"  # ends the name of all items of a type
+FORMS = {  # what an item does, by the form of a hypothesis; of another form, a kind's own, the name is shown
+    "offset": "is off",
+    "step": "has moved",
+    "run": "was off for a while",
+    "drift": "drifts",
+    "growth": "grows",
+    "backlash": "has backlash",
+    "settling": "was read before it stood still",
+    "eccentricity": "has an eccentric encoder",
+    "hysteresis": "has hysteresis",
+    "loose": "is loose",
+}
+NOISES = {
+    "white": "independent",
+    "order": "alike in neighbouring rows",
+    "mount": "alike within a mount",
+    "pose": "alike at similar poses",
+}
 PLACES = (".x", ".y", ".z", ".rx", ".ry", ".rz")  # numbers of a place
 UNIT_RATIOS = {
     1000.0: "a thousand (metres and millimetres)",
@@ -48,7 +67,7 @@ def result_findings(document: Document, paths: Mapping[str, str] | None = None) 
         *inputs(document),
         *little_freedom(document),
         *_doubts(document),
-        *systematic_findings(document),
+        *fault_findings(document),
         *_sessions(document, paths or {}),
         *tool_error(document),
         *_identified(document),
@@ -222,181 +241,99 @@ def _first(texts: Sequence[str], most: int, name: str) -> str:
     return ", ".join(texts[:most]) + more
 
 
-# systematic errors
+# faults
 
 
-def hardly_matters(document: Document) -> bool:
-    """Return whether the tool moves by less than LITTLE of the error to expect if the systematic errors are applied."""
-    would_be, expected = document["without_systematic"], (document.get("unexplained") or {}).get("mean_mm")
-    if would_be is None or would_be["tool_moves_mm"] is None or expected is None:
-        return False
-    return bool(would_be["tool_moves_mm"] < LITTLE * expected)
-
-
-def systematic_findings(document: Document, judging: bool = False) -> list[Finding]:
-    """Return what is wrong, from which row, by how much, and what to do; empty if nothing was found.
+def fault_findings(document: Document, judging: bool = False) -> list[Finding]:
+    """Return what is wrong, since which row, by how much, and what applying it would give.
 
     ``judging``: the rows judge a calibration, so nothing can be applied.
     """
-    errors, would_be = document["systematic"], document["without_systematic"]
-    findings = [_systematic(error) for error in errors]
-    if would_be is None:
-        return findings
-    chi2 = None if would_be["chi2_reduced"] is None else chi2_text(would_be["chi2_reduced"])
-    if judging:
-        return [*findings, Finding("systematic-here", {"n": len(errors), "chi2": chi2})]
-    numbers = [number["name"] for error in errors for number in _undetermined(error)]
-    findings += [Finding("systematic-undetermined", {"numbers": numbers})] if numbers else []
-    certain = [error for error in errors if not other_items(error)]
-    moves = would_be["tool_moves_mm"]
+    faults, claim = document["faults"], document.get("claim")
+    findings = []
+    for fault in faults:
+        findings.append(_fault(fault))
+        findings += [] if judging else [_choice(fault)]
+    if judging and faults:
+        findings.append(Finding("faults-here", {"n": len(faults)}))
+    if document.get("applied"):
+        findings.append(Finding("faults-applied", {"names": document["applied"]}))
+    if claim and claim["noise"] != "declared":
+        refused = [cause(name) for name in claim["refused"][:MAX_CHOICES]]
+        noise = NOISES.get(claim["noise"], claim["noise"])
+        findings.append(Finding("noise-learned", {"noise": noise, "factor": claim["noise_factor"], "refused": refused}))
+    if claim and claim["unseen"]:
+        names = [cause(name) for name in claim["unseen"][:MAX_UNSEEN]]
+        more = len(claim["unseen"]) - len(names)
+        findings.append(Finding("faults-unseen", {"names": [*names, f"{more} more"] if more > 0 else names}))
+    return findings
+
+
+def cause(name: str) -> str:
+    """Return a hypothesis in words: "chuck.c1.step" is "chuck.c1 has moved"."""
+    item, _, form = name.rpartition(".")
+    several = f"all of {item.removesuffix(EVERY)}" if item.endswith(EVERY) else item
+    return f"{one_line(several)} {FORMS.get(form, f'({one_line(form)})')}"
+
+
+def _fault(fault: Document) -> Finding:
+    """Return a fault with its rivals."""
+    first, *others = fault["rivals"]
+    sizes = [
+        f"{UNITS[size['unit']].scale.text(size['value'], '.3g')} (σ {UNITS[size['unit']].scale.text(size['sigma'], '.1g')})"
+        for size in fault["sizes"]
+        if None not in (size["value"], size["sigma"])
+    ]
     values = {
-        "n": len(errors),
-        "several": len(errors) > 1,
-        "certain": bool(certain),
-        "chi2": chi2,
-        "moves": None if moves is None or numbers else {"mm": moves},
-        "undetermined": bool(numbers),
-        "little": hardly_matters(document) and not numbers,
-        "held_out": would_be["held_out_ratio"],
-        **{
-            name: [error["apply"][name] for error in certain if name in error["apply"]]
-            for name in ("allow", "leave_out")
-        },
+        "what": cause(first["name"]),
+        "size": sizes,
+        "rows": _rows(first),
+        "others": [f"{cause(rival['name'])}{', ' if rival['first'] else ''}{_rows(rival)}" for rival in others],
+        "aliases": [cause(name) for name in fault["aliases"]],
+        "chi2_drop": fault["chi2_drop"],
+        "freedom": fault["freedom"],
+        "gain": _gain(first),
     }
-    return [*findings, Finding("systematic-apply" if len(certain) == len(errors) else "systematic-open", values)]
+    return Finding("fault", values)
 
 
-def other_items(error: Document) -> list[str]:
-    """Return the rivals of a systematic error that are errors of other items: to apply it could then be wrong.
-
-    Another form of an error of the same item, such as a gradual change in place of a step, is none of them.
-    """
-    return [name for name in error["rivals"] if _item(name) != error["what"]]
-
-
-def _item(rival: str) -> str:
-    what = rival.removeprefix(GRADUAL).partition("@")[0]
-    endings = [drift.ending for drift in DriftWith if what.endswith(drift.ending)]
-    return what.removesuffix(max(endings, key=len, default=""))
+def _rows(rival: Document) -> str:
+    if rival["first"] is None:
+        return ""
+    places = " to ".join(dict.fromkeys(one_line(rival[name]) for name in ("from", "to")))
+    return f"rows {rival['first']} to {rival['last']} (in the files: {places})"
 
 
-def _systematic(error: Document) -> Finding:
-    """Return a systematic error."""
-    is_rows, drifts_with = error["form"] == ErrorForm.ROWS, error.get("drifts_with")
-    code = "systematic-rows" if is_rows else _systematic_code(drifts_with)
-    several, others = ", or ".join(map(_rival, error["rivals"])), other_items(error)
-    lead = ("Without the rows,", "Without them,") if is_rows else ("Estimating the first:", "Estimating this error:")
-    seconds = error.get("over_s")
-    values = {
-        "what": None if error["what"] is None else str(error["what"]),
-        "rows": _rows(error),
-        "size": None if is_rows else _error_size(error),
-        "minutes": None if seconds is None else round(seconds / 60.0),
-        "over": {"degc": round(error["over_degc"], 1)} if error.get("over_degc") is not None else None,
-        "others": several if others else "",
-        "same_item": "" if others else several.replace(", or ", ", "),
-        "estimated": lead[0] if others else lead[1],
-        "chi2_drop": error["chi2_drop"],
-        "freedom": error["freedom"],
-    }
-    return Finding(code, values)
+def _gain(rival: Document) -> str:
+    if rival["gain"] is None or rival["gain_t"] is None:
+        return ""
+    word = "fall" if rival["gain"] >= 0.0 else "rise"
+    return f"the squares of left-out rows {word} by {abs(rival['gain']):.2g} of their sum ({rival['gain_t']:.1f} standard errors)"
 
 
-def _rival(name: str) -> str:
-    """Return another explanation in words, with the name that ``allow`` takes if it has one."""
-    text = one_line(name)
-    if text.startswith(GRADUAL):
-        return text
-    if re.fullmatch(r"rows \d+ to \d+", text):
-        return f"bad {text}"
-    what, _, rows = text.partition("@")
-    first, _, last = rows.partition(":")
-    where = f" in rows {first} to {last}" if last else f" from row {first} on" if first else " in all rows"
-    for drift in DriftWith:
-        if what.endswith(drift.ending):
-            return f"{_linear_rival(what.removesuffix(drift.ending), drift)}{where} ({text})"
-    return f"a constant error of {what}{where}" + f" ({text})" * bool(rows)
-
-
-def _linear_rival(item: str, drift: DriftWith) -> str:
-    match drift:
-        case DriftWith.TIME:
-            return f"a drift of {item} linear in time"
-        case DriftWith.TEMPERATURE:
-            return f"a drift of {item} linear in the temperature"
-        case DriftWith.DIRECTION:
-            return f"a backlash of {item}"
-        case DriftWith.MOVE:
-            return f"an error of {item} in proportion to its last move"
-        case never:
-            assert_never(never)
-
-
-def _systematic_code(drifts_with: str | None) -> str:
-    match drifts_with and DriftWith(drifts_with):
-        case None | "":
-            return "systematic-offset"
-        case DriftWith.TIME:
-            return "systematic-drift"
-        case DriftWith.TEMPERATURE:
-            return "systematic-thermal-drift"
-        case DriftWith.DIRECTION:
-            return "systematic-backlash"
-        case DriftWith.MOVE:
-            return "systematic-settling"
-        case never:
-            assert_never(never)
-
-
-def _rows(error: Document) -> str:
-    """Return the rows that an error concerns, and how far off the first and the last may be.
-
-    If one may be off by more rows than these are, the error is not located.
-    """
-    first, last = error["rows"]
-    ranges = zip((first, last), (error["first_within"], error["last_within"]), strict=True)
-    off = [max(row - low, high - row) for row, (low, high) in ranges]
-    if max(off) > last - first:
-        within, best = f"rows {error['first_within'][0]} to {error['last_within'][1]}", f"rows {first} to {last}"
-        return f"some of {within}" + f" ({best} fit best, but others fit nearly as well)" * (best != within)
-    places = " to ".join(dict.fromkeys(one_line(error[name]) for name in ("from", "to")))
-    begins, ends = (f"{row}±{by}" if by else str(row) for row, by in zip((first, last), off, strict=True))
-    return f"rows {begins} to {ends} (in the files: {places})"
-
-
-def _error_size(error: Document) -> str:
-    """Return the size of an error with its σ, or the size of each of its numbers."""
-    if error["size"] is None or error["sigma"] is None:
-        return "an amount that cannot be determined"
-    numbers = error.get("off_by", ())
-    if any(map(hardly_determined, numbers)):
-        return ", ".join(_number_size(number, named=len(numbers) > 1) for number in numbers)
-    scale = UNITS[error["unit"]].scale
-    return f"{scale.text(error['size'], '.3g')} (σ {scale.text(error['sigma'], '.1g')})"
-
-
-def hardly_determined(number: Document) -> bool:
-    """Return whether the rows determine a number of an item less accurately than a drawing does."""
-    return number["sigma"] is None or bool(number["sigma"] > UNITS[number["unit"]].weak_sigma)
-
-
-def _number_size(number: Document, named: bool) -> str:
-    """Return the name, size and σ of a number that is off; a size within its large σ would say nothing."""
-    name = f"{one_line(number['name']).rpartition('.')[2]} " if named else ""
-    value, sigma = number["value"], number["sigma"]
-    unknown = f"{name}not determined" if named else "an amount that is not determined"
-    scale = UNITS[number["unit"]].scale
-    if value is None or sigma is None:
-        return unknown
-    if hardly_determined(number) and abs(value) < 2.0 * sigma:
-        return f"{unknown} (σ {scale.text(sigma, '.2g')})"
-    return f"{name}{scale.text(value, '.3g')} (σ {scale.text(sigma, '.1g')})"
-
-
-def _undetermined(error: Document) -> list[Document]:
-    """Return the hardly determined numbers of an item that is off in all rows."""
-    in_all_rows = error["apply"].get("allow") == error["what"]
-    return [number for number in error.get("off_by", ()) if in_all_rows and hardly_determined(number)]
+def _choice(fault: Document) -> Finding:
+    """Return what can be applied: what improves left-out rows, a single cause or the mean of several first."""
+    rivals = fault["rivals"]
+    every = [rival["name"] for rival in rivals if rival["name"].rpartition(".")[0].endswith(EVERY)]
+    offers = [fault["mean"]] if len(rivals) > 1 and not every else []
+    offers = [offer for offer in (*offers, *rivals) if offer["apply"] and (offer["gain"] or 0.0) > 0.0][:MAX_CHOICES]
+    deciding = fault["deciding"] if len(rivals) > 1 else []
+    if not offers or every:
+        size = next((size for size in fault["sizes"] if every and size["value"] is not None), None)
+        numbers = math.sqrt(fault["freedom"])
+        values = {
+            "worse": not every,
+            "every": [name.rpartition(".")[0].removesuffix(EVERY) for name in every[:1]],
+            "sigma": size and UNITS[size["unit"]].scale.text(size["value"] / numbers, ".2g"),
+            "deciding": deciding,
+        }
+        return Finding("fault-unmended", values)
+    choices = "; ".join(
+        f"{one_line(offer['apply'])}: the tool moves by {MM.text(MM.to_si(offer['moves_mm']), '.3f')}, its error is then "
+        f"{MM.text(MM.to_si(offer['error_mm']), '.3f')}, and {_gain(offer)}"
+        for offer in offers
+    )
+    return Finding("fault-choice", {"choices": choices, "first": offers[0]["apply"], "deciding": deciding})
 
 
 # sessions, and the error of the tool
@@ -436,31 +373,25 @@ def _rejected(reasons: Mapping[str, int]) -> list[str]:
 
 
 def tool_error(document: Document) -> list[Finding]:
-    """Return the error of the tool to expect.
+    """Return the error of the tool to expect: that averaged over what may be wrong.
 
-    If the declared noise does not explain the residuals, it is the largest of three: the error of poses that were not fitted,
-    how far the tool moves if the systematic errors are estimated, and what the covariance predicts. A displaced fixture
-    turns the base with it, and rows held out at the same fixture do not show that. If bad rows are in the fit, it is how far
-    the tool moves without them.
+    If the declared noise does not explain the residuals, it is the larger of this and the error of poses that were not
+    fitted. If bad rows are in the fit, it is how far the tool moves without them.
     """
     if document["status"] != "converged" or not document["usable"]:
         return []
     predicted, shown = document["predicted_error"], document["unexplained"]
+    parts = _parts(document)
     if shown is None:
         if predicted is None:
             return [Finding("tool-error-unpredictable")]
         sizes = {"rms": {"mm": predicted["rms_mm"]}, "largest": {"mm": predicted["max_mm"]}}
-        return [
-            Finding(
-                "tool-error", {**sizes, "n": predicted["n"], "relative": predicted["relative"], "row": predicted["at"]}
-            )
-        ]
-    systematic, bad = document["without_systematic"], document["without_bad_rows"]
-    moves = None if systematic is None else systematic["tool_moves_mm"]
-    tool = predicted["rms_mm"] if predicted else None
-    noise = "The declared noise does not explain the residuals"
+        where = {"n": predicted["n"], "relative": predicted["relative"], "row": predicted["at"]}
+        return [Finding("tool-error", {**sizes, **where, **parts})]
+    bad, tool = document["without_bad_rows"], predicted["rms_mm"] if predicted else None
+    faults = "The fit has faults that it does not contain"
     values = {
-        "because": noise if systematic is None else "The fit has systematic errors",
+        "because": faults if document["faults"] else "The declared noise does not explain the residuals",
         "error": {name[5:]: shown[name] for name in shown if name.startswith("mean_")},
         "range": listed(
             [
@@ -473,15 +404,27 @@ def tool_error(document: Document) -> list[Finding]:
         "by": "held out" if shown["by"] == "held out" else "left out in turn",
         "tool": None if tool is None else {"mm": tool},
         "tool_n": predicted["n"] if predicted else None,
+        **parts,
     }
-    measured = shown.get("mean_mm")
     if bad is not None:
         return [Finding("tool-error-bad-rows", {**values, "moves": {"mm": bad["tool_moves_mm"]}})]
-    if moves is not None and moves > max(measured or 0.0, tool or 0.0):
-        return [Finding("tool-error-systematic", {**values, "moves": {"mm": moves}})]
-    if tool is not None and measured is not None and tool > measured:
+    if tool is not None and tool > (shown.get("mean_mm") or 0.0):
         return [Finding("tool-error-by-sigmas", values)]
     return [Finding("tool-error-shown", values)]
+
+
+def _parts(document: Document) -> dict[str, Any]:
+    """Return the parts of the tool's error; None for what is not known or not there."""
+    claim = document.get("claim")
+    if claim is None or document["predicted_error"] is None:
+        return dict.fromkeys(("parameters", "unnamed", "faults", "names"))
+    of_faults = math.hypot(claim["rivals_mm"], claim["shift_mm"])
+    return {
+        "parameters": {"mm": claim["parameters_mm"]},
+        "unnamed": {"mm": claim["unnamed_mm"]},
+        "faults": {"mm": of_faults} if of_faults else None,
+        "names": [cause(rival["name"]) for fault in document["faults"] for rival in fault["rivals"]],
+    }
 
 
 # what was identified, and the residuals
@@ -500,7 +443,6 @@ def _identified(document: Document) -> Iterator[Finding]:
     for joint in defaults["still"]:
         spread = _size(joint["spread"], joint["unit"])
         yield Finding("still", {"joint": joint["joint"], "spread": spread, "held": defaults["lost"]})
-    yield from displaced(document)
     for offset in (entry for entry in document["parameters"] if entry["unit"] == "s" and entry["free"]):
         name, value, sigma = offset["name"], offset["value"], offset["sigma"]
         if value is None or sigma is None:
@@ -547,19 +489,6 @@ def _prior(document: Document) -> str:
 
 def _loss(document: Document) -> str | None:
     return None if document["loss"] == Loss.LINEAR else str(document["loss"])
-
-
-def displaced(document: Document) -> list[Finding]:
-    """Return that base or tool stands elsewhere than described; empty if neither does."""
-    frames = []
-    for frame in document.get("displaced", ()):
-        sizes = []
-        for name, unit, scale, digits in (("distance_mm", "m", MM, ".3g"), ("turn_deg", "rad", DEG, ".2g")):
-            size = from_shown(frame[name], unit)
-            if size > UNITS[unit].weak_sigma:
-                sizes.append(scale.text(size, digits))
-        frames.append(f"the {frame['frame']} {' and '.join(sizes)} from where it is described")
-    return [Finding("displaced", {"frames": " and ".join(frames), "n": len(frames)})] if frames else []
 
 
 def _residuals(document: Document) -> Iterator[Finding]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from truearm.findings import Finding, ordered
-from truearm.report.result_findings import FAR_OFF, copies, sizes, systematic_findings
+from truearm.report.result_findings import FAR_OFF, copies, fault_findings, sizes
 from truearm.results import chi2_text
 from truearm.text import one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, title
@@ -20,7 +20,7 @@ BY_PLACE = "radius "  # begins the name of a region of the space
 def validation_findings(document: Document, payload: Sequence[Finding] = ()) -> list[Finding]:
     """Return the verdict, what limits it, and notes; ``payload``: the findings about the payloads of the rows."""
     return ordered(
-        [_verdict(document), *_limits(document), *systematic_findings(document, True), *payload, *_notes(document)],
+        [_verdict(document), *_limits(document), *fault_findings(document, True), *payload, *_notes(document)],
         document["simulated"],
     )
 

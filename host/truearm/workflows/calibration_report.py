@@ -74,11 +74,10 @@ def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
 
 
 def _leads(predicted: PredictedError, estimate: Estimate) -> bool:
-    """Return whether the covariance says which error of the tool to expect."""
+    """Return whether the error of the tool to expect follows from the parameters."""
     if estimate.without_bad_rows is not None:
         return False
-    moved = estimate.systematic.moves if estimate.systematic else 0.0
-    return not moved > predicted.rms and (not estimate.unexplained or predicted.exceeds(estimate.unexplained))
+    return not estimate.unexplained or predicted.exceeds(estimate.unexplained)
 
 
 def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 
 from truearm import __version__
 from truearm.estimate.gain import gain_of
-from truearm.estimate.prediction import nominal_error, predicted_point_error, tool_undetermined
+from truearm.estimate.prediction import nominal_error, predicted_point_error
 from truearm.files.project_file import Project
 from truearm.files.result_file import Input
 from truearm.findings import Finding
@@ -149,7 +149,7 @@ def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording
 def _tool_error(found: Identification) -> float | None:
     """Return the expanded uncertainty [m] of the measured point, from covariance and unexplained error; None if undetermined."""
     e = found.estimate
-    if e.status != "converged" or e.unusable or tool_undetermined(e.systematic):
+    if e.status != "converged" or e.unusable:
         return None
     any_base = bool(found.document["defaults"]["base"])
     predicted = found.predicted or predicted_point_error(found.chain, found.rig, found.table, e, any_base)

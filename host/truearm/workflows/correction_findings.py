@@ -170,13 +170,13 @@ def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
 
     result.json has the mean of the error's norm. For a normal error along one axis the RMS is √(π/2) times that, for
     one along three axes only 1.09 times. If it has an error of each pose (``pose_error``), with one standard deviation
-    for all three axes, the larger of the two is used. Neither includes how far the tool moves without bad rows and
-    systematic errors that are in the fit, so that counts if it is larger than both.
+    for all three axes, the larger of the two is used. Neither includes how far the tool moves without bad rows that are in
+    the fit, so that counts if it is larger than both.
     """
     mm, deg = (_number(document.get("unexplained"), name) for name in ("mean_mm", "mean_deg"))
     norm = math.sqrt(3.0) * _number(document.get("pose_error"), "sigma_mm")
-    moved = [_number(document.get(name), "tool_moves_mm") for name in ("without_bad_rows", "without_systematic")]
-    return MM.to_si(max(RMS_OF_MEAN * mm, norm, *moved)), RMS_OF_MEAN * DEG.to_si(deg)
+    moved = _number(document.get("without_bad_rows"), "tool_moves_mm")
+    return MM.to_si(max(RMS_OF_MEAN * mm, norm, moved)), RMS_OF_MEAN * DEG.to_si(deg)
 
 
 def _number(entry: Any, name: str) -> float:

@@ -88,9 +88,12 @@ def identified(
     from truearm.files.result_file import RobotFrames, write_result
     from truearm.report.result_findings import result_findings
     from truearm.workflows.calibration_report import longitudes
+    from truearm.workflows.identify import examine, with_average
     from truearm.workflows.inputs import Sources, hashed_inputs
 
     chain = subject.robot.chain
+    estimate, examination = examine(chain, rig, table, estimate)
+    estimate = with_average(chain, rig, table, estimate, examination)
     predicted = predicted_point_error(chain, rig, table, estimate)
     inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), subject.choice)
     frames = RobotFrames.of(chain)

@@ -14,19 +14,19 @@ from truearm import option_defaults
 from truearm.arguments import Checked, with_choices
 from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.checks.alternatives import Robots
+from truearm.checks.examination import MEAN, Examination, examined
 from truearm.checks.inputs import checked_inputs
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
-from truearm.estimate.displaced_mounts import displaced_mounts
 from truearm.estimate.gain import with_gain
-from truearm.estimate.identify import SolverOptions, rows_left_out
+from truearm.estimate.identify import SolverOptions, judged, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
 from truearm.estimate.law_outliers import fitted_without_outliers
-from truearm.estimate.prediction import predicted_point_error, tool_undetermined
+from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
-from truearm.estimate.problem import modelled_of
+from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.files.observation_table import looks_like_table, write_table
@@ -79,8 +79,9 @@ class IdentifyOptions(Checked):
         The solver stops after this many iterations, converged or not; at most 10000.
     seed : int
         Random seed for the rows of a held-out fraction; 0 or more.
-    allow : tuple of str
-        Systematic errors to estimate as well: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
+    apply : tuple of str
+        Faults that the result shall contain, by the names in its findings; ``"mean"`` is the mean of all possible causes.
+        Those of rows and joints are estimated: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
         ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` linear in time,
         ``"bar.b46.zero.thermal_drift"`` linear in the box's temperature, ``"joint1.backlash"``
         in the direction of the joint's last move, and ``"joint1.settling"`` in proportion to it.
@@ -114,7 +115,7 @@ class IdentifyOptions(Checked):
     loss: Annotated[str, OneOf(tuple(Loss))] = option_defaults.LOSS
     max_iterations: Annotated[int, ITERATIONS] = option_defaults.MAX_ITERATIONS
     seed: Annotated[int, SEED] = option_defaults.SEED
-    allow: tuple[str, ...] = ()
+    apply: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
     fit_only: tuple[str, ...] = ()
     joint_laws: Annotated[str, OneOf(tuple(LawMode))] = option_defaults.JOINT_LAWS
@@ -250,6 +251,86 @@ def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], opt
     return Selection(free, rows, held_out_by, named, tuple(hold_out))
 
 
+def split_causes(
+    chain: Chain, rig: Rigs, table: ObservationTable, names: Sequence[str]
+) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+    """Return the faults that the fit estimates as parameters, and those of which the examination gives the effect."""
+    effects = {name: parse_effect(name) for name in names if name != MEAN}
+    items = {cause.name for cause in build_problem(chain, rig, table).causes} if effects else set()
+    fitted = {name: effect for name, effect in effects.items() if effect.what in items or "@" in name}
+    return tuple(fitted.values()), tuple(name for name in names if name not in fitted)
+
+
+def examine(
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    estimate: Estimate,
+    effects: tuple[Effect, ...] = (),
+    any_base: bool = False,
+) -> tuple[Estimate, Examination | None]:
+    """Return the estimate with its faults and the parts of its error, and their examination.
+
+    It is None for a fit that did not converge, or that an analysis of first order does not suit.
+    """
+    if estimate.status != "converged" and not SOLVERS[estimate.solver].ends_by_recipe:
+        return estimate, None
+    with step("testing for faults"):
+        examination = examined(chain, rig, table, estimate, effects, any_base)
+    if examination is None:
+        return estimate, None
+    estimate = replace(estimate, faults=examination.faults, claim=examination.claim)
+    if estimate.without_bad_rows is not None and estimate.faults and estimate.covariance_explains:
+        left_out = np.isin(estimate.weight, 0.0)  # faults explain all rows, so none is bad
+        estimate = replace(estimate, without_bad_rows=None, suspect=estimate.fitted & left_out)
+    return estimate, examination
+
+
+def with_average(
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    estimate: Estimate,
+    examination: Examination | None,
+    causes: Sequence[str] = (),
+) -> Estimate:
+    """Return the estimate with some causes of faults applied, and its error averaged over all that may be wrong.
+
+    The residuals of fitted rows stay those of the fit; held-out rows are judged again. Raises InputError for a cause
+    that no fault has.
+    """
+    if examination is None:
+        if causes:
+            raise InputError(Argument("apply"), f" {causes[0]}: this fit does not show faults")
+        return estimate
+    change, covariance = examination.applied(causes)
+    sigma = np.where(np.isfinite(estimate.sigma), np.sqrt(np.diag(covariance)), np.nan)
+    estimate = replace(estimate, value=estimate.value + change, covariance=covariance, sigma=sigma)
+    if not causes:
+        return estimate
+    claim, faults = estimate.claim, estimate.faults
+    if claim is not None and MEAN in causes:
+        claim = replace(claim, shift=0.0)
+    estimate = replace(estimate, applied=tuple(causes), claim=claim, faults=faults)
+    return rejudged(chain, rig, table, estimate)
+
+
+def rejudged(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Estimate:
+    """Return the estimate with the errors of its held-out rows at its values; unchanged if none was held out."""
+    held = ~(estimate.fitted | estimate.left_out)
+    if not held.any():
+        return estimate
+    problem = build_problem(chain, rig, table.select(estimate.fitted))
+    x = problem.at(dict(zip(estimate.parameter_names, estimate.value, strict=True)))
+    held_out, error = judged(problem, x, rig, table, held, ())
+    residual = {unit: of.copy() for unit, of in estimate.residual.items()}
+    unfitted = {unit: of.copy() for unit, of in estimate.unfitted_error.items()}
+    for unit, of in error.items():
+        residual[unit][held] = of
+        unfitted[unit][held] = of
+    return replace(estimate, held_out=held_out, residual=residual, unfitted_error=unfitted)
+
+
 def identified(
     robot: Robot,
     rig: Rigs,
@@ -280,7 +361,7 @@ def identified(
         raise ProblemError("nothing-left", what="observations")
     check_rows(chain, table, ~unused)
     fitted = table.select(~unused)
-    effects = tuple(map(parse_effect, options.allow))
+    effects, causes = split_causes(chain, rig, table, options.apply)
     allowed = [one.select(~unused) for one in modelled_of(chain, rig, table, effects)]
     free, weak, chosen = choose_defaults(
         chain, rig, fitted, selection.free, named, prior is Prior.WHERE_NEEDED, allowed
@@ -310,27 +391,35 @@ def identified(
             prefer=robot.free,
         )
 
+    def examine_misfit(estimate: Estimate) -> Estimate:
+        if estimate.chi2_reduced <= estimate.chi2_band[1]:
+            return estimate
+        return examine(chain, rig, table, estimate, effects, bool(chosen.base))[0]
+
     def checked(estimate: Estimate) -> Estimate:
         offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
         with step("trying other interpretations of the inputs"):
             estimate = checked_inputs(estimate, chain, rig, table, selection.free, robot.free, _other_robots, offsets)
         if estimate.explanations and estimate.unusable:
             # To first order about a fit that wrong inputs distort, other rows and items would seem to be off.
-            estimate = replace(estimate, systematic=None)
+            estimate = replace(estimate, faults=())
         return with_scale(chain, estimate)
 
     def with_laws(estimate: Estimate) -> tuple[Chain, Estimate]:
         request = LawRequest(LawMode(options.joint_laws), sigma, effects, robot.gravity)
-        estimate = checked(estimate)
+        estimate = checked(examine_misfit(estimate))
         with step("fitting joint laws"):
             return with_joint_laws(chain, rig, table, estimate, request)
 
     estimate = geometry()
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     if options.joint_laws == LawMode.NONE:
-        estimate = checked(estimate)
+        estimate = checked(examine_misfit(estimate))
     else:
         chain, estimate = fitted_without_outliers(estimate, geometry, with_laws)
+    if not estimate.unusable:
+        estimate, examination = examine(chain, rig, table, estimate, effects, bool(chosen.base))
+        estimate = with_average(chain, rig, table, estimate, examination, causes)
     estimate = with_gain(table, estimate)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
@@ -340,7 +429,7 @@ def identified(
     if estimate.status == "converged" and not estimate.unusable:
         predicted = predicted_point_error(chain, rig, table.select(copied < 0), estimate, any_base=bool(chosen.base))
         exceeded = predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained)
-        if exceeded or tool_undetermined(estimate.systematic):
+        if exceeded:
             predicted = None
     held_out, proposal = selection.held_out, proposed_hold_out(table, copied >= 0)
     result = result_of(
@@ -348,7 +437,6 @@ def identified(
         table,
         RobotFrames.of(chain),
         predicted,
-        displaced_mounts(chain, estimate),
         inputs=inputs,
         prior=prior,
         defaults=chosen,

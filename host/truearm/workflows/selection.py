@@ -21,7 +21,7 @@ from truearm.results import DriftWith, Effect
 from truearm.text import listed
 from truearm.types import Mask
 
-HOLD_OUT, FIT_ONLY, ALLOW, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "allow", "leave_out"))
+HOLD_OUT, FIT_ONLY, APPLY, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "apply", "leave_out"))
 
 
 def held_out_rows(
@@ -186,7 +186,7 @@ def _near(pattern: str, names: Sequence[str]) -> str:
 
 
 def parse_effect(text: str) -> Effect:
-    """Parse a systematic error such as ``chuck.c2@183`` (``Effect``). Raises InputError."""
+    """Parse a fault such as ``chuck.c2@183`` (``Effect``). Raises InputError."""
     endings = {drift.ending: drift for drift in DriftWith}
     match = re.fullmatch(
         rf"([^@]+?)({'|'.join(map(re.escape, endings))})?(?:@([0-9]{{1,9}})(?::([0-9]{{1,9}}))?)?", text
@@ -194,10 +194,10 @@ def parse_effect(text: str) -> Effect:
     first = int(match[3] or 1) if match else 0
     last = int(match[4]) if match and match[4] else None
     if match is not None and last is not None and 1 <= last < first:
-        raise InputError(ALLOW, f" {text!r}: row {first} comes after row {last}; give the lower row first")
+        raise InputError(APPLY, f" {text!r}: row {first} comes after row {last}; give the lower row first")
     if match is None or first < 1 or last == 0:
         raise InputError(
-            ALLOW,
+            APPLY,
             f" {text!r} is not NAME, NAME.drift, NAME.thermal_drift, JOINT.backlash, JOINT.settling or one of these followed by @FIRST or @FIRST:LAST, rows counted from 1",
         )
     return Effect(match[1], first - 1, last, endings.get(match[2]))

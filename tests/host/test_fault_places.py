@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, FREE, LOWER, SPHERES, TRUTH, UPPER, random_poses
 
+from truearm.checks.examination import examined
 from truearm.checks.inputs import checked_inputs
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem
@@ -58,14 +59,19 @@ def fitted(rows, rig, *effects):
     return identify(CHAIN, rig, rows, free=FREE, prefer=FREE, options=SolverOptions(effects=effects, reject=True))
 
 
-def test_a_place_that_is_millimetres_off_is_named_and_once_allowed_nothing_is_left():
+def faults(rows, rig, estimate, *effects):
+    return examined(CHAIN, rig, rows, estimate, effects).faults
+
+
+def test_a_place_that_is_millimetres_off_is_named_and_once_applied_nothing_is_left():
     rows, rig = session(940030, shift=0.5e-3)
-    (found,) = fitted(rows, rig).systematic.found
-    assert str(found.effect) == "place.left"
-    assert found.freedom == 6
-    assert found.size == pytest.approx(0.5e-3, abs=4.0 * found.sigma)
-    after = fitted(rows, rig, found.effect)
-    assert after.systematic is None
+    (fault,) = faults(rows, rig, fitted(rows, rig))
+    assert fault.rivals[0].apply == "place.left"
+    assert fault.freedom == 6
+    assert fault.sizes[0].value == pytest.approx(0.5e-3, abs=4.0 * fault.sizes[0].sigma)
+    effect = Effect("place.left")
+    after = fitted(rows, rig, effect)
+    assert not faults(rows, rig, after, effect)
     assert after.chi2_reduced < after.chi2_band[1]
 
 
@@ -74,14 +80,14 @@ def test_a_place_that_is_centimetres_off_is_named_as_a_whole(shift, turn):
     rows, rig = session(940031, shift, turn)
     estimate = checked_inputs(fitted(rows, rig), CHAIN, rig, rows, FREE, FREE, dict)
     (first,) = estimate.explanations
-    assert (first.code, first.values["allow"]) == ("wrong-constant", "place.left")
+    assert (first.code, first.values["apply"]) == ("wrong-constant", "place.left")
     after = fitted(rows, rig, Effect("place.left"))
-    assert after.systematic is None
     assert after.chi2_reduced < after.chi2_band[1]
 
 
 def test_nothing_is_named_if_the_places_are_right():
-    assert fitted(*session(940032)).systematic is None
+    rows, rig = session(940032)
+    assert not faults(rows, rig, fitted(rows, rig))
 
 
 def test_places_that_only_their_seats_determine_are_none_that_can_be_off():

@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, FREE, SIGMA, TRUTH, random_poses
 
+from truearm.checks.examination import examined
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem, modelled_of
-from truearm.files.result_document import systematic_entries
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
-from truearm.report.result_findings import systematic_findings
 from truearm.results import Effect
 from truearm.types import Device, Point, Rig
 
@@ -51,55 +50,48 @@ def both(seed, scale=1.0, zero=0.0, bars=150, points=100):
     )
 
 
-def identified(table, *effects):
-    return identify(CHAIN, RIG, table, free=FREE, prefer=FREE, options=SolverOptions(effects=effects))
+def examination(table, *effects, rig=RIG):
+    estimate = identify(CHAIN, rig, table, free=FREE, prefer=FREE, options=SolverOptions(effects=effects))
+    return estimate, examined(CHAIN, rig, table, estimate, effects).faults
 
 
 @pytest.mark.parametrize("ppm", [500.0, -500.0])
 def test_the_scale_of_a_tracker_is_named_and_not_the_bar(ppm):
     """Air that is 0.5 ‰ wrong (seed 940000)."""
     rows = both(940000, scale=1.0 + 1e-6 * ppm)
-    before = identified(rows)
-    (found,) = before.systematic.found
-    assert str(found.effect) == "tracker.t.scale"
-    assert found.off_by[0].value == pytest.approx(1e-6 * ppm, abs=4.0 * found.sigma)
-    *_, apply = systematic_findings(systematic_entries(before.systematic, rows))
-    if not found.rivals:
-        assert (apply.code, apply.values["allow"]) == ("systematic-apply", ["tracker.t.scale"])
-    after = identified(rows, found.effect)
-    assert after.systematic is None
+    before, (fault,) = examination(rows)
+    assert fault.rivals[0].apply == "tracker.t.scale"
+    assert fault.sizes[0].value == pytest.approx(5e-4, abs=4.0 * fault.sizes[0].sigma)
+    after, left = examination(rows, Effect("tracker.t.scale"))
+    assert not left
     assert after.chi2_reduced < after.chi2_band[1]
     assert worlds.tool_error(after, worlds.plan()) < worlds.tool_error(before, worlds.plan())
 
 
 def test_the_bar_is_named_and_not_the_scale_of_the_tracker():
-    (found,) = identified(both(940001, zero=0.3e-3)).systematic.found
-    assert found.effect.what == "bar.bar46.zero"
-    assert "tracker.t.scale" not in found.rivals
+    _, (fault,) = examination(both(940001, zero=0.3e-3))
+    names = [rival.name for rival in fault.rivals]
+    assert "bar.bar46.zero.offset" in names
+    assert "tracker.t.scale.offset" not in names
 
 
-def test_if_bar_and_tracker_explain_the_rows_equally_both_are_named_and_none_is_advised():
+def test_if_bar_and_tracker_explain_the_rows_equally_both_are_named():
     """One mount: the bar's lengths all change by the same amount, as by its zero. Seed 940102, air that is 1 ‰ wrong."""
     rows = both(940102, scale=1.001)
     rows = rows.select((rows.kind == "position") | ((rows.chuck == rows.chuck[0]) & (rows.sphere == rows.sphere[0])))
-    estimate = identified(rows)
-    (found,) = estimate.systematic.found
-    assert {found.effect.what, *found.rivals} >= {"bar.bar46.zero", "tracker.t.scale"}
-    error, which = systematic_findings(systematic_entries(estimate.systematic, rows))
-    assert error.values["others"]
-    assert (which.code, which.values["allow"]) == ("systematic-open", [])
+    _, (fault,) = examination(rows)
+    assert {rival.name for rival in fault.rivals} >= {"bar.bar46.zero.offset", "tracker.t.scale.offset"}
 
 
 def test_neither_is_named_if_both_are_right():
-    assert identified(both(940002)).systematic is None
+    assert not examination(both(940002))[1]
 
 
 def test_points_alone_do_not_show_the_scale():
     """The robot's lengths follow it: to first order nothing is left that only a scale explains."""
     rows = both(940003, scale=1.0005, bars=0)
     rig = Rig(trackers=RIG.trackers, targets={"a": Point("a", REFLECTOR.xyz, None)})
-    estimate = identify(CHAIN, rig, rows, free=FREE, prefer=FREE)
-    assert estimate.systematic is None
+    assert not examination(rows, rig=rig)[1]
 
 
 def test_points_of_a_wrong_scale_and_their_derivatives_are_exact():

@@ -1,0 +1,162 @@
+"""``truearm identify`` on data with a fault: what it prints and stores, and that its advice helps."""
+
+import html
+import json
+from dataclasses import replace
+
+import fault_worlds as worlds
+import hypothesis_worlds
+import numpy as np
+import pytest
+from command_line import Run, told
+from puma_bench import CHAIN
+from result_schema import check_schema
+from tests.host.findings_bench import listed, stated
+
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
+
+
+@pytest.fixture(scope="module")
+def slip(tmp_path_factory):
+    """Return the files of a session in which a chuck slips, its name and the row."""
+    folder = tmp_path_factory.mktemp("slip")
+    table, (chuck, at) = worlds.slipped(worlds.plan(), np.random.default_rng(1))
+    write_table(folder / "poses.csv", table, CHAIN.joint_units)
+    write_rig(folder / "rig.toml", worlds.RIG)
+    return folder, chuck, at
+
+
+def test_a_slip_is_named_and_the_option_that_is_named_removes_it(run: Run, slip) -> None:
+    folder, chuck, at = slip
+    arguments = ["identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--json"]
+    first = json.loads(run(*arguments).out)
+    check_schema(first)
+    (fault,) = first["faults"]
+    cause = fault["rivals"][0]
+    assert cause["name"] == f"chuck.{chuck}.step"
+    assert abs(cause["first"] - (at + 1)) <= 15
+    assert cause["from"] == f"poses.csv row {cause['first'] + 1}", "the header is row 1 of the file"
+    (size,) = fault["sizes"]
+    assert abs(size["value"] - 0.3e-3) < 4.0 * size["sigma"]
+    outcome = run(*arguments, "--apply", cause["apply"])
+    assert (outcome.code, outcome.err) == (0, "")
+    second = json.loads(outcome.out)
+    check_schema(second)
+    assert second["faults"] == []
+    # First order and the refit agree to the curvature, some parts in a thousand.
+    assert second["chi2_reduced"] == pytest.approx(first["claim"]["chi2_reduced"], rel=0.01)
+    assert second["predicted_error"]["rms_mm"] == pytest.approx(cause["error_mm"], rel=0.05)
+    moved = [p for p in second["parameters"] if p["name"].startswith(f"chuck.{chuck}")]
+    assert [p["name"].rpartition("@")[2] for p in moved] == [str(cause["first"])] * 3
+
+
+def test_the_mean_of_the_causes_is_applied_on_request(run: Run, tmp_path) -> None:
+    """A longer bar: also a bar that sags explains the rows. Nothing is applied silently."""
+    world = hypothesis_worlds.world("puma560", "bar", 2)
+    write_table(tmp_path / "poses.csv", world.table, world.site.chain.joint_units)
+    write_rig(tmp_path / "rig.toml", world.site.rig)
+    files = [tmp_path / "poses.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml", "--json"]
+    plain, applied, one = (
+        json.loads(run("identify", *files, *more).out) for more in ([], ["--apply", "mean"], ["--apply", "bar.sag"])
+    )
+    assert len(plain["faults"][0]["rivals"]) == 2
+    choice = listed(plain)["fault-choice"]
+    assert choice["first"] == "mean"
+    errors = [
+        hypothesis_worlds.tool_error(world, np.array([entry["value"] for entry in document["parameters"]]))
+        for document in (plain, applied)
+    ]
+    predicted = [document["predicted_error"]["rms_mm"] * 1e-3 for document in (plain, applied, one)]
+    assert predicted[1] == pytest.approx(plain["faults"][0]["mean"]["error_mm"] * 1e-3, rel=1e-3)
+    assert predicted[1] < predicted[2] < predicted[0]
+    assert errors[0] < 2.0 * predicted[0]
+    assert errors[1] < 2.0 * predicted[1]
+    assert (plain["applied"], applied["applied"], one["applied"]) == ([], ["mean"], ["bar.sag"])
+
+
+def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> None:
+    folder, chuck, _ = slip
+    page = tmp_path / "page.html"
+    files = [folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--report", page]
+    outcome = run("identify", *files, "--json")
+    document = json.loads(outcome.out)
+    findings = stated(document)
+    assert findings["fault"].values["what"] == f"chuck.{chuck} has moved"
+    assert findings["fault-choice"].values["first"].startswith("chuck.")
+    # The error to expect is that of a fit without the slip, which displaces base and tool.
+    assert "tool-error" not in findings
+    expected = findings["tool-error-by-sigmas"].values
+    assert expected["tool"]["mm"] > expected["error"]["mm"] > 0.0
+    assert expected["faults"]["mm"] > expected["parameters"]["mm"]
+    text = html.unescape(page.read_text())
+    assert findings["tool-error-by-sigmas"].text() in text
+    assert findings["fault"].text() in text
+
+
+def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
+    folder, *_ = slip
+    arguments = ["identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--json"]
+    result = json.loads(
+        run(*arguments, "--hold-out", "0.2", "--leave-out", "poses.csv row 12:31", "--leave-out", "40").out
+    )
+    (rows,) = result["observations"]
+    assert rows["fitted"] + rows["held_out"] == 360 - 21
+    assert result["held_out"]["n"] == rows["held_out"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--apply", "chuck.c9"], "chuck.c9"),
+        (["--apply", "chuck.c1@0"], "--apply 'chuck.c1@0'"),
+        (["--apply", "chuck.c1@9:3"], "--apply 'chuck.c1@9:3': row 9 comes after row 3"),
+        (["--apply", "chuck.c1@1:0"], "--apply 'chuck.c1@1:0'"),
+        (["--apply", "chuck.c1@361"], "rows 1 to 360"),
+        (["--apply", "arm.growth"], "chuck.c"),
+        (["--leave-out", "x"], "--leave-out 'x'"),
+        (["--leave-out", "5:2"], "--leave-out '5:2': row 5 comes after row 2"),
+        (["--leave-out", "poses.csv row 1"], "poses.csv row 2"),
+        (["--leave-out", "300:361"], "rows 300 to 361 cannot be left out:"),
+        (["--leave-out", "1:360"], "nothing-left"),
+    ],
+)
+def test_what_is_not_there_cannot_be_applied_or_left_out(run: Run, slip, options, message) -> None:
+    folder, *_ = slip
+    told(run("identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", *options), message)
+
+
+def test_a_validation_names_what_is_off_and_no_option_that_it_does_not_have(run: Run, slip, tmp_path) -> None:
+    folder, chuck, _ = slip
+    write_table(tmp_path / "clean.csv", worlds.clean(worlds.plan(), np.random.default_rng(2)), CHAIN.joint_units)
+    files = ["--rig", folder / "rig.toml"]
+    run("identify", tmp_path / "clean.csv", "--model", "puma560", *files, "--out", tmp_path / "result.json")
+    given = ("validate", tmp_path / "result.json", folder / "poses.csv", *files)
+    findings = listed(json.loads(run(*given, "--json").out))
+    assert findings["fault"]["what"] == f"chuck.{chuck} has moved"
+    assert "faults-here" in findings
+    assert "apply" not in run(*given).out
+
+
+def test_a_fit_that_did_not_converge_is_not_tested(run: Run, slip) -> None:
+    folder, *_ = slip
+    files = [folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml"]
+    outcome = run("identify", *files, "--max-iterations", "1", "--json")
+    assert outcome.code == 3
+    assert json.loads(outcome.out)["faults"] == []
+
+
+def test_a_slip_in_a_table_that_is_sorted_by_a_joint_is_named_by_its_times(run: Run, tmp_path) -> None:
+    """In the order of joint 2, no row is the one from which the chuck was off. Seed 940010."""
+    table, (chuck, at) = worlds.slipped(worlds.plan(), np.random.default_rng(940010))
+    table = replace(table, time=100.0 + 12.0 * np.arange(len(table)))
+    write_table(tmp_path / "sorted.csv", table.select(np.argsort(table.q[:, 1])), CHAIN.joint_units)
+    write_rig(tmp_path / "rig.toml", worlds.RIG)
+    outcome = run("identify", tmp_path / "sorted.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml", "--json")
+    assert "sorted.csv:" in outcome.err
+    (fault,) = json.loads(outcome.out)["faults"]
+    found = fault["rivals"][0]
+    assert found["name"] == f"chuck.{chuck}.step"
+    assert abs(found["first"] - (at + 1)) <= 15
+    row = int(np.flatnonzero(np.argsort(table.q[:, 1]) == found["first"] - 1)[0])
+    assert found["from"] == f"sorted.csv row {row + 2}", "the row of the file"

@@ -1,0 +1,229 @@
+"""Faults as parameters of a fit: derivatives, profiles over the rows, and what they leave to other parameters."""
+
+from dataclasses import replace
+
+import fault_worlds as worlds
+import numpy as np
+import pytest
+from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, random_poses, random_table, table
+from tests.host.findings_bench import stated
+
+from truearm.errors import InputError
+from truearm.estimate.circumstances import last_directions, last_moves
+from truearm.estimate.identify import SolverOptions, identify
+from truearm.estimate.prediction import predicted_point_error
+from truearm.estimate.problem import build_problem, modelled_of
+from truearm.estimate.systematic_effects import error_columns, with_effects
+from truearm.kinds.table import ObservationTable
+from truearm.model.chain import point_forward
+from truearm.model.robot import builtin_robot
+from truearm.model.rotation import rotation
+from truearm.results import Effect
+from truearm.types import Point
+from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.selection import parse_effect
+
+UNMOVED = np.eye(4)
+DWELL_S = 12.0
+
+
+def test_derivatives_of_all_that_can_be_off_are_those_of_the_world():
+    rng = np.random.default_rng(2)
+    rows = table(random_poses(5, rng), np.full(5, 0.5), [PAIRS[0]] * 5)
+    problem = build_problem(CHAIN, RIG, rows)
+    lin = problem.groups[0].opened(CHAIN, problem.start)
+    columns = dict(zip(problem.errors.names, error_columns(lin, problem.errors.bodies)[0].T, strict=True))
+    h = 1e-6
+
+    def change(chucks=CHUCKS, q_off=0.0, moved=UNMOVED):
+        def of(sign):
+            c = {k: np.add(CHUCKS[k].xyz, sign * np.subtract(chucks[k].xyz, CHUCKS[k].xyz)) for k in CHUCKS}
+            ball = point_forward(CHAIN, DESIGN, rows.q + sign * q_off, np.array(RIG.spheres["s0"].xyz))
+            move = moved if sign > 0 else np.linalg.inv(moved)
+            return np.linalg.norm(ball @ move[:3, :3].T + move[:3, 3] - c["c0"], axis=1)
+
+        return (of(1.0) - of(-1.0)) / (2.0 * h)
+
+    shifted = {**CHUCKS, "c0": Point("c0", tuple(np.add(CHUCKS["c0"].xyz, [0.0, h, 0.0])))}
+    by_joint = change(q_off=h * np.eye(6)[2])
+    lifted, turned = UNMOVED.copy(), UNMOVED.copy()
+    lifted[2, 3] = h
+    turned[:3, :3] = rotation(np.array([h, 0.0, 0.0]))
+    # Central differences of step 1e-6 m or rad: rounding 1e-16 m over it, and the third derivative times 1e-12.
+    assert columns["chuck.c0.y"] == pytest.approx(change(chucks=shifted), abs=1e-8)
+    assert columns[CHAIN.joints[2].name] == pytest.approx(by_joint, abs=1e-8)
+    assert columns["base.z"] == pytest.approx(change(moved=lifted), abs=1e-8)
+    assert columns["base.rx"] == pytest.approx(change(moved=turned), abs=1e-8)
+    assert columns["bar.short.zero"] == pytest.approx(np.full(5, -1.0), abs=1e-12)
+
+
+def test_held_effects_have_the_derivatives_that_the_fit_uses():
+    """A fit compares χ² at two points with the effects' derivatives held. Otherwise its last steps would not reduce χ²."""
+    rng = np.random.default_rng(3)
+    rows = table(random_poses(5, rng), np.full(5, 0.5), [PAIRS[0]] * 5)
+    problem = build_problem(CHAIN, RIG, rows)
+    which = problem.errors.indices(["joint2", "joint3"])
+    (group,) = with_effects(problem.groups, problem.errors.bodies, which, np.ones((5, 2)), np.zeros(2, dtype=bool))
+    x, h = np.append(problem.start, [3e-3, -2e-3]), 1e-6
+
+    def derivatives(of):
+        steps = h * np.eye(x.size)
+        away = [of.evaluate(CHAIN, x + step).residual - of.evaluate(CHAIN, x - step).residual for step in steps]
+        return -np.array(away).T / (2.0 * h)
+
+    used = group.evaluate(CHAIN, x).jac_params
+    held = group.hold(CHAIN, x)
+    assert np.array_equal(held.evaluate(CHAIN, x).residual, group.evaluate(CHAIN, x).residual)
+    assert np.array_equal(held.take(slice(1, 3)).evaluate(CHAIN, x).residual, held.evaluate(CHAIN, x).residual[1:3])
+    # Central differences: see above. Without holding, 3 mrad times the derivatives' own change are missing.
+    assert derivatives(held) == pytest.approx(used, abs=1e-8)
+    assert np.abs(derivatives(group) - used).max() > 1e-4
+
+
+def test_items_that_are_centimetres_off_predict_the_lengths_of_a_world_with_them_there():
+    """A chuck, a sphere and the base, each from its own row on, 20 mm and 40 mrad off: lengths and derivatives are exact."""
+    rng = np.random.default_rng(4)
+    rows = table(random_poses(20, rng), np.full(20, 0.5), [PAIRS[0]] * 20)
+    effects = [Effect("chuck.c0", 5), Effect("sphere.s0", 10), Effect("base", 2, 15)]
+    problem = build_problem(CHAIN, RIG, rows, None, modelled_of(CHAIN, RIG, rows, effects))
+    x = problem.start.copy()
+    chuck, sphere, base = np.split(np.concatenate([rng.normal(0.0, 0.02, 6), rng.normal(0.0, 0.04, 6)]), [3, 6])
+    x[-12:] = np.concatenate([chuck, sphere, base])
+    (group,) = problem.groups
+    later = [np.arange(20) >= row for row in (5, 10)] + [(np.arange(20) >= 2) & (np.arange(20) < 15)]
+    ball = point_forward(CHAIN, DESIGN, rows.q, RIG.spheres["s0"].xyz + later[1][:, None] * sphere)
+    ball = np.where(later[2][:, None], ball @ rotation(base[1::2]).T + base[::2], ball)
+    true = np.linalg.norm(ball - CHUCKS["c0"].xyz - later[0][:, None] * chuck, axis=1)
+    lin = group.evaluate(CHAIN, x)
+    assert rows.value - lin.residual == pytest.approx(true, abs=1e-12)
+    steps = 1e-6 * np.eye(x.size)
+    away = [group.evaluate(CHAIN, x + step).residual - group.evaluate(CHAIN, x - step).residual for step in steps]
+    assert lin.jac_params == pytest.approx(-np.array(away).T / 2e-6, abs=1e-8)
+
+
+def test_a_move_of_20_mm_that_is_applied_leaves_nothing():
+    """The base jumps by 20 mm and 20 mrad, or a chuck slips by 20 mm (seeds 31 to 34)."""
+    plan = worlds.plan()
+    for seed in (31, 32):
+        rng, off = np.random.default_rng(seed), np.zeros((360, 3))
+        off[:60] = 20e-3 * worlds.direction(rng)
+        rows = worlds.table(plan, worlds.lengths(plan, off) + SIGMA * rng.normal(size=360))
+        after = worlds.identified(rows, [Effect("base", 0, 60)])
+        assert after.chi2_reduced < after.chi2_band[1]
+    for seed in (33, 34):
+        rows, (chuck, at) = worlds.slipped(plan, np.random.default_rng(seed), 20e-3)
+        after = worlds.identified(rows, [Effect(f"chuck.{chuck}", at)])
+        assert after.chi2_reduced < after.chi2_band[1]
+
+
+def test_a_drift_needs_what_it_is_linear_in():
+    rows = worlds.clean(worlds.plan(), np.random.default_rng(0))
+    with pytest.raises(InputError, match="thermal_drift: rows 1 to 360 have no temperature, or it does"):
+        worlds.identified(rows, [parse_effect("bar.bar46.zero.thermal_drift")])
+    still = replace(rows, temperature=np.full(len(rows), 24.5))
+    with pytest.raises(InputError, match="have no temperature, or it does"):
+        worlds.identified(still, [parse_effect("bar.bar46.zero.thermal_drift")])
+    by_order = worlds.identified(rows, [parse_effect("bar.bar46.zero.drift")])
+    timed = replace(rows, time=1e9 + DWELL_S * np.arange(len(rows)))
+    np.testing.assert_allclose(
+        worlds.identified(timed, [parse_effect("bar.bar46.zero.drift")]).value, by_order.value, rtol=1e-6, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("what", ["base", "joint2"])
+def test_a_drift_of_base_or_joint_leaves_the_constant_to_the_robot(what):
+    """A second constant, degenerate with the robot's, would add 10 mm and 3° to the uncertainty of every position."""
+    plan, rng = worlds.plan(), np.random.default_rng(3)
+    drift = 0.2e-3 * np.linspace(-0.5, 0.5, len(plan))
+    off = {"base": {"chuck_off": np.outer(-drift, [1.0, 0.0, 0.0])}, "joint2": {"q_off": np.outer(drift, np.eye(6)[1])}}
+    length = worlds.lengths(plan, **off[what])
+    rows = worlds.table(plan, length + worlds.SIGMA * rng.normal(size=len(plan)))
+    e = worlds.identified(rows, [parse_effect(f"{what}.drift")])
+    first = e.n_robot_parameters
+    assert all(name.endswith(".drift") for name in e.parameter_names[first:])
+    assert abs(e.value[first] - 0.2e-3) < 3.0 * e.sigma[first] < 0.3e-3
+    assert predicted_point_error(worlds.CHAIN, worlds.RIG, rows, e).rms < 0.12e-3
+
+
+def test_a_sphere_that_may_be_off_is_near_its_place_for_the_predicted_error():
+    """With its displacement taken for its place, the predicted error was 9 mm."""
+    rows = random_table(120, np.random.default_rng(3), SIGMA)
+    effects = (parse_effect("sphere.s1"),)
+    e = identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=effects))
+    assert predicted_point_error(CHAIN, RIG, rows, e).rms < 1e-3
+
+
+def test_base_and_chuck_that_only_turn_together_are_a_null_direction():
+    """About the line through the other two chucks: the prior of the chuck is no measurement of it."""
+    rows = random_table(120, np.random.default_rng(3), SIGMA)
+    e = identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(parse_effect("chuck.c2"),)))
+    predicted = predicted_point_error(CHAIN, RIG, rows, e)
+    assert predicted.relative
+    assert predicted.rms < 1e-3
+    assert not e.identifiable[e.parameter_names.index("chuck.c2.z")]
+
+
+@pytest.mark.parametrize(
+    ("mode", "decimals"), [pytest.param("auto", 9, marks=pytest.mark.soak), ("auto", None), ("curve", None)]
+)
+def test_laws_are_not_fitted_to_rounding(mode, decimals):
+    """Computed lengths, or lengths to the nanometre, with a tiny declared noise: the information was not definite."""
+    plan = worlds.plan()
+    bars = {name: replace(bar, sigma=1e-7) for name, bar in worlds.RIG.bars.items()}
+    length = worlds.lengths(plan)
+    rows = worlds.table(plan, length if decimals is None else np.round(length, decimals))
+    rig = replace(worlds.RIG, bars=bars)
+    robot = builtin_robot("puma560")
+    options = IdentifyOptions(joint_laws=mode, apply=("chuck.c1",))
+    found = identified(robot, rig, rows, Selection(robot.free), options)
+    assert found.estimate.status == "converged"
+    assert not (found.estimate.joint_laws and found.estimate.joint_laws.kept)
+    if decimals is None:
+        shown = stated(found.document)["chi2"].values
+        assert (shown["chi2"], shown["where"]) == ("0 within rounding", "below")
+
+
+def test_only_things_that_are_there_can_be_off():
+    rows = random_table(100, np.random.default_rng(7), SIGMA)
+    with pytest.raises(Exception, match=r"no systematic error of 'chuck\.c9' can be estimated here"):
+        identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(Effect("chuck.c9"),)))
+    with pytest.raises(Exception, match="rows 1 to 100"):
+        identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(Effect("chuck.c0", 100),)))
+
+
+def visits(q, source, **columns):
+    return ObservationTable(q=np.array(q), kind=np.full(len(q), "ball_bar"), source=np.array(source), **columns)
+
+
+TURNS = [[0.0, 0.0], [0.5, 0.0], [0.5, 0.0], [0.2, 0.1], [0.3, 0.1], [0.1, 0.1]]
+ROWS = [f"a.csv row {i}" for i in range(2, 6)] + ["b.csv row 2", "b.csv row 3"]
+
+
+def test_moves_are_those_since_the_pose_before_in_the_same_file():
+    """Rows of one pose have one move; the first pose of a file has none that is known."""
+    np.testing.assert_allclose(
+        last_moves(visits(TURNS, ROWS)), [[0.0, 0.0], [0.5, 0.0], [0.5, 0.0], [-0.3, 0.1], [0.0, 0.0], [-0.2, 0.0]]
+    )
+
+
+def test_a_joint_that_stays_keeps_its_direction():
+    np.testing.assert_array_equal(
+        last_directions(visits(TURNS, ROWS)), [[0, 0], [1, 0], [1, 0], [-1, 1], [0, 0], [-1, 0]]
+    )
+    still = visits([[0.0], [0.5], [0.5 + 5e-4], [0.5]], [f"a.csv row {i}" for i in range(2, 6)])
+    np.testing.assert_array_equal(last_directions(still)[:, 0], [0, 1, 1, 1])
+
+
+def test_known_sides_come_first():
+    side = np.array([[1.0, -1.0], [np.nan, 1.0]])
+    known = visits([[0.0, 0.0], [0.5, 0.5]], ["s.mcap dwell 1", "s.mcap dwell 2"], side=side)
+    np.testing.assert_array_equal(last_directions(known), [[1, -1], [0, 1]])
+
+
+def test_without_moves_in_both_directions_nothing_can_be_estimated():
+    rows = worlds.clean(worlds.plan(), np.random.default_rng(0))
+    sorted_rows = rows.select(np.argsort(rows.q[:, 0]))
+    with pytest.raises(InputError, match=r"joint1.backlash: rows 1 to 360 have no direction, or it does"):
+        worlds.identified(sorted_rows, [parse_effect("joint1.backlash")])
+    with pytest.raises(InputError, match="no direction"):
+        worlds.identified(rows, [parse_effect("chuck.c1.backlash")])
