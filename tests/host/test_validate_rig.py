@@ -75,7 +75,7 @@ def test_the_kept_rigs_covariance_counts():
         rows = session(rng, 30)
         judgement = judge(ROBOT.chain, RIG, rows, result.identified, values)
         matrices = (of(result.stored, judgement.identified) for of in (covariance_of, unseen_of))
-        found.append(consistency(judgement, rows, *matrices))
+        found.append(consistency(judgement, *matrices))
     assert {of.freedom for of in found} == {90}
     assert np.mean([of.chi2 for of in found]) == pytest.approx(90.0, abs=4.0 * np.sqrt(180.0 / 12))
 
