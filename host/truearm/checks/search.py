@@ -21,7 +21,7 @@ RIVAL = math.log(100.0)  # a rival is at least a hundredth as probable
 MOST_FINDINGS = 8
 SAME = 1.0 - 1e-6  # cosine of the angles between columns that no data can distinguish
 FEW_SPANS = 60  # of a hypothesis where rows share noise
-LEAST_T = 2.0  # standard errors by which left-out rows must be better
+LEAST_T, LEAST_T_LEARNED = 1.0, 2.0  # standard errors by which left-out rows must be better; with a learned noise
 OWN_EDGE = 8  # rows from the edge of a place, where the model's errors make steps
 
 
@@ -59,8 +59,7 @@ def columns_of(detections: Sequence[Detection], fit: WhitenedFit) -> Floats:
 def searched(bare: Design, hypotheses: Sequence[Hypothesis], blocks: Indices) -> Search:
     """Return the findings, each the most probable given those before it; ``bare`` is the design without any.
 
-    With a learned noise, a finding must predict each of the ``blocks`` (n,) from the others, or it is refused with its
-    rivals.
+    A finding must predict each of the ``blocks`` (n,) from the others, or it is refused with its rivals.
     """
     detections: list[Detection] = []
     refused: list[str] = []
@@ -79,11 +78,9 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], blocks: Indices) ->
             if likely.name in refused:
                 continue
             detection = detected(likely, table, design, refused)
-            if bare.kernel.declared:
-                break
             held_out = held_out or LeftOut(fit, columns_of(detections, fit), blocks)
             gain = held_out.gain(held_out.residual_with(detection.columns))
-            if gain.share > 0.0 and gain.t >= LEAST_T:
+            if gain.share > 0.0 and gain.t >= (LEAST_T if bare.kernel.declared else LEAST_T_LEARNED):
                 break
             refused += detection.names
             detection = None
@@ -144,8 +141,8 @@ def refined(best: Weighed, design: Design) -> Weighed:
 def checked(fit: WhitenedFit, hypotheses: Sequence[Hypothesis], places: Indices | None = None) -> Search:
     """Return the findings under the declared noise; where that does not describe the rows, under a noise learned from them.
 
-    With a learned noise, a finding must also predict blocks of rows that were left out: ``places`` (n,) numbers if the
-    rows have several, otherwise stretches in the order of measurement.
+    A finding must also predict blocks of rows that were left out: ``places`` (n,) numbers if the rows have several,
+    otherwise stretches in the order of measurement.
     """
     blocks, bare = left_out_blocks(fit.n, places), build_design(fit, DECLARED)
     if bare.chi2 < special.chdtri(bare.freedom, 1.0 - ODD / 2.0):  # too small, which no finding explains
