@@ -9,7 +9,7 @@ from truearm.checks.averaging import averaged
 from truearm.checks.catalogue import Hypothesis, catalogue
 from truearm.checks.evidence import SCALES, WIDEST, build_design, moments, sums_of, weigh
 from truearm.checks.examination import examined, tool_gram
-from truearm.checks.held_out import LeftOut
+from truearm.checks.held_out import LeftOut, left_out_blocks
 from truearm.checks.labels import relabelled
 from truearm.checks.noise import DECLARED, Kernel, covariance_root
 from truearm.checks.search import searched
@@ -173,7 +173,7 @@ def test_rows_that_cannot_decide_give_one_name_with_or(slipped):
     mixed = one.columns @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
     named = [one, Hypothesis("other", "other", "step", mixed, one.sizes, one.units, one.candidates)]
     every = [*named, hypothesis_of(fit, "sphere.s1.step")]
-    detections = searched(build_design(fit, DECLARED), every, np.zeros(fit.n, dtype=int)).detections[0]
+    detections = searched(build_design(fit, DECLARED), every, left_out_blocks(fit.n, None)).detections[0]
     assert {detections.best.name, *detections.aliases} == {one.name, "other.step"}
 
 
@@ -213,7 +213,7 @@ def test_left_out_blocks_are_those_of_refits(slipped):
 def test_the_step_is_that_of_a_refit(slipped):
     """The parameters after applying a finding, against the fit with its columns; its prior takes under 2 %."""
     fit, estimate = fitted(slipped)
-    result = searched(build_design(fit, DECLARED), [hypothesis_of(fit, slipped.names[0])], np.zeros(fit.n, dtype=int))
+    result = searched(build_design(fit, DECLARED), [hypothesis_of(fit, slipped.names[0])], left_out_blocks(fit.n, None))
     gram = tool_gram(slipped.site.chain, slipped.site.rig, slipped.table, estimate)
     average = averaged(result, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)])
     (step,) = average.means()

@@ -35,8 +35,9 @@ def test_defaults_converge_and_predict(series, kind, largest):
     errors = 1e3 * found.estimate.residual["m"][~found.estimate.fitted]
     # Which fifth is held out moves the mean by its standard error, 0.004 mm; three draws have 0.398 mm of series A.
     assert errors.mean() <= largest + errors.std() / np.sqrt(errors.size)
-    if series == "a":  # a grid: neighbours in the order of measurement err alike, which is no event
-        assert not found.estimate.faults
+    # A grid: neighbours in the order of measurement err alike, which is no event. Gears may err.
+    names = {rival.name.partition(".")[2] for fault in found.estimate.faults for rival in fault.rivals}
+    assert names <= {"eccentricity", "backlash"}
     assert found.estimate.pose_error is None  # a pose has one row, but for few that come twice
     assert 0.7 < found.document["held_out_before"]["mean_mm"] < 0.95
     assert found.document["rank"] == found.document["n_free"]

@@ -51,7 +51,6 @@ def test_everything_at_once_is_one_sound_page():
         "Its inputs are probably wrong",
         "χ² per degree of freedom",
         "touched plane",
-        "Labels were not checked",
         "0.0640 mm",
     ):
         assert said in words

@@ -46,7 +46,7 @@ def test_a_tracker_that_stayed_may_be_kept(result):
     assert kept.document["consistent"]
     # What is settled on a hundred rows takes 9 of their 300 degrees of freedom, and is as uncertain again.
     assert kept.document["chi2_freedom"] == settled.document["chi2_freedom"] + 9
-    assert "9 unknowns of the rig held as identified" in str(kept)
+    assert "9 unknowns of the rig were held as identified" in str(kept)
 
 
 def test_a_tracker_that_was_moved_shows_only_where_it_is_kept(result):

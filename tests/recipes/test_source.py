@@ -58,7 +58,7 @@ def test_help_and_errors_name_it(copy):
     assert "semicolons://192.168.0.2:5000 (milliseconds and degrees between semicolons)" in said
     refused = {
         "colons://127.0.0.1:1": "an address begins with one of tcp://, rtde://, lines+tcp://, lines+udp://, semicolons://",
-        "semicolons://127.0.0.1:1/x": "is not an address",
+        "semicolons://127.0.0.1:1/x": "needs tcp://host:port",
     }
     for url, why in refused.items():
         assert why in copy.python("-c", OPEN, url, code=1).err

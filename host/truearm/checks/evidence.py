@@ -21,6 +21,7 @@ from truearm.checks.catalogue import Hypothesis, Profiles
 from truearm.checks.noise import Kernel
 from truearm.checks.whitened import WhitenedFit
 from truearm.estimate.information import RANK_TOLERANCE
+from truearm.estimate.ties import first_within
 from truearm.types import Floats, Indices, Mask
 
 SCALES = np.array([0.2, 1.0, 5.0])  # of the typical size, equally probable
@@ -107,7 +108,8 @@ def build_design(fit: WhitenedFit, kernel: Kernel, robot_prior: bool = False) ->
     top = kernel.whiten(np.concatenate([fit.jac, fit.residual[:, None]], axis=1))
     jac = np.concatenate([top[:, :-1], fit.knowledge_jac, prior[0]])
     residual = np.concatenate([top[:, -1], fit.knowledge_residual, prior[1]])
-    scale = np.maximum(np.linalg.norm(jac, axis=0), 1e-300)
+    scale = np.linalg.norm(jac, axis=0)
+    scale = np.maximum(scale, RANK_TOLERANCE * scale.max(initial=1e-300))  # a parameter may move nothing
     u, singular, vt = np.linalg.svd(jac / scale, full_matrices=False)
     significant = singular > RANK_TOLERANCE * singular.max(initial=0.0)
     basis, root = u[:, significant], vt[significant].T / singular[significant] / scale[:, None]
@@ -229,7 +231,7 @@ def weigh(hypothesis: Hypothesis, design: Design) -> Weighed:
     drop = (scores**2 / np.where(sums.significant, sums.values, 1.0)).sum(axis=1)
     freedom = sums.significant.sum(axis=1)
     chance = log_chance(drop, freedom, design)
-    best = int(np.argmax(each))
+    best = first_within(each)
     return Weighed(
         hypothesis,
         sums,

@@ -14,6 +14,7 @@ from truearm.checks.evidence import Design, Weighed, build_design, rows_of, weig
 from truearm.checks.held_out import LeftOut, left_out_blocks
 from truearm.checks.noise import DECLARED, ODD, ODD_ORDER, learned_noise
 from truearm.checks.whitened import WhitenedFit
+from truearm.estimate.ties import largest_first
 from truearm.types import Floats, Indices
 
 LEVEL = 1e-3  # probability that a clean data set gives any finding
@@ -59,7 +60,8 @@ def columns_of(detections: Sequence[Detection], fit: WhitenedFit) -> Floats:
 def searched(bare: Design, hypotheses: Sequence[Hypothesis], blocks: Indices) -> Search:
     """Return the findings, each the most probable given those before it; ``bare`` is the design without any.
 
-    A finding must predict each of the ``blocks`` (n,) from the others, or it is refused with its rivals.
+    A finding must predict each of the ``blocks`` (n,) from the others, or it is refused with its rivals. Under the
+    declared noise the search then ends: what is less probable explains the same residuals.
     """
     detections: list[Detection] = []
     refused: list[str] = []
@@ -72,7 +74,7 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], blocks: Indices) ->
             for weighed in table
             if weighed.log_chance + log_count < math.log(LEVEL) and weighed.log_evidence > 0.0
         ]
-        significant.sort(key=lambda weighed: -weighed.log_evidence)
+        significant = by_evidence(significant)
         detection, held_out = None, None
         for likely in significant if len(detections) < MOST_FINDINGS else ():
             if likely.name in refused:
@@ -84,9 +86,16 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], blocks: Indices) ->
                 break
             refused += detection.names
             detection = None
+            if bare.kernel.declared:
+                break
         if detection is None:
             return Search(tuple(detections), design, table, blocks, tuple(dict.fromkeys(refused)))
         detections.append(detection)
+
+
+def by_evidence(table: Sequence[Weighed]) -> list[Weighed]:
+    """Return hypotheses, the most probable first; equals, which rounding would order, in their own order."""
+    return [table[number] for number in largest_first([weighed.log_evidence for weighed in table])]
 
 
 def detected(likely: Weighed, table: Sequence[Weighed], design: Design, refused: Sequence[str]) -> Detection:
@@ -95,9 +104,7 @@ def detected(likely: Weighed, table: Sequence[Weighed], design: Design, refused:
     rivals = [
         weighed for weighed in table if weighed.name != best.name and weighed.log_evidence > best.log_evidence - RIVAL
     ]
-    rivals = sorted(
-        (weighed for weighed in rivals if weighed.name not in refused), key=lambda weighed: -weighed.log_evidence
-    )
+    rivals = by_evidence([weighed for weighed in rivals if weighed.name not in refused])
     columns = best.hypothesis.candidate(best.best, row)
     aliases = tuple(
         weighed.name for weighed in rivals if is_same(columns, weighed.hypothesis.candidate(weighed.best, row), design)

@@ -58,7 +58,7 @@ def result_of(
         **{key("rms_history", si): [shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
         **_by_unit(parts, "rms_", "declared", "unexplained"),
         "faults": fault_entries(estimate.faults, table),
-        "claim": _claim(estimate.claim),
+        "claim": _claim(estimate.claim, predicted is not None),
         "applied": estimate.applied,
         "truearm_version": __version__,
         "simulated": table.simulated,
@@ -164,9 +164,9 @@ def _rival(rival: Rival, table: ObservationTable) -> dict[str, Any]:
     return {**entry, **(rows if rival.rows else dict.fromkeys(rows))}
 
 
-def _claim(claim: ToolClaim | None) -> Any:
-    """Return the parts of the tool's error."""
-    sizes = ("parameters_mm", "unnamed_mm", "rivals_mm", "shift_mm")
+def _claim(claim: ToolClaim | None, predicted: bool) -> Any:
+    """Return the parts of the tool's error, if it is ``predicted`` at all, and what was assumed."""
+    sizes = ("parameters_mm", "unnamed_mm", "rivals_mm", "shift_mm") if predicted else ()
     return claim and dict(
         _entry(claim, *sizes, "noise", "chi2_reduced", "unseen", "refused", noise_factor=claim.noise_scale)
     )

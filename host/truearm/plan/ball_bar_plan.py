@@ -253,7 +253,7 @@ def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pa
         n = int(np.clip(n * step, low + 1, high - 1)) if step > 0.0 else (low + high) // 2
     if best is None:
         raise PlanError(
-            f"{minutes:g} min are too few: mounting one pairing takes {pace.mount:g} s; give more ", Argument("minutes")
+            f"{minutes:g} min are too few, mounting one pairing takes {pace.mount:g} s; give more ", Argument("minutes")
         )
     return best
 
