@@ -137,7 +137,7 @@ def test_a_simulated_laboratory_that_warms_up_is_in_rig_inspect_and_report(tmp_p
     ].values()
     assert bar_degc == sensor_degc == [pytest.approx(20.0, abs=0.1), 22.0]
     said = f"{bar_degc[0]:.1f} to 22.0 °C"
-    assert f"bar {said}, sensor {said}.\n" in truearm("inspect", session_file, "--details").stdout
+    assert f"bar {said}, sensor {said}." in " ".join(truearm("inspect", session_file, "--details").stdout.split())
     done = truearm(
         "identify", session_file, "--model", "puma560", "--free", "joint*.offset", "--report", report, "--details"
     )

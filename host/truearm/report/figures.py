@@ -26,7 +26,6 @@ MAX_POINTS = 12000  # points drawn at all; with more, the largest tenth and an e
 MAX_GROUPS = 24
 MAX_MARKS = 100  # changes of mount or session that are marked
 STRETCHES = 24  # sections of the order of measurement, each with its mean
-LETTER = 8.8  # width of a letter in a label, with the large letters of a phone
 FINEST_BIN = 1e-6  # in display units; noise-free residuals are rounding errors or exactly zero
 LONGITUDE_BIN_DEG = 30.0
 FEWEST_IN_BIN = 5
@@ -237,7 +236,7 @@ def by_group(rows: ResidualRows) -> Figure | None:
     height = max(300.0, 90.0 + 30.0 * len(shown))
     values = svg.linear_axis(rows.name, *_reach(rows.residual[np.isin(inverse, shown)]))
     categories = svg.category_axis("", [str(names[g]) for g in shown[::-1]])
-    left = max(104.0, 16.0 + LETTER * max(map(len, categories.tick_labels)))
+    left = max(104.0, 16.0 + svg.LETTER * max(map(len, categories.tick_labels)))
     plot = svg.Plot(values, categories, height, least_left=left, right=66.0)
     parts = [svg.axes(plot), svg.label(plot.width - 4, 18, f"RMS [{rows.unit}]", "end")]
     parts.append(svg.legend(plot, [(css, name) for css, name, _ in _sets(rows)]))

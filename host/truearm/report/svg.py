@@ -19,6 +19,7 @@ from truearm.types import Floats
 
 SMALLEST = 1e-15  # smallest value on a log axis; noise-free residuals are rounding errors or exactly zero
 LONGEST_LABEL = 16  # letters of a category
+LETTER = 8.8  # width of a letter in a label, with the large letters of a phone
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class Plot:
     @property
     def left(self) -> float:
         """Return room for the tick labels of y, and of its own label beside them."""
-        return max(self.least_left, 27.0 + 7.0 * max(map(len, self.y.tick_labels)) if self.y.label else 0.0)
+        return max(self.least_left, 28.0 + LETTER * max(map(len, self.y.tick_labels)) if self.y.label else 0.0)
 
     def px(self, values: ArrayLike) -> Floats:
         return self.left + self.x.fraction(values) * (self.width - self.left - self.right)
