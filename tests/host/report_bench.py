@@ -290,6 +290,17 @@ def full_page():
         table=replace(page.table, rig=np.where(index % 2 == 0, "monday", "tuesday")),
         findings=(
             Finding("wrong-inputs", {"after": {"mm": 43.0}, "large": False}),
+            Finding(
+                "wrong-constant",
+                {
+                    "lead": "This explains the observations",
+                    "item": "bar.b46.zero",
+                    "off": "0.430 mm ± 0.012",
+                    "apply": "bar.b46.zero",
+                    "with_change": {"mm": 0.084},
+                    "as_given": {"mm": 43.0},
+                },
+            ),
             Finding("no-law", {"tried": 0}),
         ),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
