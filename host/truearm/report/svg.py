@@ -105,7 +105,7 @@ class Plot:
     @property
     def left(self) -> float:
         """Return room for the tick labels of y, and of its own label beside them."""
-        return max(self.least_left, 28.0 + LETTER * max(map(len, self.y.tick_labels)) if self.y.label else 0.0)
+        return max(self.least_left, 36.0 + LETTER * max(map(len, self.y.tick_labels)) if self.y.label else 0.0)
 
     def px(self, values: ArrayLike) -> Floats:
         return self.left + self.x.fraction(values) * (self.width - self.left - self.right)
