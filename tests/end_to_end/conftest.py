@@ -3,8 +3,8 @@
 import io
 import subprocess
 import sys
-from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,14 @@ from truearm_sim.lab import Lab
 from truearm_sim.robot import quantised
 from truearm_sim.simbox import Fault, SimulatedBox
 from truearm_sim.world import Setup, World, standard_plan
+
+
+@contextmanager
+def noise_alone() -> Iterator[None]:
+    """Let ``identify`` in this process state errors by noise alone, as a plan's forecast does, without faults that may be there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("truearm.workflows.identify.examine", lambda *given: (given[3], None))
+        yield
 
 
 @dataclass

@@ -68,6 +68,7 @@ def test_every_word_of_the_page_is_an_option():
         ("simulate --rig-file rig.toml", "--rig-file is now --rig"),
         ("demo --rig line", "--rig is now --experiment"),
         ("identify t.csv --save-table x.csv", "--save-table is now --table-out"),
+        ("identify t.csv --allow joint1", "--allow is now --apply"),
         ("inspect s.mcap --allow-truncated", "--allow-truncated is now --allow-damaged"),
         ("demo --device x", "No such option: --device"),  # it has no box
         ("recover session.mcap", "truearm recover is now truearm session recover"),
