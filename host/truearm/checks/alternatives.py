@@ -38,74 +38,74 @@ INCHES = (INCH / MM.scale, "inches", "millimetres")
 Robots = Mapping[str, tuple[Chain, Mask]]  # with their free parameters (p,), by name
 
 
-def tiers(given: Alternative, robots: Robots, allowed: Collection[str] = ()) -> Iterator[list[Alternative]]:
+def tiers(inputs: Alternative, robots: Robots, allowed: Collection[str] = ()) -> Iterator[list[Alternative]]:
     """Return all other interpretations, the most common mistakes first; items that are ``allowed`` to be off are estimated."""
-    yield list(stuck(given))
-    yield [*units(given), *rotations(given), *shifted(given), *other_robots(given, robots)]
-    labels, runs = relabelled(given)
-    every_row = bool(runs) and labels.rows.size == given.rows.size
+    yield list(stuck(inputs))
+    yield [*units(inputs), *rotations(inputs), *shifted(inputs), *other_robots(inputs, robots)]
+    labels, runs = relabelled(inputs)
+    every_row = bool(runs) and labels.rows.size == inputs.rows.size
     yield [labels] * every_row
     apart = [labels] * (bool(runs) and not every_row)  # an item that is elsewhere explains these rows too
-    yield [*apart, *joints(given), *mirrored(given), *names_exchanged(given), *constants(given, allowed)]
+    yield [*apart, *joints(inputs), *mirrored(inputs), *names_exchanged(inputs), *constants(inputs, allowed)]
 
 
-def units(given: Alternative) -> Iterator[Alternative]:
+def units(inputs: Alternative) -> Iterator[Alternative]:
     """Return joint readings, measured quantities and points of the rig in another unit."""
-    table, joint_units = given.table, np.array(given.chain.joint_units)
+    table, joint_units = inputs.table, np.array(inputs.chain.joint_units)
     used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
     # If nothing is measured except that the end returns, less motion gives smaller residuals, whatever the unit.
     returns = not all(any(isinstance(column, Quantity) for column in kind.needs) for kind in used)
     numbers = np.arange(joint_units.size)
-    groups = [(f"the readings of {joint.name}", numbers == j) for j, joint in enumerate(given.chain.joints)]
+    groups = [(f"the readings of {joint.name}", numbers == j) for j, joint in enumerate(inputs.chain.joints)]
     groups += [("the joint readings", joint_units == unit) for unit in RATIOS if (joint_units == unit).any()]
     for what, columns in groups:
         for factor, are, called in RATIOS[joint_units[columns][0]]:
             if factor > 1.0 or not returns or columns.sum() == 1:
                 values = {"what": what, "are": are, "called": called}
-                yield with_joints(given, np.where(columns, factor, 1.0), numbers, "wrong-unit", values)
+                yield with_joints(inputs, np.where(columns, factor, 1.0), numbers, "wrong-unit", values)
     for quantity in dict.fromkeys(quantity for kind in used for quantity in kind.quantities):
         if quantity.most > LARGEST_NOISE and quantity.unit in RATIOS:
             for factor, are, called in (*RATIOS[quantity.unit], *[INCHES] * (quantity.unit == "m")):
                 values = {"what": f"the readings of {quantity.words}", "are": are, "called": called}
                 changed = table.replace(**{quantity.field: factor * table[quantity.field]})
                 rescaled = {quantity.field: factor}
-                yield replace(given, code="wrong-unit", values=values, table=changed, rescaled=rescaled)
+                yield replace(inputs, code="wrong-unit", values=values, table=changed, rescaled=rescaled)
     for column, entry in points().items():
         for factor, are, called in RATIOS["m"]:
             values = {"what": f"the rig's coordinates of each {column}", "are": are, "called": called}
-            yield from with_points(given, entry, "", np.full(3, factor), "wrong-unit", values)
+            yield from with_points(inputs, entry, "", np.full(3, factor), "wrong-unit", values)
 
 
-def joints(given: Alternative) -> Iterator[Alternative]:
+def joints(inputs: Alternative) -> Iterator[Alternative]:
     """Return joints in other orders and with other signs: exchanges of two, cycles, the reverse; all signs."""
-    names = [joint.name for joint in given.chain.joints]
-    same, units_of = list(range(len(names))), list(given.chain.joint_units)
+    names = [joint.name for joint in inputs.chain.joints]
+    same, units_of = list(range(len(names))), list(inputs.chain.joint_units)
     exchanges = [[b if k == a else a if k == b else k for k in same] for a, b in combinations(same, 2)]
     cycles = [same[shift:] + same[:shift] for shift in same[1:]]
     for order in [*exchanges, *cycles, same[::-1]] if len(names) > 2 else exchanges:
         if [units_of[i] for i in order] == units_of:
             values = {"order": [names[order.index(k)] for k in same]}
-            yield with_joints(given, np.ones(len(names)), order, "joints-ordered", values)
+            yield with_joints(inputs, np.ones(len(names)), order, "joints-ordered", values)
     for signs in product((1.0, -1.0), repeat=len(names)):
         if min(signs) < 0.0:
             reversed_joints = [name for name, sign in zip(names, signs, strict=True) if sign < 0.0]
-            yield with_joints(given, np.array(signs), same, "joint-signs", {"joints": reversed_joints})
+            yield with_joints(inputs, np.array(signs), same, "joint-signs", {"joints": reversed_joints})
 
 
 def with_joints(
-    given: Alternative, factors: Floats, order: Sequence[int] | Indices, code: str, values: Mapping[str, Any]
+    inputs: Alternative, factors: Floats, order: Sequence[int] | Indices, code: str, values: Mapping[str, Any]
 ) -> Alternative:
     """Return the table with its joints in an ``order``, multiplied by ``factors``."""
-    table = given.table
+    table = inputs.table
     changed = table.replace(q=table.q[:, order] * factors, q_rate=table.q_rate[:, order] * factors)
-    return replace(given, code=code, values=values, table=changed)
+    return replace(inputs, code=code, values=values, table=changed)
 
 
-def rotations(given: Alternative) -> Iterator[Alternative]:
+def rotations(inputs: Alternative) -> Iterator[Alternative]:
     """Return measured rotations in other conventions."""
-    turn = given.table.rotation
+    turn = inputs.table.rotation
     rows = np.isfinite(turn).all(axis=1)
-    if not _is_measured(given, TURN) or not rows.any():
+    if not _is_measured(inputs, TURN) or not rows.any():
         return
     v = turn[rows]
     x, y, z = (rotation(v[:, [k]] * np.eye(3)[k]) for k in range(3))
@@ -118,7 +118,7 @@ def rotations(given: Alternative) -> Iterator[Alternative]:
         whole = turn.copy()
         whole[rows] = changed
         values = {"are": are, "called": called}
-        yield replace(given, code="other-rotations", values=values, table=given.table.replace(rotation=whole))
+        yield replace(inputs, code="other-rotations", values=values, table=inputs.table.replace(rotation=whole))
 
 
 def _roll_pitch_yaw(r: Floats) -> Floats:
@@ -127,26 +127,26 @@ def _roll_pitch_yaw(r: Floats) -> Floats:
     return np.stack([np.arctan2(r[:, 2, 1], r[:, 2, 2]), pitch, np.arctan2(r[:, 1, 0], r[:, 0, 0])], axis=1)
 
 
-def mirrored(given: Alternative) -> Iterator[Alternative]:
+def mirrored(inputs: Alternative) -> Iterator[Alternative]:
     """Return readings of a device, and points of the rig, with the sign of one coordinate reversed."""
-    table, turned = given.table, _is_measured(given, TURN)
+    table, turned = inputs.table, _is_measured(inputs, TURN)
     flips = [np.where(np.arange(3) == k, -1.0, 1.0) for k in range(3)]
-    for flip in flips if _is_measured(given, POINT) else ():
+    for flip in flips if _is_measured(inputs, POINT) else ():
         changed = table.replace(xyz=table.xyz * flip)
-        yield replace(given, code="left-handed-readings", table=changed)
+        yield replace(inputs, code="left-handed-readings", table=changed)
         if turned:
             both = changed.replace(rotation=table.rotation * -flip)
-            yield replace(given, code="left-handed-readings", values={"rotations": True}, table=both)
+            yield replace(inputs, code="left-handed-readings", values={"rotations": True}, table=both)
     for column, entry in points().items():
-        names = given.rig.named(entry) if isinstance(given.rig, Rig) else ()
+        names = inputs.rig.named(entry) if isinstance(inputs.rig, Rig) else ()
         for axis, flip in zip("xyz", flips, strict=True):
             for name in ("", *names):
                 what = f"{column} {name}" if name else f"each {column}"
-                yield from with_points(given, entry, name, flip, "left-handed-rig", {"axis": axis, "what": what})
+                yield from with_points(inputs, entry, name, flip, "left-handed-rig", {"axis": axis, "what": what})
 
 
 def with_points(
-    given: Alternative, entry: str, name: str, factors: Floats, code: str, values: Mapping[str, Any]
+    inputs: Alternative, entry: str, name: str, factors: Floats, code: str, values: Mapping[str, Any]
 ) -> Iterator[Alternative]:
     """Return the rig, or rigs, with coordinates of one point, or of all of a type, multiplied; nothing if that changes none."""
 
@@ -159,9 +159,9 @@ def with_points(
         others = {key: replace(point, xyz=tuple(moved[key].tolist())) for key, point in found.items()}
         return rig.with_named(entry, {**rig.named(entry), **others})
 
-    rigs = _each_rig(given.rig, changed)
+    rigs = _each_rig(inputs.rig, changed)
     if rigs is not None:
-        yield replace(given, code=code, values=values, rig=rigs)
+        yield replace(inputs, code=code, values=values, rig=rigs)
 
 
 def _each_rig(rigs: Rigs, change: Callable[[Rig], Rig | None]) -> Rigs | None:
@@ -172,26 +172,26 @@ def _each_rig(rigs: Rigs, change: Callable[[Rig], Rig | None]) -> Rigs | None:
     return {**rigs, **changed} if changed else None
 
 
-def _is_measured(given: Alternative, quantity: Quantity) -> bool:
-    used = (kinds()[str(kind)] for kind in np.unique(given.table.kind))
+def _is_measured(inputs: Alternative, quantity: Quantity) -> bool:
+    used = (kinds()[str(kind)] for kind in np.unique(inputs.table.kind))
     fields = {other.field for kind in used for other in kind.quantities}
-    return quantity.field in fields and bool(np.isfinite(given.table[quantity.field]).any())
+    return quantity.field in fields and bool(np.isfinite(inputs.table[quantity.field]).any())
 
 
-def shifted(given: Alternative) -> Iterator[Alternative]:
+def shifted(inputs: Alternative) -> Iterator[Alternative]:
     """Return rows with the joint readings of the row before, or after."""
-    table = given.table
+    table = inputs.table
     for by, side in ((1, "after"), (-1, "before")):
-        other = given.rows - by
+        other = inputs.rows - by
         q, rate = (np.roll(column, by, axis=0) for column in (table.q, table.q_rate))
-        rows = given.rows[(other >= 0) & (other < len(table))]
+        rows = inputs.rows[(other >= 0) & (other < len(table))]
         values = {"side": side}
-        yield replace(given, code="shifted-rows", values=values, table=table.replace(q=q, q_rate=rate), rows=rows)
+        yield replace(inputs, code="shifted-rows", values=values, table=table.replace(q=q, q_rate=rate), rows=rows)
 
 
-def names_exchanged(given: Alternative) -> Iterator[Alternative]:
+def names_exchanged(inputs: Alternative) -> Iterator[Alternative]:
     """Return the names of one column that operators confuse, or of two, permuted in all rows of a rig."""
-    table = given.table
+    table = inputs.table
     columns = [column for column in identifiers() if any(column in kind.labels for kind in kinds().values())]
     for rig in np.unique(table.rig):
         here = table.rig == rig
@@ -212,7 +212,7 @@ def names_exchanged(given: Alternative) -> Iterator[Alternative]:
                 ],
                 "bar": any(column == "bar" for column, _ in change),
             }
-            yield replace(given, code="names-exchanged", values=values, table=renamed(given.rig, table, names))
+            yield replace(inputs, code="names-exchanged", values=values, table=renamed(inputs.rig, table, names))
 
 
 def _permutations(names: Sequence[str]) -> list[dict[str, str]]:
@@ -229,39 +229,39 @@ def _permutations(names: Sequence[str]) -> list[dict[str, str]]:
     return [dict(zip(names, order, strict=True)) for order in orders]
 
 
-def stuck(given: Alternative) -> Iterator[Alternative]:
+def stuck(inputs: Alternative) -> Iterator[Alternative]:
     """Return the rows without a run in which one joint alone reads the same."""
-    q = given.table.q[given.rows]
+    q = inputs.table.q[inputs.rows]
     for joint in range(q.shape[1]):
         edges = np.concatenate([[0], np.flatnonzero(np.diff(q[:, joint])) + 1, [len(q)]])
         longest = int(np.argmax(np.diff(edges)))
         first, last = edges[longest : longest + 2].tolist()
         if LEAST_ROWS <= last - first < len(q) and np.delete(np.ptp(q[first:last], axis=0), joint).any():
-            name = given.chain.joints[joint].name
-            yield without(given, first, last, "stuck-joint", {"joint": name})
+            name = inputs.chain.joints[joint].name
+            yield without(inputs, first, last, "stuck-joint", {"joint": name})
 
 
-def without(given: Alternative, first: int, last: int, code: str, values: Mapping[str, Any]) -> Alternative:
+def without(inputs: Alternative, first: int, last: int, code: str, values: Mapping[str, Any]) -> Alternative:
     """Return all but some consecutive ones of the given rows."""
-    rows = given.rows[first:last]
-    named = {"n": rows.size, "first": row_name(given.table, rows[0]), "last": row_name(given.table, rows[-1])}
-    values = {**values, **named, "others": given.rows.size - rows.size, "leave_out": [f"{rows[0] + 1}:{rows[-1] + 1}"]}
-    return replace(given, code=code, values=values, rows=np.delete(given.rows, np.arange(first, last)))
+    rows = inputs.rows[first:last]
+    named = {"n": rows.size, "first": row_name(inputs.table, rows[0]), "last": row_name(inputs.table, rows[-1])}
+    values = {**values, **named, "others": inputs.rows.size - rows.size, "leave_out": [f"{rows[0] + 1}:{rows[-1] + 1}"]}
+    return replace(inputs, code=code, values=values, rows=np.delete(inputs.rows, np.arange(first, last)))
 
 
-def other_robots(given: Alternative, robots: Robots) -> Iterator[Alternative]:
+def other_robots(inputs: Alternative, robots: Robots) -> Iterator[Alternative]:
     """Return the table as one of other robots with the same units of joints."""
     for name, (chain, free) in robots.items():
-        if name != given.chain.name and chain.joint_units == given.chain.joint_units:
-            values = {"robot": name, "other": given.chain.name}
-            yield replace(given, code="wrong-robot", values=values, chain=chain, free=free)
+        if name != inputs.chain.name and chain.joint_units == inputs.chain.joint_units:
+            values = {"robot": name, "other": inputs.chain.name}
+            yield replace(inputs, code="wrong-robot", values=values, chain=chain, free=free)
 
 
-def constants(given: Alternative, allowed: Collection[str]) -> Iterator[Alternative]:
+def constants(inputs: Alternative, allowed: Collection[str]) -> Iterator[Alternative]:
     """Return items of the rig that are elsewhere than it says, in all rows: their numbers become parameters."""
-    problem = build_problem(given.chain, given.rig, given.table.select(given.rows))
+    problem = build_problem(inputs.chain, inputs.rig, inputs.table.select(inputs.rows))
     vague = {name for name, sigma in zip(problem.names, problem.prior_sigma, strict=True) if np.isinf(sigma)}
     for cause in problem.causes:
         if cause.fault.constant and cause.name not in allowed and not vague.issuperset(cause.numbers):
             values = {"item": cause.name, "apply": cause.name}
-            yield replace(given, code="wrong-constant", values=values, effects=(*given.effects, Effect(cause.name)))
+            yield replace(inputs, code="wrong-constant", values=values, effects=(*inputs.effects, Effect(cause.name)))

@@ -40,9 +40,9 @@ class LeftOut:
 
     def __init__(self, fit: WhitenedFit, findings: Floats, blocks: Indices) -> None:
         d, k = findings.shape[1], fit.jac.shape[1]
-        known = np.concatenate([fit.knowledge_jac, fit.prior_jac])
-        prior = np.zeros((len(known) + d, k + d))
-        prior[: len(known), :k], prior[len(known) :, k:] = known, np.eye(d) / WIDEST
+        knowledge = np.concatenate([fit.knowledge_jac, fit.prior_jac])
+        prior = np.zeros((len(knowledge) + d, k + d))
+        prior[: len(knowledge), :k], prior[len(knowledge) :, k:] = knowledge, np.eye(d) / WIDEST
         jac = np.concatenate([fit.jac, findings], axis=1)
         scale = np.maximum(np.linalg.norm(np.concatenate([jac, prior]), axis=0), 1e-300)
         self.jac, prior, self.target = jac / scale, prior / scale, fit.residual
@@ -51,37 +51,43 @@ class LeftOut:
         block = blocks[fit.row]
         self.rows = [np.flatnonzero(block == number) for number in np.unique(block)]
         jitter = JITTER * np.eye(k + d)
-        self.factors = [linalg.cho_factor(information - self.jac[of].T @ self.jac[of] + jitter) for of in self.rows]
-        self.own = [self._own_columns(of, prior) for of in self.rows]
+        self.factors = [
+            linalg.cho_factor(information - self.jac[inside].T @ self.jac[inside] + jitter) for inside in self.rows
+        ]
+        self.own = [self._own_columns(inside, prior) for inside in self.rows]
         self.residual = np.empty_like(self.target)
-        for of, factor, own in zip(self.rows, self.factors, self.own, strict=True):
-            score = self.score - self.jac[of].T @ self.target[of]
-            predicted = self.jac[of] @ linalg.cho_solve(factor, score)
-            self.residual[of] = without(own, self.target[of] - predicted)
+        for inside, factor, local in zip(self.rows, self.factors, self.own, strict=True):
+            score = self.score - self.jac[inside].T @ self.target[inside]
+            predicted = self.jac[inside] @ linalg.cho_solve(factor, score)
+            self.residual[inside] = without(local, self.target[inside] - predicted)
 
-    def _own_columns(self, of: Indices, prior: Floats) -> Floats:
+    def _own_columns(self, inside: Indices, prior: Floats) -> Floats:
         """Return an orthonormal basis of what only a block's rows ``of`` determine."""
         elsewhere = np.ones(len(self.jac), dtype=bool)
-        elsewhere[of] = False
+        elsewhere[inside] = False
         alone = ~(self.jac[elsewhere].any(axis=0) | prior.any(axis=0))
-        return np.linalg.qr(self.jac[of][:, alone])[0]
+        return np.linalg.qr(self.jac[inside][:, alone])[0]
 
     def residual_with(self, columns: Floats) -> Floats:
         """Return the residuals (m,) of all blocks with columns (m, d) as further parameters."""
         out = np.empty_like(self.residual)
         cross, square, score = self.jac.T @ columns, columns.T @ columns, columns.T @ self.target
-        for of, factor, own in zip(self.rows, self.factors, self.own, strict=True):
-            mine = columns[of]
-            others = cross - self.jac[of].T @ mine
-            solved = linalg.cho_solve(factor, np.column_stack([others, self.score - self.jac[of].T @ self.target[of]]))
+        for inside, factor, local in zip(self.rows, self.factors, self.own, strict=True):
+            mine = columns[inside]
+            others = cross - self.jac[inside].T @ mine
+            solved = linalg.cho_solve(
+                factor, np.column_stack([others, self.score - self.jac[inside].T @ self.target[inside]])
+            )
             reduced = square - mine.T @ mine + np.eye(len(square)) / WIDEST**2 - others.T @ solved[:, :-1]
-            size = np.linalg.solve(reduced, score - mine.T @ self.target[of] - others.T @ solved[:, -1])
-            out[of] = self.residual[of] - without(own, (mine - self.jac[of] @ solved[:, :-1]) @ size)
+            size = np.linalg.solve(reduced, score - mine.T @ self.target[inside] - others.T @ solved[:, -1])
+            out[inside] = self.residual[inside] - without(local, (mine - self.jac[inside] @ solved[:, :-1]) @ size)
         return out
 
     def gain(self, residual: Floats) -> Gain:
         """Return the gain of residuals (m,) over those without further columns."""
-        before, after = (np.array([float(of @ of) for of in map(r.take, self.rows)]) for r in (self.residual, residual))
+        before, after = (
+            np.array([float(r[inside] @ r[inside]) for inside in self.rows]) for r in (self.residual, residual)
+        )
         less = before - after
         error = float(less.std(ddof=1)) / math.sqrt(less.size) if less.size > 1 else math.inf
         return Gain(float(less.sum() / before.sum()), float(less.mean() / max(error, 1e-12)))

@@ -64,91 +64,91 @@ def checked_inputs(
     those that the robot has free by default; ``robots`` are others to try. Items that are ``allowed`` to be off were
     fitted.
     """
-    given = Alternative(chain, rig, table, free, np.flatnonzero(estimate.fitted))
+    inputs = Alternative(chain, rig, table, free, np.flatnonzero(estimate.fitted))
     explanations: tuple[Explanation, ...] = ()
     tried = 0
     doubtful = _absurd(estimate) or is_elsewhere(estimate) or estimate.chi2_reduced > GROSS**2
     misfit = not estimate.faults and estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT)
-    before = fitted(given) if doubtful or misfit else None
-    if before is not None and before.freedom >= 1.0:
+    original = fitted(inputs) if doubtful or misfit else None
+    if original is not None and original.freedom >= 1.0:
         # The trial ran longer than a fit that only needs more iterations.
-        finished = _unconverged(estimate) and before.plausible and before.displacement <= FAR
+        finished = _unconverged(estimate) and original.plausible and original.displacement <= FAR
         if doubtful and not finished:
-            explanations, tried = explanations_of(before, usual, robots(), allowed)
+            explanations, tried = explanations_of(original, usual, robots(), allowed)
         elif misfit:
-            explanations, tried = other_set_up(before)
+            explanations, tried = other_set_up(original)
     estimate = replace(estimate, explanations=explanations, alternatives_tried=tried)
     return replace(estimate, unusable=_unusable(estimate))
 
 
 def explanations_of(
-    before: Trial, usual: Mask, robots: Robots, allowed: Collection[str] = ()
+    original: Trial, usual: Mask, robots: Robots, allowed: Collection[str] = ()
 ) -> tuple[tuple[Explanation, ...], int]:
     """Return explanations of the rows that are better than the inputs as given, and how many alternatives were tried."""
-    given = before.alternative
-    held = usual & ~given.free
+    inputs = original.alternative
+    held = usual & ~inputs.free
     if held.any():
         # A few parameters do not show which interpretation is correct: all are judged with the robot's default ones.
-        names = [name for name, is_held in zip(given.chain.parameter_names, held, strict=True) if is_held]
-        given = replace(given, free=usual | given.free)
-        freed = fitted(replace(given, code=HELD, values={"names": names}))
+        names = [name for name, is_held in zip(inputs.chain.parameter_names, held, strict=True) if is_held]
+        inputs = replace(inputs, free=usual | inputs.free)
+        freed = fitted(replace(inputs, code=HELD, values={"names": names}))
         if freed is None or freed.freedom < 1.0:
             return (), 1
-        if explains(before, freed, 1, 1.0):
-            return (_explanation(before, freed, 1),), 1
-        before = freed
+        if explains(original, freed, 1, 1.0):
+            return (_explanation(original, freed, 1),), 1
+        original = freed
     tried = 1
-    found: list[Trial] = []
-    for many in tiers(given, robots, allowed):
-        tried += len(many)
-        found = explaining(before, many, tried)
-        if found:
+    trials: list[Trial] = []
+    for tier in tiers(inputs, robots, allowed):
+        tried += len(tier)
+        trials = explaining(original, tier, tried)
+        if trials:
             break
-    found.sort(key=lambda trial: -evidence(before, trial))
+    trials.sort(key=lambda trial: -evidence(original, trial))
     rivals = [
-        _explanation(before, trial, tried)
-        for trial in found
-        if evidence(before, trial) > evidence(before, found[0]) - RIVALS
+        _explanation(original, trial, tried)
+        for trial in trials
+        if evidence(original, trial) > evidence(original, trials[0]) - RIVALS
     ]
     distinct = {(rival.code, str(rival.values)): rival for rival in reversed(rivals)}
     return tuple(reversed(distinct.values()))[:MOST_NAMED], tried
 
 
-def other_set_up(before: Trial) -> tuple[tuple[Explanation, ...], int]:
+def other_set_up(original: Trial) -> tuple[tuple[Explanation, ...], int]:
     """Return the rows with other labels or another set-up, if the declared noise explains all others.
 
     A joint that steps by a degree bends a fit too far for an analysis of first order, but leaves less than a millimetre.
     """
-    labels, runs = relabelled(before.alternative)
+    labels, runs = relabelled(original.alternative)
     after = fitted(labels) if runs else None
-    if after is None or not explains(before, after, 1, TENFOLD):
+    if after is None or not explains(original, after, 1, TENFOLD):
         return (), 1
     by_noise = special.chdtri(after.freedom, NOISE_LEVEL) / after.freedom
-    return ((_explanation(before, after, 1),) if after.reduced <= by_noise else ()), 1
+    return ((_explanation(original, after, 1),) if after.reduced <= by_noise else ()), 1
 
 
-def explaining(before: Trial, many: Sequence[Alternative], count: int) -> list[Trial]:
+def explaining(original: Trial, tier: Sequence[Alternative], count: int) -> list[Trial]:
     """Return the trials of alternatives that explain the rows, of those with the greatest evidence in quick fits."""
-    goal = (AS_WELL if before.displacement > FAR else HUNDREDFOLD) * before.reduced
+    goal = (AS_WELL if original.displacement > FAR else HUNDREDFOLD) * original.reduced
     trials: list[Trial | None] = []
     for most, steps in ROUNDS:
-        trials = [placed(alternative, steps) for alternative in many]
-        scores = [math.inf if trial is None else -evidence(before, trial) for trial in trials]
+        trials = [placed(alternative, steps) for alternative in tier]
+        scores = [math.inf if trial is None else -evidence(original, trial) for trial in trials]
         best = np.argsort(scores, kind="stable")[:most].tolist()
-        many, trials = [many[i] for i in best], [trials[i] for i in best]
+        tier, trials = [tier[i] for i in best], [trials[i] for i in best]
     starts = [None if trial is None else trial.parameters for trial in trials]
-    finals = [fitted(alternative, goal, start) for alternative, start in zip(many, starts, strict=True)]
-    return [trial for trial in finals if trial is not None and explains(before, trial, count)]
+    finals = [fitted(alternative, goal, start) for alternative, start in zip(tier, starts, strict=True)]
+    return [trial for trial in finals if trial is not None and explains(original, trial, count)]
 
 
-def _explanation(before: Trial, after: Trial, count: int) -> Explanation:
-    given = after.alternative
-    chance = math.exp(min(log_chance(after.reduced / before.reduced, after.freedom) + math.log(count), 0.0))
-    values = dict(given.values)
-    for effect in given.effects:
+def _explanation(original: Trial, after: Trial, count: int) -> Explanation:
+    inputs = after.alternative
+    chance = math.exp(min(log_chance(after.reduced / original.reduced, after.freedom) + math.log(count), 0.0))
+    values = dict(inputs.values)
+    for effect in inputs.effects:
         off = {name: after.off[name] for name in after.off if name == str(effect) or name.startswith(f"{effect}.")}
         values["off"] = [f"{name.rpartition('.')[2]} {_sized(name, size, after)}" for name, size in off.items()]
-    return Explanation(given.code, values, given.rows.size, before.rms, after.rms, chance)
+    return Explanation(inputs.code, values, inputs.rows.size, original.rms, after.rms, chance)
 
 
 def _sized(name: str, size: float, trial: Trial) -> str:

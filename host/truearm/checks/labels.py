@@ -53,42 +53,42 @@ class WrongLabels:
     gain: float
 
 
-def relabelled(given: Alternative) -> tuple[Alternative, tuple[WrongLabels, ...]]:
+def relabelled(inputs: Alternative) -> tuple[Alternative, tuple[WrongLabels, ...]]:
     """Return the given rows with labels as they fit best, without rows that fit none; and the runs that change.
 
     There are none if the given labels fit, or if more than half of the rows would change.
     """
-    table = given.table.select(given.rows)
-    possible = possible_labels(given.rig, table)
+    table = inputs.table.select(inputs.rows)
+    possible = possible_labels(inputs.rig, table)
     original = own_labels(table, possible)
     labels = changed = original
     runs: list[tuple[int, int, int, float]] = []
     for attempt in range(ROUNDS):
-        current = with_labels(given.rig, table, possible, labels)
-        score = scores(given, current, labels < len(possible), possible, every_subset=attempt == 0)
+        current = with_labels(inputs.rig, table, possible, labels)
+        score = scores(inputs, current, labels < len(possible), possible, every_subset=attempt == 0)
         if score is None:
-            return given, ()
+            return inputs, ()
         changed, runs = best_labels(score, original)
         if (changed == labels).all() or (changed != original).mean() > 0.5:
             break
         labels = changed
     if not runs or (changed != original).mean() > 0.5:
-        return given, ()
+        return inputs, ()
     fits = changed < len(possible)
     out = tuple(WrongLabels(*run[:2], possible[run[2]] if run[2] < len(possible) else None, run[3]) for run in runs)
-    whole = np.full(len(given.table), -1)
-    whole[given.rows] = np.where(changed == original, -1, changed)
-    restored = with_labels(given.rig, given.table, possible, np.where(whole < len(possible), whole, -1))
+    whole = np.full(len(inputs.table), -1)
+    whole[inputs.rows] = np.where(changed == original, -1, changed)
+    restored = with_labels(inputs.rig, inputs.table, possible, np.where(whole < len(possible), whole, -1))
     only_apart = all(run.labels is None for run in out)
-    spans = [f"{given.rows[run.first] + 1}:{given.rows[run.last - 1] + 1}" for run in out]
+    spans = [f"{inputs.rows[run.first] + 1}:{inputs.rows[run.last - 1] + 1}" for run in out]
     values: dict[str, Any] = {"runs": [_named(table, run) for run in out], "leave_out": spans}
     values |= {
-        "bar": bool((restored.bar != given.table.bar).any()),
+        "bar": bool((restored.bar != inputs.table.bar).any()),
         "n": int((changed != original).sum()),
         "others": int((changed == original).sum()),
     }
     code = "rows-apart" if only_apart else "wrong-labels"
-    return replace(given, code=code, values=values, table=restored, rows=given.rows[fits]), out
+    return replace(inputs, code=code, values=values, table=restored, rows=inputs.rows[fits]), out
 
 
 def _named(table: ObservationTable, run: WrongLabels) -> str:
@@ -161,7 +161,7 @@ def renamed(rigs: Rigs, table: ObservationTable, names: Mapping[str, NDArray[Any
 
 
 def scores(
-    given: Alternative,
+    inputs: Alternative,
     table: ObservationTable,
     used: NDArray[np.bool_],
     possible: Sequence[Labels],
@@ -176,11 +176,11 @@ def scores(
     start: Mapping[str, float] = {}
     for rows in islice(subsets(table, np.flatnonzero(used)), None if every_subset else 1):
         try:
-            problem, columns, _ = trial_problem(given.chain, given.rig, table.select(rows), given.free)
+            problem, columns, _ = trial_problem(inputs.chain, inputs.rig, table.select(rows), inputs.free)
             x = fit(problem, columns, problem.at(start), idle_options(STEPS)._replace(loss=Loss.CAUCHY)).x
             fitted = dict(zip(problem.names, x.tolist(), strict=True))
             start = start or fitted
-            square = misfit(given.chain, given.rig, table.select(used), fitted)
+            square = misfit(inputs.chain, inputs.rig, table.select(used), fitted)
         except (ProblemError, np.linalg.LinAlgError):
             continue
         size, value = split(square)
@@ -191,9 +191,9 @@ def scores(
     out = np.full((len(possible) + 1, len(table)), IMPOSSIBLE)
     out[-1] = likelihood(np.array(APART**2), 1.0)
     for number, labels in enumerate(possible):
-        valid = _valid(given.rig, table, labels)
-        other = with_labels(given.rig, table.select(valid), [labels], np.zeros(valid.sum(), dtype=np.intp))
-        out[number, valid] = likelihood(misfit(given.chain, given.rig, other, parameters), scale)
+        valid = _valid(inputs.rig, table, labels)
+        other = with_labels(inputs.rig, table.select(valid), [labels], np.zeros(valid.sum(), dtype=np.intp))
+        out[number, valid] = likelihood(misfit(inputs.chain, inputs.rig, other, parameters), scale)
     return out
 
 
