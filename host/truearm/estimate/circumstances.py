@@ -69,18 +69,6 @@ class Circumstances(NamedTuple):
         return along if np.isfinite(along).all() and np.ptp(along) > 0.0 else None
 
 
-def beside_pose(profile: Floats, q: Floats) -> Floats:
-    """Return the part of a profile (n,) that cubic polynomials of each joint reading (n, j) do not follow.
-
-    A joint that is at a large angle has probably come from a smaller one. What depends on the pose, such as sag that no
-    parameter describes, therefore looks as if it depended on the last move.
-    """
-    spread = np.where(np.ptp(q, axis=0) > 0.0, np.ptp(q, axis=0), 1.0)
-    scaled = (q - q.min(axis=0)) / spread * 2.0 - 1.0
-    ways = np.concatenate([np.ones((len(q), 1)), scaled, scaled**2, scaled**3], axis=1)
-    return np.asarray(profile - ways @ np.linalg.lstsq(ways, profile, rcond=None)[0])
-
-
 def last_directions(table: ObservationTable) -> Floats:
     """Return the direction (n, j) in which each joint last moved before each row: −1 or 1, 0 where unknown.
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -145,26 +144,6 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> RowsByPo
     rows = np.ascontiguousarray(stacked.transpose(2, 1, 0)).reshape(n // count, count * w, -1)
     j = lin.by_joints.shape[2]
     return RowsByPose(piece, declared, rows[..., :-j], rows[..., -j:])
-
-
-def with_pose_noise(problem: Problem, x: Floats, noise: PoseNoise) -> Problem:
-    """Return the problem with this noise at x (P,) instead of the declared one; shared noise is added to each row alone."""
-    groups = []
-    for group in problem.groups:
-        if group.row is None:
-            groups.append(group)
-            continue
-        cov = noise.sensor * group.sensor_cov
-        if noise.shared:
-            if cov.ndim == 2:
-                cov = cov[..., None] * np.eye(cov.shape[1])
-            force = np.moveaxis(group.evaluate(problem.chain, x).wrenches[..., FORCE], 0, 1)
-            cov = cov + noise.shared * (force @ force.swapaxes(1, 2))
-        groups.append(replace(group, sensor_cov=cov))
-    joints = noise.joint * np.eye(len(problem.chain.joints))
-    if problem.joint_cov is not None:
-        joints = joints + noise.sensor * problem.joint_cov
-    return replace(problem, groups=tuple(groups), joint_cov=joints)
 
 
 def pose_information(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -134,10 +134,6 @@ def _json(value: Any) -> Any:
     return without_nan(msgspec.to_builtins(value, enc_hook=lambda array: array.tolist()))
 
 
-def _remedy(leave_out: str, allow: str) -> dict[str, str] | None:
-    return {"leave_out": leave_out} if leave_out else {"apply": allow} if allow else None
-
-
 def fault_entries(faults: Sequence[Diagnosis], table: ObservationTable) -> list[dict[str, Any]]:
     """Return the field ``faults`` for faults in the table's rows, with rows counted from 1, the last one included."""
     entries = [
@@ -181,10 +177,6 @@ def copies_of(copied: NDArray[np.intp], table: ObservationTable) -> list[dict[st
 def source_name(table: ObservationTable, row: int) -> str:
     """Return the source of a row, without the folder, as in ``input_of``."""
     return os.path.basename(str(table.source[row]))
-
-
-def _sources(table: ObservationTable, rows: Iterable[int]) -> list[str]:
-    return [source_name(table, row) for row in rows]
 
 
 def residual_units(estimate: Estimate) -> list[str]:

@@ -308,10 +308,10 @@ def with_average(
     estimate = replace(estimate, value=estimate.value + change, covariance=covariance, sigma=sigma)
     if not causes:
         return estimate
-    claim, faults = estimate.claim, estimate.faults
+    claim = estimate.claim
     if claim is not None and MEAN in causes:
         claim = replace(claim, shift=0.0)
-    estimate = replace(estimate, applied=tuple(causes), claim=claim, faults=faults)
+    estimate = replace(estimate, applied=tuple(causes), claim=claim)
     return rejudged(chain, rig, table, estimate)
 
 
