@@ -11,10 +11,6 @@ from truearm.exit_codes import ExitCode
 from truearm.files.disk import check_writable, own_folder, same_file, write_atomic
 
 
-def ours(head):
-    return head.startswith(b"ours")
-
-
 def test_an_input_is_never_an_output(tmp_path):
     data = tmp_path / "data.csv"
     data.write_text("x")
@@ -28,12 +24,13 @@ def test_an_input_is_never_an_output(tmp_path):
 
 
 def test_only_what_we_wrote_is_replaced(tmp_path):
-    (tmp_path / "theirs").write_text("theirs")
-    (tmp_path / "ours").write_text("ours, older")
+    (tmp_path / "theirs").write_text('[[bar]]\nname = "b46"')
+    (tmp_path / "ours").write_text("pose,shell")
+    (tmp_path / "empty").write_text("\n")
     with refused("foreign-file"):
-        check_writable(tmp_path / "theirs", ours=ours)
-    check_writable(tmp_path / "ours", ours=ours)
-    check_writable(tmp_path / "new", ours=ours)
+        check_writable(tmp_path / "theirs", kind="plan")
+    for name in ("ours", "empty", "new"):
+        check_writable(tmp_path / name, kind="plan")
 
 
 def test_devices_and_links_stay_what_they_are(tmp_path):

@@ -9,11 +9,11 @@ from tests.refusals import ended, refused
 
 from truearm.cli.main import main
 from truearm.errors import RigError
+from truearm.files.file_kind import KINDS
 from truearm.files.noise_file import (
     NoiseFile,
     check_against_rigs,
     format_noise,
-    looks_like_noise,
     parse_noise,
     with_noise,
 )
@@ -37,8 +37,7 @@ def test_a_file_reads_back(prismatic):
     assert np.allclose(read.joint_cov, COV, rtol=1e-14, atol=0.0)
     assert read.bar_sigma == noise.bar_sigma
     assert (read.backlash, read.backlash_sigma) == (noise.backlash, noise.backlash_sigma)
-    assert looks_like_noise(text.encode())
-    assert not looks_like_noise(b'[[bar]]\nname = "b46"')
+    assert KINDS["noise"].fits(text.encode())
 
 
 def test_it_stands_in_for_the_rigs_figures():

@@ -10,11 +10,11 @@ import pytest
 from report_bench import Strict, both, cells_of, drawings, make_page, rms, titles, with_rotation
 from scipy import stats
 
+from truearm.files.file_kind import KINDS
 from truearm.findings import Finding
 from truearm.kinds.plane import PlaneRows
 from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import render
-from truearm.report.page_parts import looks_like_page
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import law_of, rows_by_kind, summaries
 from truearm.results import Figures, HeldOut, NullDirection, Observability, PredictedError
@@ -211,9 +211,8 @@ def test_solver_loss_and_prior_are_facts():
 
 
 def test_a_page_is_known_by_its_head():
-    assert looks_like_page(render(make_page(20)).encode()[:1024])
-    assert looks_like_page(b"")
-    assert not looks_like_page(b"<!DOCTYPE html><html><body>diary")
+    assert KINDS["page"].fits(render(make_page(20)).encode()[:1024])
+    assert not KINDS["page"].fits(b"<!DOCTYPE html><html><body>diary")
 
 
 def test_parameters_are_in_the_units_of_the_border():

@@ -12,7 +12,7 @@ FILES = {
     "plan.csv": "pose,q1_rad\n",
     "result.json": '{"format": "truearm-result"}',
     "truearm.toml": 'model = "ur5e"\n',
-    "report.html": "<!DOCTYPE html>",
+    "report.html": '<!DOCTYPE html><meta name="generator" content="truearm">',
 }
 
 

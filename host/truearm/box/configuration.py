@@ -52,11 +52,6 @@ def parse_number(text: str) -> Decimal:
 # --- to TOML
 
 
-def looks_like_config(head: bytes) -> bool:
-    """Return whether a file with this beginning is empty or was written by ``format_config``."""
-    return not head.strip() or head.startswith(HEADER.encode())
-
-
 def format_config(config: Mapping[str, Any]) -> str:
     """Format a box's configuration as TOML. Keys unknown to this version of truearm appear in comments: the box keeps
     them.

@@ -94,7 +94,6 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
     Raises InputError, TableError, LinkError.
     """
     from truearm.files.disk import check_writable
-    from truearm.report.gauge_page import MARK
 
     unit, channel, say = options.unit, options.channel, operator.say
     if unit not in UNITS:
@@ -105,13 +104,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
     )
     inputs = [] if options.references is None else [options.references]
     kept = kept_path(page)  # if it exists, a page belongs to the same run: it was interrupted at the last question
-    check_writable(
-        page,
-        options.force or kept.exists(),
-        inputs=inputs,
-        ours=lambda head: MARK.encode() in head,
-        suffixes=[".html"],
-    )
+    check_writable(page, options.force or kept.exists(), inputs=inputs, kind="page")
     with conversation(device, stop=stop) as box:
         stream, index = _find(ident_of(box), channel, device)
         config = checked_config(box)

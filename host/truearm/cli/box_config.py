@@ -41,11 +41,11 @@ def get(
     out : FILE
         File to write: the configuration (.toml), instead of printing it.
     """
-    from truearm.box.configuration import format_config, looks_like_config
+    from truearm.box.configuration import format_config
     from truearm.files.disk import check_writable, write_atomic
 
     if out is not None:
-        check_writable(out, force, ours=looks_like_config, suffixes=[".toml"])
+        check_writable(out, force, kind="configuration")
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
         found = connected.config()

@@ -115,7 +115,7 @@ def demo(
     from truearm.workflows.demo_steps import subject as robot_subject
     from truearm.workflows.record import nearest_osr
     from truearm.workflows.simulate import find_interpreter
-    from truearm.workflows.simulated_robot import looks_like_truth, write_truth
+    from truearm.workflows.simulated_robot import write_truth
     from truearm_sim import micropython
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World, standard_plan
@@ -127,7 +127,7 @@ def demo(
     subject = robot_subject(RobotChoice(model, base, tip), branch_given(branch), truth, seed)
     simulated, robot = subject.simulated, subject.robot
     if truth_out is not None:
-        check_writable(truth_out, force, inputs=subject.choice.files, ours=looks_like_truth, suffixes=[".json"])
+        check_writable(truth_out, force, inputs=subject.choice.files, kind="truth")
     own_folder(out, MARK)
     interpreter = find_interpreter()
     if interpreter is None:

@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 from truearm.cli.command import ARGUMENTS, EXPERT
 from truearm.cli.names import command_for
 from truearm.errors import InputError
-from truearm.files.file_kind import DESCRIPTIONS, kind_of
+from truearm.files.file_kind import KINDS, kind_of
 from truearm.files.project_folder import find_project
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut
 RESULT_TAKEN = "truearm.result"  # in a context: the project's result, set before the files that were typed
 BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash", "reset")
-# kinds of file that a parameter takes (``files.file_kind``); targets and programs are none of them
+# kinds of file that a parameter takes (``files.file_kind``)
 TAKES = {
     "session": ("session",),
     "inputs": ("session", "table"),
@@ -33,8 +33,8 @@ TAKES = {
     "rig": ("rig",),
     "noise": ("noise", "rig"),  # one that is written by hand has keys of a rig
     "plan": ("plan",),
-    "model": ("robot",),
-    "targets": (),
+    "model": ("robot", "exported"),
+    "targets": ("targets", "program"),
 }
 Answer = Callable[[], Any]  # the value of an option; None: no default
 
@@ -106,9 +106,9 @@ def _check_kind(name: str, value: str | Path, parameters: Sequence[Any]) -> None
     path, kind = next(((path, kind) for path in paths if (kind := kind_of(path))), (paths[0], None))
     if kind is None or kind in TAKES[name]:
         return
-    wanted = " or ".join(DESCRIPTIONS[one] for one in TAKES[name]) or "a table of targets (.csv) or a program"
+    wanted = " or ".join(KINDS[one].description for one in TAKES[name])
     instead = f"; give it as --{kind}" if any(f"--{kind}" in one.opts for one in parameters) and kind != name else ""
-    raise InputError(f"{path}: is {DESCRIPTIONS[kind].partition(' (')[0]}, where {wanted} is expected{instead}")
+    raise InputError(f"{path}: is {KINDS[kind].description.partition(' (')[0]}, where {wanted} is expected{instead}")
 
 
 class CommandGroup(TyperGroup):

@@ -16,6 +16,7 @@ from typing import Any
 
 from truearm.errors import InputError, TruearmError, WriteError
 from truearm.file_names import DISK_FAILED, open_input, reading, system_reason
+from truearm.files.file_kind import HEAD, KINDS
 from truearm.schema import load_toml
 
 SESSION_MAGIC = b"\x89MCAP"
@@ -151,18 +152,19 @@ def check_writable(
     force: bool = True,
     *,
     inputs: Iterable[Path] = (),
-    ours: Callable[[bytes], bool] | None = None,
+    kind: str | None = None,
     suffixes: Sequence[str] = (),
 ) -> None:
     """Raise InputError if ``path`` cannot become a file, or should not.
 
     Called before long computations, in addition to handling errors when writing. ``inputs`` are files that must not be
-    overwritten. ``ours`` tells from the first kilobyte of an existing file whether truearm wrote it; such a file may be
-    replaced with ``force``. ``suffixes`` are those of such a file: a name may have one of them or none, since other
-    programs, and truearm when it reads the file again, go by the suffix.
+    overwritten. ``kind``: a key of ``KINDS``; an existing file may be replaced with ``force`` if it is of this kind or
+    empty. A name may have one of the ``suffixes``, by default those of the kind, or none, since other programs, and
+    truearm when it reads the file again, go by the suffix.
     """
+    suffixes = suffixes or (KINDS[kind].suffixes if kind else ())
     try:
-        _check_writable(path, inputs, ours)
+        _check_writable(path, inputs, kind)
         if path.exists() and not force:
             raise InputError("file-exists", place=path, may_force=True)
     except OSError as exc:  # a name that is too long, or a folder without permission
@@ -171,7 +173,23 @@ def check_writable(
         raise InputError("wrong-suffix", place=path, suffixes=" or ".join(suffixes))
 
 
-def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], bool] | None) -> None:
+def check_outputs(
+    outputs: Iterable[tuple[str, Path | None]], force: bool, inputs: Iterable[Path], shown: str = "the result"
+) -> None:
+    """Raise InputError if a file to write, of a kind, cannot be written or would replace an input or another output.
+
+    None stands for a file that is not wanted. ``shown``: what a command prints in place of a file.
+    """
+    earlier = list(inputs)
+    for kind, path in outputs:
+        if path == Path("-"):
+            raise InputError("no-file-name", what=shown)
+        if path is not None:
+            check_writable(path, force, inputs=earlier, kind=kind)
+            earlier.append(path)
+
+
+def _check_writable(path: Path, inputs: Iterable[Path], kind: str | None) -> None:
     if path.is_dir():
         raise InputError("unreadable-file", place=path)
     _check_regular(path)
@@ -183,10 +201,11 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
         raise InputError(
             f"{path}: the folder {path.parent} cannot be written; choose another folder, or change its permissions"
         )
-    if ours is not None and path.exists():
+    if kind and path.exists():
         with path.open("rb") as file:
-            if not ours(file.read(1024)):
-                raise InputError("foreign-file", place=path)
+            head = file.read(HEAD)
+        if head.strip() and not KINDS[kind].fits(head):
+            raise InputError("foreign-file", place=path)
 
 
 def same_file(a: Path, b: Path) -> bool:

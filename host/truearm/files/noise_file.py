@@ -114,8 +114,3 @@ def format_noise(noise: NoiseFile, remarks: list[str], prismatic: bool) -> str:
     covariance, sigmas = JOINT_COVARIANCE
     keys = (covariance if prismatic else sigmas, *BACKLASH)
     return head + replace(NOISE, keys=keys).format(noise)
-
-
-def looks_like_noise(head: bytes) -> bool:
-    """Return whether a file with this beginning was written by ``truearm characterize`` and so may be replaced."""
-    return head.startswith(FIRST_LINE.encode())

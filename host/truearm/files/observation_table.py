@@ -272,11 +272,6 @@ def _written(number: float) -> str:
     return "" if math.isnan(number) else repr(float(number))
 
 
-def looks_like_table(head: bytes) -> bool:
-    """Return whether a file with this beginning is a table of observations, or empty."""
-    return not head.strip() or b"kind" in head.split(b"\n", 1)[0]
-
-
 def write_table(path: Path, table: ObservationTable, joint_units: Sequence[str]) -> None:
     """Write a table that ``read_table`` reads back exactly, except for ``source``.
 

@@ -194,11 +194,6 @@ def _motion(plan: Plan, pose: int) -> tuple[str, ...]:
     return str(plan.move[pose]), str(plan.line[pose]), str(plan.target[pose]), cell
 
 
-def looks_like_plan(head: bytes) -> bool:
-    """Return whether a file with this beginning is a plan."""
-    return head.startswith(b"pose,")
-
-
 def write_plan(path: Path, plan: Plan) -> None:
     """Write a plan that ``read_plan`` reads back exactly. Raises InputError."""
     write_atomic(path, format_plan(plan))

@@ -388,11 +388,6 @@ def format_document(value: Any, indent: int = 0) -> str:
     return f"{first}{','.join(lines)}{pad}{last}"
 
 
-def looks_like_result(head: bytes) -> bool:
-    """Return whether a file with this beginning is a result, or empty."""
-    return not head.strip() or (head.lstrip().startswith(b"{") and b'"truearm' in head)
-
-
 def write_result(path: Path, result: Result) -> None:
     """Write result.json atomically. Raises InputError if it cannot be written there."""
     write_atomic(path, format_document(result.document) + "\n")

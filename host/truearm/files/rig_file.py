@@ -55,12 +55,6 @@ def format_rig(rig: Rig) -> str:
     return _table().format(rig)
 
 
-def looks_like_rig(head: bytes) -> bool:
-    """Return whether a file with this beginning is a rig, with one of its keys."""
-    first = head.partition(b"=")[0].strip().decode(errors="replace")
-    return any(first in key.spellings for key in _table().keys)
-
-
 def write_rig(path: Path, rig: Rig) -> None:
     """Write a rig file that ``read_rig`` reads back exactly. Raises InputError."""
     write_atomic(path, format_rig(rig))

@@ -153,8 +153,3 @@ def format_corrected(
         names = targets.name[at : at + ROWS].tolist()
         rows += [formats % (name, *row) for name, row in zip(names, numbers_of_rows, strict=True)]
     return "\n".join([*rows, ""])
-
-
-def looks_like_targets(head: bytes) -> bool:
-    """Return whether a file with this beginning is a table of corrected targets, or empty."""
-    return not head.strip() or b"after_mm" in head.split(b"\n", 1)[0]

@@ -17,8 +17,6 @@ from truearm.report.page_text import escape, figures, number
 from truearm.types import Floats
 from truearm.units import MM, UM
 
-MARK = "<!-- truearm box gauge -->"  # identifies a page written by truearm
-
 
 @dataclass(frozen=True)
 class GaugePage:
@@ -52,7 +50,7 @@ def render(page: GaugePage) -> str:
         section("Residuals", pictures(map(picture, shown))),
         section("The places", _table(page)),
     )
-    return html_page("truearm", page.title, page.subtitle, sections, f"{MARK}\n")
+    return html_page("truearm", page.title, page.subtitle, sections)
 
 
 _RESIDUAL_CAPTION = (

@@ -19,18 +19,15 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
 
 
-def html_page(
-    program: str, title: str, subtitle: str, sections: Iterable[str], mark: str = "", watermark: str = ""
-) -> str:
+def html_page(program: str, title: str, subtitle: str, sections: Iterable[str], watermark: str = "") -> str:
     """Return a complete page as HTML text, to be written as UTF-8.
 
-    ``program`` is shown above its title; ``mark`` precedes everything. ``watermark``
-    is a word across each page, on screen and on paper.
+    ``program`` is shown above its title. ``watermark`` is a word across each page, on screen and on paper.
     """
     across = f'<p class="watermark" aria-hidden="true">{escape(watermark)}</p>\n' if watermark else ""
     style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
-        f'<!DOCTYPE html>\n{mark}<html lang="en">\n<head>\n<meta charset="utf-8">\n{GENERATOR}\n'
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{GENERATOR}\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
@@ -39,11 +36,6 @@ def html_page(
         f'<p class="subtitle">{escape(subtitle, 400)}</p></header>\n'
         f"<main>\n{''.join(sections)}</main>\n</body>\n</html>\n"
     )
-
-
-def looks_like_page(head: bytes) -> bool:
-    """Return whether a file with this beginning is a page written by truearm, or empty."""
-    return not head.strip() or GENERATOR.encode() in head
 
 
 def section(title: str, content: str) -> str:

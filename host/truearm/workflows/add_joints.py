@@ -12,7 +12,7 @@ from truearm.files.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
-from truearm.workflows.session_parts import SUFFIX, looks_like_session, open_finished
+from truearm.workflows.session_parts import open_finished
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
     SessionError.
     """
     inputs = [wanted.session, wanted.source]
-    check_writable(wanted.out, force, inputs=inputs, ours=looks_like_session, suffixes=[SUFFIX])
+    check_writable(wanted.out, force, inputs=inputs, kind="session")
     zero = wanted.zero
     if zero is not None and not abs(zero) < 1e9:
         raise InputError(Argument("zero"), f" {zero:g} is not a time; give seconds")

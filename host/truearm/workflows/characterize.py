@@ -24,7 +24,7 @@ from truearm.estimate.repeatability import (
     sigma_interval,
 )
 from truearm.files.disk import check_writable, write_atomic
-from truearm.files.noise_file import NoiseFile, format_noise, looks_like_noise
+from truearm.files.noise_file import NoiseFile, format_noise
 from truearm.files.plan_file import read_plan
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
@@ -77,7 +77,7 @@ def characterize_files(files: CharacterizeFiles, bands: Sequence[float]) -> dict
     paths = session_parts(files.session)
     if files.out is not None:
         read = [*paths, *filter(None, [files.rig, files.plan]), *files.robot.files]
-        check_writable(files.out, files.force, inputs=read, ours=looks_like_noise, suffixes=[".toml"])
+        check_writable(files.out, files.force, inputs=read, kind="noise")
     chain = files.robot.load().chain
     opened = {path: open_finished(path, files.allow_damaged) for path in paths}
     rig = _rig(opened, files.rig)

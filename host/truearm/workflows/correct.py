@@ -15,9 +15,9 @@ from truearm.correct.methods import Method, entry, with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import ALL_SUFFIXES
 from truearm.errors import Argument, InputError, RobotError, TargetError
-from truearm.files.disk import check_writable, write_atomic
+from truearm.files.disk import check_outputs, write_atomic
 from truearm.files.robot_file import RobotChoice, load_robot
-from truearm.files.target_table import check_is_table, format_corrected, looks_like_targets, read_targets
+from truearm.files.target_table import check_is_table, format_corrected, read_targets
 from truearm.finding_texts import UNDETERMINED
 from truearm.findings import Finding, ordered
 from truearm.model.chain import Chain, forward
@@ -25,7 +25,6 @@ from truearm.model.poses import Six, frame_of, inverted
 from truearm.model.robot_mounting import mountings
 from truearm.progress import step
 from truearm.report.correction_page import render
-from truearm.report.page_parts import looks_like_page
 from truearm.types import Floats
 from truearm.workflows.calibration import Calibration, check_joints, check_names, chosen_mountings, mounting_values
 from truearm.workflows.correct_program import (
@@ -115,13 +114,11 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     if programs is None:
         check_is_table(files.targets, ALL_SUFFIXES)
         _refuse_for_table(files.targets, options.program)
-        check_writable(files.out, files.force, inputs=read, ours=looks_like_targets, suffixes=(".csv",))
+        check_outputs([("targets", files.out)], files.force, read)
     else:
         check_program_out(files.out, programs, read)
     how = _how(calibration, options)
-    if files.report is not None:
-        inputs = [*read, files.out]
-        check_writable(files.report, files.force, inputs=inputs, ours=looks_like_page, suffixes=[".html"])
+    check_outputs([("page", files.report)], files.force, [*read, files.out])
     if programs is None:
         done = _correct_table(files.targets, how, options)
     else:

@@ -14,7 +14,7 @@ from truearm.errors import Argument, InputError, RobotError
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
 from truearm.export.writing import FormatFit, RobotToWrite, fit_to, held, written
-from truearm.files.disk import check_writable, read_text, write_atomic
+from truearm.files.disk import check_outputs, check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
@@ -145,9 +145,8 @@ def export_file(
     """
     check_names(result, out, over, curves)
     inputs = [result, *robot.files, *filter(None, [over])]
-    check_writable(out, force, inputs=inputs, ours=looks_like_ours, suffixes=[FORMATS[options.form].suffix])
-    if curves is not None:
-        check_writable(curves, force, inputs=[*inputs, out], ours=looks_like_curves, suffixes=[".csv"])
+    check_writable(out, force, inputs=inputs, kind="exported", suffixes=[FORMATS[options.form].suffix])
+    check_outputs([("curves", curves)], force, [*inputs, out])
     calibration = read_usable(result, robot, allow_unusable).carrying(*options.payload)
     found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
     table = None if curves is None else curve_table(_curves(calibration, curves), calibration.simulated)
@@ -179,11 +178,6 @@ def curve_table(curves: Sequence[SampledCurve], simulated: bool = False) -> str:
             for q, error, sigma, inside in rows
         ]
     return "\n".join(lines) + "\n"
-
-
-def looks_like_curves(head: bytes) -> bool:
-    """Return whether a file with this beginning is such a table, or empty."""
-    return not head.strip() or head.startswith(CURVES_HEADER.encode())
 
 
 def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> ExportedRobot:
@@ -220,14 +214,6 @@ def _urdf_text(calibration: Calibration) -> str | None:
     """Return the robot's source text if it is a URDF."""
     robot = calibration.robot
     return read_text(Path(robot.file), MAX_BYTES, InputError) if robot.is_urdf else None
-
-
-def looks_like_ours(head: bytes) -> bool:
-    """Return whether truearm wrote the file.
-
-    A URDF that was changed in place has no mark, since only its numbers may change, so it is not replaced.
-    """
-    return not head.strip() or MARK.encode() in head
 
 
 def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | None) -> FormatFit:

@@ -29,9 +29,9 @@ from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.files.observation_table import looks_like_table, write_table
+from truearm.files.observation_table import write_table
 from truearm.files.result_document import copies_of, result_of
-from truearm.files.result_file import Input, RobotFrames, looks_like_result, write_result
+from truearm.files.result_file import Input, RobotFrames, write_result
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
@@ -198,20 +198,13 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
 
     Raises InputError with a one-line message, and ProblemError as ``identified`` does; then no result is written.
     """
-    from truearm.report.page_parts import looks_like_page
-
     recordings: list[Recording] = []
     sources = replace(
         files.sources,
         inputs=tuple(with_parts(list(files.sources.inputs))),
         heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
-    wanted = (
-        *((path, looks_like_result, ".json") for path in files.results),
-        (files.save_table, looks_like_table, ".csv"),
-        (files.report, looks_like_page, ".html"),
-    )
-    outputs = [(path, ours, suffix) for path, ours, suffix in wanted if path is not None]
+    outputs = [*(("result", path) for path in files.results), ("table", files.save_table), ("page", files.report)]
     check_files(sources, files.robot, outputs, files.force)
     robot = files.robot.load()
     rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)

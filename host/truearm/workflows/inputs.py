@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from truearm.errors import Argument, InputError, SessionError
-from truearm.files.disk import check_writable, same_file
+from truearm.files.disk import check_outputs, same_file
 from truearm.files.labels_file import labels_path
 from truearm.files.noise_file import check_against_rigs, read_noise, with_noise
 from truearm.files.observation_table import check_against_rig, concatenate, read_table
@@ -41,10 +41,6 @@ from truearm.workflows.session_rigs import Assigned, session_rigs
 if TYPE_CHECKING:
     from truearm.session.session_file import Session
 
-Output = tuple[
-    Path, Callable[[bytes], bool], str
-]  # a file to write, a test of its beginning for a file of truearm, its suffix
-
 
 @dataclass(frozen=True)
 class Sources:
@@ -75,24 +71,20 @@ class Sources:
         return [rig for rig in self.rigs.values() if isinstance(rig, Path)]
 
 
-def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] = (), force: bool = False) -> None:
-    """Check that no input is given twice and no output replaces an input, another output or an unknown file.
+def check_files(
+    sources: Sources, robot: RobotChoice, outputs: Sequence[tuple[str, Path | None]] = (), force: bool = False
+) -> None:
+    """Check that no input is given twice, and the outputs as ``check_outputs`` does.
 
     A repeated input would make its sigmas too small. Raises InputError.
     """
     if Path("-") in sources.inputs:
         raise InputError("no-file-name")
-    if any(path == Path("-") for path, *_ in outputs):
-        raise InputError("no-file-name", what="the result")
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, other) for other in counted[:i]):
             raise InputError("given-twice", place=path)
-    for i, (path, *_) in enumerate(outputs):
-        if any(same_file(path, other) for other, *_ in outputs[:i]):
-            raise InputError("given-twice", place=path)
-    for path, ours, suffix in outputs:
-        check_writable(path, force, inputs=[*sources.files, *robot.files], ours=ours, suffixes=[suffix])
+    check_outputs(outputs, force, [*sources.files, *robot.files])
 
 
 class DwellCount(NamedTuple):

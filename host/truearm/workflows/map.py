@@ -14,7 +14,7 @@ import numpy as np
 from truearm.correct.error_map import BestRectangle, ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError
-from truearm.files.disk import check_writable, write_atomic
+from truearm.files.disk import check_outputs, write_atomic
 from truearm.files.robot_file import RobotChoice
 from truearm.findings import Finding
 from truearm.progress import step
@@ -30,7 +30,6 @@ from truearm.workflows.calibration import (
 )
 from truearm.workflows.undetermined import undetermined, unseen_within
 
-MARK = "u_mm,v_mm"
 SOME = 12  # cells at which the reason for an unknown error is sought
 
 
@@ -89,18 +88,8 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
     Raises InputError with a one-line message.
     """
     check_names(files.out, files.picture)
-    read = [files.result, *files.robot.files]
-    if files.out is not None:
-        check_writable(
-            files.out,
-            files.force,
-            inputs=read,
-            ours=lambda head: not head.strip() or head.startswith(MARK.encode()),
-            suffixes=[".csv"],
-        )
-    if files.picture is not None:
-        written = [*read, *filter(None, [files.out])]
-        check_writable(files.picture, files.force, inputs=written, ours=_looks_like_picture, suffixes=[".svg"])
+    outputs = [("map", files.out), ("picture", files.picture)]
+    check_outputs(outputs, files.force, [files.result, *files.robot.files])
     found = mapped(calibration, section)
     region = None if task is None else best_region(found, *task.size, task.within)
     if files.out is not None:
@@ -160,10 +149,6 @@ def _within_readings(found: ErrorMap) -> ErrorMap:
     for values in (cells[name] for name in ("q", "point", "error", "sigma")):
         values[~only] = np.nan
     return replace(found, u=found.u[columns], v=found.v[rows], **cells)
-
-
-def _looks_like_picture(head: bytes) -> bool:
-    return not head.strip() or (head.startswith(b"<svg") and b"Error of" in head)
 
 
 def _table(found: ErrorMap, calibration: Calibration) -> str:

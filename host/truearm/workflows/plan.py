@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -15,9 +14,9 @@ from truearm import option_defaults
 from truearm.arguments import Checked
 from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, SEED, TRAVEL, VISITS, OneOf
 from truearm.errors import Argument, InputError
-from truearm.files.disk import check_writable, write_atomic
-from truearm.files.plan_file import looks_like_plan, write_plan
-from truearm.files.rig_file import looks_like_rig, read_rig, write_rig
+from truearm.files.disk import check_outputs, write_atomic
+from truearm.files.plan_file import write_plan
+from truearm.files.rig_file import read_rig, write_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import number_or_null
 from truearm.findings import entries
@@ -36,7 +35,7 @@ from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
 from truearm.plan.region import Region
 from truearm.plan.route import Visits
-from truearm.plan.route_program import DIALECTS, check_joints, check_suffix, program
+from truearm.plan.route_program import check_joints, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.progress import step
 from truearm.report.plan_findings import approach_findings, forecast_findings
@@ -358,23 +357,11 @@ def _target(known: Known, name: str | None) -> str:
 
 def _check(files: PlanFiles) -> None:
     """Check that no output replaces an input or another output, and that all suffixes are known. Raises InputError."""
-    outputs = files.outputs
-    if Path("-") in outputs:
-        raise InputError("no-file-name", what="the forecast")
     for path in files.programs:
         check_suffix(path.suffix.lower())
     read = [*files.robot.files, files.rig, files.result, *files.measured]
-    inputs = [path for path in read if path is not None]
-    for i, path in enumerate(outputs):
-        suffixes = [".csv"] if path == files.out else [".toml"] if path == files.rig_out else []
-        ours = partial(_is_ours, path.suffix.lower())
-        check_writable(path, files.force, inputs=[*inputs, *outputs[:i]], ours=ours, suffixes=suffixes)
-
-
-def _is_ours(suffix: str, head: bytes) -> bool:
-    """Return whether a file with this beginning is empty, or a plan, a rig or a program with this suffix."""
-    program = suffix in DIALECTS and head.startswith(DIALECTS[suffix].begins)
-    return not head.strip() or program or looks_like_plan(head) or looks_like_rig(head)
+    outputs = [("plan", files.out), ("rig", files.rig_out), *(("program", path) for path in files.programs)]
+    check_outputs(outputs, files.force, filter(None, read), "the forecast")
 
 
 def _known(files: PlanFiles) -> Known:

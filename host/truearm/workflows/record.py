@@ -23,7 +23,7 @@ from truearm.types import Move
 from truearm.units import NS
 from truearm.workflows.recorded_dwells import RecordedDwells, recorded_dwells
 from truearm.workflows.recover import recovered_name
-from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on, looks_like_session
+from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -227,7 +227,7 @@ def _work(request: Request) -> RecordingWork:
     read = [path for path in (request.rig, request.plan) if path is not None]
     if not out.suffix:
         raise InputError("wrong-suffix", place=out, suffixes=SUFFIX)
-    check_writable(out, request.force and before is None, inputs=read, ours=looks_like_session, suffixes=[SUFFIX])
+    check_writable(out, request.force and before is None, inputs=read, kind="session")
     if out.exists() and is_held(out):
         raise InputError("in-use", place=out)
     work = _with_files(RecordingWork(out, request.robot, request.osr or USUAL_OSR), request)

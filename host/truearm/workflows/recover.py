@@ -12,7 +12,7 @@ from truearm.progress import step
 from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session
 from truearm.session.session_file import Session
-from truearm.workflows.session_parts import SUFFIX, looks_like_session, open_finished
+from truearm.workflows.session_parts import open_finished
 
 
 def recovered_name(session: Path) -> Path:
@@ -29,7 +29,7 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
     opened = open_finished(session, allow_damaged=True)
     if is_whole(opened):
         return None
-    check_writable(out, force, inputs=[session], ours=looks_like_session, suffixes=[SUFFIX])
+    check_writable(out, force, inputs=[session], kind="session")
     return _write(session, opened, out, {"source": session.name, "sha256": sha256(session)})
 
 

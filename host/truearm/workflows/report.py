@@ -17,7 +17,6 @@ from truearm.files.robot_file import load_robot
 from truearm.progress import step
 from truearm.report import validation_page
 from truearm.report.certificate import Certificate, Recording
-from truearm.report.page_parts import looks_like_page
 from truearm.workflows.calibration import frames_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
@@ -64,7 +63,7 @@ def report_files(files: ReportFiles) -> Certificate:
         heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
     choice = files.made_from.robot
-    check_files(sources, choice, [(files.out, looks_like_page, ".html")], files.made_from.force)
+    check_files(sources, choice, [("page", files.out)], files.made_from.force)
     inputs = hashed_inputs(sources, choice)
     _check_inputs(files.result, stored, {one.sha256 for one in inputs})
     name = choice.robot or stored.robot.name
@@ -95,8 +94,7 @@ def validation_report(files: ReportFiles, keep_rig: bool = False) -> Validation:
     recordings: list[Recording] = []
     made_from = files.made_from
     sources = replace(made_from.sources, heard=lambda session, result: recordings.append(recording_of(session, result)))
-    outputs = [(files.out, looks_like_page, ".html")]
-    measured = measured_files(files.result, made_from.robot, sources, outputs, made_from.force)
+    measured = measured_files(files.result, made_from.robot, sources, [("page", files.out)], made_from.force)
     validation = validated(*measured, keep_rig)
     certificate = validation_certificate(measured, validation, files.issue, recordings)
     name = measured.calibration.chain.name

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from truearm.session.session_file import Session
 
 SUFFIX = ".mcap"
-MAGIC = b"\x89MCAP0\r\n"  # of an MCAP file
 SETUP = "setup"  # metadata record with the session that a part belongs to, and how it was recorded
 _PART = re.compile(r"(.+)\.([1-9][0-9]{0,5})")
 
@@ -162,11 +161,6 @@ def gone_on(progress: SessionProgress, before: Earlier) -> None:
     progress.next = max(
         [progress.next, *(row + 1 for row in before.lines if type(row) is int and row < len(progress.rows))]
     )
-
-
-def looks_like_session(head: bytes) -> bool:
-    """Return whether a file with this beginning is empty or a session, which ``force`` may replace."""
-    return not head.strip() or head.startswith(MAGIC)
 
 
 def open_finished(path: Path, allow_damaged: bool = False) -> Session:

@@ -24,7 +24,6 @@ from truearm.workflows.simulated_robot import (
     SimulatedRobot,
     TruthOptions,
     check_plan,
-    looks_like_truth,
     simulated_robot,
     with_repeatability,
     write_truth,
@@ -254,7 +253,7 @@ def _lab(
         rig = thermal.declared(rig)
     if options.truth_out is not None:
         read = [path for path in (options.plan, options.rig, *options.model.files) if path is not None]
-        check_writable(options.truth_out, options.force, inputs=read, ours=looks_like_truth, suffixes=[".json"])
+        check_writable(options.truth_out, options.force, inputs=read, kind="truth")
     world = World(
         seed,
         plan,

@@ -124,11 +124,6 @@ def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
         raise PlanError(text, Argument("model"), " and ", Argument("rig"))
 
 
-def looks_like_truth(head: bytes) -> bool:
-    """Return whether a file with this beginning is empty or a truth."""
-    return not head.strip() or TRUTH_FORMAT.encode() in head[:100]
-
-
 def write_truth(path: Path, world: World, robot: Robot, truth: TruthOptions, seed: int) -> None:
     """Write the hidden truth of a world as JSON, in SI units. Raises InputError."""
     write_atomic(path, json.dumps(truth_document(world, robot, truth, seed), indent=1) + "\n")

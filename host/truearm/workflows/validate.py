@@ -40,7 +40,7 @@ from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of, unusable_because
-from truearm.workflows.inputs import Output, Sources, check_files, hashed_inputs, observed
+from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.selection import parse_effect
 from truearm.workflows.session_parts import with_parts
 
@@ -149,7 +149,11 @@ def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig:
 
 
 def measured_files(
-    result: Path, robot: RobotChoice, sources: Sources, outputs: Sequence[Output] = (), force: bool = False
+    result: Path,
+    robot: RobotChoice,
+    sources: Sources,
+    outputs: Sequence[tuple[str, Path | None]] = (),
+    force: bool = False,
 ) -> Measured:
     """Read a result and the observations for judging it, and check the files that will be written. Raises InputError."""
     calibration = read_calibration(result, robot)
