@@ -68,8 +68,9 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     assert code == 0, err
     document = json.loads(said)
     errors = np.array([float(row["error_mm"]) for row in rows])
-    assert (document["cells"], document["cell_mm"], document["written"]) == (len(rows), 40.0, [])
-    told = [document[f"error_{name}_mm"] for name in ("min", "max", "rms")]
+    values = {finding["code"]: finding["values"] for finding in document["findings"]}["map-error"]
+    assert (values["cells"], values["cell"], document["written"]) == (len(rows), {"mm": 40.0}, [])
+    told = [values[name]["mm"] for name in ("least", "most", "rms")]
     np.testing.assert_allclose(told, [errors.min(), errors.max(), np.sqrt(np.mean(errors**2))], atol=1e-4)  # as written
     assert [round(u) for u in np.diff(document["best_region"]["u_mm"])] >= [300]
 

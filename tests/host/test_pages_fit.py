@@ -76,34 +76,30 @@ def validation():
 
 def program(n=30):
     """The report of ``truearm correct`` with straight moves and refused ones."""
-    at = np.linspace(0.0, 1.0, 3 * n).reshape(n, 3)
-    one = (
-        "line 1234, Target_120 in Path_10",
-        "line 1233",
-        "0.123",
-        "joint 5: 12.3 deg",
-        "0.123",
-        "may not be drivable",
-    )
+    limit = {"limit_joint": 5, "limit_deg": 12.3, "singular_value": 0.12}
+    moves = {"place": "line 1234, Target_120 in Path_10", "from": "line 1233", "deviation_mm": 0.123, "drivable": False}
+    errors = {"shift_mm": 1.7, "shift_mrad": None, "error_before_mm": 2.0, "expected_mm": 0.1, "expected_mrad": None}
+    targets = [
+        {
+            **{
+                when: {f"{axis}_mm": 1e3 * k / n + by for axis in "xyz"}
+                for when, by in (("before", 0.0), ("after", 1.0))
+            },
+            **{"place": moves["place"], **errors, **limit},
+        }
+        for k in range(n)
+    ]
+    statement = "MoveL Offs(Target_120, a, b, c), v1000, fine, tool\\WObj:=wobj0;"
+    codes = [Finding("simulated"), Finding("range-unknown"), Finding("not-converged", {"message": LONG})]
     return correction_page.render(
-        correction_page.CorrectionPage(
-            title="welding_left.mod corrected",
-            subtitle=LONG,
-            places=(one[0],) * n,
-            asked=at,
-            shift=np.full((n, 3), 1e-3),
-            sizes=np.full((n, 2), 1e-3),
-            before=np.full(n, 2e-3),
-            error_point=LONG,
-            expected=np.full((n, 2), 1e-4),
-            limits=("joint 5: 12.3 deg",) * n,
-            singular_value=np.full(n, 0.12),
-            moves=(one,) * 5,
-            refused=(("1240", "MoveL Offs(Target_120, a, b, c), v1000, fine, tool\\WObj:=wobj0;", "a is not known"),),
-            findings=[Finding("range-unknown"), Finding("range-unknown"), Finding("not-converged", {"message": LONG})],
-            facts=(("expected error", LONG),),
-            simulated=True,
-        )
+        {
+            **{"file": "welding_left.mod", "out": LONG, "result": LONG, "error_point": LONG, "robot": LONG},
+            **{"base_frame": "base", "end_frame": "flange", "expected_relative_to": ["base", "tool"]},
+            **{"unexplained_mm": 0.1, "unexplained_mrad": 0.0, "findings": entries(codes)},
+            "refused": [{"file": "a.mod", "line": 1240, "statement": statement, "text": "a is not known"}],
+            "targets": targets,
+            "moves": [{**moves, **limit}] * 5,
+        }
     )
 
 

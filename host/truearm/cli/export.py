@@ -10,6 +10,7 @@ from truearm.cli.command import command
 from truearm.cli.options import payload_of
 from truearm.cli.output import print_json
 from truearm.export.formats import FORMATS, formats_help
+from truearm.findings import entries
 
 
 @command(formats=formats_help())
@@ -56,7 +57,6 @@ def export(
         Poses over which to refit: a table or a plan (.csv). Default: random poses within the joint limits, or within
         the fitted readings if the result has joint laws.
     """
-    from truearm.cli.export_text import document
     from truearm.cli.findings_text import show
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export import ExportOptions, export_file
@@ -65,6 +65,6 @@ def export(
     found = export_file(result, RobotChoice(model, base, tip), out, options, over, curves_out, force, allow_unusable)
     written = [path for path in (out, curves_out) if path is not None]
     if json:
-        print_json(document(found, written))
+        print_json({"format": format, "findings": entries(found.findings), "written": list(map(str, written))})
     else:
         show(found.findings, written=written, more="")

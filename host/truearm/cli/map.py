@@ -12,6 +12,7 @@ from truearm.cli.command import command
 from truearm.cli.options import joints_of, numbers_of, payload_of, spans_of
 from truearm.cli.output import print_json
 from truearm.errors import InputError
+from truearm.findings import entries
 from truearm.units import MM
 
 
@@ -72,10 +73,10 @@ def map_(
         Configuration of the elbow. Default: as measured.
     """
     from truearm.cli.findings_text import show
-    from truearm.cli.map_text import document, map_findings
+    from truearm.cli.map_text import map_findings
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.calibration import read_usable
-    from truearm.workflows.map import MapFiles, MapTask, Section, map_files
+    from truearm.workflows.map import MapFiles, MapTask, Section, axis, map_files
 
     if task is None and within is not None:
         raise InputError("needs-option", place="--within", needed="--task WxH")
@@ -89,8 +90,11 @@ def map_(
     written = [path for path in (out, picture_out) if path is not None]
     findings = map_findings(found, section.cell, task, calibration.simulated)
     if json:
-        content = document(found, section.cell, findings)
-        print_json({"simulated": calibration.simulated, **content, "written": list(map(str, written))})
+        spans = {} if found.region is None else {"u_mm": found.region.u, "v_mm": found.region.v}
+        region = {name: [MM.of(end) for end in span] for name, span in spans.items()} or None
+        axes = [axis(direction) for direction in found.map.axes]
+        document = {"axes": axes, "best_region": region, "findings": entries(findings)}
+        print_json({**document, "written": list(map(str, written))})
     else:
         show(findings, written=written, more="")
 

@@ -1,14 +1,13 @@
-"""What ``truearm map`` prints: its findings, and the same as JSON."""
+"""The findings of ``truearm map``."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from truearm.correct.error_map import BestRectangle, ErrorMap
-from truearm.findings import Finding, entries, ordered
+from truearm.findings import Finding, ordered
 from truearm.results import Figures
 from truearm.types import Floats
 from truearm.units import MM
@@ -60,30 +59,3 @@ def _task(grid: ErrorMap, region: BestRectangle | None, task: str) -> Finding:
 
 def _mm(length: float) -> dict[str, float]:
     return {"mm": float(MM.of(length))}
-
-
-def document(mapped: Mapped, cell: float, findings: list[Finding]) -> dict[str, Any]:
-    """The same as JSON; ``cell`` [m]. ``sigma_unknown_cells``: where combinations of parameters that were not seen move the end."""
-    error, sigma = map(MM.of, _known(mapped.map))
-    region = mapped.region
-    return {
-        "cell_mm": MM.of(cell),
-        "axes": [axis(direction) for direction in mapped.map.axes],
-        "cells": error.size,
-        "error_min_mm": error.min(),
-        "error_max_mm": error.max(),
-        "error_rms_mm": Figures.of(error).rms,
-        "sigma_min_mm": sigma.min() if sigma.size else None,
-        "sigma_max_mm": sigma.max() if sigma.size else None,
-        "sigma_unknown_cells": error.size - sigma.size,
-        "outside_cells": _outside(mapped.map),
-        "best_region": None
-        if region is None
-        else {
-            "u_mm": [MM.of(end) for end in region.u],
-            "v_mm": [MM.of(end) for end in region.v],
-            "error_max_mm": MM.of(region.largest),
-            "error_rms_mm": MM.of(region.rms),
-        },
-        "findings": entries(findings),
-    }

@@ -1,115 +1,129 @@
 """The HTML report of a correction: the shifts, the expected remaining error, and what to check before running the
 program.
 
-Like the other pages it is a single file without a script. Lengths are in mm and angles in mrad here, for display.
+It shows the document of the correction (docs/reference/target-format.md). Like the other pages it is a single file
+without a script.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from truearm.findings import Finding
+from truearm.findings import findings_of
 from truearm.report import svg
 from truearm.report.figures import Figure, drawn
 from truearm.report.page_parts import finding_parts, html_page, picture, pictures, section, table_of
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import ABSENT, escape, figures, number
+from truearm.text import counted, one_line
 from truearm.types import Floats, rms, thinned
-from truearm.units import MM, MRAD
+from truearm.units import MM
+
+Document = Mapping[str, Any]
 
 MOST_ROWS = 400  # of a table; the JSON document has all of them
 MOST_ARROWS = 2000
 ARROW = 0.06  # of the longer side of the picture: length at which a median shift is drawn
-
-
-@dataclass(frozen=True)
-class CorrectionPage:
-    """The content of a page about n targets.
-
-    ``asked`` and ``shift`` (n, 3) [m] are the targets' positions and the shifts of the command; ``sizes`` (n, 2) [m,
-    rad] the sizes of the shifts. ``before`` (n,) [m] is the error of ``error_point`` without correction, ``expected`` (n, 2) [m, rad] the
-    expanded uncertainty with it, NaN where unknown. ``limits`` are the margins to joint limits in words,
-    ``singular_value`` is (n,). ``moves`` are rows of cells for straight moves: from, to, deviation, margins, and a
-    remark. ``refused`` has line, statement, reason. ``simulated``: a watermark says that the calibration is.
-    """
-
-    title: str
-    subtitle: str
-    places: tuple[str, ...]
-    asked: Floats
-    shift: Floats
-    sizes: Floats
-    before: Floats
-    error_point: str
-    expected: Floats
-    limits: tuple[str, ...]
-    singular_value: Floats
-    moves: tuple[tuple[str, ...], ...]
-    refused: tuple[tuple[str, ...], ...]
-    findings: Sequence[Finding]
-    facts: tuple[tuple[str, str], ...]
-    simulated: bool
-
-
-def render(page: CorrectionPage) -> str:
-    """Return the page as HTML text, to be written as UTF-8."""
-    sections = [
-        _summary(page),
-        section("Not corrected", _rows(("line", "statement", "reason"), page.refused, "statements not corrected"))
-        if page.refused
-        else "",
-        section("Shifts", pictures(map(picture, _pictures(page)))),
-        section("Targets", _targets(page)),
-        section("Straight moves", _rows(_MOVES, page.moves, "straight moves")) if page.moves else "",
-        section("How it was made", fact_list(page.facts)),
-    ]
-    watermark = "simulated" * page.simulated
-    return html_page("truearm correct", page.title, page.subtitle, sections, watermark=watermark)
-
-
+STRAIGHT = 1e-4  # m: a larger deviation from a straight move is a bend
+_REFUSED = ("line", "statement", "reason")
 _MOVES = ("to", "from", "deviation [mm]", "nearest joint limit", "singular value", "")
-
-
-def _summary(page: CorrectionPage) -> str:
-    tiles = [
-        ("shift, median", MM.of(float(np.median(page.sizes[:, 0]))), "mm", "of the commanded position", "old"),
-        ("error without correction, RMS", MM.of(rms(page.before)), "mm", f"of {page.error_point}, by the model", "val"),
-        (
-            "expected error, largest (k = 2)",
-            MM.of(_largest(page.expected[:, 0])),
-            "mm",
-            f"of {page.error_point}, {_EXPECTED}",
-            "fit",
-        ),
-    ]
-    shown = "".join(
-        f'<div class="tile {css}"><p class="name">{name}</p><p class="figure">{figures(value)}<span> {unit}</span></p>'
-        f'<p class="small">{escape(note)}</p></div>'
-        for name, value, unit, note, css in tiles
-    )
-    verdict, doubts, notes = finding_parts(page.findings)
-    return f'<section>{verdict}<div class="tiles">{shown}</div>{doubts}{notes}</section>\n'
-
-
 _EXPECTED = "by the parameters' covariance and by what the calibration leaves unexplained"
 
 
-def _largest(values: Floats) -> float:
-    return float(np.max(values)) if np.isfinite(values).all() else float("nan")
+def render(document: Document) -> str:
+    """Return the page as HTML text, to be written as UTF-8."""
+    refused = [(f"{move['file']}:{move['line']}", move["statement"], move["text"]) for move in document["refused"]]
+    sections = [
+        _summary(document),
+        section("Not corrected", _rows(_REFUSED, refused, "statements not corrected")) if refused else "",
+        section("Shifts", pictures(map(picture, _pictures(document)))),
+        section("Targets", _targets(document)),
+        section("Straight moves", _rows(_MOVES, _moves(document), "straight moves")) if document["moves"] else "",
+        section("How it was made", fact_list(_facts(document))),
+    ]
+    simulated = any(finding["code"] == "simulated" for finding in document["findings"])
+    title, subtitle = f"{one_line(document['file'])} corrected", f"written to {one_line(document['out'])}"
+    return html_page("truearm correct", title, subtitle, sections, watermark="simulated" * simulated)
 
 
-def _targets(page: CorrectionPage) -> str:
+def _facts(document: Document) -> tuple[tuple[str, str], ...]:
+    frames = " and ".join(document["expected_relative_to"])
+    relative = f", relative to {frames}, whose pose the calibration does not determine" * bool(frames)
+    angle = document["unexplained_mrad"]
+    unexplained = f"{angle:.3f} mrad" if angle else "no orientation was measured"
+    return (
+        ("targets", counted(len(document["targets"]), "target")),
+        ("robot", f"{document['robot']}, {document['end_frame']} in {document['base_frame']}"),
+        ("calibration", one_line(document["result"])),
+        (
+            "unexplained by the calibration",
+            f"{document['unexplained_mm']:.3f} mm, {unexplained} (standard deviation)",
+        ),
+        ("expected error", f"k = 2, covariance and unexplained part{relative}"),
+    )
+
+
+def _column(document: Document, key: str) -> Floats:
+    """Return a number of each target; NaN where it is null."""
+    return np.array([row[key] for row in document["targets"]], dtype=float)
+
+
+def _places(document: Document, when: str) -> Floats:
+    """Return the positions (n, 3) [mm] of the targets, "before" or "after" the correction."""
+    return np.array([[row[when][f"{axis}_mm"] for axis in "xyz"] for row in document["targets"]])
+
+
+def _limit(row: Document) -> str:
+    """Return the joint nearest to its limit, and the distance."""
+    if row["limit_joint"] is None:
+        return "none"
+    value, unit = (row["limit_deg"], "deg") if "limit_deg" in row else (row["limit_mm"], "mm")
+    return f"joint {row['limit_joint']}: {value:.1f} {unit}"
+
+
+def _moves(document: Document) -> list[tuple[str, ...]]:
+    """Return rows of cells, beginning with the move that deviates most from a straight line."""
+    rows: list[tuple[str, ...]] = []
+    for move in sorted(document["moves"], key=lambda move: -move["deviation_mm"]):
+        bent = "bends" if move["deviation_mm"] > MM.of(STRAIGHT) else ""
+        remark = bent if move["drivable"] else "may not be drivable"
+        margins = f"{move['deviation_mm']:.3f}", _limit(move), f"{move['singular_value']:.3f}"
+        rows.append((move["place"], move["from"], *margins, remark))
+    return rows
+
+
+def _summary(document: Document) -> str:
+    point, due = document["error_point"], _column(document, "expected_mm")
+    before, shift = _column(document, "error_before_mm"), _column(document, "shift_mm")
+    largest = float(due.max()) if np.isfinite(due).all() else float("nan")
+    tiles = [
+        ("shift, median", float(np.median(shift)), "of the commanded position", "old"),
+        ("error without correction, RMS", rms(before), f"of {point}, by the model", "val"),
+        ("expected error, largest (k = 2)", largest, f"of {point}, {_EXPECTED}", "fit"),
+    ]
+    shown = "".join(
+        f'<div class="tile {css}"><p class="name">{name}</p><p class="figure">{figures(value)}<span> mm</span></p>'
+        f'<p class="small">{escape(note)}</p></div>'
+        for name, value, note, css in tiles
+    )
+    verdict, doubts, notes = finding_parts(findings_of(document))
+    return f'<section>{verdict}<div class="tiles">{shown}</div>{doubts}{notes}</section>\n'
+
+
+def _targets(document: Document) -> str:
     titles = ("", "x", "y", "z [mm]", "shift [mm]", "[mrad]", "error before [mm]", "expected [mm]", "[mrad]", "nearest joint limit", "singular value")  # fmt: skip
+    keys = ("shift_mm", "shift_mrad", "error_before_mm", "expected_mm", "expected_mrad")
+    columns = [_column(document, key) for key in keys]
     rows = []
-    for i, place in enumerate(page.places[:MOST_ROWS]):
-        lengths = [*(number(v, 2) for v in MM.of(page.asked[i])), number(MM.of(page.sizes[i, 0]), 3)]
-        angle, before = number(MRAD.of(page.sizes[i, 1]), 3), number(MM.of(page.before[i]), 3)
-        due = number(MM.of(page.expected[i, 0]), 3), number(MRAD.of(page.expected[i, 1]), 3)
-        rows.append((place, *lengths, angle, before, *due, page.limits[i], figures(page.singular_value[i], 2)))
-    return _rows(titles, rows, "targets", len(page.places)) + f"<p>{escape(_TARGETS.format(page.error_point), 600)}</p>"
+    for i, row in enumerate(document["targets"][:MOST_ROWS]):
+        position = [number(row["before"][f"{axis}_mm"], 2) for axis in "xyz"]
+        errors = [number(column[i], 3) for column in columns]
+        rows.append((row["place"], *position, *errors, _limit(row), figures(row["singular_value"], 2)))
+    words = escape(_TARGETS.format(document["error_point"]), 600)
+    return _rows(titles, rows, "targets", len(document["targets"])) + f"<p>{words}</p>"
 
 
 _TARGETS = (
@@ -126,15 +140,16 @@ def _rows(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, tota
     return table_of([escape(title) for title in titles], cells, label) + more
 
 
-def _pictures(page: CorrectionPage) -> list[Figure]:
-    chosen = thinned(len(page.places), MOST_ARROWS)
-    views = [("Shifts from above", (0, 1)), ("Shifts from the side", (0, 2))]
-    return [*(_arrows(page, chosen, title, axes) for title, axes in views), _errors(page, chosen)]
+def _pictures(document: Document) -> list[Figure]:
+    chosen = thinned(len(document["targets"]), MOST_ARROWS)
+    asked, told = (_places(document, when)[chosen] for when in ("before", "after"))
+    views = [("Shifts from above", [0, 1]), ("Shifts from the side", [0, 2])]
+    arrows = [_arrows(title, axes, asked[:, axes], (told - asked)[:, axes]) for title, axes in views]
+    return [*arrows, _errors(document, chosen)]
 
 
-def _arrows(page: CorrectionPage, chosen: Sequence[int] | np.ndarray, title: str, axes: tuple[int, int]) -> Figure:
-    """Return positions in two axes of the file's frame with their shifts, enlarged by a round factor."""
-    at, by = (MM.of(values[chosen][:, axes]) for values in (page.asked, page.shift))
+def _arrows(title: str, axes: Sequence[int], at: Floats, by: Floats) -> Figure:
+    """Return positions in two axes of the file's frame [mm] with their shifts, enlarged by a round factor."""
     span = max(float(np.ptp(at, axis=0).max()), 100.0)
     median = float(np.median(np.linalg.norm(by, axis=1)))
     factor = svg.round_step(ARROW * span / median) if median > 1e-6 else 1.0
@@ -152,18 +167,18 @@ def _arrows(page: CorrectionPage, chosen: Sequence[int] | np.ndarray, title: str
     return drawn(plot, title, caption, parts)
 
 
-def _errors(page: CorrectionPage, chosen: Sequence[int] | np.ndarray) -> Figure:
+def _errors(document: Document, chosen: Sequence[int] | np.ndarray) -> Figure:
     """Return the errors without correction and the expected errors with it, in the order of the file."""
     order = np.asarray(chosen, dtype=float) + 1.0
-    before, due = MM.of(page.before[chosen]), MM.of(page.expected[chosen, 0])
+    before, due = (_column(document, key)[chosen] for key in ("error_before_mm", "expected_mm"))
     known = np.isfinite(due)
     plot = svg.Plot(
-        svg.linear_axis("target", 1.0, float(len(page.places))),
+        svg.linear_axis("target", 1.0, float(len(document["targets"]))),
         svg.log_axis("error [mm]", np.concatenate([before, due[known]])),
     )
     parts = [svg.axes(plot), svg.dots(plot, order, before, "val"), svg.dots(plot, order[known], due[known], "fit")]
     parts.append(svg.legend(plot, [("val", "without correction"), ("fit", "expected with it, k = 2")]))
-    caption = f"Error of {page.error_point} without the correction, and the bound expected with it (about 95 %)."
+    caption = f"Error of {document['error_point']} without the correction, and the bound expected with it (about 95 %)."
     if not known.all():
         caption += f" Where it is not known ({ABSENT} in the table) there is no point."
     return drawn(plot, "Errors", caption, parts)

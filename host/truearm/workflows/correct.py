@@ -42,7 +42,6 @@ from truearm.workflows.correction_findings import (
     document_of,
     findings,
 )
-from truearm.workflows.correction_report import page_of
 from truearm.workflows.program_files import (
     check_program_out,
     is_program,
@@ -142,10 +141,10 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     document: Mapping[str, Any] = {}
     if options.document or files.report is not None:
         effect = findings(calibration, how.pair, done.targets, done.moves)
-        document = document_of(effect, calibration, stated, done.refused, files.out.name, configurations)
+        names = {"file": files.targets.name, "out": files.out.name, "result": files.result.name}
+        document = document_of(effect, calibration, stated, done.refused, names, configurations)
         if files.report is not None:
-            names = (files.targets.name, files.out.name, files.result.name)
-            page = render(page_of(effect, calibration, names, stated, done.refused))
+            page = render(document)
     if programs is None:
         write_atomic(files.out, done.table)
     else:

@@ -21,13 +21,13 @@ from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.files.strict_json import number_or_null
 from truearm.findings import Finding, entries
 from truearm.model.poses import apart, inverted, position_and_rotation
+from truearm.report.correction_page import STRAIGHT
 from truearm.text import listed
 from truearm.types import CurveKnots, Floats, rms
 from truearm.units import DEG, MM, MRAD, key, shown
 from truearm.workflows.calibration import Calibration
 from truearm.workflows.undetermined import unseen_within
 
-STRAIGHT = 1e-4  # m: a larger deviation from a straight move gives a warning
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
 FORMAT = "truearm-correction"
@@ -235,12 +235,16 @@ def document_of(
     calibration: Calibration,
     stated: Sequence[Finding],
     refused: Sequence[Refused],
-    out: str,
+    names: Mapping[str, str],
     configurations: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return a correction and its findings as JSON (docs/reference/target-format.md)."""
+    """Return a correction and its findings as JSON (docs/reference/target-format.md).
+
+    ``names``: of the targets' ``file``, of the corrected one, ``out``, and of the ``result``.
+    """
     return {
-        **_head(calibration, out),
+        **_head(calibration),
+        **names,
         "coverage_factor": COVERAGE,
         "unexplained_mm": float(MM.of(found.unexplained[0])),
         "unexplained_mrad": float(MRAD.of(found.unexplained[1])),
@@ -254,10 +258,10 @@ def document_of(
     }
 
 
-def _head(calibration: Calibration, out: str) -> dict[str, Any]:
+def _head(calibration: Calibration) -> dict[str, Any]:
     chain = calibration.chain
     frames = {"robot": chain.name, "base_frame": chain.base_frame, "end_frame": chain.end_frame}
-    return {"format": FORMAT, "format_version": FORMAT_VERSION, **frames, "out": out}
+    return {"format": FORMAT, "format_version": FORMAT_VERSION, **frames}
 
 
 def _target_entries(found: Findings, units: Sequence[str]) -> list[dict[str, Any]]:
