@@ -889,7 +889,7 @@ PLAN: Mapping[str, Statement] = {
     # the verdict
     "planned": Statement(
         RESULT,
-        "[{poses:#pose}][{lines:#line}] in {minutes:#minute}[, with {mounts:#mount} of the bar][ and {via_points:#via point}][, every mount visited {visits} times][, {checks:#pose} of the first mount visited again half-way and at the end]: the error in the region will be [{rms} RMS and {largest} at the worst pose||unknown, because an unidentifiable combination moves the tool][{relative:!} (excluding the pose of the base)].",
+        "[{poses:#pose}][{lines:#line}] in {minutes:#minute}[, with {mounts:#mount} of the bar][ and {via_points:#via point}][, every mount visited {visits} times][, {checks:#pose} of the first mount visited again half-way and at the end, and as many of another at the end]: the error in the region will be [{rms} RMS and {largest} at the worst pose||unknown, because an unidentifiable combination moves the tool][{relative:!} (excluding the pose of the base)].",
     ),
     "planned-approaches": Statement(
         RESULT,

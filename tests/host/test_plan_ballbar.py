@@ -261,19 +261,21 @@ def visited(plan):
     return [(tuple(names[a]), plan.q[a:b]) for a, b in zip(starts, np.r_[starts[1:], len(plan)], strict=True)]
 
 
-def test_check_poses_of_the_first_mount_come_again_in_the_middle_and_at_the_end():
+def test_check_poses_of_two_mounts_come_again():
     site, known = bench.site("irb120"), bench.known("irb120")
     wanted = Wanted(n_poses=54, n_candidates=150, passes=0, visits=Visits(check_poses=2))
     plan = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace()).route.plan
     mounts = visited(plan)
     assert len(plan) == 54
-    first, *between, last = mounts
-    assert first[0] == last[0]
-    middle = [i for i, mount in enumerate(between) if mount[0] == first[0]]
-    assert middle == [(len(mounts) - 1) // 2 - 1]
-    for _, q in (last, between[middle[0]]):
+    *before, last, other = mounts
+    middle = before.pop((len(mounts) - 1) // 2)
+    names = [name for name, _ in before]
+    assert len(set(names)) == len(names)
+    assert middle[0] == last[0] == names[0]
+    assert other[0] == next(name for name in names if name[1] != names[0][1])
+    for name, q in (middle, last, other):
         assert len(q) == 2
-        assert all((first[1] == pose).all(axis=1).any() for pose in q), "the same joints each time"
+        assert all((dict(before)[name] == pose).all(axis=1).any() for pose in q), "the same joints each time"
 
 
 def test_two_visits_split_the_poses_of_every_mount():

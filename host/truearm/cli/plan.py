@@ -138,8 +138,8 @@ def ballbar(
     visits : N
         Number of visits to every mount; with 2, drift and slip show.
     check_poses : N
-        Poses of the first mount to measure again half-way and at the end: at most one per 36 poses, none below 108
-        poses or with --visits 2 or more.
+        Poses to measure again: of the first mount half-way and at the end, of another mount at the end. At most one
+        per 36 poses, none below 108 poses or with --visits 2 or more.
     joint_laws
         Also predict how well the poses will determine the joints' error curves.
     """

@@ -214,7 +214,7 @@ def with_doubted_bars(known: Known) -> Known:
 
 def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, visits: Visits) -> Plan:
     """Return poses that make ``n`` visits including check poses; the first mount may have fewer poses than wanted."""
-    best = chosen(max(n - 2 * visits.check_poses, 1))
+    best = chosen(max(n - 3 * visits.check_poses, 1))
     for _ in range(TRIALS):
         short = n - len(best) - n_checks(site, best, visits)
         if (

@@ -25,7 +25,7 @@ class Visits(NamedTuple):
     """How often mounts are visited, so that drift or slip can be detected (docs/how-to/rig.md).
 
     ``times``: visits of every mount, which share its poses. ``check_poses``: number of poses of the first mount that
-    are visited again when half the mounts are done, and at the end.
+    are visited again when half the mounts are done and at the end, and of another mount, at the end.
     """
 
     times: int = 1
@@ -142,24 +142,34 @@ def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
         order = short_tour(np.abs((q - here) * weights).max(axis=1), cost)
         parts.append(rows[order])
         here = q[order[-1]]
-    return plan.select(np.concatenate(_with_checks(parts, visits.check_poses)))
+    return plan.select(np.concatenate(_with_checks(parts, pairings, visits.check_poses)))
 
 
 def n_checks(site: Site, plan: Plan, visits: Visits) -> int:
     """Return the number of visits of check poses that ``route`` adds to a plan."""
-    sizes = [int(of_pairing(plan, pairing).sum()) for pairing in _pairings_in_order(site, plan)]
-    parts = [np.arange(size) for size in sizes] * visits.times
-    return sum(part.size for part in _with_checks(parts, visits.check_poses)) - sum(sizes) * visits.times
+    pairings = _pairings_in_order(site, plan)
+    parts = [np.flatnonzero(of_pairing(plan, pairing)) for pairing in pairings]
+    return sum(part.size for part in _with_checks(parts, pairings, visits.check_poses)) - len(plan)
 
 
-def _with_checks(parts: Sequence[NDArray[np.intp]], check_poses: int) -> list[NDArray[np.intp]]:
-    """Return the poses of the mounts, with some of the first repeated in the middle and at the end."""
+def _with_checks(
+    parts: Sequence[NDArray[np.intp]], pairings: Sequence[Pairing], check_poses: int
+) -> list[NDArray[np.intp]]:
+    """Return the poses of the mounts, with some of the first repeated in the middle and at the end.
+
+    At the end, so are some of the first mount with another chuck, if any: one chuck alone does not show every tilt of
+    the table.
+    """
     if check_poses == 0 or len(parts) < 2:
         return list(parts)
-    some = np.unique(np.linspace(0, parts[0].size - 1, check_poses).astype(np.intp))
+    elsewhere = [i for i, pairing in enumerate(pairings) if pairing.chuck != pairings[0].chuck]
+    first, other = (
+        part[np.unique(np.linspace(0, part.size - 1, check_poses).astype(np.intp))]
+        for part in (parts[0], parts[elsewhere[0] if elsewhere else 1])
+    )
     middle = (len(parts) + 1) // 2
-    between = [parts[0][some]] if middle > 1 else []  # next to the first mount it would be one long visit
-    return [*parts[:middle], *between, *parts[middle:], parts[0][some]]
+    between = [first] if middle > 1 else []  # next to the first mount it would be one long visit
+    return [*parts[:middle], *between, *parts[middle:], first, other]
 
 
 def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[np.bool_]:

@@ -49,7 +49,7 @@ from truearm.workflows.selection import held_out_rows
 from truearm.workflows.session_parts import with_parts
 
 LEAST_CHECKS = 3  # fewer reveal little about a drift, and a short plan has no pose to spare
-POSES_A_CHECK = 36  # check poses are visited twice more: at most a twentieth of the poses
+POSES_A_CHECK = 36  # check poses are visited three times more: at most a twelfth of the poses
 NO_SIGNALS = Signals()
 LEFT = 2e-3  # m of travel that the motions between poses need at least
 
@@ -114,8 +114,8 @@ class BallBarOptions(Checked):
     visits : int
         How often each pairing is mounted, 1 to 10, each time for a share of its poses, to reveal drifts and slips.
     check_poses : int
-        Poses of the first mount that are visited again in the middle and at the end, 0 to 100. None with several visits;
-        at most one in 36 poses, and none for fewer than 108 poses.
+        Poses that are visited again, 0 to 100: of the first mount in the middle and at the end, of another mount at the
+        end. None with several visits; at most one in 36 poses, and none for fewer than 108 poses.
     joint_laws : bool
         Also predict how well the poses will determine the joints' error curves.
 
