@@ -1,5 +1,7 @@
 """The engine of hypotheses: every formula of docs/explanation/hypotheses.md against a direct computation, and worlds."""
 
+from dataclasses import replace
+
 import hypothesis_worlds as worlds
 import numpy as np
 import pytest
@@ -65,6 +67,15 @@ def test_the_columns_are_those_of_a_world_with_the_fault(fault, monkeypatch):
             unexplained.append(np.linalg.norm(left) / np.linalg.norm(fit.residual))
     # What a part moves across the bar, 0.3 mm, changes its length of 0.46 m by the square only: 3e-4 of it.
     assert min(unexplained) < 2e-3
+
+
+def test_columns_do_not_follow_the_noise():
+    """The same poses with other readings have the same columns at the same parameters: otherwise noise is a fault."""
+    world = worlds.world("irb120", "clean", 1)
+    other = replace(world, table=world.table.replace(value=world.table["value"][::-1]))
+    fits = [at_values(each, world.truth) for each in (world, other)]
+    for one, again in zip(*map(catalogue, fits), strict=True):
+        assert np.array_equal(one.columns, again.columns), one.name
 
 
 @pytest.fixture(scope="module")

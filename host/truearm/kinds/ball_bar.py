@@ -89,7 +89,8 @@ class BallBarRows(Group):
         p = len(chain.parameters)
         point = point_forward(chain, x[:p], self.q, gather(x, self.constants, self.sphere))
         bar = point - gather(x, self.constants, self.chuck)
-        u = bar / np.maximum(np.linalg.norm(bar, axis=1), SMALLEST)[:, None]
+        length = np.linalg.norm(bar, axis=1)
+        u = bar / np.maximum(length, SMALLEST)[:, None]
         azimuth, level = np.arctan2(u[:, 1], u[:, 0]), np.hypot(u[:, 0], u[:, 1])
         out: list[KindFault] = []
 
@@ -100,7 +101,7 @@ class BallBarRows(Group):
         add("twice_azimuth", np.cos(2.0 * azimuth), np.sin(2.0 * azimuth))
         add("lean", u[:, 0], u[:, 1])
         add("sag", level**2)
-        add("hysteresis", np.sign(np.diff(self.length, prepend=self.length[:1])))
+        add("hysteresis", np.sign(np.diff(length, prepend=length[:1])))  # a measured length contains the noise
         return out
 
 
