@@ -460,14 +460,22 @@ UNUSED = [
     (module([], [f"MoveJ {robtarget(1)},v10,fine,tool0;"]), {"works": {"w7": TOOLS[1]}}),
     (module([DATA[0].replace("t0", "grip")], [GRIP]), {"tools": {"Grip": TOOLS[1]}}),
     (module([], [GRIP]), {"tools": {"grip": TOOLS[1]}, "works": {"grip": TOOLS[1]}}),
+    (module([DATA[0].replace("t0", "grip")], [GRIP]), {"unchanged": frozenset({"eax_a", "Gripper"})}),
 ]
 
 
 @pytest.mark.parametrize(("text", "options"), UNUSED)
-def test_a_tool_that_would_not_be_used_is_refused(text, options):
+def test_a_name_that_would_not_be_used_is_refused(text, options):
     with pytest.raises(InputError) as caught:
         outcome(text, **options)
     assert caught.value.finding.code == ("given-twice" if "works" in options and "tools" in options else "no-effect")
+
+
+def test_the_place_of_a_value_that_is_computed_is_named():
+    with pytest.raises(InputError) as caught:
+        corrected(program("W = get_actual_tcp_pose()", "V = pose_trans(W, p[0,0,0.1,0,0,0])", "movel(V)"))
+    (reason,) = [move.reason for move in caught.value.refused if move.reason.code == "run-time"]
+    assert reason.values["where"].endswith("line 2")
 
 
 UNWATCHED = ["ConfL\\Off;", "ConfJ\\Off;", f"MoveAbsJ {jointtarget_at(flipped(Q[1]))}\\NoEOffs,v100,fine,t0;"]

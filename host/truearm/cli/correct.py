@@ -101,7 +101,7 @@ def correct(
         Routines in none of the files may displace the program and change its data, so refuse what depends on that.
     unchanged : NAME
         Tool, work object, target or other datum that nothing outside these files changes, or external axis (eax_a) that
-        does not move the robot. Repeatable.
+        does not move the robot. Repeatable. It does not revoke --strict.
     home : Q1,Q2,...
         Joints near those of the first target [deg, mm]. Needed if nothing else determines the configuration of the arm.
     force

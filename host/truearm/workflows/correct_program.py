@@ -225,13 +225,17 @@ def _surroundings(options: ProgramOptions) -> Surroundings:
 
 
 def _check_frames(programs: Sequence[Program], options: ProgramOptions) -> None:
-    """Raise InputError for tools and work objects that no move needs."""
+    """Raise InputError for tools and work objects that no move needs, and names of --unchanged that no file has."""
     asked = {name for program in programs for name in program.asked}
     for argument, names in (("tool", options.tools), ("work", options.works.keys() - {""})):
         for name in names:
             if name.lower() not in asked:
                 reason = f"no move needs {name[:40] or 'a tool without a name'} from outside of the files"
                 raise InputError("no-effect", place=Argument(argument), reason=reason)
+    texts = [source.text.lower() for program in programs for source in program.files]
+    for name in sorted(name for name in options.unchanged if not name.startswith("eax_")):
+        if not any(name.lower() in text for text in texts):
+            raise InputError("no-effect", place=Argument("unchanged"), reason=f"no file contains {name[:40]}")
 
 
 def _check_moves(title: str, programs: Sequence[Program], pair: ModelPair, options: ProgramOptions) -> None:

@@ -60,8 +60,10 @@ STEPS = {
     **dict.fromkeys(words("def deffct"), Step.ROUTINE),
     **dict.fromkeys(words("end endfct endif endfor endwhile endloop endswitch until"), Step.END),
     **dict.fromkeys(words("if switch"), Step.IF),
-    **dict.fromkeys(words("for while loop repeat"), Step.LOOP),
-    **dict.fromkeys(words("else case default"), Step.BRANCH),
+    **dict.fromkeys(words("for while"), Step.LOOP),
+    **dict.fromkeys(words("loop repeat"), Step.REPEAT),
+    "case": Step.BRANCH,
+    **dict.fromkeys(words("else default"), Step.ELSE),
     "exit": Step.LEAVE,
     **dict.fromkeys(words("interrupt resume goto"), Step.CALL),
 }

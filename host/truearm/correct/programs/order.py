@@ -28,12 +28,16 @@ def closure(start: Iterable[T], following: Callable[[T], Iterable[T]]) -> set[T]
 
 @dataclass(eq=False)
 class _Block(Generic[T]):
-    """A routine, choice or loop: its first step, what comes before it, and what its finished branches end with."""
+    """A routine, choice or loop: its first step, what comes before it, and what its finished branches end with.
+
+    ``is_skipped``: whether some way leads past all of its branches.
+    """
 
     step: Step
     number: int
     before: frozenset[T | None]
     ends: frozenset[T | None] = frozenset()
+    is_skipped: bool = True
 
 
 def preceding(steps: Sequence[Step | T], counts: Callable[[T], bool], most: int) -> dict[T, frozenset[T | None]]:
@@ -65,22 +69,26 @@ def _followed(
             last = frozenset([step]) if counts(step) else last
             continue
         match step:
-            case Step.ROUTINE | Step.IF | Step.LOOP:
+            case Step.ROUTINE | Step.IF | Step.LOOP | Step.REPEAT:
                 last = united(last, loop_ends.get(number, frozenset()))
-                blocks.append(_Block(step, number, last))
+                blocks.append(_Block(step, number, last, is_skipped=step is not Step.REPEAT))
                 last = unknown if step is Step.ROUTINE else last
-            case Step.BRANCH:
+            case Step.BRANCH | Step.ELSE:
                 for block in blocks[-1:]:
                     block.ends, last = block.ends | last, block.before
+                    block.is_skipped &= step is not Step.ELSE
             case Step.LEAVE:
-                for block in [block for block in blocks if block.step is Step.LOOP][-1:]:
+                for block in [block for block in blocks if block.step in (Step.LOOP, Step.REPEAT)][-1:]:
                     block.ends |= last
             case Step.END:
                 for block in [blocks.pop()] if blocks else ():
                     ends = united(last, block.ends)
-                    if block.step is Step.LOOP:
+                    if block.step in (Step.LOOP, Step.REPEAT):
                         loop_ends[block.number] = ends
-                    last = block.before if block.step is Step.ROUTINE else united(ends, block.before)
+                    if block.step is Step.ROUTINE:
+                        last = block.before
+                    else:
+                        last = united(ends, block.before) if block.is_skipped else ends
             case Step.CALL:
                 last = unknown
             case _:

@@ -68,14 +68,16 @@ class Move:
 class Step(StrEnum):
     """What stands between moves, in the order of the text.
 
-    ``END`` ends a routine, a choice or a loop. ``LEAVE`` leaves or repeats the innermost loop. A ``CALL`` may move the
-    robot elsewhere.
+    ``ELSE`` is a branch that runs if no other does, ``REPEAT`` a loop that runs at least once. ``END`` ends a routine, a
+    choice or a loop. ``LEAVE`` leaves or repeats the innermost loop. A ``CALL`` may move the robot elsewhere.
     """
 
     ROUTINE = "routine"
     IF = "if"
     BRANCH = "branch"
+    ELSE = "else"
     LOOP = "loop"
+    REPEAT = "repeat"
     LEAVE = "leave"
     END = "end"
     CALL = "call"

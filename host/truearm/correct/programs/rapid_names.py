@@ -20,7 +20,8 @@ ROUTINE_ENDS = words("endproc endfunc endtrap endmodule endrecord")
 STEPS = {
     **dict.fromkeys(("if", "test"), Step.IF),
     **dict.fromkeys(("while", "for"), Step.LOOP),
-    **dict.fromkeys(("elseif", "case", "else", "default"), Step.BRANCH),
+    **dict.fromkeys(("elseif", "case"), Step.BRANCH),
+    **dict.fromkeys(("else", "default"), Step.ELSE),
     **dict.fromkeys(("endif", "endfor", "endwhile", "endtest"), Step.END),
     **dict.fromkeys(("error", "undo", "backward"), Step.CALL),  # from anywhere in the routine
 }

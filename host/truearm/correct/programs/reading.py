@@ -28,6 +28,12 @@ class Uncertain(Exception):
         """Return the same reason for another move: an exception that is raised again keeps all its tracebacks."""
         return Uncertain(self.finding.code, **self.finding.values)
 
+    def within(self, program: Program, place: Place) -> Uncertain:
+        """Return the same reason with the place of the value that is computed at run time, if it has none."""
+        code, values = self.finding.code, self.finding.values
+        where = {"where": program.where(place)} if code == "run-time" else {}
+        return Uncertain(code, **{**where, **values})
+
     def about(self, subject: str) -> Uncertain:
         """Return the same reason as one about a tool, work object or offset."""
         return Uncertain(self.finding.code, **{**self.finding.values, "subject": subject})
@@ -49,7 +55,7 @@ class Reading:
     def once(self, key: object, compute: Callable[[], T]) -> T:
         """Return the value of a key, computed if it is not known yet. Raises Uncertain."""
         if key not in self.results:
-            self.results[key] = Uncertain("deep")  # while it is computed: a name that leads to itself
+            self.results[key] = Uncertain("deep", circular=True)  # while it is computed
             try:
                 self.results[key] = compute()
             except Uncertain as uncertain:
@@ -61,10 +67,13 @@ class Reading:
         return value
 
     def all_values(self, values: Iterable[tuple[Tokens, Any]], evaluate: Callable[[Tokens, Any], list[T]]) -> list[T]:
-        """Return what values, each with its scope, stand for. Raises Uncertain."""
+        """Return what values, each with its scope, stand for. Raises Uncertain, with where a value is computed."""
         alternatives: list[T] = []
         for tokens, scope in values:
-            alternatives += evaluate(tokens, scope)
+            try:
+                alternatives += evaluate(tokens, scope)
+            except Uncertain as uncertain:
+                raise uncertain.within(self.program, Place(scope.file, tokens[0].start)) from None
             if len(alternatives) > MOST_TARGETS:
                 raise Uncertain("many", most=MOST_TARGETS)
         return alternatives

@@ -207,10 +207,11 @@ class _ScriptReader:
     def branch(self, word: str, condition: Tokens) -> None:
         """Read IF, ELIF, ELSE or WHILE. ELIF is an IF in the ELSE branch: its condition runs only there.
 
-        A loop is left through its condition.
+        A loop is left through its condition; that of ``while True`` never ends it.
         """
         steps = self.script.steps
-        steps += {"if": [], "while": [Step.LOOP]}.get(word, [Step.BRANCH])
+        loop = Step.REPEAT if [token.text for token in condition] == ["True", ":"] else Step.LOOP
+        steps += {"if": [], "while": [loop]}.get(word, [Step.ELSE])
         calls = self.add(condition)
         steps += [Step.IF] * (word in ("if", "elif"))
         if word == "elif" and self.blocks:
