@@ -8,14 +8,15 @@ from truearm.cli.main import main
 from truearm.files.plan_file import read_plan, write_plan
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.robot import builtin_robot
-from truearm.workflows.simulate import SimulateOptions, visits
-from truearm.workflows.simulated_robot import simulated_robot
+from truearm.workflows.requests import SimulateOptions
+from truearm.workflows.simulate import visits
+from truearm.workflows.simulated_robot import AS_DRAWN, simulated_robot
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 from truearm_sim.world import World, standard_plan, standard_rig
 
 
 def visited(options):
-    return visits(options, simulated_robot(options.model, options.truth, options.seed))
+    return visits(options, simulated_robot(options.robot, AS_DRAWN, options.seed))
 
 
 @pytest.fixture(scope="module")

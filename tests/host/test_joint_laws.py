@@ -40,10 +40,11 @@ from truearm.report.law_findings import law_findings
 from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
-from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
+from truearm.workflows.correct import CorrectOptions, correct_file
 from truearm.workflows.export import ExportOptions, curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
-from truearm.workflows.map import MapFiles, Section, map_files, mapped
+from truearm.workflows.map import Section, map_files, mapped
+from truearm.workflows.requests import CorrectFiles, MapFiles
 from truearm.workflows.validate import validated
 
 H = 1e-30  # of a complex step
@@ -642,7 +643,7 @@ def test_beyond_the_covered_range_curves_fade_to_the_geometry_and_correct_says_s
     rows = np.concatenate([six, np.degrees(q)], axis=1).tolist()
     lines = [",".join(names), *(",".join(map(repr, row)) for row in rows)]
     (tmp_path / "targets.csv").write_text("\n".join(lines) + "\n")
-    files = CorrectFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "targets.csv", tmp_path / "corrected.csv")
+    files = CorrectFiles(tmp_path / "result.json", tmp_path / "targets.csv", tmp_path / "corrected.csv")
     done = correct_file(found, files, CorrectOptions())
     (outside,) = [finding.values for finding in done.findings if finding.code == "targets-outside"]
     assert (outside["curves"], outside["places"]) == (True, "rows 3, 4, 5")

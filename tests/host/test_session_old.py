@@ -9,7 +9,8 @@ import pytest
 from truearm.files.observation_table import read_table
 from truearm.kinds.table import ObservationTable
 from truearm.session.session_file import open_session
-from truearm.workflows.export_session import ExportSession, export_session_files
+from truearm.workflows.export_session import export_session_files
+from truearm.workflows.requests import ExportSession
 from truearm.workflows.session_observations import observations_of_session
 
 SESSIONS = Path(__file__).parents[1] / "data" / "sessions"

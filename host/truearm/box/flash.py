@@ -5,13 +5,13 @@ from __future__ import annotations
 import importlib.util
 import time
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import truearm
 from truearm import __version__
 from truearm.box.conversation import conversation, ident_of, one_line_of
+from truearm.box.requests import FlashOptions
 from truearm.errors import Argument, InputError, LinkError
 from truearm.progress import step
 from truearm.record.ports import usb_ports
@@ -28,38 +28,20 @@ STOCK_BOUND_US = 1200
 IMAGE_BOUND_US = 100
 
 
-@dataclass(frozen=True)
-class FlashOptions:
-    """What to flash, and where: an ``image`` through a boot drive, or with ``stock`` the firmware's files onto a
-    MicroPython.
-
-    ``device``: a running box, None for a new one. ``timeout`` [s]: for drive and box. ``stop``: stop a streaming box.
-    ``check``: wait for the box to answer.
-    """
-
-    image: Path | None = None
-    device: str | None = None
-    drive: Path | None = None
-    stock: bool = False
-    timeout: float = 30.0
-    stop: bool = False
-    check: bool = True
-
-
 def flash_box(options: FlashOptions) -> Iterator[str]:
     """Flash a box and wait for its answer; yields one line per step. Raises InputError, ImageError, LinkError."""
-    others = {port.device for port in usb_ports()} - {options.device}
+    others = {port.device for port in usb_ports()} - {options.box}
     version = ""
     if options.stock:
-        if options.device is None or options.image is not None or options.drive is not None:
+        if options.box is None or options.image is not None or options.drive is not None:
             raise InputError(Argument("stock"), " takes ", Argument("box"), " and neither an image nor a drive")
-        yield from _copy_files(options.device, options.stop)
+        yield from _copy_files(options.box, options.stop)
     else:
         version = yield from _write_image(options.image or own_image(), options)
-    if not options.check:
+    if options.no_check:
         return
     with step(f"waiting for the box, {options.timeout:g} s at most"):
-        ident = _wait_for_box(options.device, others, options.timeout)
+        ident = _wait_for_box(options.box, others, options.timeout)
     yield f"it answers: {one_line_of(ident)}"
     if version and ident.firmware != version:
         yield f"warning: the image has {version}, but the box runs {ident.firmware}: firmware files on its flash take precedence"
@@ -104,7 +86,7 @@ def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str
     from truearm.box.boot_drive import board_of, check_drive, find_drives, wait_for
     from truearm_wire.messages import BOOT_LOADER
 
-    device, drive = options.device, options.drive
+    device, drive = options.box, options.drive
     before = find_drives(image.chip.board) if drive is None else []
     if device is None:
         if drive is not None:

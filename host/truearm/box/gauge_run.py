@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -33,6 +32,7 @@ from truearm.box.gauge_result import (
     words,
     write_page,
 )
+from truearm.box.requests import GaugeOptions
 from truearm.errors import Argument, InputError, LinkError, TruearmError
 from truearm.progress import Advance, step
 from truearm.text import box_command, counted, one_line
@@ -63,31 +63,6 @@ class GaugeOperator(Protocol):
         """Return what the operator types, None at the end of the input."""
 
 
-@dataclass(frozen=True)
-class GaugeOptions:
-    """How to calibrate a channel.
-
-    ``references``: a file of them, None to ask for each in ``unit``. ``seconds``: of samples at each position.
-    ``order``: of the polynomial, None for the one with the smallest cross-validation error. ``serial``: of the sensor, None to
-    keep it. ``stroke`` [m]: greatest distance of two references, None for that of a usual sensor. ``page``: file to write, None for a name derived from the channel. ``agreed``: store the calibration
-    without asking. ``instrument``, ``uncertainty`` [m] and ``operator`` as in ``GaugeCircumstances``.
-    """
-
-    channel: str
-    references: Path | None = None
-    unit: str = "mm"
-    seconds: float = 2.0
-    order: int | None = None
-    serial: str | None = None
-    stroke: float | None = None
-    page: Path | None = None
-    agreed: bool = False
-    force: bool = False
-    instrument: str = ""
-    uncertainty: float | None = None
-    operator: str = ""
-
-
 def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, stop: bool = False) -> None:
     """Sample a channel at references, fit its calibration, write the page and store it in the box if the operator agrees.
 
@@ -99,7 +74,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
     if unit not in UNITS:
         raise InputError("unknown-choice", place=Argument("unit"), value=unit[:20], names=list(UNITS))
     listed = None if options.references is None else read_references(options.references)
-    page = options.page or Path(
+    page = options.out or Path(
         "gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html"
     )
     inputs = [] if options.references is None else [options.references]
@@ -119,7 +94,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
             new = with_calibration(config, stream, index, places, result, *stated)
             write_page(page, _circumstances(box, options, new), stream.channels[index], places, result, tried, new)
             say(f"{page}: residuals and orders")
-            if _stored(box, (config, new), device, options.agreed, operator):
+            if _stored(box, (config, new), device, options.yes, operator):
                 run.finish()
             else:
                 say(f"{device}: unchanged; {kept} keeps the places")
@@ -225,7 +200,7 @@ def _measure_places(
         check_references(listed, [place.reference for place in run.places], stroke, f"{options.references}")
     given = _typed(run, options.unit, stroke, operator) if listed is None else _listed(listed, run, operator)
     for reference in given:
-        counts = sample(box, stream, options.seconds)
+        counts = sample(box, stream, options.sample)
         problem = trouble(counts[:, index], stream)
         if problem:
             operator.say(f"  rejected: {problem}")

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-from truearm.bounds import Within
-from truearm.cli.command import command, fill
+from truearm.box.requests import FlashOptions
+from truearm.cli.command import command
 from truearm.cli.output import print_lines
 
 
 @command()
-def flash(
-    image: Path | None = None,
-    *,
-    box: str | None = None,
-    drive: Path | None = None,
-    stock: bool = False,
-    timeout_s: Annotated[float, Within(0, 600)] = 30,
-    stop: bool = False,
-    no_check: bool = False,
-) -> None:
+def flash(options: FlashOptions) -> None:
     """Flash a box, then check that it answers.
 
     truearm checks the image first. An installed truearm contains its own; in a checkout, make uf2 builds it. With --box, a running
@@ -56,6 +44,6 @@ def flash(
     no_check
         Do not wait for the box to answer.
     """
-    from truearm.box.flash import FlashOptions, flash_box
+    from truearm.box.flash import flash_box
 
-    print_lines(flash_box(fill(FlashOptions, locals(), device=box, check=not no_check)))
+    print_lines(flash_box(options))

@@ -3,35 +3,16 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from truearm.bounds import Within
-from truearm.cli.command import command, fill
+from truearm.box.requests import GaugeOptions
+from truearm.cli.command import command
 from truearm.live.choose_box import choose_box
 
 
 @command()
-def gauge(
-    channel: str,
-    *,
-    box: str | None = None,
-    references: Path | None = None,
-    unit: str = "mm",
-    sample_s: Annotated[float, Within(0.1, 600)] = 2.0,
-    order: Annotated[int | None, Within(1, 7)] = None,
-    serial: str | None = None,
-    stroke_mm: Annotated[float | None, Within(0.1, 10000.0)] = None,
-    out: Path | None = None,
-    instrument: str = "",
-    uncertainty_um: Annotated[float | None, Within(0.0, 10000.0)] = None,
-    operator: str = "",
-    yes: bool = False,
-    stop: bool = False,
-    force: bool = False,
-) -> None:
+def gauge(options: GaugeOptions) -> None:
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
     Set the reference, type its reading, and do not touch it while the box samples. Measure at least five places over the whole
@@ -78,10 +59,9 @@ def gauge(
         Stroke of the sensor; references farther apart are refused. Default: 100, and for the magnetostrictive sensor as
         far as its pulses reach.
     """
-    from truearm.box.gauge_run import GaugeOptions, gauge_channel
+    from truearm.box.gauge_run import gauge_channel
 
-    options = fill(GaugeOptions, locals(), seconds=sample_s, page=out, agreed=yes)
-    gauge_channel(choose_box(box, sys.stderr), options, _Terminal(), stop)
+    gauge_channel(choose_box(options.box, sys.stderr), options, _Terminal(), options.stop)
 
 
 class _Terminal:

@@ -6,29 +6,22 @@ from pathlib import Path
 from typing import Annotated
 
 from truearm.bounds import Within
-from truearm.cli.command import command, fill
+from truearm.cli.command import command
 from truearm.cli.output import print_json
 from truearm.errors import InputError
 from truearm.units import MM
+from truearm.workflows.requests import CharacterizeFiles
 
 BANDS_MM = (0.02, 0.05, 0.1)
 
 
 @command()
 def characterize(
-    session: Path,
+    files: CharacterizeFiles,
     *,
-    model: str,
-    base: str | None = None,
-    tip: str | None = None,
-    rig: Path | None = None,
-    plan: Path | None = None,
     within_mm: Annotated[list[float] | None, Within(0.0001, 100.0)] = None,
-    out: Path | None = None,
-    force: bool = False,
     details: bool = False,
     json: bool = False,
-    allow_damaged: bool = False,
 ) -> None:
     """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, each with its 95 % interval.
 
@@ -50,17 +43,15 @@ def characterize(
         of a joint that comes from below, minus from above. Scatter: the sigma of its readings from one side.
     """
     from truearm.cli.findings_text import show, table_of
-    from truearm.files.robot_file import RobotChoice
     from truearm.findings import findings_of
     from truearm.report.repeatability_findings import JOINTS, joint_rows
-    from truearm.workflows.characterize import CharacterizeFiles, characterize_files
+    from truearm.workflows.characterize import characterize_files
 
-    if out == Path("-"):
+    if files.out == Path("-"):
         raise InputError("no-file-name", what="the result")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
-    files = fill(CharacterizeFiles, locals(), robot=RobotChoice(model, base, tip))
     document = characterize_files(files, bands)
     if json:
         print_json(document)
         return
-    show(findings_of(document), [table_of(JOINTS, joint_rows(document))] if details else None, [out])
+    show(findings_of(document), [table_of(JOINTS, joint_rows(document))] if details else None, [files.out])

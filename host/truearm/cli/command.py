@@ -18,17 +18,23 @@ at the end of the docstring, in the form of NumPy's, below the headings of the h
         force
         \"""
 
+A parameter whose type is a record, such as those of ``workflows/requests.py``, stands for its fields that are described.
+A field is in SI: the name of its option, such as ``dwell_s`` of the field ``dwell``, has the unit.
+
 What the command does not describe, such as ``force``, is described in ``cli/options.py``; a name without a text only
 moves it below another heading.
 """
 
 from __future__ import annotations
 
+import builtins
 import inspect
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
-from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import is_dataclass
+from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -43,6 +49,8 @@ ARGUMENTS, EXPERT = "Arguments", "Expert options"
 HEADING = re.compile(rf"^({ARGUMENTS}|Options|{EXPERT})\n-+\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\w[\w, ]*)(?: : (.+))?\n((?: {4}.*\n)*)", re.MULTILINE)
 EXAMPLE = re.compile(r"^(?=Examples?:\n)", re.MULTILINE)  # whose lines the help page must not join
+OPTIONS = {"robot": "model", "bars": "bar", "as_json": "json", "joints": "vary"}  # of fields and of arguments in errors
+FIELDS = {option: field for field, option in OPTIONS.items()}
 SCALES = {scale.suffix: scale for scale in vars(units).values() if isinstance(scale, units.Scale) and scale.suffix}
 
 
@@ -71,24 +79,82 @@ SHARED = described(options.__doc__, options.TEXTS)[1]
 
 
 def command(**texts: str) -> Callable[[F], F]:
-    """Return a decorator that declares a function's options for typer; ``{name}`` in a description stands for a text."""
+    """Return a decorator that declares a function's options for typer; ``{name}`` in a description stands for a text.
+
+    A parameter whose type is a record stands for those of its fields that have a description. The function gets the record.
+    """
 
     def declare(function: F) -> F:
         page, entries = described(function.__doc__, {**options.TEXTS, **texts})
+        known = {**SHARED, **entries}
         hints = get_type_hints(function, include_extras=True)
+        hints.pop("return", None)
+        parameters: list[inspect.Parameter] = []
         for name, parameter in inspect.signature(function).parameters.items():
-            if hints[name] is not typer.Context:
-                is_option = parameter.kind is inspect.Parameter.KEYWORD_ONLY
-                shared = SHARED.get((is_option, name), Entry())
-                own = entries.pop((is_option, name), Entry())
+            is_option = parameter.kind is inspect.Parameter.KEYWORD_ONLY
+            field = [(name, hints[name], parameter.default, is_option)]
+            fields = _fields(hints[name], known, parameter.default) if is_record(hints[name]) else field
+            for option, hint, default, is_option in fields:
+                shared, own = (of.pop((is_option, option), Entry()) for of in (dict(SHARED), entries))
                 entry = Entry(*(mine or theirs for mine, theirs in zip(own, shared, strict=True)))
-                function.__annotations__[name] = _declared(name, hints[name], is_option, entry)
+                hint = hint if hint is typer.Context else _declared(option, hint, is_option, entry)
+                parameters.append(parameter.replace(name=option, annotation=hint, default=default))
         if entries:
             raise TypeError(f"{function.__name__}() has no parameter {[name for _, name in entries]}")
-        function.__doc__ = EXAMPLE.sub("\b\n", page)
-        return function
+
+        def run(**given: Any) -> Any:
+            records = {name: fill(hint, given) for name, hint in hints.items() if is_record(hint)}
+            return function(**{name: value for name, value in given.items() if name in hints}, **records)
+
+        run.__name__, run.__doc__ = function.__name__, EXAMPLE.sub("\b\n", page)
+        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        run.__signature__ = inspect.Signature([one.replace(kind=keyword) for one in parameters])  # type: ignore[attr-defined]
+        return cast(F, run)
 
     return declare
+
+
+def is_record(hint: Any) -> bool:
+    """Return whether a type is a dataclass or a named tuple."""
+    return is_dataclass(hint) or hasattr(hint, "_fields")
+
+
+def _fields(record: Any, known: Collection[tuple[bool, str]], usual: Any) -> Iterator[tuple[str, Any, Any, bool]]:
+    """Yield name, type, default and whether it is an option of each described field, in the unit of the option.
+
+    ``usual`` has the defaults. Without it, the record's are used, and a named tuple needs its first field.
+    """
+    is_given = usual is not inspect.Parameter.empty
+    names = {stem_of(name): name for _, name in known} | {name: name for _, name in known}
+    hints = hints_of(record)
+    for position, (field, parameter) in enumerate(inspect.signature(record).parameters.items()):
+        hint, default = hints[field], getattr(usual, field) if is_given else parameter.default
+        if is_record(hint):
+            yield from _fields(hint, known, default)
+        elif (name := names.get(OPTIONS.get(field, field))) is not None:
+            is_needed = default is parameter.empty or not (is_given or position or is_dataclass(record))
+            is_option = (True, name) in known and not ((False, name) in known and is_needed)
+            if get_origin(hint) is tuple:
+                hint, default = list[get_args(hint)[0]] | None, default or None  # type: ignore[misc]
+            scale = units.ONE if name in (field, OPTIONS.get(field)) else SCALES[name.removeprefix(f"{field}_")]
+            scale = units.ONE if scale.factor == 1.0 else scale
+            hint = hint if scale is units.ONE else Annotated[hint, scale]
+            if field in options.READERS:
+                default = None
+            elif scale is not units.ONE and default is not None:
+                default = scale.of(default)
+            yield name, hint, parameter.empty if is_needed else default, is_option
+
+
+def hints_of(record: Any) -> dict[str, Any]:
+    """Return the types of a record's fields; one that is known to type checkers alone is given as a text."""
+
+    class Names(dict[str, Any]):
+        def __missing__(self, name: str) -> Any:
+            return vars(sys.modules[record.__module__]).get(name, getattr(builtins, name, str))
+
+    return get_type_hints(record, localns=Names(), include_extras=True)
 
 
 def _declared(name: str, hint: Any, is_option: bool, entry: Entry) -> Any:
@@ -135,19 +201,24 @@ def one_of(names: Collection[str]) -> Callable[[str | None], str | None]:
 def fill(kind: Callable[..., R], given: Mapping[str, Any], **values: Any) -> R:
     """Return a record of options in SI, from ``values`` and a command's parameters by the names of its fields.
 
-    A parameter's name may end in its unit: ``dwell_s`` gives ``dwell``. None leaves the field's default.
+    A parameter's name may end in its unit: ``dwell_s`` gives ``dwell``. None leaves the field's default. A field that is
+    a record is filled in the same way.
     """
-    fields = inspect.signature(kind).parameters
+    fields, hints = inspect.signature(kind).parameters, hints_of(kind)
     for name, value in given.items():
-        field = name if name in fields else stem_of(name)
-        if value is not None and field in fields and field not in values:
-            scale = units.ONE if field == name else SCALES[name.removeprefix(f"{field}_")]
-            values[field] = (
-                tuple(value) if isinstance(value, list) else scale.to_si(value) if scale is not units.ONE else value
-            )
-    return kind(
-        **{name: values.get(name) for name, field in fields.items() if name in values or field.default is field.empty}
-    )
+        field = next((of for of in (name, FIELDS.get(name), stem_of(name)) if of in fields), "")
+        if value is not None and field and field not in values and (field == name or not is_record(hints[field])):
+            if isinstance(value, list):
+                value = tuple(value)
+            elif isinstance(value, str) and field in options.READERS:
+                value = options.READERS[field](value)
+            elif field not in (name, FIELDS.get(name)):
+                value = SCALES[name.removeprefix(f"{field}_")].to_si(value)
+            values[field] = value
+    for name in fields:
+        if name not in values and is_record(hints[name]):
+            values[name] = fill(hints[name], given)
+    return kind(**values)
 
 
 def stem_of(name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,6 +14,7 @@ from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
 from truearm.exit_codes import ExitCode
+from truearm.workflows.requests import CorrectFiles
 
 if TYPE_CHECKING:
     from truearm.model.poses import Six
@@ -24,13 +24,8 @@ MOST_STEPS = 50
 
 @command(methods=methods_help(), stepped=" or ".join(with_steps()))
 def correct(
-    result: Path,
-    targets: Path,
+    files: CorrectFiles,
     *,
-    out: Path,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
     method: Method = Method.NEWTON,
     steps: Annotated[int, Within(1, MOST_STEPS)] = 1,
     own_frames: bool = False,
@@ -44,10 +39,8 @@ def correct(
     strict: bool = False,
     unchanged: list[str] | None = None,
     home: str | None = None,
-    report: Path | None = None,
     details: bool = False,
     allow_unusable: bool = False,
-    force: bool = False,
     json: bool = False,
     margin: Annotated[float, Within(0.0001, 1.0)] = 0.05,
 ) -> None:
@@ -112,9 +105,8 @@ def correct(
     """
     from truearm.cli.correct_text import refused_lines, tables
     from truearm.cli.findings_text import show
-    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.calibration import read_usable
-    from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
+    from truearm.workflows.correct import CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
 
     if mark and not partial:
@@ -127,7 +119,6 @@ def correct(
         flange=None if flange is None else frame_of("--flange", flange),
         unchanged=frozenset(unchanged or ()),
     )
-    files = fill(CorrectFiles, locals(), robot=RobotChoice(model, base, tip))
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     options = fill(
         CorrectOptions,
@@ -147,7 +138,7 @@ def correct(
         print_json(found.document)
     else:
         print_lines(refused_lines(found.refused))
-        show(found.findings, tables(found) if details else None, (out, report))
+        show(found.findings, tables(found) if details else None, (files.out, files.report))
     if found.refused:
         raise typer.Exit(ExitCode.INCOMPLETE)
 

@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-from truearm.bounds import OneOf
 from truearm.cli.command import command
-from truearm.cli.options import payload_of
 from truearm.cli.output import print_json
-from truearm.export.formats import FORMATS, formats_help
+from truearm.export.formats import formats_help
 from truearm.findings import entries
+from truearm.workflows.requests import ExportFiles
 
 
 @command(formats=formats_help())
 def export(
-    result: Path,
+    files: ExportFiles,
     *,
-    format: Annotated[str, OneOf(FORMATS)],
-    out: Path,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
-    own_frames: bool = False,
-    payload: str | None = None,
-    adjust: list[str] | None = None,
-    over: Path | None = None,
-    curves_out: Path | None = None,
-    allow_unusable: bool = False,
-    force: bool = False,
     json: bool = False,
 ) -> None:
     """Write a calibrated robot for other programs.
@@ -58,13 +42,11 @@ def export(
         the fitted readings if the result has joint laws.
     """
     from truearm.cli.findings_text import show
-    from truearm.files.robot_file import RobotChoice
-    from truearm.workflows.export import ExportOptions, export_file
+    from truearm.workflows.export import export_file
 
-    options = ExportOptions(format, own_frames, tuple(adjust or ()), payload_of(payload))
-    found = export_file(result, RobotChoice(model, base, tip), out, options, over, curves_out, force, allow_unusable)
-    written = [path for path in (out, curves_out) if path is not None]
+    found = export_file(files)
+    written = [path for path in (files.out, files.curves_out) if path is not None]
     if json:
-        print_json({"format": format, "findings": entries(found.findings), "written": list(map(str, written))})
+        print_json({"format": files.format, "findings": entries(found.findings), "written": list(map(str, written))})
     else:
         show(found.findings, written=written, more="")

@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from truearm.bounds import Within
-from truearm.cli.command import command, fill
+from truearm.cli.command import command
 from truearm.cli.output import print_result, warn_of_further_parts
 from truearm.text import counted, one_line
+from truearm.workflows.requests import ExportSession
 
 
 @command()
 def export_session(
-    session: Path,
+    request: ExportSession,
     *,
-    out: Path,
-    format: str = "csv",
-    rate: Annotated[float | None, Within(0.0)] = None,
-    rig: Path | None = None,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
-    allow_damaged: bool = False,
     json: bool = False,
 ) -> None:
     """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
@@ -46,14 +37,13 @@ def export_session(
     rate : HZ
         With --format mcap: largest number of samples per second of a stream; 0: all. Default: 100.
     """
-    from truearm.files.robot_file import RobotChoice
-    from truearm.workflows.export_session import ExportSession, export_session_files
+    from truearm.workflows.export_session import export_session_files
 
-    tables = export_session_files(fill(ExportSession, locals(), robot=RobotChoice(model, base, tip), rate_hz=rate))
-    lines = (f"{one_line(str(out))}/{name}: {_size(table)}" for name, table in tables.items())
+    tables = export_session_files(request)
+    lines = (f"{one_line(str(request.out))}/{name}: {_size(table)}" for name, table in tables.items())
     rows = {name: table["rows"] for name, table in tables.items()}
-    print_result({"folder": str(out), "rows": rows}, lines, json)
-    warn_of_further_parts(session, "export each part separately: each has clocks of its own")
+    print_result({"folder": str(request.out), "rows": rows}, lines, json)
+    warn_of_further_parts(request.session, "export each part separately: each has clocks of its own")
 
 
 def _size(table: Mapping[str, Any]) -> str:

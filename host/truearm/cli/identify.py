@@ -17,6 +17,7 @@ from truearm.cli.project import typed
 from truearm.errors import InputError
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.exit_codes import ExitCode
+from truearm.files.robot_file import RobotChoice
 from truearm.units import tolerances
 
 
@@ -30,9 +31,7 @@ def identify(
     context: typer.Context,
     inputs: list[Path],
     *,
-    model: str,
-    base: str | None = None,
-    tip: str | None = None,
+    robot: RobotChoice,
     rig: list[str] | None = None,
     noise: Path | None = None,
     hold_out: list[str] | None = None,
@@ -118,7 +117,6 @@ def identify(
     """
     from truearm.cli.identify_text import show_result
     from truearm.files.result_file import format_document
-    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.inputs import Sources
     from truearm.workflows.selection import held_out_fraction
@@ -131,9 +129,7 @@ def identify(
     kept = context.lookup_default("out")  # in the project
     if out and kept and typed(context, "out") and Path(kept).resolve().parent != out.resolve().parent:
         results.append(Path(kept))
-    files = IdentifyFiles(
-        RobotChoice(model, base, tip), sources, tuple(results), table_out, report, command_line, force
-    )
+    files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line, force)
     options = fill(IdentifyOptions, locals())
     document = identify_files(files, hold_out or [], options).document
     if json:

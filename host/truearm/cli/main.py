@@ -19,7 +19,7 @@ import typer
 from truearm import __version__
 from truearm.cli.box import app as box
 from truearm.cli.characterize import characterize
-from truearm.cli.command import stem_of
+from truearm.cli.command import OPTIONS, stem_of
 from truearm.cli.correct import correct
 from truearm.cli.demo import demo
 from truearm.cli.export import export
@@ -54,12 +54,6 @@ TASKS: dict[str, tuple[Any, ...]] = {
     "Box": (box,),
 }
 UNLISTED = (reproduce,)
-ARGUMENTS = {
-    "robot": "model",
-    "bars": "bar",
-    "as_json": "json",
-    "joints": "vary",
-}  # names in errors, where an option has another one
 COMMANDS = {
     getattr(command, "__name__", None) or command.info.name: (command, task)
     for task, commands in {**TASKS, "": UNLISTED}.items()
@@ -193,7 +187,7 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
         if one.opts[0].startswith("-")
         for key in (stem_of(one.name), one.name)
     }
-    return lambda name: options.get(ARGUMENTS.get(name, name), f"--{name.replace('_', '-')}")
+    return lambda name: options.get(OPTIONS.get(name, name), f"--{name.replace('_', '-')}")
 
 
 def _plain(message: str) -> str:

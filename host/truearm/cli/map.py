@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 from truearm.bounds import CELL
@@ -14,6 +13,7 @@ from truearm.cli.output import print_json
 from truearm.errors import InputError
 from truearm.findings import entries
 from truearm.units import MM
+from truearm.workflows.requests import MapFiles
 
 
 class Elbow(StrEnum):
@@ -25,13 +25,8 @@ class Elbow(StrEnum):
 
 @command()
 def map_(
-    result: Path,
+    files: MapFiles,
     *,
-    out: Path | None = None,
-    picture_out: Path | None = None,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
     vary: str = "2,3",
     at: str | None = None,
     elbow: Elbow | None = None,
@@ -41,7 +36,6 @@ def map_(
     own_frames: bool = False,
     payload: str | None = None,
     allow_unusable: bool = False,
-    force: bool = False,
     json: bool = False,
 ) -> None:
     """Map the error of the uncalibrated robot over a section of its workspace, with the uncertainty of the map.
@@ -74,20 +68,18 @@ def map_(
     """
     from truearm.cli.findings_text import show
     from truearm.cli.map_text import map_findings
-    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.calibration import read_usable
-    from truearm.workflows.map import MapFiles, MapTask, Section, axis, map_files
+    from truearm.workflows.map import MapTask, Section, axis, map_files
 
     if task is None and within is not None:
         raise InputError("needs-option", place="--within", needed="--task WxH")
     varied, shown = _joints_of(vary), numbers_of("--at", at)
     wanted = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
-    files = MapFiles(result, RobotChoice(model, base, tip), out, picture_out, force)
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, None if elbow is None else elbow is Elbow.up, MM.to_si(cell_mm), own_frames)
     found = map_files(calibration, files, section, wanted)
-    written = [path for path in (out, picture_out) if path is not None]
+    written = [path for path in (files.out, files.picture_out) if path is not None]
     findings = map_findings(found, section.cell, task, calibration.simulated)
     if json:
         spans = {} if found.region is None else {"u_mm": found.region.u, "v_mm": found.region.v}

@@ -70,8 +70,6 @@ seed : N
     Random seed.
 criterion
     What to minimise. {criteria}.
-measured : FILE
-    Sessions and tables that are already measured (repeatable).
 reserve_mm : MM
     Travel reserved for errors of the model. Default: {reserves} with --result.
 dwell_s : S
@@ -239,3 +237,6 @@ def branch_given(text: str | None) -> Branch | None:
         return None
     lower, upper = spans_of("--branch", text, DEG)
     return Branch(np.array(lower), np.array(upper))
+
+
+READERS = {"branch": branch_given, "payload": payload_of}  # of fields that are given as texts

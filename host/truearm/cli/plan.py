@@ -19,16 +19,16 @@ from truearm.bounds import (
     Within,
 )
 from truearm.cli.command import command, fill
-from truearm.cli.options import branch_given, spans_of
+from truearm.cli.options import spans_of
 from truearm.cli.output import command_group, print_json
 from truearm.cli.project import ProjectCommand
 from truearm.findings import findings_of
 from truearm.plan.criteria import Criterion
 from truearm.units import MM, MM_S
+from truearm.workflows.requests import PlanFiles
 
 if TYPE_CHECKING:
     from truearm.plan.region import Region
-    from truearm.workflows.plan import PlanFiles
 
 app = command_group(
     "plan",
@@ -49,22 +49,6 @@ def _region_of(text: str | None) -> Region | None:
     return Region(np.array(lower), np.array(upper))
 
 
-def _plan_files(given: dict[str, Any]) -> PlanFiles:
-    """Return the files that a command reads and writes. Raises InputError."""
-    from truearm.files.robot_file import RobotChoice
-    from truearm.plan.route_stops import Signals
-    from truearm.workflows.plan import PlanFiles
-
-    return fill(
-        PlanFiles,
-        given,
-        robot=RobotChoice(given["model"], given["base"], given["tip"]),
-        branch=branch_given(given["branch"]),
-        programs=tuple(given["program_out"] or ()),
-        signals=Signals(given["output_line"], given["input_line"]),
-    )
-
-
 def _print(document: dict[str, Any], details: bool, json: bool) -> None:
     from truearm.cli.findings_text import show
     from truearm.cli.plan_text import tables
@@ -79,20 +63,14 @@ def _print(document: dict[str, Any], details: bool, json: bool) -> None:
 @app.command("ballbar", cls=ProjectCommand)
 @command()
 def ballbar(
+    files: PlanFiles,
     *,
-    model: str,
-    rig: Path,
-    base: str | None = None,
-    tip: str | None = None,
     poses: Annotated[int | None, POSES] = None,
     minutes: Annotated[float | None, MINUTES] = None,
     criterion: Annotated[str, OneOf(tuple(Criterion))] = option_defaults.CRITERION,
     region: str | None = None,
     bar: list[str] | None = None,
     candidates: Annotated[int, CANDIDATES] = option_defaults.BAR_CANDIDATES,
-    result: Path | None = None,
-    measured: list[Path] | None = None,
-    branch: str | None = None,
     reserve_mm: Annotated[float | None, TRAVEL, MM] = None,
     spread_mm: Annotated[float, TRAVEL, MM] = MM.of(option_defaults.SPREAD),
     dwell_s: Annotated[float, DWELL] = option_defaults.DWELL,
@@ -100,11 +78,6 @@ def ballbar(
     check_poses: Annotated[int, CHECK_POSES] = option_defaults.CHECK_POSES,
     joint_laws: bool = False,
     seed: Annotated[int, SEED] = option_defaults.SEED,
-    out: Path | None = None,
-    program_out: list[Path] | None = None,
-    output_line: Annotated[int, Within(0)] = 0,
-    input_line: Annotated[int | None, Within(0)] = None,
-    force: bool = False,
     details: bool = False,
     json: bool = False,
 ) -> None:
@@ -129,6 +102,8 @@ def ballbar(
 
     Expert options
     --------------
+    measured : FILE
+        Sessions and tables that are already measured (repeatable).
     region : X0:X1,Y0:Y1,Z0:Z1
         Box in which accuracy is wanted [mm, base frame]. Default: around the planned places of the spheres.
     candidates : N
@@ -145,7 +120,6 @@ def ballbar(
     """
     from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
 
-    files = _plan_files(locals())
     options = fill(BallBarOptions, locals(), region=_region_of(region), bars=tuple(bar or ()))
     document = plan_ball_bar_files(files, Budget(poses, minutes), options)
     _print(document, details, json)
@@ -154,11 +128,8 @@ def ballbar(
 @app.command("line", cls=ProjectCommand)
 @command()
 def line(
+    files: PlanFiles,
     *,
-    model: str,
-    rig: Path,
-    base: str | None = None,
-    tip: str | None = None,
     lines: Annotated[int | None, Within(1, 100)] = None,
     minutes: Annotated[float | None, MINUTES] = None,
     length_mm: Annotated[float, Within(10.0, 5000.0)] = MM.of(option_defaults.LINE_LENGTH),
@@ -170,16 +141,7 @@ def line(
     criterion: Annotated[str, OneOf(tuple(Criterion))] = option_defaults.CRITERION,
     region: str | None = None,
     candidates: Annotated[int, Within(1, 5000)] = option_defaults.LINE_CANDIDATES,
-    result: Path | None = None,
-    measured: list[Path] | None = None,
-    branch: str | None = None,
     seed: Annotated[int, SEED] = option_defaults.SEED,
-    out: Path | None = None,
-    rig_out: Path | None = None,
-    program_out: list[Path] | None = None,
-    output_line: Annotated[int, Within(0)] = 0,
-    input_line: Annotated[int | None, Within(0)] = None,
-    force: bool = False,
     details: bool = False,
     json: bool = False,
 ) -> None:
@@ -201,6 +163,8 @@ def line(
 
     Expert options
     --------------
+    measured : FILE
+        Sessions and tables that are already measured (repeatable).
     target : NAME
         Target of the rig to measure. Default: its only one.
     length_mm : MM
@@ -223,7 +187,6 @@ def line(
     from truearm.plan.line_plan import LinesWanted
     from truearm.workflows.plan import plan_line_files
 
-    files = _plan_files(locals())
     shape = Shape(MM.to_si(length_mm), MM.to_si(transverse_mm), MM_S.to_si(speed_mm_s), points)
     wanted = LinesWanted(lines, minutes, shape, passes, candidates, criterion, seed)
     document = plan_line_files(files, wanted, _region_of(region), target)
@@ -233,27 +196,17 @@ def line(
 @app.command("characterize", cls=ProjectCommand)
 @command()
 def characterize(
+    files: PlanFiles,
     *,
-    model: str,
-    rig: Path,
-    base: str | None = None,
-    tip: str | None = None,
     bar: str | None = None,
     chuck: str | None = None,
     sphere: str | None = None,
     poses: Annotated[int, Within(1, 50)] = option_defaults.APPROACH_POSES,
     rounds: Annotated[int, Within(2, 100)] = option_defaults.ROUNDS,
     long_dwell_s: Annotated[float, Within(2.0, 60.0)] = option_defaults.LONG_DWELL,
-    result: Path | None = None,
-    branch: str | None = None,
     reserve_mm: Annotated[float | None, TRAVEL, MM] = None,
     dwell_s: Annotated[float, DWELL] = option_defaults.DWELL,
     seed: Annotated[int, SEED] = option_defaults.SEED,
-    out: Path | None = None,
-    program_out: list[Path] | None = None,
-    output_line: Annotated[int, Within(0)] = 0,
-    input_line: Annotated[int | None, Within(0)] = None,
-    force: bool = False,
     json: bool = False,
 ) -> None:
     """Plan a short run that measures how well the robot repeats: a few poses, reached from both sides of every joint.
@@ -288,7 +241,6 @@ def characterize(
     from truearm.plan.approaches import ApproachesWanted
     from truearm.workflows.plan import plan_approaches_files
 
-    files = _plan_files(locals())
     wanted = ApproachesWanted(poses, rounds, long_dwell_s, seed=seed)
     reserve = None if reserve_mm is None else MM.to_si(reserve_mm)
     document = plan_approaches_files(files, wanted, {"bar": bar, "chuck": chuck, "sphere": sphere}, dwell_s, reserve)

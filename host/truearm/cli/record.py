@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from truearm.cli.command import command, fill
+from truearm.cli.command import command
 from truearm.cli.output import print_json
 from truearm.cli.project import ProjectCommand, project_model, typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
-
-_PATIENCE_S = 600.0
+from truearm.workflows.requests import RecordOptions
 
 
 class RecordCommand(ProjectCommand):
@@ -29,20 +29,8 @@ class RecordCommand(ProjectCommand):
 
 @command()
 def record(
+    request: RecordOptions,
     *,
-    box: str | None = None,
-    out: Path | None = None,
-    resume: Path | None = None,
-    address: str | None = None,
-    plan: Path | None = None,
-    rig: Path | None = None,
-    mounted: str | None = None,
-    rate: float | None = None,
-    duration_s: float | None = None,
-    patience_s: float = _PATIENCE_S,
-    plain: bool = False,
-    unchecked: bool = False,
-    force: bool = False,
     json: bool = False,
 ) -> None:
     """Record a sensor box and a robot into a session file.
@@ -82,18 +70,14 @@ def record(
     from truearm.cli.findings_text import show
     from truearm.cli.record_text import document
     from truearm.findings import findings_of
-    from truearm.workflows.record import Request, nearest_osr, record_request
+    from truearm.workflows.record import record_request
 
-    osr = None if rate is None else nearest_osr(rate)
-    if duration_s is not None and duration_s <= 0:
-        raise InputError(f"--duration-s {duration_s:g} is not a duration; give seconds above 0")
-    if patience_s < 0:
-        raise InputError(f"--patience-s {patience_s:g} is not a duration; give seconds, or 0 not to wait")
-    recorded = record_request(
-        fill(Request, locals(), device=box, robot=address, model=project_model(Path.cwd())),
-        sys.stderr,
-        lambda text: typer.echo(text, err=True),
-    )
+    if request.duration is not None and request.duration <= 0:
+        raise InputError(f"--duration-s {request.duration:g} is not a duration; give seconds above 0")
+    if request.patience < 0:
+        raise InputError(f"--patience-s {request.patience:g} is not a duration; give seconds, or 0 not to wait")
+    request = replace(request, project_model=project_model(Path.cwd()))
+    recorded = record_request(request, sys.stderr, lambda text: typer.echo(text, err=True))
     summary = document(recorded)
     if json:
         print_json(summary)

@@ -12,6 +12,7 @@ from truearm.bounds import LINE_POINTS, Within
 from truearm.cli.command import command
 from truearm.cli.options import issue_of, rigs_of
 from truearm.cli.output import print_result, warn
+from truearm.files.robot_file import NO_ROBOT, RobotChoice
 from truearm.text import one_line
 
 
@@ -22,9 +23,7 @@ def report(
     inputs: list[Path] | None = None,
     *,
     out: Path,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
+    robot: RobotChoice = NO_ROBOT,
     rig: list[str] | None = None,
     number: str = "",
     tolerance_mm: Annotated[float | None, Within(1e-3, 100.0)] = None,
@@ -58,14 +57,13 @@ def report(
     line_points : N
         Points of each pass, as given to truearm identify.
     """
-    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
     from truearm.workflows.report import ReportFiles, report_files
 
     sources = Sources(tuple(inputs or ()), rigs_of(rig), None, True, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
-    files = IdentifyFiles(RobotChoice(model, base, tip), sources, command=command_line, force=force)
+    files = IdentifyFiles(robot, sources, command=command_line, force=force)
     certificate = report_files(ReportFiles(result, files, out, issue_of(number, tolerance_mm)))
     lines = [f"{certificate.heading}: {certificate.decision}", f"Written: {one_line(str(out))}"]
     print_result({"report": str(out), "decision": certificate.decision}, lines, json)

@@ -6,20 +6,18 @@ import queue
 import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 from typing import Annotated, Any
 
 import typer
 
 from truearm.bounds import REPEATABILITY, SEED, Within
-from truearm.cli.command import command, fill
-from truearm.cli.options import branch_given
+from truearm.cli.command import command
 from truearm.cli.project import ProjectCommand, typed
-from truearm.cli.truth_options import DEFAULT_MODEL, DEFAULT_PERIODS, DEFAULT_STIFFNESS, truth_of
+from truearm.cli.truth_options import DEFAULT_PERIODS, DEFAULT_STIFFNESS, truth_of
 from truearm.errors import InputError
-from truearm.units import MM, MS
-
-FAST_RATE_HZ = 500.0
+from truearm.units import MM
+from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
 
 
 class SimulateCommand(ProjectCommand):
@@ -37,25 +35,9 @@ class SimulateCommand(ProjectCommand):
 
 @command(fast_rate=f"{FAST_RATE_HZ:.0f}")
 def simulate(
+    request: SimulateOptions,
     *,
-    out: Path = Path("out/simulated"),
-    model: str = DEFAULT_MODEL,
-    base: str | None = None,
-    tip: str | None = None,
-    branch: str | None = None,
     fast: bool = False,
-    rate: float | None = None,
-    port: Annotated[int, Within(0, 65535)] = 7007,
-    protocol: str = "lines",
-    robot_port: Annotated[int | None, Within(0, 65535)] = None,
-    pty: bool = False,
-    poses: Annotated[int, Within(9, 5000)] = 72,
-    lines: Annotated[int, Within(0, 50)] = 0,
-    plan: Path | None = None,
-    rig: Path | None = None,
-    robot_delay_ms: Annotated[float, Within(0.0, 1000.0)] = 0.0,
-    trigger: Annotated[int | None, Within(0, 15)] = None,
-    warming: Annotated[float | None, Within(-20.0, 20.0)] = None,
     worn: bool = False,
     tolerance: str | None = None,
     repeatability_mm: Annotated[float | None, REPEATABILITY, MM] = None,
@@ -63,13 +45,8 @@ def simulate(
     gear_periods_deg: str = DEFAULT_PERIODS,
     masses_kg: str | None = None,
     stiffness_nm_rad: Annotated[float, Within(1.0)] = DEFAULT_STIFFNESS,
-    truth_out: Path | None = None,
     truth_seed: Annotated[int | None, SEED] = None,
-    force: bool = False,
-    seed: Annotated[int, SEED] = 1,
-    level: str = "vm",
     stage: bool = False,
-    fault: list[str] | None = None,
 ) -> None:
     """Simulate a sensor box and a robot, to rehearse a session on your own arm.
 
@@ -127,28 +104,11 @@ def simulate(
         Simulate the sensors without a robot, to rehearse truearm box gauge: they follow a reference position that you
         type in mm.
     """
-    from truearm.files.robot_file import RobotChoice
-    from truearm.workflows.record import nearest_osr
-    from truearm.workflows.simulate import (
-        SimulateOptions,
-        simulate_box_and_robot,
-        simulate_fast,
-        simulate_stage,
-    )
+    from truearm.workflows.simulate import simulate_box_and_robot, simulate_fast, simulate_stage
 
-    options = fill(
-        SimulateOptions,
-        locals(),
-        folder=out,
-        model=RobotChoice(model, base, tip),
-        branch=branch_given(branch),
-        truth=truth_of(locals()),
-        osr=nearest_osr(FAST_RATE_HZ if rate is None else rate),
-        robot_delay_s=MS.to_si(robot_delay_ms),
-        faults=tuple(fault or ()),
-    )
-    if rate is not None and not fast:
+    if request.rate is not None and not fast:
         raise InputError("needs-option", place="--rate", needed="--fast")
+    options = replace(request, truth=truth_of(locals()))
     if stage and fast:
         raise InputError("--stage waits for what you type, in real time: leave out --fast")
     if stage:

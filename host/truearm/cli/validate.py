@@ -13,6 +13,7 @@ from truearm.cli.command import command
 from truearm.cli.options import issue_of, rigs_of
 from truearm.cli.output import warn
 from truearm.errors import Argument, InputError
+from truearm.files.robot_file import NO_ROBOT, RobotChoice
 
 
 @command()
@@ -21,9 +22,7 @@ def validate(
     result: Path,
     inputs: list[Path],
     *,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
+    robot: RobotChoice = NO_ROBOT,
     rig: list[str] | None = None,
     keep_rig: bool = False,
     report: Path | None = None,
@@ -60,7 +59,6 @@ def validate(
     """
     from truearm.cli.findings_text import show
     from truearm.files.result_file import format_document
-    from truearm.files.robot_file import RobotChoice
     from truearm.findings import findings_of
     from truearm.report.validation_findings import error_lines
     from truearm.workflows.identify import IdentifyFiles
@@ -69,14 +67,13 @@ def validate(
     from truearm.workflows.validate import validate_files
 
     sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
-    choice = RobotChoice(model, base, tip)
     if report is None:
         if number or tolerance_mm is not None:
             raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))
-        document = validate_files(result, choice, sources, keep_rig).document
+        document = validate_files(result, robot, sources, keep_rig).document
     else:
         command_line = shlex.join(["truearm", *(context.obj or [])])
-        files = IdentifyFiles(choice, sources, command=command_line, force=force)
+        files = IdentifyFiles(robot, sources, command=command_line, force=force)
         document = validation_report(
             ReportFiles(result, files, report, issue_of(number, tolerance_mm)), keep_rig
         ).document

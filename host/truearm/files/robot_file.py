@@ -1,18 +1,22 @@
-"""Load the robot that a user names: a built-in robot by name, a robot file (TOML) or a URDF by path."""
+"""Load the robot that a user names: a built-in robot by name, a robot file (TOML) or a URDF by path.
+
+``--help`` reads this, so it imports nothing slow.
+"""
 
 from __future__ import annotations
 
 import difflib
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from truearm.errors import Argument, RobotError
 from truearm.files.disk import read_text
 from truearm.model.builtin import builtin_names
-from truearm.model.chain import Chain
-from truearm.model.robot import Robot, builtin_robot, parse_robot
-from truearm.model.urdf import chain_from_urdf, free_without_gains
+
+if TYPE_CHECKING:
+    from truearm.model.chain import Chain
+    from truearm.model.robot import Robot
 
 MAX_BYTES = 8_000_000
 # The built-in robot that a maker's or another name means.
@@ -50,11 +54,17 @@ class RobotChoice(NamedTuple):
         return load_robot(self.robot or "", self.base, self.tip)
 
 
+NO_ROBOT = RobotChoice()
+
+
 def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> Robot:
     """Return the robot called or stored at ``robot``; ``base`` and ``tip`` are links of a URDF.
 
     Raises RobotError that names the file, or lists the built-in robots.
     """
+    from truearm.model.robot import builtin_robot, parse_robot
+    from truearm.model.urdf import chain_from_urdf
+
     path = robot_file(robot)
     if not is_urdf(robot) and (base or tip):
         links = Argument("base"), " and ", Argument("tip")
@@ -91,4 +101,7 @@ def is_urdf(robot: str) -> bool:
 
 
 def _urdf_robot(chain: Chain) -> Robot:
+    from truearm.model.robot import Robot
+    from truearm.model.urdf import free_without_gains
+
     return Robot(chain, {"nominal": chain.params_nominal}, free_without_gains(chain))

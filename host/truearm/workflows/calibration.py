@@ -15,7 +15,7 @@ from truearm.arguments import converted, floats
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.files.result_file import Result, read_result
-from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
+from truearm.files.robot_file import NO_ROBOT, RobotChoice, is_urdf, load_robot
 from truearm.files.strict_json import number_or_null
 from truearm.findings import Finding
 from truearm.model.builtin import builtin_names
@@ -32,7 +32,6 @@ from truearm.units import DEG, MM, UNITS
 
 NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: farther is outside
 ROUNDED = 1e-4  # rad, m: a reading at a joint's limit that was written with few digits
-DEFAULT = RobotChoice()
 
 
 class ParameterEstimate(NamedTuple):
@@ -202,7 +201,7 @@ class Calibration(Displayed):
         return self.stored.document
 
 
-def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration:
+def read_calibration(result: Path, choice: RobotChoice = NO_ROBOT) -> Calibration:
     """Read a result and its robot; by default the built-in robot named in the result.
 
     Raises InputError if the two do not belong together.
@@ -220,7 +219,7 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
     return calibration_of(stored, load_robot(name, base, tip), called, str(result))
 
 
-def read_usable(result: Path, choice: RobotChoice = DEFAULT, allow_unusable: bool = False) -> Calibration:
+def read_usable(result: Path, choice: RobotChoice = NO_ROBOT, allow_unusable: bool = False) -> Calibration:
     """Read a result and its robot, for a command that corrects a robot by it.
 
     Raises InputError if the fit is not usable, unless that is allowed; see also ``read_calibration``.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +27,6 @@ from truearm.files.disk import check_writable, write_atomic
 from truearm.files.noise_file import NoiseFile, format_noise
 from truearm.files.plan_file import read_plan
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import RobotChoice
 from truearm.findings import entries
 from truearm.model.chain import Chain, along, trace_point
 from truearm.progress import step
@@ -40,23 +39,11 @@ from truearm.session.pose_visits import PoseVisits, joined, visits
 from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
+from truearm.workflows.requests import CharacterizeFiles
 from truearm.workflows.session_observations import labels_of, reasons_text, recorded_rig
 from truearm.workflows.session_parts import open_finished, session_parts
 
 LEAST_VISITS = 6
-
-
-@dataclass(frozen=True)
-class CharacterizeFiles:
-    """Input and output files of ``truearm characterize``; ``rig`` and ``plan`` replace those in the session."""
-
-    session: Path
-    robot: RobotChoice
-    rig: Path | None = None
-    plan: Path | None = None
-    out: Path | None = None
-    allow_damaged: bool = False
-    force: bool = False
 
 
 class Part(NamedTuple):

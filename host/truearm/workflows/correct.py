@@ -48,6 +48,7 @@ from truearm.workflows.program_files import (
     read_program_files,
     write_program_files,
 )
+from truearm.workflows.requests import CorrectFiles
 from truearm.workflows.undetermined import undetermined
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -73,17 +74,6 @@ class CorrectOptions(NamedTuple):
     home: tuple[float, ...] | None = None
     program: ProgramOptions = ProgramOptions()
     document: bool = False
-
-
-class CorrectFiles(NamedTuple):
-    """Input and output files of ``truearm correct``."""
-
-    result: Path
-    robot: RobotChoice
-    targets: Path
-    out: Path
-    report: Path | None = None
-    force: bool = False
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from truearm.export.writing import FormatFit, RobotToWrite, fit_to, held, writte
 from truearm.files.disk import check_outputs, check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
-from truearm.files.robot_file import MAX_BYTES, RobotChoice
+from truearm.files.robot_file import MAX_BYTES
 from truearm.findings import Finding, ordered
 from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
@@ -32,6 +32,7 @@ from truearm.workflows.calibration import (
     mounting_values,
     read_usable,
 )
+from truearm.workflows.requests import ExportFiles
 from truearm.workflows.selection import matching
 
 N_POSES = 600  # of a refit without given poses; 2400 coordinates for about 60 unknowns
@@ -128,29 +129,19 @@ def export_findings(form: str, fitted: FormatFit, is_default: bool = False) -> l
 
 
 @step("exporting the robot")
-def export_file(
-    result: Path,
-    robot: RobotChoice,
-    out: Path,
-    options: ExportOptions,
-    over: Path | None = None,
-    curves: Path | None = None,
-    force: bool = False,
-    allow_unusable: bool = False,
-) -> ExportedRobot:
-    """Write the calibrated robot.
-
-    ``over``: a table or a plan of poses to refit over. ``curves``: where to write the joints' error curves. Raises
-    InputError, and then writes nothing.
-    """
-    check_names(result, out, over, curves)
-    inputs = [result, *robot.files, *filter(None, [over])]
-    check_writable(out, force, inputs=inputs, kind="exported", suffixes=[FORMATS[options.form].suffix])
-    check_outputs([("curves", curves)], force, [*inputs, out])
-    calibration = read_usable(result, robot, allow_unusable).carrying(*options.payload)
-    found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
+def export_file(files: ExportFiles) -> ExportedRobot:
+    """Write the calibrated robot. Raises InputError, and then writes nothing."""
+    check_names(files.result, files.out, files.over, files.curves_out)
+    inputs = [files.result, *files.robot.files, *filter(None, [files.over])]
+    check_writable(files.out, files.force, inputs=inputs, kind="exported", suffixes=[FORMATS[files.format].suffix])
+    check_outputs([("curves", files.curves_out)], files.force, [*inputs, files.out])
+    payload = files.payload or NO_PAYLOAD
+    calibration = read_usable(files.result, files.robot, files.allow_unusable).carrying(*payload)
+    options = ExportOptions(files.format, files.own_frames, files.adjust, payload)
+    found = exported(calibration, options, None if files.over is None else _poses_of(files.over, calibration.chain))
+    curves = files.curves_out
     table = None if curves is None else curve_table(_curves(calibration, curves), calibration.simulated)
-    write_atomic(out, found.text)
+    write_atomic(files.out, found.text)
     if curves is not None and table is not None:
         write_atomic(curves, table)
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from truearm.files.column_writers import FORMATS, check_format
 from truearm.files.disk import sha256, working_folder
 from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import strict_json
 from truearm.progress import step
 from truearm.record.session_writer import read_anchor
@@ -25,37 +24,19 @@ from truearm.session.session_file import Session
 from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
 from truearm.text import one_line
 from truearm.types import Rig
+from truearm.workflows.requests import ExportSession
 from truearm.workflows.session_observations import attached_rig, labels_of
 from truearm.workflows.session_parts import open_finished
 
 SAID = "session.json"
-NO_ROBOT = RobotChoice()
 USUAL_RATE_HZ = 100.0
-
-
-@dataclass(frozen=True)
-class ExportSession:
-    """What to export.
-
-    ``out``: a new or empty folder. ``rig`` replaces the recorded one. ``robot`` shows which joints are prismatic.
-    ``rate_hz``: for the format mcap only, the maximum number of samples of a stream per second; 0 for all, None for
-    USUAL_RATE_HZ.
-    """
-
-    session: Path
-    out: Path
-    format: str = "csv"
-    rig: Path | None = None
-    robot: RobotChoice = NO_ROBOT
-    allow_damaged: bool = False
-    rate_hz: float | None = None
 
 
 @step("exporting the session")
 def export_session_files(wanted: ExportSession) -> dict[str, dict[str, Any]]:
     """Write all tables, or none; return the rows and titles of each by name. Raises InputError, SessionError, WriteError."""
     check_format(wanted.format)
-    if wanted.rate_hz is not None and wanted.format != "mcap":
+    if wanted.rate is not None and wanted.format != "mcap":
         text = f" has no effect with format {wanted.format}, which holds all samples; leave it out, or use format mcap"
         raise InputError(Argument("rate"), text)
     units = () if wanted.robot.robot is None else wanted.robot.load().chain.joint_units
@@ -96,7 +77,7 @@ def _export(
     ident = recorded_ident(session)
     found = survey(session.batches, ident)
     utc_ns, host_ns = read_anchor(session.metadata.get("session", {})) or (0, 0)
-    rate_hz = USUAL_RATE_HZ if wanted.rate_hz is None else wanted.rate_hz
+    rate_hz = USUAL_RATE_HZ if wanted.rate is None else wanted.rate
     tables = _Tables(folder, wanted.format, Placement(utc_ns - host_ns, host_ns, rate_hz))
     for name, batch in tabulate(found, units):
         tables.write(name, batch)

@@ -6,7 +6,6 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,6 @@ from truearm.correct.error_map import BestRectangle, ErrorMap, best_region, erro
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_outputs, write_atomic
-from truearm.files.robot_file import RobotChoice
 from truearm.findings import Finding
 from truearm.progress import step
 from truearm.report.map_picture import Cells, map_picture
@@ -28,6 +26,7 @@ from truearm.workflows.calibration import (
     check_names,
     chosen_mountings,
 )
+from truearm.workflows.requests import MapFiles
 from truearm.workflows.undetermined import undetermined, unseen_within
 
 SOME = 12  # cells at which the reason for an unknown error is sought
@@ -55,16 +54,6 @@ class MapTask(NamedTuple):
     within: tuple[float, float, float, float] | None = None
 
 
-class MapFiles(NamedTuple):
-    """Input and output files of ``truearm map``."""
-
-    result: Path
-    robot: RobotChoice
-    out: Path | None = None
-    picture: Path | None = None
-    force: bool = False
-
-
 class Mapped(NamedTuple):
     """A map, and the best region for the task; None if there is no task, or no place for it.
 
@@ -87,15 +76,15 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
 
     Raises InputError with a one-line message.
     """
-    check_names(files.out, files.picture)
-    outputs = [("map", files.out), ("picture", files.picture)]
+    check_names(files.out, files.picture_out)
+    outputs = [("map", files.out), ("picture", files.picture_out)]
     check_outputs(outputs, files.force, [files.result, *files.robot.files])
     found = mapped(calibration, section)
     region = None if task is None else best_region(found, *task.size, task.within)
     if files.out is not None:
         write_atomic(files.out, _table(found, calibration))
-    if files.picture is not None:
-        write_atomic(files.picture, _picture(found, region, calibration))
+    if files.picture_out is not None:
+        write_atomic(files.picture_out, _picture(found, region, calibration))
     unknown = found.q[np.isnan(found.sigma) & ~np.isnan(found.error)]
     why = undetermined(calibration, unknown[:SOME], section.own_frames) if len(unknown) else []
     relative_to, outside = unseen_within(calibration)[1], _outside_everywhere(calibration, found)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -17,12 +16,10 @@ from truearm.errors import Argument, InputError
 from truearm.files.disk import check_outputs, write_atomic
 from truearm.files.plan_file import write_plan
 from truearm.files.rig_file import read_rig, write_rig
-from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import number_or_null
 from truearm.findings import entries
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
-from truearm.model.workspace import Branch
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
 from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
@@ -45,39 +42,13 @@ from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.identify import DEFAULTS, default_prior
 from truearm.workflows.inputs import Sources, observed
+from truearm.workflows.requests import PlanFiles
 from truearm.workflows.selection import held_out_rows
 from truearm.workflows.session_parts import with_parts
 
 LEAST_CHECKS = 3  # fewer reveal little about a drift, and a short plan has no pose to spare
 POSES_A_CHECK = 36  # check poses are visited three times more: at most a twelfth of the poses
-NO_SIGNALS = Signals()
 LEFT = 2e-3  # m of travel that the motions between poses need at least
-
-
-@dataclass(frozen=True)
-class PlanFiles:
-    """Inputs of a plan, and the files to write.
-
-    ``result``: an earlier result.json, with a model that replaces the design. ``measured``: sessions and tables that
-    count as already measured. ``branch``: None for the robot file's. ``programs`` are written for the controllers
-    identified by their suffixes, with these ``signals`` between robot and box.
-    """
-
-    robot: RobotChoice
-    rig: Path
-    result: Path | None = None
-    measured: tuple[Path, ...] = ()
-    branch: Branch | None = None
-    out: Path | None = None
-    rig_out: Path | None = None
-    programs: tuple[Path, ...] = ()
-    signals: Signals = NO_SIGNALS
-    force: bool = False
-
-    @property
-    def outputs(self) -> list[Path]:
-        """Every file to write."""
-        return [path for path in (self.out, self.rig_out, *self.programs) if path is not None]
 
 
 class Budget(NamedTuple):
@@ -357,10 +328,10 @@ def _target(known: Known, name: str | None) -> str:
 
 def _check(files: PlanFiles) -> None:
     """Check that no output replaces an input or another output, and that all suffixes are known. Raises InputError."""
-    for path in files.programs:
+    for path in files.program_out:
         check_suffix(path.suffix.lower())
     read = [*files.robot.files, files.rig, files.result, *files.measured]
-    outputs = [("plan", files.out), ("rig", files.rig_out), *(("program", path) for path in files.programs)]
+    outputs = [("plan", files.out), ("rig", files.rig_out), *(("program", path) for path in files.program_out)]
     check_outputs(outputs, files.force, filter(None, read), "the forecast")
 
 
@@ -368,7 +339,7 @@ def _known(files: PlanFiles) -> Known:
     """Return robot, rig, model and earlier measurements, from files. Raises PlanError if no program can be for the robot."""
     result = None if files.result is None else read_calibration(files.result, files.robot)
     robot = files.robot.load() if result is None else result.robot
-    for path in files.programs:
+    for path in files.program_out:
         check_joints(path.suffix.lower(), len(robot.chain.joints))
     known = replace(known_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
     if not files.measured:
@@ -403,8 +374,13 @@ def _write(
     """Write the plan and the programs that were requested."""
     if files.out is not None:
         write_plan(files.out, visits.of_robot(known.chain.name))
-    for path in files.programs:
-        write_atomic(path, program(stops, path.suffix.lower(), Task(path.stem, dwell, files.signals, tool)))
+    for path in files.program_out:
+        write_atomic(
+            path,
+            program(
+                stops, path.suffix.lower(), Task(path.stem, dwell, Signals(files.output_line, files.input_line), tool)
+            ),
+        )
 
 
 def _document(forecast: Forecast) -> dict[str, Any]:

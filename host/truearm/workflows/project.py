@@ -174,7 +174,8 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
     from truearm.files.robot_file import RobotChoice
     from truearm.plan.branches import branch_of
     from truearm.plan.first_rig import first_rig
-    from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
+    from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
+    from truearm.workflows.requests import PlanFiles
 
     project = wanted.project
     paths = {"project": folder / FILE, "rig": folder / project.rig, "plan": folder / project.plan}

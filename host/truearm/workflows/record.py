@@ -23,6 +23,7 @@ from truearm.types import Move
 from truearm.units import NS
 from truearm.workflows.recorded_dwells import RecordedDwells, recorded_dwells
 from truearm.workflows.recover import recovered_name
+from truearm.workflows.requests import RecordOptions
 from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
 
 if TYPE_CHECKING:
@@ -38,26 +39,6 @@ USUAL_OSR = 4096
 # Python lets a busy thread run for 5 ms before another gets its turn; the thread that stamps arrivals cannot wait that
 # long.
 _SWITCH_INTERVAL_S = 2e-4
-
-
-@dataclass(frozen=True)
-class Request:
-    """The options of ``truearm record``."""
-
-    device: str | None
-    out: Path | None
-    resume: Path | None
-    robot: str | None
-    plan: Path | None
-    rig: Path | None
-    mounted: str | None
-    osr: int | None
-    duration_s: float | None
-    patience_s: float
-    plain: bool
-    unchecked: bool
-    force: bool
-    model: str = ""  # of the project
 
 
 @dataclass(frozen=True)
@@ -87,12 +68,12 @@ class Recorded:
     dwells: RecordedDwells | None = None  # of a recording with a robot and a rig
 
 
-def record_request(request: Request, output: TextIO, say: Callable[[str], None]) -> Recorded:
+def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], None]) -> Recorded:
     """Record until the end; the operator's display goes to ``output``, and warnings before the start to ``say``. Raises InputError, LinkError, IncompleteError."""
     work = _work(request)
     for part in () if work.before is None else work.before.damaged:
         say(damaged_part(part))
-    device = choose_box(request.device, output)
+    device = choose_box(request.box, output)
     return _record(device, work, request, output)
 
 
@@ -147,7 +128,7 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     return "; ".join([*reasons, *summary.file_losses])
 
 
-def _record(device: str, work: RecordingWork, request: Request, output: TextIO) -> Recorded:
+def _record(device: str, work: RecordingWork, request: RecordOptions, output: TextIO) -> Recorded:
     """Record, and find out what is missing; a signal ends the recording, but not that question."""
     from truearm.record.links import HostClock
     from truearm.record.ports import BoxPort
@@ -182,8 +163,8 @@ def _record(device: str, work: RecordingWork, request: Request, output: TextIO) 
                         rig_toml=work.rig_toml,
                         mounted=work.mounted,
                         osr=work.osr,
-                        duration_s=request.duration_s,
-                        patience_s=request.patience_s,
+                        duration_s=request.duration,
+                        patience_s=request.patience,
                         head=[(SETUP, work.setup)],
                     ),
                     hooks=Hooks(interrupted=interrupted, operator=view),
@@ -214,7 +195,7 @@ def nearest_osr(rate: float) -> int:
     return min(OSRS, key=lambda osr: abs(MODULATOR_HZ / osr - rate))
 
 
-def _work(request: Request) -> RecordingWork:
+def _work(request: RecordOptions) -> RecordingWork:
     """Return what to record. Raises InputError for options and files that are invalid or inconsistent."""
     from truearm.files.disk import check_writable
     from truearm.files.write_lock import is_held
@@ -230,18 +211,19 @@ def _work(request: Request) -> RecordingWork:
     check_writable(out, request.force and before is None, inputs=read, kind="session")
     if out.exists() and is_held(out):
         raise InputError("in-use", place=out)
-    work = _with_files(RecordingWork(out, request.robot, request.osr or USUAL_OSR), request)
+    osr = USUAL_OSR if request.rate is None else nearest_osr(request.rate)
+    work = _with_files(RecordingWork(out, request.address, osr), request)
     if before is not None:
         work = _going_on(work, request, before)
     setup = {"robot": work.robot or "", "osr": str(work.osr)}
-    if request.model:
-        setup["model"] = request.model
+    if request.project_model:
+        setup["model"] = request.project_model
     if before is not None:
         setup |= {"of": before.first.name, "part": str(before.part), "begun": before.begun}
     return replace(work, setup=setup)
 
 
-def _with_files(work: RecordingWork, request: Request) -> RecordingWork:
+def _with_files(work: RecordingWork, request: RecordOptions) -> RecordingWork:
     """Add plan, rig and what is mounted, each checked against the rig."""
     from truearm.errors import RigError
     from truearm.files.disk import read_bytes
@@ -260,7 +242,7 @@ def _with_files(work: RecordingWork, request: Request) -> RecordingWork:
     return replace(work, rig=rig, rig_toml=read_bytes(request.rig, MAX_BYTES, RigError))
 
 
-def _going_on(work: RecordingWork, request: Request, before: Earlier) -> RecordingWork:
+def _going_on(work: RecordingWork, request: RecordOptions, before: Earlier) -> RecordingWork:
     """Add data from the previous parts where the options do not specify it."""
     from truearm.files.rig_file import parse_rig
 
@@ -275,7 +257,7 @@ def _going_on(work: RecordingWork, request: Request, before: Earlier) -> Recordi
         rows=before.rows if request.plan is None else work.rows,
         mounted=work.mounted or before.mounted,
         robot=work.robot or before.setup.get("robot") or None,
-        osr=int(osr) if request.osr is None and osr in map(str, OSRS) else work.osr,
+        osr=int(osr) if request.rate is None and osr in map(str, OSRS) else work.osr,
     )
 
 

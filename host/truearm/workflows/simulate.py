@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, NamedTuple, assert_never
 
 from truearm.box.readiness import LVDT_DRIFT
 from truearm.errors import Argument, InputError, LinkError
-from truearm.files.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.text import counted
 from truearm.units import MM
 from truearm.workflows.demo_steps import record_virtually
+from truearm.workflows.record import nearest_osr
+from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
 from truearm.workflows.session_observations import Say
 from truearm.workflows.simulated_robot import (
     AS_DRAWN,
     SimulatedRobot,
-    TruthOptions,
     check_plan,
     simulated_robot,
     with_repeatability,
@@ -43,7 +43,6 @@ PROTOCOLS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
-    from truearm.model.workspace import Branch
     from truearm.types import Plan, Rig
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
@@ -68,43 +67,6 @@ class Hardware(NamedTuple):
     pace: Pace
 
 
-PUMA = RobotChoice("puma560")
-
-
-@dataclass(frozen=True)
-class SimulateOptions:
-    """What to simulate, and where it listens.
-
-    ``model``: the robot. ``branch``: where poses are drawn, by default the robot file's. ``truth``: how the robot
-    differs from its design, written to ``truth_out``. ``protocol``: one of PROTOCOLS. ``level``: a Level. ``plan`` and
-    ``rig`` are files that replace ``poses`` with each bar, or ``lines``. ``faults`` are written SECONDS:KIND. A port of
-    0 means any free one. ``warming`` [K]: how much the laboratory warms up; bar and sensor then have thermometers.
-    ``osr``: the oversampling ratio of what is recorded in virtual time.
-    """
-
-    folder: Path
-    model: RobotChoice = PUMA
-    branch: Branch | None = None
-    truth: TruthOptions = AS_DRAWN
-    truth_out: Path | None = None
-    force: bool = False
-    osr: int = 8192
-    port: int = 7007
-    protocol: str = "lines"
-    robot_port: int | None = None
-    pty: bool = False
-    poses: int = 72
-    lines: int = 0
-    plan: Path | None = None
-    rig: Path | None = None
-    robot_delay_s: float = 0.0
-    trigger: int | None = None
-    warming: float | None = None
-    seed: int = 1
-    level: str = "vm"
-    faults: tuple[str, ...] = ()
-
-
 def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
     """Serve until the robot's program has ended and the recorder has gone; ``say`` is called with one line at a time.
 
@@ -115,7 +77,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
 
     scheme, usual_port, rate = _spoken(options.protocol)
     world, of_box, box = _lab(options, rate, say)
-    folder = options.folder
+    folder = options.out
     robot_port = usual_port if options.robot_port is None else options.robot_port
     remedy = "other ports with ", Argument("port"), " and ", Argument("robot_port")
     box_port, device, listener = _listening(options, box, robot_port, remedy)
@@ -154,18 +116,18 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
     started = time.perf_counter()
     try:
         record_virtually(
-            options.folder,
+            options.out,
             world.controller.plan,
             world,
             box,
-            options.osr,
+            nearest_osr(FAST_RATE_HZ if options.rate is None else options.rate),
             options.seed,
             step_ns=of_box.longest_step_ns,
-            model=Path(options.model.robot or "").name,
+            model=Path(options.robot.robot or "").name,
         )
     finally:
         box.close()
-    say(f"{_visits_of(world)}, recorded in {time.perf_counter() - started:.1f} s: {options.folder / SESSION}")
+    say(f"{_visits_of(world)}, recorded in {time.perf_counter() - started:.1f} s: {options.out / SESSION}")
 
 
 def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[str]]) -> None:
@@ -181,7 +143,7 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
     stage = Stage(options.seed)
     span = f"-{MM.of(LARGEST):.0f} to {MM.text(LARGEST, '.0f')}"
     box = SimulatedBox(
-        stage, power_on=of_box.power_on, faults=[parse_fault(f) for f in options.faults], seed=options.seed
+        stage, power_on=of_box.power_on, faults=[parse_fault(f) for f in options.fault], seed=options.seed
     )
 
     def set_by_hand() -> bool:
@@ -240,9 +202,9 @@ def _lab(
     from truearm_sim.thermal import Thermal
     from truearm_sim.world import RobotInput, Setup, World
 
-    folder, seed, truth = options.folder, options.seed, options.truth
-    faults = [parse_fault(text) for text in options.faults]
-    simulated = simulated_robot(options.model, truth, seed, options.branch)
+    folder, seed, truth = options.out, options.seed, options.truth or AS_DRAWN
+    faults = [parse_fault(text) for text in options.fault]
+    simulated = simulated_robot(options.robot, truth, seed, options.branch)
     joints = len(simulated.robot.chain.joints)
     if options.protocol == "rtde" and joints != RTDE_JOINTS:
         text = f" rtde: a controller of {RTDE_JOINTS} joints, {simulated.robot.chain.name} has {joints}"
@@ -252,7 +214,7 @@ def _lab(
     if thermal is not None and options.rig is None:
         rig = thermal.declared(rig)
     if options.truth_out is not None:
-        read = [path for path in (options.plan, options.rig, *options.model.files) if path is not None]
+        read = [path for path in (options.plan, options.rig, *options.robot.files) if path is not None]
         check_writable(options.truth_out, options.force, inputs=read, kind="truth")
     world = World(
         seed,
@@ -263,7 +225,7 @@ def _lab(
         simulated.robot,
         Setup(
             robot_rate=rate,
-            robot_delay_s=options.robot_delay_s,
+            robot_delay_s=options.robot_delay,
             robot_input=None if options.trigger is None else RobotInput(options.trigger),
             thermal=thermal,
         ),
@@ -306,7 +268,7 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
     if rig_file is not None:
         rig = read_rig(rig_file)
     else:
-        rig = with_repeatability(line_rig() if lines else standard_rig(robot), options.truth)
+        rig = with_repeatability(line_rig() if lines else standard_rig(robot), options.truth or AS_DRAWN)
     if plan_file is None:
         return _drawn(options, robot, rig).of_robot(robot.chain.name), rig
     plan = read_plan(plan_file)

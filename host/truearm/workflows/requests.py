@@ -1,0 +1,181 @@
+"""What commands take: their options in SI units, declared once. ``truearm.cli.command`` makes options of the fields.
+
+``--help`` reads this, so it imports nothing slow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from truearm.bounds import OneOf, Within
+from truearm.export.formats import FORMATS
+from truearm.files.robot_file import NO_ROBOT, RobotChoice
+
+if TYPE_CHECKING:
+    from truearm.model.workspace import Branch
+    from truearm.types import Payload
+    from truearm.workflows.simulated_robot import TruthOptions
+
+PUMA = RobotChoice("puma560")
+FAST_RATE_HZ = 500.0  # of what simulate records in virtual time
+
+
+@dataclass(frozen=True)
+class PlanFiles:
+    """Inputs of a plan, and the files to write.
+
+    ``result``: an earlier result.json, with a model that replaces the design. ``measured``: sessions and tables that
+    count as already measured. ``branch``: None for the robot file's. Programs are written for the controllers identified
+    by their suffixes. ``output_line`` and ``input_line`` of the controller connect robot and box.
+    """
+
+    robot: RobotChoice
+    rig: Path
+    result: Path | None = None
+    measured: tuple[Path, ...] = ()
+    branch: Branch | None = None
+    out: Path | None = None
+    rig_out: Path | None = None
+    program_out: tuple[Path, ...] = ()
+    output_line: Annotated[int, Within(0)] = 0
+    input_line: Annotated[int | None, Within(0)] = None
+    force: bool = False
+
+    @property
+    def outputs(self) -> list[Path]:
+        """Every file to write."""
+        return [path for path in (self.out, self.rig_out, *self.program_out) if path is not None]
+
+
+@dataclass(frozen=True)
+class SimulateOptions:
+    """What to simulate, and where it listens.
+
+    ``branch``: where poses are drawn, by default the robot file's. ``truth``: how the robot differs from its design, None
+    for the simulator's differences, written to ``truth_out``. ``protocol``: one of PROTOCOLS. ``level``: a Level. ``plan``
+    and ``rig`` are files that replace ``poses`` with each bar, or ``lines``. A ``fault`` is written SECONDS:KIND. A port of
+    0 means any free one. ``warming`` [K]: how much the laboratory warms up; bar and sensor then have thermometers.
+    ``rate`` [Hz]: of what is recorded in virtual time, None for the usual one.
+    """
+
+    out: Path = Path("out/simulated")
+    robot: RobotChoice = PUMA
+    branch: Branch | None = None
+    truth: TruthOptions | None = None
+    truth_out: Path | None = None
+    force: bool = False
+    rate: float | None = None
+    port: Annotated[int, Within(0, 65535)] = 7007
+    protocol: str = "lines"
+    robot_port: Annotated[int | None, Within(0, 65535)] = None
+    pty: bool = False
+    poses: Annotated[int, Within(9, 5000)] = 72
+    lines: Annotated[int, Within(0, 50)] = 0
+    plan: Path | None = None
+    rig: Path | None = None
+    robot_delay: Annotated[float, Within(0.0, 1.0)] = 0.0  # s
+    trigger: Annotated[int | None, Within(0, 15)] = None
+    warming: Annotated[float | None, Within(-20.0, 20.0)] = None
+    seed: Annotated[int, Within(0)] = 1
+    level: str = "vm"
+    fault: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What to record from which ``box`` (None: the one that is plugged in) and from the robot at ``address``.
+
+    ``resume``: the session to continue, in place of ``out``. ``duration`` [s]: None for no end. ``patience`` [s]: how long
+    to wait for a box or robot that was lost. ``project_model``: the robot of the project.
+    """
+
+    box: str | None = None
+    out: Path | None = None
+    resume: Path | None = None
+    address: str | None = None
+    plan: Path | None = None
+    rig: Path | None = None
+    mounted: str | None = None
+    rate: float | None = None
+    duration: float | None = None
+    patience: float = 600.0
+    plain: bool = False
+    unchecked: bool = False
+    force: bool = False
+    project_model: str = ""
+
+
+@dataclass(frozen=True)
+class CharacterizeFiles:
+    """Input and output files of ``truearm characterize``; ``rig`` and ``plan`` replace those in the session."""
+
+    session: Path
+    robot: RobotChoice
+    rig: Path | None = None
+    plan: Path | None = None
+    out: Path | None = None
+    allow_damaged: bool = False
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class ExportSession:
+    """What to export of a session.
+
+    ``out``: a new or empty folder. ``rig`` replaces the recorded one. ``robot`` shows which joints are prismatic.
+    ``rate`` [Hz]: for the format mcap only, the maximum number of samples of a stream per second; 0 for all, None for the
+    usual one.
+    """
+
+    session: Path
+    out: Path
+    format: str = "csv"
+    rig: Path | None = None
+    robot: RobotChoice = NO_ROBOT
+    allow_damaged: bool = False
+    rate: Annotated[float | None, Within(0.0)] = None
+
+
+@dataclass(frozen=True)
+class ExportFiles:
+    """A result, and the file to write of its robot: the ``format``, and patterns of what may change (``adjust``).
+
+    ``over``: a table or a plan of poses to refit over. ``curves_out``: the joints' error curves.
+    """
+
+    result: Path
+    format: Annotated[str, OneOf(FORMATS)]
+    out: Path
+    robot: RobotChoice = NO_ROBOT
+    own_frames: bool = False
+    payload: Payload | None = None
+    adjust: tuple[str, ...] = ()
+    over: Path | None = None
+    curves_out: Path | None = None
+    allow_unusable: bool = False
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class MapFiles:
+    """Input and output files of ``truearm map``."""
+
+    result: Path
+    robot: RobotChoice = NO_ROBOT
+    out: Path | None = None
+    picture_out: Path | None = None
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class CorrectFiles:
+    """Input and output files of ``truearm correct``."""
+
+    result: Path
+    targets: Path
+    out: Path
+    robot: RobotChoice = NO_ROBOT
+    report: Path | None = None
+    force: bool = False
