@@ -583,7 +583,7 @@ SESSION: Mapping[str, Statement] = {
     # time
     "box-clock": Statement(
         NOTE,
-        "Clock, segment {segment}: host − box {offset:.6f} s; the host counts {rate}[ (varies by {varies:.3f})]. Error at most {bound:.1f}; of this, {half_asymmetry:.1f} is half the shortest round trip, because the two directions may differ. {exchanges:#exchange} ({rejected} rejected) in {windows:#window}[; neighbouring windows differ by {spread:.2f} (RMS)]; round trip {rtt_min:.1f} (shortest), {rtt_median:.1f} (median).",
+        "Clock, segment {segment}: host − box {offset:.6f} s; the host counts {rate}. Error at most {bound:.1f}; of this, {half_asymmetry:.1f} is half the shortest round trip, because the two directions may differ. {exchanges:#exchange} ({rejected} rejected); round trip {rtt_min:.1f} (shortest), {rtt_median:.1f} (median).",
     ),
     "clock-stepped": Statement(
         WARNING,

@@ -169,16 +169,15 @@ def test_what_is_shown_must_be_printed_in_this_order():
 
 
 def internal_names(code: str) -> set[str]:
-    """Return what code imports of truearm's internal modules: all but ``truearm`` and ``truearm.extend``."""
+    """Return what code imports of truearm's internal modules: all but ``truearm``, ``truearm.extend`` and ``truearm.clocks``."""
+    public = {"truearm.extend": dir(truearm.extend), "truearm.clocks": ["fit"], "truearm": [*truearm.__all__, "extend"]}
     imported = set()
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
             imported |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            public = {"truearm.extend": dir(truearm.extend), "truearm": [*truearm.__all__, "extend"]}.get(
-                node.module, []
-            )
-            imported |= {f"{node.module}.{alias.name}" for alias in node.names if alias.name not in public}
+            names = public.get(node.module, [])
+            imported |= {f"{node.module}.{alias.name}" for alias in node.names if alias.name not in names}
     return {name for name in imported if name.startswith("truearm") and name not in ("truearm", "truearm.extend")}
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.session.box_frames import Exchange
+from truearm.clocks import SLEWED_WANDER, WANDER
 from truearm.session.box_reader import BoxReader
 from truearm.session.device_clock import ClockReport, fit_clock
 from truearm.session.message_columns import columns_of
@@ -282,7 +282,7 @@ class Changing(NamedTuple):
 def changing_scenario(seed, change):
     """Run a box whose clock, or whose host's clock, changes."""
     known = exchanged(seed, change)
-    clock, report = fit_clock(0, [Exchange(*row) for row in known.rows.tolist()])
+    clock, report = fit_clock(0, known.rows, SLEWED_WANDER if change.slews or change.rates else WANDER)
     t = np.sort(
         np.concatenate([np.linspace(0.5, change.seconds - 0.5, 3000), *(known.host.at + dt for dt in (-1e-5, 1e-5))])
     )

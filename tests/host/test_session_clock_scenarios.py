@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from tests.host.clock_scenarios import CHANGES, box_scenario, changing_scenario, robot_scenario, table
 
-from truearm.session.clock_bounds import SPAN
-
 
 def judge(outcomes, widest_us):
     """Every error within its bound; bounds that say something."""
@@ -21,60 +19,51 @@ def judge(outcomes, widest_us):
 
 @pytest.mark.parametrize("seeds", [range(20), pytest.param(range(20, 200), marks=pytest.mark.soak)], ids=["20", "180"])
 def test_the_box_in_every_life(seeds):
-    """Half a round trip is 0.1 to 0.8 ms here, and no exchange can show less; the drift's allowance adds some 10 µs."""
-    judge([box_scenario(seed) for seed in seeds], widest_us=800.0)
+    """Half a round trip is 0.1 to 0.8 ms here, and no exchange can show less."""
+    judge([box_scenario(seed) for seed in seeds], widest_us=500.0)
 
 
-# Half a round trip is 0.1 to 0.8 ms; half the asymmetry comes on top, and 30 ppm for a minute where exchanges are that rare.
-WIDEST_US = dict.fromkeys(CHANGES, 800.0) | {"asymmetry": 1800.0, "sparse": 3600.0, "all": 1050.0}
+# Half a round trip is 0.1 to 0.8 ms. Half the asymmetry comes on top, 60 ppm of the time to the next exchange where these
+# are rare, and 500 ppm of it where the host's clock may be slewed.
+WIDEST_US = dict.fromkeys(CHANGES, 450.0) | {"asymmetry": 1500.0, "sparse": 1500.0}
+WIDEST_US |= dict.fromkeys(("slews", "rates", "all"), 850.0)
 
 
-@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("name", [name for name in CHANGES if name != "wrong"])
 @pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 1000), marks=pytest.mark.soak)], ids=["12", "988"])
-def test_the_box_while_clocks_change(name, seeds):
-    """Steps, slews, lasting changes of a rate, rare, lost and wrong exchanges: the bound holds, and is no wider for all that."""
-    judge([changing_scenario(seed, CHANGES[name]).outcome for seed in seeds], WIDEST_US[name])
+def test_the_box_while_nothing_steps(name, seeds):
+    """Slews, lasting changes of a rate, rare and lost exchanges: the bound holds, and no step is invented."""
+    worlds = [changing_scenario(seed, replace(CHANGES[name], steps=0)) for seed in seeds]
+    judge([world.outcome for world in worlds], WIDEST_US[name])
+    assert all(world.report.changes == () for world in worlds)
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_a_step_is_shown_and_not_bridged(seed):
-    """A step that is larger than any round trip but stalled ones: the report has it, and nobody claims to know when it was."""
-    found = changing_scenario(seed, CHANGES["steps"])
-    host, bound = found.known.host, np.median(found.outcome.bound)
-    at_us = 1e6 * found.known.crystal.reading(host.at)
-    large = np.abs(host.by) > 3e-3
-    assert np.all(found.at_step >= 0.5e6 * np.abs(host.by) - 1.0)
-    for at, by in zip(at_us[large], host.by[large], strict=True):
-        (change,) = [one for one in found.report.changes if one.device_us[0] <= at <= one.device_us[1]]
-        assert 1e-3 * change.by_ns == pytest.approx(1e6 * by, abs=2.0 * bound)
-        assert change.device_us[1] - change.device_us[0] < 4e6  # SPAN exchanges, of which one in five is lost
-
-
-@pytest.mark.parametrize("name", ["steady", "asymmetry"])
-def test_no_step_is_invented(name):
-    change = replace(CHANGES[name], steps=0)
-    for seed in range(12):
-        assert changing_scenario(seed, change).report.changes == ()
+@pytest.mark.parametrize("name", ["steps", "lost"])
+@pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 150), marks=pytest.mark.soak)], ids=["12", "138"])
+def test_steps_are_reported_and_not_bridged(name, seeds):
+    """Of at least 1 ms, unless no exchange contradicts them: a round trip hides up to two of the shortest ones."""
+    for seed in seeds:
+        world = changing_scenario(seed, CHANGES[name])
+        host, bound = world.known.host, np.median(world.outcome.bound)
+        seen = np.abs(host.by) >= max(1e-3, 2e-9 * world.report.rtt_min_ns)
+        at_us = 1e6 * world.known.crystal.reading(host.at)
+        for at, by, at_step in zip(at_us[seen], host.by[seen], world.at_step[seen], strict=True):
+            (change,) = [one for one in world.report.changes if one.device_us[0] <= at <= one.device_us[1]]
+            assert 1e-3 * change.by_ns == pytest.approx(1e6 * by, abs=2.0 * bound)
+            assert change.device_us[1] - change.device_us[0] < 15e6  # a few exchanges, of which most may be lost
+            assert at_step >= 0.5e6 * abs(by) - bound
+        # A step that is not seen is bridged, and the error exceeds the bound by no more than the step.
+        unseen = np.sum(np.abs(host.by[~seen]))
+        assert np.all(np.abs(world.outcome.error) <= world.outcome.bound + 1e6 * unseen + 1.0)
 
 
 def test_wrong_exchanges_are_no_steps():
-    """They are rejected; the clock goes on. One of them may hide or fake what its neighbours say, but hardly ever does."""
-    reports = [changing_scenario(seed, CHANGES["wrong"]).report for seed in range(12)]
-    assert sum(len(report.changes) for report in reports) <= 1
-    assert (
-        np.median([report.rejected for report in reports]) >= 4
-    )  # of up to 8; those by less than a round trip cannot be seen
-
-
-@pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 1000), marks=pytest.mark.soak)], ids=["12", "988"])
-def test_steps_that_nothing_can_show(seeds):
-    """Only in a stretch of fewer than SPAN exchanges, between two steps or at an end, may the bound be broken (session/clock_bounds.py)."""
-    for seed in seeds:
-        found = changing_scenario(seed, replace(CHANGES["steps"], apart=0.0))
-        at, exchange = np.sort(found.known.host.at), np.sort(found.known.crystal.true(1e-6 * found.known.rows[:, 1]))
-        beyond = found.t[np.abs(found.outcome.error) > found.outcome.bound]
-        in_stretch = np.diff(np.searchsorted(exchange, at), prepend=0, append=exchange.size)
-        assert np.all(in_stretch[np.searchsorted(at, beyond)] < SPAN)
+    """They are rejected and the clock goes on. One that is wrong by less than a round trip is not seen."""
+    worlds = [changing_scenario(seed, CHANGES["wrong"]) for seed in range(12)]
+    assert sum(len(world.report.changes) for world in worlds) == 0
+    assert np.median([world.report.rejected for world in worlds]) >= 4  # of up to 8
+    beyond = [np.max(np.abs(world.outcome.error) - world.outcome.bound) for world in worlds]
+    assert np.max(beyond) <= 1e-3 * max(world.report.rtt_median_ns for world in worlds)
 
 
 @pytest.mark.parametrize("seeds", [range(20), pytest.param(range(20, 200), marks=pytest.mark.soak)], ids=["20", "180"])

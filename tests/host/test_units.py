@@ -100,8 +100,8 @@ TO_DEGREES = {"degrees", "rad2deg"}
 # files in which such a factor is not a unit that a person sees
 PHYSICAL = {
     "session/clock_windows.py": "µs of the box's timer as ns of the host's, in arrays of clock exchanges",
-    "session/device_clock.py": "µs and ns as in clock_windows",
-    "session/losses.py": "µs and ns as in clock_windows",
+    "session/device_clock.py": "µs of the box's timer as ns of the host's",
+    "session/losses.py": "µs and ns as in device_clock",
     "session/trigger_edges.py": "s as whole µs of the box's timer",
     "correct/inverse.py": "a penalty that makes one solution worse than another",
     "correct/error_map.py": "a share of a cell's width",

@@ -12,6 +12,7 @@ import os
 import queue
 import select
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -99,7 +100,7 @@ def backlog_of(link: Link) -> Backlog:
 class HostClock:
     """The operating system's monotonic clock, without NTP slewing if available."""
 
-    kind = "monotonic" if _RAW is None else "monotonic-raw"
+    kind = "monotonic" if _RAW is None and sys.platform != "win32" else "monotonic-raw"
 
     def now_ns(self) -> int:
         return time.perf_counter_ns() if _RAW is None else time.clock_gettime_ns(_RAW)

@@ -134,10 +134,8 @@ def _clock(reports: Iterable[Document]) -> Iterator[Finding]:
                 "segment": report["segment"],
                 "offset": NS.to_si(report["offset_ns"]),
                 "rate": faster(report["rate_ppm"], 3),
-                "varies": {"ppm": report["rate_range_ppm"]} if report["windows"] > 1 else None,
-                **{name: _us(report[f"{name}_ns"]) for name in ("bound", "half_asymmetry", "spread")},
-                **{name: _us(report[f"{name}_ns"]) for name in ("rtt_min", "rtt_median")},
-                **{name: report[name] for name in ("exchanges", "rejected", "windows")},
+                **{name: _us(report[f"{name}_ns"]) for name in ("bound", "half_asymmetry", "rtt_min", "rtt_median")},
+                **{name: report[name] for name in ("exchanges", "rejected")},
             },
         )
         for change in report["changes"]:

@@ -15,6 +15,7 @@ from itertools import chain, islice
 
 import numpy as np
 
+from truearm.clocks import WANDER
 from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
 from truearm.session.box_reader import Blocks, BoxReader
@@ -147,11 +148,16 @@ class Batches:
 
 
 def survey(
-    source: Source, ident: Ident | None = None, rules: DwellRules | None = None, channel: str = "lvdt"
+    source: Source,
+    ident: Ident | None = None,
+    rules: DwellRules | None = None,
+    channel: str = "lvdt",
+    wander: float = WANDER,
 ) -> Survey:
     """Read all messages and return the survey.
 
-    ``ident`` (from the session's metadata) is used until the box sends its own; ``channel`` is that of the ball-bar.
+    ``ident`` (from the session's metadata) is used until the box sends its own; ``channel`` is that of the ball-bar;
+    ``wander``: how far the rate of the host's clock may wander.
     """
     box, robot, marks = BoxReader(ident), JointReader(), Marks()
     batches = Batches(source, ident)
@@ -165,7 +171,7 @@ def survey(
             batches.keep(messages, blocks)
         else:  # if a line is named later, the session is read again
             batches.drop()
-    fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges)) is not None}
+    fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges, wander)) is not None}
     clocks = {index: clock for index, (clock, _) in fits.items()}
     outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
     joints = with_edges(robot.finish(), outputs, clocks)

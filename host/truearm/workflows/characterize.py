@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from truearm.clocks import WANDER
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.repeatability import (
     MISFIT,
@@ -32,9 +33,10 @@ from truearm.model.chain import Chain, along, trace_point
 from truearm.progress import step
 from truearm.report.repeatability_findings import remarks, repeatability_findings
 from truearm.session.box_ident import Ident, recorded_ident
+from truearm.session.device_clock import recorded_wander
 from truearm.session.dwells import Dwell
 from truearm.session.message_columns import Messages, Source, columns_of
-from truearm.session.observations import SyncResult, observations
+from truearm.session.observations import SyncResult, observations, survey
 from truearm.session.pose_visits import PoseVisits, joined, visits
 from truearm.session.session_file import Session
 from truearm.text import counted, one_line
@@ -47,12 +49,13 @@ LEAST_VISITS = 6
 
 
 class Part(NamedTuple):
-    """One file of a session: its messages, its name and the box's description in its metadata."""
+    """One file of a session: its messages, its name, and what its metadata say of the box and of the host's clock."""
 
     messages: Source
     name: str
     ident: Ident | None = None
     labels: tuple[DwellLabel, ...] | None = None
+    wander: float = WANDER
 
 
 @step("characterizing")
@@ -69,7 +72,7 @@ def characterize_files(files: CharacterizeFiles, bands: Sequence[float]) -> dict
     opened = {path: open_finished(path, files.allow_damaged) for path in paths}
     rig = _rig(opened, files.rig)
     parts = [
-        Part(_with_plan(one, files.plan), path.name, recorded_ident(one), labels_of(path))
+        Part(_with_plan(one, files.plan), path.name, recorded_ident(one), labels_of(path), recorded_wander(one))
         for path, one in opened.items()
     ]
     found, noise = characterized(parts, chain, rig, bands)
@@ -165,15 +168,16 @@ def characterized(
 
 def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, PoseVisits]:
     """Return the results of one file."""
-    result = observations(part.messages, rig, ident=part.ident, name=part.name, labels=part.labels)
+    read = survey(part.messages, part.ident, wander=part.wander)
+    result = observations(part.messages, rig, name=part.name, found=read, labels=part.labels)
     n_joints = result.table.q.shape[1]
     if len(result.table) and n_joints != len(chain.joints):
         raise InputError("joint-count", place=part.name, joints=n_joints, expected=len(chain.joints))
-    found = visits(result, rig, bands)
-    if not found.dwells:  # without a robot the number of joints is unknown
+    reached = visits(result, rig, bands)
+    if not reached.dwells:  # without a robot the number of joints is unknown
         none = np.zeros((0, len(chain.joints)))
-        found = replace(found, direction=none, mean_var=none)
-    return result, found
+        reached = replace(reached, direction=none, mean_var=none)
+    return result, reached
 
 
 def _usual(names: list[str]) -> str:

@@ -13,6 +13,7 @@ from truearm.findings import entries
 from truearm.progress import step
 from truearm.report.session_findings import session_findings
 from truearm.session.box_ident import recorded_ident
+from truearm.session.device_clock import recorded_wander
 from truearm.session.joint_format import parse_reading
 from truearm.text import one_line
 from truearm.types import Move
@@ -101,7 +102,7 @@ def describe(session: Session) -> dict[str, Any]:
     from truearm.session.observations import survey
 
     contents, ident = Contents(), recorded_ident(session)
-    found = survey(lambda: contents.watched(session.batches()), ident)
+    found = survey(lambda: contents.watched(session.batches()), ident, wander=recorded_wander(session))
     times = [t for topic in contents.topics.values() for t in (topic.first_ns, topic.last_ns)]
     document = {
         "file": str(session.path),

@@ -161,6 +161,7 @@ def undo(session: Path) -> dict[str, Any]:
 def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[RelabelledPart], Rig, Readings]:
     """Return the files, their common rig, and the readings of all good stops."""
     from truearm.session.box_ident import recorded_ident
+    from truearm.session.device_clock import recorded_wander
     from truearm.session.observations import survey
     from truearm.session.session_file import open_session
 
@@ -174,7 +175,7 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Relabelled
         rig = rig or recorded_rig(session, path)
         if not (rig.bars and rig.chucks and rig.spheres):
             raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
-        found = survey(session.batches, recorded_ident(session))
+        found = survey(session.batches, recorded_ident(session), wander=recorded_wander(session))
         good, said, of_part = _of_survey(rig, found)
         parts.append(RelabelledPart(path, found, good, said))
         readings.append(of_part)

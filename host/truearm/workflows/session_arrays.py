@@ -9,6 +9,7 @@ import numpy as np
 
 from truearm.errors import Argument, InputError
 from truearm.session.box_ident import recorded_ident
+from truearm.session.device_clock import recorded_wander
 from truearm.session.observations import survey
 from truearm.session.session_tables import UNKNOWN, Batch, Columns, tabulate
 from truearm.types import Floats
@@ -54,7 +55,7 @@ def joint_readings(parts: Sequence[Path], allow_damaged: bool = False) -> tuple[
 def _batches(parts: Sequence[Path], allow_damaged: bool) -> Iterator[Batch]:
     for part in parts:
         session = open_finished(part, allow_damaged)
-        yield from tabulate(survey(session.batches, recorded_ident(session)))
+        yield from tabulate(survey(session.batches, recorded_ident(session), wander=recorded_wander(session)))
 
 
 def _rank(title: str) -> int:

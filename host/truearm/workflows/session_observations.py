@@ -145,8 +145,9 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     """Do the same as ``observations_of_session`` with a session that was opened with the same ``allow_damaged``."""
     from truearm.report.session_findings import damage_finding
     from truearm.session.box_ident import recorded_ident
+    from truearm.session.device_clock import recorded_wander
     from truearm.session.line_passes import LineRules
-    from truearm.session.observations import observations
+    from truearm.session.observations import observations, survey
     from truearm.workflows.temperature_warning import temperature_warning
 
     path = session.path
@@ -156,9 +157,10 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
         options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or recorded_rig(session, path)
     rules = LineRules(points=options.line_points)
-    ident, labels = recorded_ident(session), labels_of(path)
+    labels = labels_of(path)
     try:
-        result = observations(session.batches, rig, ident=ident, name=path.name, line_rules=rules, labels=labels)
+        found = survey(session.batches, recorded_ident(session), wander=recorded_wander(session))
+        result = observations(session.batches, rig, name=path.name, found=found, line_rules=rules, labels=labels)
     except (RigError, SessionError) as exc:
         if str(exc).startswith(str(path)):
             raise

@@ -1,0 +1,282 @@
+"""Relate two clocks by what is known of one clock's time at stamps of the other.
+
+Let x be a stamp and y(x) = time − x. Nothing arrives before it was sent, so each row states low_k ≤ y(x_k) ≤ high_k: an
+exchange of messages bounds y on both sides, a message with a stamp on one.
+
+Both clocks are crystals, so the rate y′ stays within ``wander`` of its mean. A row then bounds y at every other time:
+
+    y(t) ≤ high_k + (rate + wander) (t − x_k)  for t > x_k,    y(t) ≤ high_k − (rate − wander) (x_k − t)  for t < x_k,
+
+and likewise from below. The least of the upper bounds and the greatest of the lower ones are running minima over the
+rows before t and after t (``Band``). **Half the distance between them bounds the error.** The mean rate is known within
+an interval by pairs of rows far apart, which widens the band.
+
+**The estimate** lies in that range. Rates follow from the middle of the range, over a minute. The range that is left if
+the rate stays within FOLLOWED of these has a middle that is as good as the line of the largest margin; it is clipped to
+the hard range.
+
+**Where rows contradict each other**, a clock stepped or a stamp is wrong. FEW rows in succession that agree with each
+other and contradict those before them are a step; fewer are wrong and left out. Between the last row before a step and
+the first one after it, the time may be as either side continues. A step that contradicts no row cannot be seen, and the
+error may exceed the bound by as much: such a step is smaller than the rows' range, for an exchange its round trip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.types import Floats, Ints
+
+WANDER = 30e-6  # of the rate of two crystals, about its mean: temperature and ageing
+SLEWED_WANDER = 530e-6  # if the operating system slews one of the clocks, by up to 500 ppm
+RATE_LIMIT = 1e-3  # beyond that it is not a clock of the same unit
+FOLLOWED = 1e-6  # of the rate, about that of the minute around it: for the estimate alone
+MINUTE_NS = 60e9
+SLOPE_NS = 10e9  # baseline of the median rate, which single steps do not spoil
+FEW = 3  # rows that are a step and not wrong
+ROUNDING_NS = 2.0  # two stamps are whole ns
+
+
+@dataclass(frozen=True)
+class Band:
+    """Rows (k,) by ascending x [ns], low ≤ y ≤ high there [ns], and the least and greatest rate of y."""
+
+    x: Floats
+    low: Floats
+    high: Floats
+    slow: float
+    fast: float
+
+    @cached_property
+    def _cones(self) -> tuple[Floats, ...]:
+        """The bounds (k + 1,), moved to x = 0 by the greatest or least rate: the best of all rows before and after."""
+        x, least = self.x, np.minimum.accumulate
+        return (
+            np.append(np.inf, least(self.high - self.fast * x)),
+            np.append(least((self.high - self.slow * x)[::-1])[::-1], np.inf),
+            -np.append(np.inf, least(self.slow * x - self.low)),
+            -np.append(least((self.fast * x - self.low)[::-1])[::-1], np.inf),
+        )
+
+    def range(self, t: Floats) -> tuple[Floats, Floats]:
+        """Return the least and greatest y (n,) at times t (n,)."""
+        k = np.searchsorted(self.x, t, side="right")
+        high_before, high_after, low_before, low_after = (cone[k] for cone in self._cones)
+        low = np.maximum(low_before + self.slow * t, low_after + self.fast * t)
+        return low, np.minimum(high_before + self.fast * t, high_after + self.slow * t)
+
+    def contradicts(self, rows: Band) -> NDArray[np.bool_]:
+        """Return which rows of a band contradict this one."""
+        low, high = self.range(rows.x)
+        return np.asarray((rows.low > high + ROUNDING_NS) | (rows.high < low - ROUNDING_NS))
+
+    def rows(self, index: NDArray[np.intp]) -> Band:
+        """Return a selection of the rows."""
+        return Band(self.x[index], self.low[index], self.high[index], self.slow, self.fast)
+
+    def with_rate(self, baseline: float, wander: float) -> Band:
+        """Return the rows with their median rate over a baseline [ns], or over all if they span less, ± wander."""
+        low = np.where(np.isfinite(self.low), self.low, self.high)
+        last = np.searchsorted(self.x, self.x + min(baseline, self.x[-1] - self.x[0]))
+        first = np.flatnonzero(last < self.x.size)
+        last = last[first]
+        dx = self.x[last] - self.x[first]
+        if not np.all(dx > 0.0):
+            return Band(self.x, self.low, self.high, -RATE_LIMIT, RATE_LIMIT)
+        slow = float(np.median((low[last] - self.high[first]) / dx)) - wander
+        fast = float(np.median((self.high[last] - low[first]) / dx)) + wander
+        if slow > RATE_LIMIT or fast < -RATE_LIMIT:
+            slow, fast = -RATE_LIMIT, RATE_LIMIT
+        return Band(self.x, self.low, self.high, max(slow, -RATE_LIMIT), min(fast, RATE_LIMIT))
+
+
+@dataclass(frozen=True)
+class Steady:
+    """The rows between two steps."""
+
+    band: Band
+
+    @classmethod
+    def of(cls, rows: Band, wander: float) -> Steady:
+        """Bound the rate by rows far apart, unless it then contradicts the rows: it is within ``wander`` of no mean."""
+        whole = rows.with_rate(0.5 * (rows.x[-1] - rows.x[0]), wander)
+        return cls(rows if np.any(whole.contradicts(whole)) else whole)
+
+    @cached_property
+    def _course(self) -> tuple[Floats, tuple[float, float]]:
+        """The y (k,) at the rows that the rates of the minutes around them add up to, and the rates at both ends."""
+        x = self.band.x
+        middle = _middle(*self.band.range(x))
+        begin = np.clip(x - 0.5 * MINUTE_NS, x[0], max(x[0], x[-1] - MINUTE_NS))
+        end = np.minimum(begin + MINUTE_NS, x[-1])
+        rise = np.interp(end, x, middle) - np.interp(begin, x, middle)
+        rate = np.clip(rise / np.maximum(end - begin, 1.0), self.band.slow, self.band.fast)
+        y = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(x)))
+        return y, (float(rate[0]), float(rate[-1]))
+
+    def _along(self, t: Floats) -> Floats:
+        x, (y, (first, last)) = self.band.x, self._course
+        beyond = first * np.minimum(t - x[0], 0.0) + last * np.maximum(t - x[-1], 0.0)
+        return np.asarray(np.interp(t, x, y) + beyond)
+
+    @cached_property
+    def _followed(self) -> Band:
+        y, _ = self._course
+        return Band(self.band.x, self.band.low - y, self.band.high - y, -FOLLOWED, FOLLOWED)
+
+    def estimate(self, t: Floats) -> Floats:
+        """Return y (n,) at times t (n,), which the hard range has yet to limit."""
+        return self._along(t) + _middle(*self._followed.range(t))
+
+
+def _middle(low: Floats, high: Floats) -> Floats:
+    """Return the middle of ranges (n,), or their upper end if nothing bounds them below."""
+    return np.where(np.isfinite(low), 0.5 * (low + high), high)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One of the clocks stepped between two stamps [ns]; ``by_ns``: how far the time advanced relative to the stamps."""
+
+    before_ns: int
+    after_ns: int
+    by_ns: int
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of one clock at stamps of another, both in ns. ``used``: rows that are not wrong."""
+
+    stamp_ref: int
+    time_ref: int
+    steady: tuple[Steady, ...]
+    used: int
+
+    def to_time(self, stamps: Ints) -> tuple[Ints, Floats]:
+        """Return the times (n,) [ns] of stamps (n,) [ns] and the bounds (n,) of their errors [ns].
+
+        A bound is infinite if nothing was sent to the clock that stamps: the times are then late by the shortest latency.
+        """
+        whole = np.asarray(stamps, dtype=np.int64) - self.stamp_ref
+        t = whole.astype(float)
+        y, bound = np.empty(t.shape), np.empty(t.shape)
+        of = np.searchsorted([piece.band.x[0] for piece in self.steady[1:]], t, side="right")
+        for k, piece in enumerate(self.steady):
+            mine = of == k
+            inner = t[mine]
+            low, high = piece.band.range(inner)
+            best = piece.estimate(inner)
+            if k + 1 < len(self.steady):  # behind the last row before a step, the time is as before it or as after it
+                behind = inner > piece.band.x[-1]
+                low_after, high_after = self.steady[k + 1].band.range(inner)
+                low = np.where(behind, np.minimum(low, low_after), low)
+                high = np.where(behind, np.maximum(high, high_after), high)
+                best = np.where(behind, _middle(low, high), best)
+            y[mine] = np.clip(best, low, high)
+            bound[mine] = np.maximum(high - y[mine], y[mine] - low)
+        return self.time_ref + whole + np.rint(y).astype(np.int64), bound + 1.0
+
+    def to_stamp(self, times: Ints) -> Ints:
+        """Return the stamps (n,) [ns] at times (n,) [ns]."""
+        stamps = np.asarray(times, dtype=np.int64) - self.time_ref + self.stamp_ref
+        for _ in range(4):  # rates are below 0.1 %: each turn gains three digits
+            stamps = stamps - (self.to_time(stamps)[0] - times)
+        return stamps
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Where a clock stepped, by ascending stamp."""
+        steps = []
+        for before, after in pairwise(self.steady):
+            begin, end = before.band.x[-1], after.band.x[0]
+            middle = np.array([0.5 * (begin + end)])
+            by = after.estimate(middle) - before.estimate(middle)
+            steps.append(Step(self.stamp_ref + int(begin), self.stamp_ref + int(end), int(np.rint(by[0]))))
+        return tuple(steps)
+
+    @property
+    def rate(self) -> float:
+        """How much faster the time runs than the stamps: the mean, without steps."""
+        ends = [piece.band.x[[0, -1]] for piece in self.steady]
+        rise = sum(np.diff(piece.estimate(end))[0] for piece, end in zip(self.steady, ends, strict=True))
+        return float(rise / max(sum(np.diff(end)[0] for end in ends), 1.0))
+
+
+def fit(stamps: Ints, latest: Ints, earliest: Ints | None = None, *, wander: float = WANDER) -> Clock | None:
+    """Relate a clock that stamps to a clock that tells the time; None without a row.
+
+    ``stamps`` (k,) [ns], in any order. ``latest`` (k,) [ns]: a time that had not passed at the stamp, such as that of the
+    arrival of a message. ``earliest`` (k,) [ns]: a time that had passed, such as that at which a request was sent.
+    Without it the times are those of the fastest messages, and no bound is known. ``wander``: WANDER, or SLEWED_WANDER if
+    the operating system slews one of the clocks. Raises TypeError if a column does not hold integers, ValueError if their
+    lengths differ.
+    """
+    columns = (stamps, latest, latest if earliest is None else earliest)
+    rows = np.stack(columns, dtype=np.int64, casting="same_kind")
+    rows = rows[:, rows[2] <= rows[1]]
+    if not rows.size:
+        return None
+    stamps, latest, earliest_of_row = rows[:, np.argsort(rows[0], kind="stable")]
+    stamp_ref, time_ref = int(stamps[0]), int(latest[0])
+    x = stamps - stamp_ref
+    high = (latest - time_ref - x).astype(float)
+    low = np.full(x.size, -np.inf) if earliest is None else (earliest_of_row - time_ref - x).astype(float)
+    baseline = min(SLOPE_NS, 0.25 * float(x[-1]))  # a step spoils no more than a third of the rates
+    band = Band(x.astype(float), low, high, 0.0, 0.0).with_rate(baseline, wander)
+    pieces = _without_steps(band)
+    steady = tuple(Steady.of(band.rows(index), wander) for index in pieces)
+    return Clock(stamp_ref, time_ref, steady, sum(index.size for index in pieces))
+
+
+def _without_steps(rows: Band) -> list[NDArray[np.intp]]:
+    """Return the indices of the rows between steps; those of wrong rows are in none."""
+    if not np.any(rows.contradicts(rows)):
+        return [np.arange(rows.x.size)]
+    pieces: list[NDArray[np.intp]] = []
+    for piece in _consistent_runs(rows):
+        if pieces:
+            before = pieces[-1]
+            contradicting = np.flatnonzero(rows.rows(piece).contradicts(rows.rows(before)))
+            if contradicting.size < FEW:  # these are wrong, and the clock did not step
+                pieces[-1] = np.append(np.delete(before, contradicting), piece)
+                continue
+            pieces[-1] = before[: contradicting[-1] + 1]  # rows behind it agree with either side
+        pieces.append(piece)
+    return pieces
+
+
+def _consistent_runs(rows: Band) -> list[NDArray[np.intp]]:
+    """Return the indices of runs of rows that agree; a run ends where FEW rows in succession contradict it."""
+    runs: list[list[int]] = []
+    run: list[int] = []  # and rows that contradict it, each with the range that they leave at the last one
+    held: list[int] = []
+    run_range = held_range = (0.0, -np.inf, np.inf)
+    columns = (column.tolist() for column in (rows.x, rows.low, rows.high))
+    for k, row in enumerate(zip(*columns, strict=True)):
+        joined = _joined(rows, run_range, row)
+        if joined is not None:
+            run.append(k)
+            run_range, held = joined, []
+            continue
+        joined = _joined(rows, held_range, row) if held else None
+        held, held_range = (held, joined) if joined else ([], row)
+        held.append(k)
+        if len(held) == FEW or len(run) < FEW:
+            runs.append(run)
+            run, run_range, held = held, held_range, []
+    runs.append(run)
+    return [np.array(run) for run in runs if len(run) >= FEW] or [np.array(run)]
+
+
+def _joined(
+    rows: Band, range_before: tuple[float, float, float], row: tuple[float, float, float]
+) -> tuple[float, float, float] | None:
+    """Return the range (x, low, high) that a row leaves of one before it; None if they contradict each other."""
+    (x_before, least, most), (x, low, high) = range_before, row
+    least, most = least + rows.slow * (x - x_before), most + rows.fast * (x - x_before)
+    return None if low > most + ROUNDING_NS or high < least - ROUNDING_NS else (x, max(low, least), min(high, most))
