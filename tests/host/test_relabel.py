@@ -7,13 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import typer
 from operator_scripts import Visit, forgetful, lengths, pairing_at, script, write_session
-from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.files.labels_file import labels_path, read_labels
-from truearm.files.robot_file import RobotChoice
 from truearm.files.write_lock import hold
 from truearm.model.robot import builtin_robot
 from truearm.session.dwells import NEED_DECISION
@@ -21,11 +18,10 @@ from truearm.types import BAR_MOUNTED
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.record import unsettled
 from truearm.workflows.recorded_dwells import recorded_dwells
-from truearm.workflows.relabel import RelabelOptions, Trust, relabel
+from truearm.workflows.relabel import relabel
 from truearm_sim.world import standard_plan, standard_rig
 
 ROBOT, RIG = builtin_robot("puma560"), standard_rig()
-EVIDENCE = RelabelOptions(RobotChoice("puma560"), None, Trust.EVIDENCE)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +62,7 @@ class Account:
         visits = visits or script(seed, plan, RIG)
         extension = recorded(path, plan, visits, seed)
         before = used(path)
-        relabel(path, EVIDENCE)
+        relabel(path, ROBOT, "evidence")
         after = used(path)
         for session in tmp_path.iterdir():
             session.unlink()
@@ -127,7 +123,7 @@ def test_a_dwell_before_the_first_confirmation_is_left_out_with_the_reason(tmp_p
     visits = [replace(visit, typed=()) if row < 1 else visit for row, visit in enumerate(right(plan))]
     recorded(tmp_path / "s.mcap", plan, visits)
     assert main(["session", "relabel", str(tmp_path / "s.mcap"), "--trust", "typed"]) == 0
-    assert "  dwell 1 left out: nothing was confirmed for it" in capsys.readouterr().out
+    assert "  s.mcap dwell 1: planned bar46 c1 s1\n" in capsys.readouterr().out
 
 
 class TestOneMissedEnter:
@@ -163,68 +159,47 @@ class TestOneMissedEnter:
         data = path.read_bytes()
         assert main(["session", "relabel", str(path), "--trust", "plan", "--json"]) == 0
         document = json.loads(capsys.readouterr().out)
-        assert document["usable"] == document["with_reading"] >= 39
+        assert document["with_reading"] >= 39
+        assert document["left_out"] == []
         assert used(path) == {k: pairing_at(plan, k) for k in used(path)}
-        assert len(used(path)) == document["usable"]
+        assert len(used(path)) == document["with_reading"]
         assert path.read_bytes() == data
         assert recorded_dwells(path).need_decision == 0
         assert main(["inspect", str(path), "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["dwells"]["observations"] == document["usable"]
+        assert json.loads(capsys.readouterr().out)["dwells"]["observations"] == document["with_reading"]
 
-    def test_each_decision_can_be_taken_back(self, path, capsys):
+    def test_a_decision_replaces_the_one_before_and_is_undone_by_deleting_its_file(self, path, capsys):
         before = used(path)
-        assert main(["session", "relabel", str(path), "--trust", "plan"]) == 0
-        of_plan = used(path)
         assert main(["session", "relabel", str(path), "--trust", "typed"]) == 0
-        assert used(path) != of_plan
-        assert main(["session", "relabel", str(path), "--undo"]) == 0
-        assert used(path) == of_plan
-        assert main(["session", "relabel", str(path), "--undo"]) == 0
+        of_typed = used(path)
+        assert main(["session", "relabel", str(path), "--trust", "plan"]) == 0
+        assert used(path) != of_typed
+        assert f"Written: {labels_path(path)}. To undo this, delete it." in capsys.readouterr().out
+        labels_path(path).unlink()
         assert used(path) == before
+
+    def test_what_is_doubtful_is_printed_before_anything_is_written(self, path, capsys):
+        """Without a model by plan and confirmations, with one by the readings too; each dwell under the number that inspect prints."""
+        assert main(["session", "relabel", str(path)]) == 0
+        said = capsys.readouterr().out
+        assert "  s.mcap dwell 12: planned bar46 c2 s3; confirmed bar46 c2 s2\n" in said
+        assert "Nothing was written." in said
+        assert main(["session", "relabel", str(path), "--model", "puma560"]) == 0
+        (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  s.mcap dwell 12:")]
+        assert "; evidence (" in line
+        assert line.endswith(" bar46 c2 s3")
         assert os.listdir(path.parent) == ["s.mcap"]
-        capsys.readouterr()
-        assert main(["session", "relabel", str(path), "--undo"]) == 2
-        ended(capsys.readouterr().err, "no-effect")
 
-    def test_answers_are_asked_run_by_run(self, path, plan):
-        asked = []
-
-        def answer(run):
-            asked.append(run)
-            return run.planned[0] if run.planned[0][0] == "bar46" else None
-
-        relabel(path, RelabelOptions(RobotChoice(), ask=answer))
-        assert asked[0].first == 12
-        assert asked[-1].last == 40
-        assert all(a.last + 1 == b.first for a, b in itertools.pairwise(asked) if b.planned != a.planned)
+    def test_the_operator_names_what_was_mounted(self, path, plan):
+        """Where plan and confirmations differ, only the named dwells are labelled, and those override the source that decides."""
+        relabel(path, None, None, ["12:13=bar46,c2,s3", "s.mcap 14=bar61,c3,s1"])
         found = used(path)
-        assert all(found.get(k) == pairing_at(plan, k) for k in range(1, 20))
-        assert max(found) == 19
-        assert read_labels(path).decisions[0].trust == "asked"
-
-    def test_ctrl_c_keeps_the_answers_so_far(self, path, plan, capsys, monkeypatch):
-        """With answers they are saved, the rest is left out, and the exit code is that of an interruption; without, nothing is."""
-        answers = []
-
-        def prompt(_):
-            if not answers:
-                raise typer.Abort  # as typer.prompt does on Ctrl-C
-            return answers.pop(0)
-
-        monkeypatch.setattr("truearm.cli.relabel.may_ask", lambda: True)
-        monkeypatch.setattr(typer, "prompt", prompt)
-        assert main(["session", "relabel", str(path)]) == 130
-        assert read_labels(path) is None
-        answers += ["nonsense", "p"]
-        assert main(["session", "relabel", str(path)]) == 130
-        said = " ".join(capsys.readouterr().out.split())
-        labels = read_labels(path).decisions[0].dwells
-        left = [label for label in labels if label.detail == "not answered"]
-        assert f"the answers so far are kept, and {len(left)} dwells are left out" in said
-        assert 0 < len(left) < 29  # the run that was answered is labelled as planned
-        found = used(path)
-        assert len(found) > 9
-        assert all(name == pairing_at(plan, k) for k, name in found.items())
+        assert sorted(set(range(40)) - set(found)) == list(range(14, 40))
+        assert {k: found[k] for k in (11, 12)} == {k: pairing_at(plan, k) for k in (11, 12)}
+        assert found[13] == ("bar61", "c3", "s1")
+        relabel(path, None, "plan", ["14=bar61,c3,s1"])
+        assert used(path) == {k: pairing_at(plan, k) for k in used(path)} | {13: ("bar61", "c3", "s1")}
+        assert read_labels(path).decisions[0].trust == "plan"
 
     def test_the_table_of_another_session_is_refused(self, path, tmp_path, plan, capsys):
         assert main(["session", "relabel", str(path), "--trust", "plan"]) == 0
@@ -261,11 +236,12 @@ class TestOneMissedEnter:
     @pytest.mark.parametrize(
         ("options", "said"),
         [
-            ((), "--trust"),
             (("--trust", "evidence"), "--model"),
             (("--trust", "me"), "plan, typed, evidence"),
             (("--trust", "evidence", "--model", "panda"), "7"),
-            (("--undo", "--trust", "plan"), "--undo"),
+            (("--mounted", "12=bar46,c1"), "FIRST:LAST=BAR,CHUCK,SPHERE"),
+            (("--mounted", "99=bar46,c1,s2"), "FIRST:LAST=BAR,CHUCK,SPHERE"),
+            (("--mounted", "12=bar46,c1,s9"), "s1"),
         ],
     )
     def test_options_that_are_wrong(self, path, capsys, options, said):

@@ -78,9 +78,7 @@ MOST_PAIRINGS = 150
 MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out if the fit misses by this factor more than predicted
 
 SURE = 0.998  # minimum probability of a label based on the evidence alone
-SETTLED = 0.9  # if all labels have at least this, the fit to them is not retried
-FITS = 0.999  # if a label on which plan and operator agree has less, all evidence is used
-SUPPORTED = 0.97  # minimum probability of such a label, by all evidence, if the readings lower it
+SUPPORTED = 0.97  # minimum probability of a label on which plan and operator agree, if the readings lower it
 
 
 @dataclass(frozen=True)
@@ -95,10 +93,6 @@ class Readings:
     def read(self) -> Mask:
         """Return a mask (n,) of dwells with a reading."""
         return np.isfinite(self.extension)
-
-    def take(self, part: slice) -> Readings:
-        """Return some of the dwells."""
-        return Readings(self.q[part], self.extension[part], self.beyond[part])
 
 
 @dataclass(frozen=True)
@@ -125,16 +119,14 @@ class MountingChances:
     probability: Floats
     by_words: Floats
 
-    def sure(self) -> list[Pairing | None]:
-        """Return the pairing of each dwell, None where no pairing is as probable as SURE."""
-        best = self.probability[:, :-1].argmax(axis=1)
-        return [
-            self.pairings[k] if p[k] >= SURE else None for k, p in zip(best.tolist(), self.probability, strict=True)
-        ]
+    def likeliest(self, dwell: int) -> tuple[Pairing | None, float]:
+        """Return the most probable pairing of a dwell, None for something that is not in the rig, and its probability."""
+        best = int(self.probability[dwell].argmax())
+        return (*self.pairings, None)[best], float(self.probability[dwell, best])
 
-    def supports(self, dwell: int, label: Pairing) -> bool:
+    def supports(self, dwell: int, label: Pairing | None) -> bool:
         """Return whether a label on which plan and operator agree holds: it is certain enough, or not contradicted."""
-        if label not in self.pairings:
+        if label is None or label not in self.pairings:
             return False
         k = self.pairings.index(label)
         return bool(self.probability[dwell, k] >= min(SUPPORTED, self.by_words[dwell, k]))
@@ -147,32 +139,10 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
     """
     pairings = candidates(rig, words)
     transitions, told = _course(words, pairings)
-    fits = (
-        _Fit(chain, rig, readings, [pairings] * len(readings.q), free, prior)
-        for prior in (weak_prior(chain), wide_prior(chain))
-    )
+    fits = (_Fit(chain, rig, readings, pairings, free, prior) for prior in (weak_prior(chain), wide_prior(chain)))
     probabilities, evidences = zip(*(_annealed(fit, transitions, told) for fit in fits), strict=True)
     by_words, _ = posterior(transitions, told, np.zeros_like(told), np.zeros_like(told))
     return MountingChances(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)), by_words)
-
-
-def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[Pairing], free: Mask) -> Floats:
-    """Return the probability (n,) that each dwell belongs to the pairing of its label, and not to anything else.
-
-    Raises ProblemError if dwells and robot are inconsistent.
-    """
-    changed = [True, *(a != b for a, b in pairwise(labels))]
-    steps = [np.array([[DONE, 1.0 - DONE]] * 2), np.array([[1.0 - UNASKED, UNASKED], [PUT_RIGHT, 1.0 - PUT_RIGHT]])]
-    transitions, told = [steps[0] if new else steps[1] for new in changed], np.zeros((len(labels), 2))
-    weak, wide = weak_prior(chain), wide_prior(chain)
-    # if nothing is wrong, nothing distorts the first fit
-    for prior, noise in ((weak, NOISE[-3:]), (wide, NOISE[-3:]), (weak, NOISE), (wide, NOISE)):
-        fit = _Fit(chain, rig, readings, [[label] for label in labels], free, prior)
-        probability, _ = _annealed(fit, transitions, told, noise)
-        support = probability[:, 0]
-        if fit.widened < WIDENED and (support[readings.read] >= SETTLED).all():
-            break
-    return support
 
 
 def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
@@ -184,15 +154,13 @@ def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
     return tuple(pairing for pairing in every if pairing in named)
 
 
-def _annealed(
-    fit: _Fit, transitions: Sequence[Floats], told: Floats, noise: Sequence[float] = NOISE
-) -> tuple[Floats, float]:
+def _annealed(fit: _Fit, transitions: Sequence[Floats], told: Floats) -> tuple[Floats, float]:
     """Return state probabilities (n, k + 1) and their evidence, from fit and labels alternated under decreasing noise [m]."""
     nothing = np.zeros_like(told)
     probability, evidence = posterior(transitions, told, nothing, nothing)
     if not fit.readings.read.any():
         return probability, evidence
-    for fit.noise in steps_of(noise, "comparing labels with the readings"):
+    for fit.noise in steps_of(NOISE, "comparing labels with the readings"):
         seen = fit.judge(probability)
         probability, evidence = posterior(transitions, told, *fit.densities(seen))
         fit.move(probability, seen)
@@ -267,21 +235,20 @@ def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed:
     """
     top = np.maximum(came, stayed).max(axis=1, keepdims=True)
     came, stayed = np.exp(came - top + told), np.exp(stayed - top + told)
-    n, states = came.shape
+    n = len(came)
     forward, backward, scale = np.empty_like(came), np.ones_like(came), np.empty(n)
     forward[0] = transitions[0].mean(axis=0) * came[0]
     scale[0] = forward[0].sum()
     forward[0] /= scale[0]
-    steps = np.array(transitions)
-    same = steps.diagonal(axis1=1, axis2=2) * stayed
-    steps *= came[:, None]
-    steps[:, range(states), range(states)] = same
     for i in range(1, n):
-        step = forward[i - 1] @ steps[i]
+        stay = forward[i - 1] * transitions[i].diagonal()
+        step = (forward[i - 1] @ transitions[i] - stay) * came[i] + stay * stayed[i]
         scale[i] = step.sum()
         forward[i] = step / scale[i]
     for i in range(n - 2, -1, -1):
-        step = steps[i + 1] @ backward[i + 1]
+        ahead = backward[i + 1]
+        step = transitions[i + 1] @ (came[i + 1] * ahead)
+        step += transitions[i + 1].diagonal() * (stayed[i + 1] - came[i + 1]) * ahead
         backward[i] = step / step.sum()
     both = forward * backward
     return np.asarray(both / both.sum(axis=1, keepdims=True)), float(np.log(scale).sum() + top.sum())
@@ -302,7 +269,7 @@ class _Seen(NamedTuple):
 class _Fit:
     """The robot fitted to the dwells, linearised about its current parameters.
 
-    ``candidates``: the k pairings that each dwell may belong to; ``prior`` (p,): σ of the robot's parameters.
+    ``pairings``: the k that each dwell may belong to; ``prior`` (p,): σ of the robot's parameters.
     """
 
     def __init__(
@@ -310,23 +277,20 @@ class _Fit:
         chain: Chain,
         rig: Rig,
         readings: Readings,
-        candidates: Sequence[Sequence[Pairing]],
+        pairings: Sequence[Pairing],
         free: Mask,
         prior: Floats,
     ) -> None:
         self.readings, self.noise = readings, NOISE[0]
-        self.n, self.k = len(candidates), len(candidates[0])
-        flat = [pairing for of_dwell in candidates for pairing in of_dwell]
-        number = {pairing: i for i, pairing in enumerate(dict.fromkeys(flat))}
-        self.number = np.array([number[pairing] for pairing in flat]).reshape(self.n, self.k)
-        bars = np.array([(rig.bars[bar].zero, rig.bars[bar].gain, 0.5 * rig.bars[bar].travel) for bar, _, _ in flat])
-        zero, self.gain, self.half = bars.reshape(self.n, self.k, 3).transpose(2, 0, 1)
+        self.n, self.k = len(readings.q), len(pairings)
+        bars = [rig.bars[bar] for bar, _, _ in pairings]
+        self.gain, self.half = np.array([(bar.gain, 0.5 * bar.travel) for bar in bars]).T
         extension = np.where(readings.read, readings.extension, 0.0)
         table = ObservationTable(
             q=np.repeat(readings.q, self.k, axis=0),
             kind="ball_bar",
-            value=(zero + self.gain * extension[:, None]).ravel(),
-            **dict(zip(BAR_MOUNTED, np.array(flat).T, strict=True)),
+            value=([bar.zero for bar in bars] + self.gain * extension[:, None]).ravel(),
+            **dict(zip(BAR_MOUNTED, np.tile(pairings, (self.n, 1)).T, strict=True)),
         )
         self.problem = build_problem(chain, rig, table, prior)
         self.columns = self.problem.columns(free)
@@ -381,7 +345,7 @@ class _Fit:
         rows = np.arange(self.n)
         ratio = np.where(weight > 0.0, np.abs(seen.misfit[rows, best]) / seen.sigma[rows, best], 0.0)
         worst = int(ratio.argmax())
-        run = next(run for run in runs(self.number[rows, best]) if run.start <= worst < run.stop)
+        run = next(run for run in runs(best) if run.start <= worst < run.stop)
         left_out = self.left_out.copy()
         left_out[run] = True
         if weight[worst] == 0.0 or 2 * (left_out & self.readings.read).sum() > self.readings.read.sum():
@@ -406,8 +370,7 @@ class _Fit:
             return misfit, (used_jac @ root.T).reshape(-1, self.k, delta.size)
 
         seen = _Seen(*(np.full((self.n, self.k), np.nan) for _ in range(4)))
-        label = self.number[rows, best]
-        cut = runs(label)
+        cut = runs(best)
         for run in cut:
             misfit, along = without(run, run)
             seen.misfit[run] = misfit
@@ -417,7 +380,7 @@ class _Fit:
             pair = slice(run.start - 1, run.start + 1)
             self._condition(seen, pair, *without(slice(before.start, run.stop), pair))
         known = np.flatnonzero(weight > 0.0)
-        after = known[(known > 0) & (label[known] == label[known - 1])]
+        after = known[(known > 0) & (best[known] == best[known - 1])]
         self.widened = widen(seen.misfit, seen.sigma, known, best) if known.size else np.inf
         widen(seen.after, seen.after_sigma, after, best)
         return seen
@@ -437,9 +400,8 @@ class _Fit:
         came = np.zeros((self.n, k + 1))
         came[read, :k] = log_density(seen.misfit[read], seen.sigma[read], seen.sigma[read])
         came[read, k] = -np.log(2.0 * self.half.max())
-        predicted, sigma = ((figure / self.gain)[beyond] for figure in (-seen.misfit, seen.sigma * np.sign(self.gain)))
-        half = self.half[beyond]
-        inside = special.ndtr((half - predicted) / sigma) - special.ndtr((-half - predicted) / sigma)
+        predicted, sigma = -seen.misfit[beyond] / self.gain, seen.sigma[beyond] / np.abs(self.gain)
+        inside = special.ndtr((self.half - predicted) / sigma) - special.ndtr((-self.half - predicted) / sigma)
         came[beyond, :k] = np.log(np.maximum(1.0 - inside, LOST))
         came[beyond, k] = np.log(0.5)
         stayed = came.copy()

@@ -1,18 +1,18 @@
 """SESSION.labels.json: what was mounted at each dwell, as settled after the recording by ``truearm session relabel``.
 
 The format is described in docs/reference/session-format.md. The file is stored next to the session, which is never
-modified, and identifies it by its SHA-256. Every decision is kept; the last one counts.
+modified, and identifies it by its SHA-256. If there are several decisions, the last one counts.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from truearm.errors import InputError, SessionError
+from truearm.errors import SessionError
 from truearm.files.disk import read_text, sha256, write_atomic
 from truearm.files.strict_json import strict_json
 from truearm.schema import IDENTIFIER, Choice, Key, List, Number, SchemaError, Table, Text, Whole, raising
@@ -71,26 +71,11 @@ def read_labels(session: Path) -> Labels | None:
     return found
 
 
-def write_labels(session: Path, labels: Labels) -> None:
-    """Write the labels of a session atomically; without a decision the file is removed. Raises InputError."""
-    path = labels_path(session)
-    if labels.decisions:
-        write_atomic(path, strict_json(_document(labels), indent=1) + "\n")
-        return
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as exc:
-        raise InputError(f"{path}: cannot be removed: {exc.strerror}") from exc
-
-
-def no_labels(session: Path) -> Labels:
-    """Return labels without a decision."""
-    return Labels(session.name.encode(errors="backslashreplace").decode(), sha256(session), ())
-
-
-def with_decision(labels: Labels, decision: Decision) -> Labels:
-    """Return the labels with one more decision."""
-    return replace(labels, decisions=(*labels.decisions, decision))
+def write_labels(session: Path, decision: Decision) -> None:
+    """Write the labels of a session atomically. Raises InputError."""
+    name = session.name.encode(errors="backslashreplace").decode()
+    document = _document(Labels(name, sha256(session), (decision,)))
+    write_atomic(labels_path(session), strict_json(document, indent=1) + "\n")
 
 
 def _document(labels: Labels) -> dict[str, Any]:

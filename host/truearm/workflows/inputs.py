@@ -21,7 +21,7 @@ from truearm.model.robot import Robot
 from truearm.progress import step
 from truearm.text import one_line
 from truearm.types import Rig
-from truearm.workflows.relabel import borne_out_rows
+from truearm.workflows.label_evidence import borne_out_rows
 from truearm.workflows.session_observations import (
     Heard,
     Rejected,
