@@ -41,6 +41,7 @@ REMOVED = {
     "--residuals-out": "the corrected table and --json have the error of every target",
     "--zero-sigma-mm": "give --measured-with, or write zero_sigma_mm of the bar into rig.toml",
     "--split": "moves that need different numbers of one target always get their own; leave it out",
+    "--undo": "delete the NAME.labels.json that session relabel wrote",
     "--harmless": "routines in none of the files are taken to be harmless, unless --strict is given; for data or an axis "
     "that nothing outside changes, give --unchanged NAME",
 }

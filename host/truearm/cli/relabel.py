@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from truearm.bounds import OneOf
 from truearm.cli.command import command
 from truearm.cli.output import print_result
 from truearm.text import counted, one_line
-
-TRUSTS = ("plan", "typed", "evidence")
 
 
 @command()
@@ -21,7 +19,7 @@ def relabel(
     base: str | None = None,
     tip: str | None = None,
     rig: Path | None = None,
-    trust: Annotated[str | None, OneOf(TRUSTS)] = None,
+    trust: Annotated[str | None, OneOf(("plan", "typed", "evidence"))] = None,
     mounted: list[str] | None = None,
     json: bool = False,
 ) -> None:
@@ -50,18 +48,13 @@ def relabel(
 
     robot = RobotChoice(model, base, tip).load() if model else None
     document = relabel_session(session, robot, trust, mounted or (), read_rig(rig) if rig else None)
-    print_result(document, lines(document), json)
-
-
-def lines(document: dict[str, Any]) -> list[str]:
-    """What was settled, for people."""
     left_out, saved = document["left_out"], document["saved"]
     sessions, dwells = ", ".join(map(one_line, document["sessions"])), counted(document["dwells"], "dwell")
-    text = [
-        f"{sessions}: {dwells}, {document['with_reading']} with a reading within the stroke; "
-        + (f"{len(left_out)} left out:" if left_out else "none is left out")
-    ]
+    summary = f"{sessions}: {dwells}, {document['with_reading']} with a reading within the stroke; "
+    text = [summary + (f"{len(left_out)} left out:" if left_out else "none is left out")]
     text += [f"  {one_line(row['session'])} dwell {row['dwell']}: {one_line(row['detail'])}" for row in left_out]
     if saved:
-        return [*text, f"Written: {', '.join(map(one_line, saved))}. To undo this, delete it."]
-    return [*text, "Nothing was written. Give --trust, or what was mounted, as --mounted 12:14=BAR,CHUCK,SPHERE."]
+        text.append(f"Written: {', '.join(map(one_line, saved))}. To undo this, delete it.")
+    else:
+        text.append("Nothing was written. Give --trust, or what was mounted, as --mounted 12:14=BAR,CHUCK,SPHERE.")
+    print_result(document, text, json)
