@@ -337,20 +337,23 @@ def test_sixty_clean_worlds_of_each_robot(robot):
 
 @pytest.mark.soak
 @pytest.mark.usefixtures("recipe")
-@pytest.mark.parametrize("fault", worlds.FAULTS)
-def test_fifteen_worlds_of_each_fault(fault):
+@pytest.mark.parametrize(
+    ("fault", "visits", "share"),
+    [*((name, 1, least) for name, (*_, least) in worlds.FAULTS.items()), ("encoder step", 2, 0.9)],
+)
+def test_fifteen_worlds_of_each_fault(fault, visits, share):
     """The fault is in the list as often as its row in FAULTS says; nothing else is, and the claim covers the truth."""
     listed = wrong = covered = applied = 0
     cases = [(robot, seed) for robot in ROBOTS for seed in range(20, 25)]
     for robot, seed in cases:
-        world = worlds.world(robot, fault, seed, planned=robot in worlds.BARS)
+        world = worlds.world(robot, fault, seed, visits, planned=robot in worlds.BARS)
         result, error, after = judged(world)
         true = [bool(set(names_of(finding)) & set(world.names)) for finding in result.faults]
         listed, wrong = listed + any(true), wrong + (not all(true))
         covered += error < 2.0 * result.claim.total
         applied += after < 2.0 * result.claim.applied
-    assert listed >= worlds.FAULTS[fault][2] * len(cases)
-    assert wrong <= 1
+    assert listed >= share * len(cases)
+    assert wrong == 0
     assert min(covered, applied) >= 0.86 * len(cases)
 
 
