@@ -79,6 +79,15 @@ def _mag(sensor, period_ns):
     """Return stream 1, with position = v · (time of flight - delay), v = 25.4 mm / us_per_inch."""
     mantissa, exponent = sensor["us_per_inch"]
     speed = (25400 * 10**14 + mantissa // 2) // mantissa  # m/s, times 10^(14 + exponent)
+    calibration = {
+        "unit": "m",
+        "poly": [_fitting(-speed * sensor["delay_ns"], -23 - exponent), _fitting(speed, -14 - exponent)],
+        "serial": sensor["serial"],
+        "date": sensor["date"],
+    }
+    for key in ("sigma", "temperature_mdegc", "reference", "reference_sigma"):  # of a host that calibrated it
+        if key in sensor:
+            calibration[key] = sensor[key]
     return {
         "id": STREAM_MAG,
         "name": "mag",
@@ -90,12 +99,7 @@ def _mag(sensor, period_ns):
                 "name": "magnetostrictive",
                 "unit": "s",
                 "scale": [8, -9],
-                "calibration": {
-                    "unit": "m",
-                    "poly": [_fitting(-speed * sensor["delay_ns"], -23 - exponent), _fitting(speed, -14 - exponent)],
-                    "serial": sensor["serial"],
-                    "date": sensor["date"],
-                },
+                "calibration": calibration,
             }
         ],
     }

@@ -16,6 +16,7 @@ from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
 from tests.refusals import ended
 
 from truearm.box.gauge_run import motion
+from truearm.workflows.recordings import sensors_of
 from truearm_sim import sensors
 from truearm_sim import stage as stages
 
@@ -135,10 +136,15 @@ def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys):
     with served(world) as (device, _, _):
         lines = [(mm, f"{mm + 300}") for mm in (-100, -50, 0, 50, 100)]
         monkeypatch.setattr(sys, "stdin", Operator(world, [*lines, ""]))
-        assert box("gauge", "magnetostrictive", "--box", device, "--sample-s", "0.5", "--yes") == 0
+        by = ("--instrument", "scale 17", "--uncertainty-um", "8")
+        assert box("gauge", "magnetostrictive", "--box", device, "--sample-s", "0.5", "--yes", *by) == 0
         capsys.readouterr()
         assert box("config", "get", "--box", device) == 0
         said = capsys.readouterr().out
+        assert box("info", "--box", device, "--json") == 0
+        (head,) = (one for one in sensors_of(json.loads(capsys.readouterr().out)) if one.name == "magnetostrictive")
+    assert (head.reference, head.reference_sigma) == ("scale 17", pytest.approx(4e-6))
+    assert 0.0 < head.sigma < 10e-6
     speed = float(re.search(r"us_per_inch = ([\d.]+)", said)[1])
     delay = float(re.search(r"delay_us = ([\d.]+)", said)[1])
     # 500 shots with 5.1 µm of noise over 22.5 µm ticks: the noise leaves up to 2.6 µm of the ticks' steps in a mean (truearm_sim/sensors.py)

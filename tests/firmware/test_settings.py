@@ -61,6 +61,8 @@ def test_a_configuration_is_put_told_kept_and_in_force(boot):
         osr=512,
         magnetostrictive__serial="T-1234",
         magnetostrictive__us_per_inch=[9017, -3],
+        magnetostrictive__reference="gauge blocks 4711",
+        magnetostrictive__reference_sigma=[1, -6],
         channels__0__calibration={"unit": "m", "poly": [[-42, -5], [379, -4]], "serial": "L7", "date": "2026-03-04"},
         debounce_us=[2000, 0],
     )
@@ -69,7 +71,10 @@ def test_a_configuration_is_put_told_kept_and_in_force(boot):
     assert {f[2] for f in answer} == {box.req_id}
     said = ident_document(answer)
     assert said["streams"][0]["osr"] == 512
-    assert said["streams"][1]["channels"][0]["calibration"]["serial"] == "T-1234"
+    of_head = said["streams"][1]["channels"][0]["calibration"]
+    assert of_head["serial"] == "T-1234"
+    assert (of_head["reference"], of_head["reference_sigma"]) == ("gauge blocks 4711", [1, -6])
+    assert "sigma" not in of_head
     assert box.document(messages.GET_CONFIG) == config
     box = boot()
     assert box.document(messages.GET_CONFIG) == config

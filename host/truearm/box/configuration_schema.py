@@ -172,22 +172,21 @@ _DEBOUNCE = WireList(DecimalSteps(((0, 1_000_000),)), 2, 2)
 _TRIGGER = WireList(DecimalSteps(((0, 0), (10, 16_000))), 2, 2)
 _POLY = WireList(Exact(), 1, MAX_COEFFICIENTS)
 _MILLIDEGREES = DecimalSteps(((-(2**31), 2**31),), decimals=3)
+PROVENANCE = (  # of a calibration that a host made
+    _key("sigma", Exact(), "standard deviation of the residuals, in unit", judged=False),
+    _key("reference", UnquotedText(), "instrument that it was calibrated against", judged=False),
+    _key("reference_sigma", Exact(), "standard uncertainty of the reference, in unit", judged=False),
+    _key(
+        "temperature_degc", _MILLIDEGREES, "of the box during the calibration", judged=False, field="temperature_mdegc"
+    ),
+)
 CALIBRATION = Table[dict[str, Any]](
     (
         _key("unit", UnquotedText()),
         _key("poly", _POLY, "value = poly[0] + poly[1] x + poly[2] x² …, x = counts · scale / gain"),
         _key("serial", UnquotedText()),
         _key("date", UnquotedText()),
-        _key("sigma", Exact(), "standard deviation of the residuals, in unit", judged=False),
-        _key("reference", UnquotedText(), "instrument that it was calibrated against", judged=False),
-        _key("reference_sigma", Exact(), "standard uncertainty of the reference, in unit", judged=False),
-        _key(
-            "temperature_degc",
-            _MILLIDEGREES,
-            "of the box during the calibration",
-            judged=False,
-            field="temperature_mdegc",
-        ),
+        *PROVENANCE,
     ),
     dict,
 )
@@ -217,6 +216,7 @@ MAGNETOSTRICTIVE = Table[dict[str, Any]](
         ),
         _key("serial", UnquotedText()),
         _key("date", UnquotedText()),
+        *PROVENANCE,
     ),
     dict,
 )

@@ -146,31 +146,25 @@ def with_calibration(
 ) -> dict[str, Any]:
     """Return the configuration with the new calibration, checked. Raises InputError.
 
-    ``instrument`` and ``uncertainty`` as in ``GaugeCircumstances``; the configuration has none for the magnetostrictive
-    sensor.
+    ``instrument`` and ``uncertainty`` as in ``GaugeCircumstances``.
     """
-    from truearm.box.configuration_schema import check
+    from truearm.box.configuration_schema import PROVENANCE, check
 
-    date = datetime.now(UTC).date().isoformat()
-    if stream.name == MAG:
-        before = config[HEAD]
-        new = {
-            **config,
-            HEAD: {**before, **_head(result), "date": date, "serial": before["serial"] if serial is None else serial},
-        }
-        return check(new)
     channels = [dict(channel) for channel in config["channels"]]
-    before = channels[index].get("calibration", {})
-    channels[index]["calibration"] = {
-        "unit": "m",
-        "poly": [_pair(text) for text in _rounded(result, places)],
+    before = config[HEAD] if stream.name == MAG else channels[index].get("calibration", {})
+    made = {
         "serial": before.get("serial", "") if serial is None else serial,
-        "date": date,
+        "date": datetime.now(UTC).date().isoformat(),
         "sigma": _pair(f"{result.sigma:.2e}"),
         **_temperature(places),
         **({"reference": instrument} if instrument else {}),
         **({} if uncertainty is None else {"reference_sigma": _pair(f"{0.5 * uncertainty:.3e}")}),
     }
+    if stream.name == MAG:
+        others = {name: value for name, value in before.items() if name not in {key.called for key in PROVENANCE}}
+        return check({**config, HEAD: {**others, **_head(result), **made}})
+    poly = [_pair(text) for text in _rounded(result, places)]
+    channels[index]["calibration"] = {"unit": "m", "poly": poly, **made}
     return check({**config, "channels": channels})
 
 
