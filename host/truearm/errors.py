@@ -43,7 +43,8 @@ from truearm.findings import Argument as Argument
 from truearm.findings import Finding
 
 _JSON = (Argument, int, float, list, tuple, dict, type(None))  # other values become texts
-_PLACE = re.compile(r"(?:([^;]*?): )?(.*)", re.DOTALL)  # "PLACE: REASON", the place without a remedy
+# the place in "PLACE: REASON": one word, or what names a file or an option; other words before a colon are a sentence
+_PLACE = re.compile(r"[^\s;]+|--[^;]+|[^;]*(?:\w\.[a-z]|[/\\_])[^;]*")
 
 
 class TruearmError(Exception):
@@ -96,7 +97,9 @@ class TruearmError(Exception):
         text, argument = str(self), next(iter(self.args), "")
         if isinstance(argument, Argument):
             return Finding("invalid-argument", {"place": argument, "reason": text[len(argument) :].lstrip(": ")})
-        place, reason = _PLACE.fullmatch(text).groups("")  # type: ignore[union-attr]  # any text matches
+        place, colon, reason = text.partition(": ")
+        if not colon or not _PLACE.fullmatch(place):
+            place, reason = "", text
         code = self.other_code if isinstance(self, FileError) and not place else self.default_code
         return Finding(code, {"place": place, "reason": reason, **self.values})
 

@@ -100,6 +100,20 @@ def test_an_error_has_the_code_and_the_values_of_its_cause():
     assert PlanError("no pose is within reach; move the chucks").finding.code == "no-plan"  # of no file
 
 
+@pytest.mark.parametrize(
+    ("error", "code", "place"),
+    [
+        (TableError("my poses.csv row 3: no"), "malformed-file", "my poses.csv row 3"),
+        (InputError("--rig a: no"), "invalid-input", "--rig a"),
+        (PlanError("no pose is within reach: give other bars"), "no-plan", ""),
+        (ProblemError("they say nothing; measure more: rows"), "unsolvable", ""),
+    ],
+)
+def test_a_sentence_before_a_colon_is_no_place(error, code, place):
+    assert (error.finding.code, error.finding.values["place"]) == (code, place)
+    assert error.finding.text() == str(error)
+
+
 def test_an_error_keeps_its_code_within_a_file():
     error = TableError("too-large", most=3).within("a.csv")
     assert error.finding == Finding("too-large", {"place": "a.csv", "most": 3})

@@ -15,10 +15,8 @@ from truearm.report.calibration_page import render
 from truearm.report.correlation import correlation
 from truearm.report.figures import MAX_POINTS, by_order, figures_of
 from truearm.report.map_picture import Cells, map_picture
-from truearm.report.page_tables import direction_words
 from truearm.report.page_text import escape, figures, number
 from truearm.report.residual_rows import Law, law_of, rows_by_kind
-from truearm.results import NullDirection
 
 # --- numbers and words
 
@@ -42,20 +40,6 @@ def test_escape_leaves_nothing_active():
     assert escape(HOSTILE) == "&lt;script&gt;alert(1)&lt;/script&gt;&quot;&#x27;&amp;"
     assert escape("a\x00b\u202ec\ud800d\te") == "a\ufffdb\ufffdc\ufffdd e"  # NUL, right-to-left mark, lone surrogate
     assert len(escape("x" * 10_000)) == 200
-
-
-@pytest.mark.parametrize(
-    ("names", "weights", "words"),
-    [
-        (("link6.alpha",), (1.0,), "link6.alpha: unidentifiable"),
-        (("link2.z", "link3.z"), (1.0, -1.0), "link2.z up, link3.z down by the same amount"),
-        (("link4.z", "link2.x"), (1.0, 1.0), "link4.z up, link2.x up by the same amount"),
-        (("a", "b", "c"), (0.4, 1.0, -0.2), "+1.00 b +0.40 a −0.20 c"),
-        (("a", "b"), (1.0, 0.001), "a: unidentifiable"),
-    ],
-)
-def test_direction_words(names, weights, words):
-    assert direction_words(NullDirection(names, weights)) == words
 
 
 # --- laws and axes

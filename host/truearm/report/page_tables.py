@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from truearm.report.page_parts import table
+from truearm.report.page_parts import sentences, table
 from truearm.report.page_text import ABSENT, escape, figures, number
-from truearm.report.result_words import SMALLEST_WEIGHT, drawing
-from truearm.results import Estimate, NullDirection, largest_terms
+from truearm.report.result_words import direction_text, drawing
+from truearm.results import Estimate, NullDirection
 from truearm.text import counted
 from truearm.units import UNITS
 
@@ -51,63 +51,37 @@ def _sigma(sigma: float, decimals: int) -> str:
 
 
 def visibility(estimate: Estimate) -> str:
-    """Return rank and null space in words, as HTML."""
-    of = int(estimate.free[: estimate.n_robot_parameters].sum())
-    held = estimate.n_robot_parameters - of
-    gap = (
-        f" The weakest of these is a factor of {figures(estimate.rank_gap, 2)} above the unidentifiable ones."
-        if math.isfinite(estimate.rank_gap)
-        else ""
-    )
+    """Return rank, null space and weakly identifiable combinations in words, as HTML."""
+    free = int(estimate.free[: estimate.n_robot_parameters].sum())
+    held = estimate.n_robot_parameters - free
     words = [
-        f"The observations determine <strong>{estimate.rank} of {of}</strong> combinations of the robot's free parameters."
-        f"{gap}"
+        f"The observations determine <strong>{estimate.rank} of {free}</strong> combinations of the robot's free parameters."
     ]
+    if math.isfinite(estimate.rank_gap):
+        gap = figures(estimate.rank_gap, 2)
+        words.append(f"The weakest of these is a factor of {gap} above the unidentifiable ones.")
     if held:
         words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
-    if not estimate.null_space:
-        words.append("The observations alone identify all free parameters.")
-        return f"<p>{' '.join(words)}</p>" + _hardly(estimate)
-    words.append(
-        "The changes listed here (in m, rad and 1) do not change any prediction. The values of their parameters are one choice "
-        "of many with the same predictions, and are meaningful only together."
+    timed = any(unit == "s" and is_free for unit, is_free in zip(estimate.units, estimate.free, strict=True))
+    combinations = (
+        (
+            estimate.null_space,
+            "Unidentifiable (weights in m, rad and 1). Changes along these combinations do not change any prediction, so the values are one choice of many.",
+        ),
+        (
+            estimate.hardly_seen,
+            f"Weakly identifiable: the observations alone determine these combinations less accurately than a manufacturer's drawing ({drawing(timed)}).",
+        ),
     )
-    return f"<p>{' '.join(words)}</p>" + _directions(estimate.null_space) + _hardly(estimate)
+    listed = (f"<p>{text}</p>{_directions(directions)}" for directions, text in combinations if directions)
+    return f"<p>{' '.join(words)}</p>{''.join(listed)}"
 
 
-def _hardly(estimate: Estimate) -> str:
-    """Return what is determined less well than by a drawing; "" if there is nothing of this kind."""
-    directions = estimate.hardly_seen
-    if not directions:
-        return ""
-    one = len(directions) == 1
-    timed = any(unit == "s" and free for unit, free in zip(estimate.units, estimate.free, strict=True))
-    words = (
-        f"{counted(len(directions), 'combination')} of parameters {'is' if one else 'are'} weakly identifiable: the observations "
-        f"alone determine {'it' if one else 'them'} less accurately than a manufacturer's drawing ({drawing(timed)})."
-    )
-    return f"<p>{words}</p>" + _directions(directions, "alone")
-
-
-def _directions(directions: Sequence[NullDirection], single: str = "unidentifiable") -> str:
-    items = [f"<li>{escape(direction_words(d, single), 600)}</li>" for d in directions[:MAX_DIRECTIONS]]
+def _directions(directions: Sequence[NullDirection]) -> str:
+    texts = [direction_text(of.weights, of.names, MAX_TERMS) for of in directions[:MAX_DIRECTIONS]]
     if len(directions) > MAX_DIRECTIONS:
-        items.append(f"<li>and {len(directions) - MAX_DIRECTIONS} more</li>")
-    return f'<ul class="directions">{"".join(items)}</ul>'
-
-
-def direction_words(direction: NullDirection, single: str = "unidentifiable") -> str:
-    """Return a direction in words: "link2.z up, link3.z down by as much"; ``single`` describes a lone parameter."""
-    terms = largest_terms(direction.weights, direction.names)
-    terms = [(weight, name) for weight, name in terms if abs(weight) >= SMALLEST_WEIGHT]
-    if len(terms) == 1:
-        return f"{terms[0][1]}: {single}"
-    if len(terms) == 2 and abs(abs(terms[0][0]) - abs(terms[1][0])) < SMALLEST_WEIGHT:
-        way = "up" if terms[0][0] * terms[1][0] > 0.0 else "down"
-        return f"{terms[0][1]} up, {terms[1][1]} {way} by the same amount"
-    shown = [f"{number(weight, 2, sign=True)} {name}" for weight, name in terms[:MAX_TERMS]]
-    more = f" and {len(terms) - MAX_TERMS} smaller terms" if len(terms) > MAX_TERMS else ""
-    return f"{' '.join(shown)}{more}"
+        texts.append(f"and {len(directions) - MAX_DIRECTIONS} more")
+    return sentences(texts, "directions")
 
 
 def fact_list(facts: Sequence[tuple[str, str]]) -> str:
