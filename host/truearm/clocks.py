@@ -11,9 +11,13 @@ and likewise from below. The least of the upper bounds and the greatest of the l
 rows before t and after t (``Band``). **Half the distance between them bounds the error.** The mean rate is known within
 an interval by pairs of rows far apart, which widens the band.
 
-**The estimate** lies in that range. Rates follow from the middle of the range, over a minute. The range that is left if
-the rate stays within FOLLOWED of these has a middle that is as good as the line of the largest margin; it is clipped to
-the hard range.
+**The estimate** lies in that range. The middle of the range shows the rate around each row, over two minutes. The rates add
+up to a *course*. The range that is left if the rate stays within FOLLOWED of the course's has a middle that is as good
+as the line of the largest margin. Its rates make a better course, and that one the estimate, clipped to the hard range.
+
+**Crystals that nothing slews** drift slowly. If their rate is known to stay within ``course_wander`` of its mean over the two
+minutes around, the course bounds y too: its rate is off by no more than the ranges at both ends of the two minutes
+allow. A narrower range makes a better course and that one a narrower range, until both stay.
 
 **Where rows contradict each other**, a clock stepped or a stamp is wrong. FEW rows in succession that agree with each
 other and contradict those before them are a step; fewer are wrong and left out. Between the last row before a step and
@@ -35,9 +39,10 @@ from truearm.types import Floats, Ints
 WANDER = 30e-6  # of the rate of two crystals, about its mean: temperature and ageing
 SLEWED_WANDER = 530e-6  # if the operating system slews one of the clocks, by up to 500 ppm
 RATE_LIMIT = 1e-3  # beyond that it is not a clock of the same unit
-FOLLOWED = 1e-6  # of the rate, about that of the minute around it: for the estimate alone
-MINUTE_NS = 60e9
+FOLLOWED = 1e-6  # of the rate, from that of the course: for the estimate alone
+COURSE_NS = 120e9  # over which the rate is taken
 SLOPE_NS = 10e9  # baseline of the median rate, which single steps do not spoil
+ROUNDS = 6  # of the course and the range
 FEW = 3  # rows that are a step and not wrong
 ROUNDING_NS = 2.0  # two stamps are whole ns
 
@@ -97,41 +102,73 @@ class Band:
 
 @dataclass(frozen=True)
 class Steady:
-    """The rows between two steps."""
+    """The rows between two steps, and their course: the y (k,) at the rows that the rates around them add up to."""
 
     band: Band
+    course: Floats
+    end_rates: tuple[float, float]  # of the course, before the first and behind the last row
+    course_wander: float | None  # of the rate, from that of the course; None: unknown
 
     @classmethod
-    def of(cls, rows: Band, wander: float) -> Steady:
-        """Bound the rate by rows far apart, unless it then contradicts the rows: it is within ``wander`` of no mean."""
-        whole = rows.with_rate(0.5 * (rows.x[-1] - rows.x[0]), wander)
-        return cls(rows if np.any(whole.contradicts(whole)) else whole)
+    def of(cls, rows: Band, wander: float, course_wander: float | None) -> Steady:
+        """Bound the rate by rows far apart, unless it then contradicts the rows: it is within ``wander`` of no mean.
 
-    @cached_property
-    def _course(self) -> tuple[Floats, tuple[float, float]]:
-        """The y (k,) at the rows that the rates of the minutes around them add up to, and the rates at both ends."""
-        x = self.band.x
-        middle = _middle(*self.band.range(x))
-        begin = np.clip(x - 0.5 * MINUTE_NS, x[0], max(x[0], x[-1] - MINUTE_NS))
-        end = np.minimum(begin + MINUTE_NS, x[-1])
-        rise = np.interp(end, x, middle) - np.interp(begin, x, middle)
-        rate = np.clip(rise / np.maximum(end - begin, 1.0), self.band.slow, self.band.fast)
-        y = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(x)))
-        return y, (float(rate[0]), float(rate[-1]))
+        The rates of the course follow from y at the rows, at first the middle of the range, then the estimate. They are off
+        by no more than the ranges at both ends allow.
+        """
+        band = rows.with_rate(0.5 * (rows.x[-1] - rows.x[0]), wander)
+        band = rows if np.any(band.contradicts(band)) else band
+        x = band.x
+        begin = np.clip(x - 0.5 * COURSE_NS, x[0], max(x[0], x[-1] - COURSE_NS))
+        end = np.minimum(begin + COURSE_NS, x[-1])
+        duration = np.maximum(end - begin, 1.0)
+        low, high = band.range(x)
+        y = _middle(low, high)
+        for _ in range(2 if course_wander is None else ROUNDS):
+            rate = (np.interp(end, x, y) - np.interp(begin, x, y)) / duration
+            rate = np.clip(rate, band.slow, band.fast)
+            course = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(x)))
+            allowed = course_wander
+            if course_wander is not None:
+                reach = np.maximum(high - y, y - low)
+                allowed = course_wander + np.max((np.interp(begin, x, reach) + np.interp(end, x, reach)) / duration)
+            steady = cls(band, course, (float(rate[0]), float(rate[-1])), allowed)
+            low, high = steady.range(x)
+            y = np.clip(steady.estimate(x), low, high)
+        return steady
 
-    def _along(self, t: Floats) -> Floats:
-        x, (y, (first, last)) = self.band.x, self._course
+    def course_at(self, t: Floats) -> Floats:
+        """Return the course (n,) at times t (n,)."""
+        x, (first, last) = self.band.x, self.end_rates
         beyond = first * np.minimum(t - x[0], 0.0) + last * np.maximum(t - x[-1], 0.0)
-        return np.asarray(np.interp(t, x, y) + beyond)
+        return np.asarray(np.interp(t, x, self.course) + beyond)
+
+    def _beside(self, wander: float) -> Band:
+        """Return the rows relative to the course."""
+        return Band(self.band.x, self.band.low - self.course, self.band.high - self.course, -wander, wander)
 
     @cached_property
     def _followed(self) -> Band:
-        y, _ = self._course
-        return Band(self.band.x, self.band.low - y, self.band.high - y, -FOLLOWED, FOLLOWED)
+        return self._beside(FOLLOWED)
+
+    @cached_property
+    def _bounded(self) -> Band | None:
+        if self.course_wander is None:
+            return None
+        band = self._beside(self.course_wander)
+        return None if np.any(band.contradicts(band)) else band
 
     def estimate(self, t: Floats) -> Floats:
-        """Return y (n,) at times t (n,), which the hard range has yet to limit."""
-        return self._along(t) + _middle(*self._followed.range(t))
+        """Return y (n,) at times t (n,), which the range has yet to limit."""
+        return self.course_at(t) + _middle(*self._followed.range(t))
+
+    def range(self, t: Floats) -> tuple[Floats, Floats]:
+        """Return the least and greatest y (n,) at times t (n,)."""
+        low, high = self.band.range(t)
+        if self._bounded is not None:
+            course, (least, most) = self.course_at(t), self._bounded.range(t)
+            low, high = np.maximum(low, course + least), np.minimum(high, course + most)
+        return low, high
 
 
 def _middle(low: Floats, high: Floats) -> Floats:
@@ -150,12 +187,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Clock:
-    """The time of one clock at stamps of another, both in ns. ``used``: rows that are not wrong."""
+    """The time of one clock at stamps of another, both in ns. ``wrong``: the stamps of rows that were left out."""
 
     stamp_ref: int
     time_ref: int
     steady: tuple[Steady, ...]
-    used: int
+    wrong: Ints
 
     def to_time(self, stamps: Ints) -> tuple[Ints, Floats]:
         """Return the times (n,) [ns] of stamps (n,) [ns] and the bounds (n,) of their errors [ns].
@@ -169,17 +206,31 @@ class Clock:
         for k, piece in enumerate(self.steady):
             mine = of == k
             inner = t[mine]
-            low, high = piece.band.range(inner)
+            low, high = piece.range(inner)
             best = piece.estimate(inner)
             if k + 1 < len(self.steady):  # behind the last row before a step, the time is as before it or as after it
                 behind = inner > piece.band.x[-1]
-                low_after, high_after = self.steady[k + 1].band.range(inner)
+                low_after, high_after = self.steady[k + 1].range(inner)
                 low = np.where(behind, np.minimum(low, low_after), low)
                 high = np.where(behind, np.maximum(high, high_after), high)
                 best = np.where(behind, _middle(low, high), best)
             y[mine] = np.clip(best, low, high)
             bound[mine] = np.maximum(high - y[mine], y[mine] - low)
         return self.time_ref + whole + np.rint(y).astype(np.int64), bound + 1.0
+
+    def beside_course(self, stamps: Ints, latest: Ints, earliest: Ints) -> Band:
+        """Return other rows, ascending, relative to the course of this clock, which has no step."""
+        (steady,) = self.steady
+        x = stamps - self.stamp_ref
+        course = steady.course_at(x.astype(float))
+        wander = min(steady.course_wander or RATE_LIMIT, RATE_LIMIT)
+        return Band(
+            x.astype(float),
+            earliest - self.time_ref - x - course,
+            latest - self.time_ref - x - course,
+            -wander,
+            wander,
+        )
 
     def to_stamp(self, times: Ints) -> Ints:
         """Return the stamps (n,) [ns] at times (n,) [ns]."""
@@ -207,13 +258,21 @@ class Clock:
         return float(rise / max(sum(np.diff(end)[0] for end in ends), 1.0))
 
 
-def fit(stamps: Ints, latest: Ints, earliest: Ints | None = None, *, wander: float = WANDER) -> Clock | None:
+def fit(
+    stamps: Ints,
+    latest: Ints,
+    earliest: Ints | None = None,
+    *,
+    wander: float = WANDER,
+    course_wander: float | None = None,
+) -> Clock | None:
     """Relate a clock that stamps to a clock that tells the time; None without a row.
 
     ``stamps`` (k,) [ns], in any order. ``latest`` (k,) [ns]: a time that had not passed at the stamp, such as that of the
     arrival of a message. ``earliest`` (k,) [ns]: a time that had passed, such as that at which a request was sent.
     Without it the times are those of the fastest messages, and no bound is known. ``wander``: WANDER, or SLEWED_WANDER if
-    the operating system slews one of the clocks. Raises TypeError if a column does not hold integers, ValueError if their
+    the operating system slews one of the clocks. ``course_wander``: how far the rate may be from its mean over the two
+    minutes around, if that is known; it narrows the bound unless rows contradict it. Raises TypeError if a column does not hold integers, ValueError if their
     lengths differ.
     """
     columns = (stamps, latest, latest if earliest is None else earliest)
@@ -229,8 +288,8 @@ def fit(stamps: Ints, latest: Ints, earliest: Ints | None = None, *, wander: flo
     baseline = min(SLOPE_NS, 0.25 * float(x[-1]))  # a step spoils no more than a third of the rates
     band = Band(x.astype(float), low, high, 0.0, 0.0).with_rate(baseline, wander)
     pieces = _without_steps(band)
-    steady = tuple(Steady.of(band.rows(index), wander) for index in pieces)
-    return Clock(stamp_ref, time_ref, steady, sum(index.size for index in pieces))
+    steady = tuple(Steady.of(band.rows(index), wander, course_wander) for index in pieces)
+    return Clock(stamp_ref, time_ref, steady, np.delete(stamps, np.concatenate(pieces)))
 
 
 def _without_steps(rows: Band) -> list[NDArray[np.intp]]:

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 
 from truearm.clocks import RATE_LIMIT, SLEWED_WANDER, WANDER
 from truearm.session.box_frames import Exchange
-from truearm.session.clock_windows import line_under, lower_hull, lower_hulls
 from truearm.session.device_clock import fit_clock
 
 TAIL_NS = 150e3
@@ -46,37 +44,6 @@ def errors(clock, true, start_s, end_s):
     whole = np.rint(device).astype(np.int64)
     estimate, bound = clock.to_host_ns(whole)
     return estimate - (host + 1e3 * (whole - device)), bound
-
-
-@given(st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=1, max_size=60))
-def test_lower_hull_supports_all_points(points):
-    x, y = np.array(points, dtype=float).T
-    corners = lower_hull(x, y)
-    assert np.all(np.diff(x[corners]) > 0)
-    assert x[corners[0]] == x.min()
-    assert x[corners[-1]] == x.max()
-    assert np.all(np.interp(x, x[corners], y[corners]) <= y + 1e-9)
-    slopes = np.diff(y[corners]) / np.diff(x[corners])
-    assert np.all(np.diff(slopes) > 0)
-
-
-@given(st.lists(st.tuples(st.integers(0, 4), st.integers(-50, 50), st.integers(-50, 50)), min_size=1, max_size=60))
-def test_hulls_found_together_are_those_found_alone(points):
-    group, x, y = np.array(points, dtype=float).T
-    alone = [rows[lower_hull(x[rows], y[rows])] for k in np.unique(group) if len(rows := np.flatnonzero(group == k))]
-    assert lower_hulls(x, y, group.astype(int)).tolist() == np.concatenate(alone).tolist()
-
-
-def test_line_under_touches_and_is_the_best():
-    rng = np.random.default_rng(3)
-    x, y = np.sort(rng.uniform(0, 10, 200)), rng.exponential(1.0, 200)
-    corners = lower_hull(x, y + 0.3 * x)
-    offset, rate = line_under(x[corners], (y + 0.3 * x)[corners], float(np.mean(x)))
-    best = linprog(
-        [-1.0, -np.mean(x)], A_ub=np.stack([np.ones(200), x], 1), b_ub=y + 0.3 * x, bounds=[(None, None)] * 2
-    )
-    assert offset + rate * np.mean(x) == pytest.approx(-best.fun, abs=1e-9)
-    assert np.all(offset + rate * x <= y + 0.3 * x + 1e-12)
 
 
 @pytest.mark.parametrize(

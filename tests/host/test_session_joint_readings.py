@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from truearm.session import joint_readings as joints_module
 from truearm.session.dwells import DwellRules, find_dwells
@@ -13,6 +14,7 @@ from truearm.session.joint_format import parse_lines
 from truearm.session.joint_readings import JointReader
 from truearm.session.losses import MissingNumbers
 from truearm.session.message_columns import columns_of
+from truearm.session.robot_clock import line_under, lower_hulls
 from truearm.types import Message
 
 
@@ -236,6 +238,41 @@ def test_quantisation_is_seen_although_the_robot_moves_fast():
     path = np.interp(np.arange(600) / 125.0, [0, 1, 2.3, 5], [0.0, 0.0, 1.37, 1.37])
     stream = read([message(k / 125.0, k, [step * np.rint(x / step)]) for k, x in enumerate(path)])
     assert stream.step[0] == pytest.approx(step, rel=1e-9)
+
+
+@given(st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=1, max_size=60))
+def test_lower_hull_supports_all_points(points):
+    x, y = np.array(points, dtype=float).T
+    corners = lower_hulls(x, y, np.zeros(x.size, int))
+    assert np.all(np.diff(x[corners]) > 0)
+    assert x[corners[0]] == x.min()
+    assert x[corners[-1]] == x.max()
+    assert np.all(np.interp(x, x[corners], y[corners]) <= y + 1e-9)
+    slopes = np.diff(y[corners]) / np.diff(x[corners])
+    assert np.all(np.diff(slopes) > 0)
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(-50, 50), st.integers(-50, 50)), min_size=1, max_size=60))
+def test_hulls_found_together_are_those_found_alone(points):
+    group, x, y = np.array(points, dtype=float).T
+    alone = [
+        rows[lower_hulls(x[rows], y[rows], np.zeros(rows.size, int))]
+        for k in np.unique(group)
+        if len(rows := np.flatnonzero(group == k))
+    ]
+    assert lower_hulls(x, y, group.astype(int)).tolist() == np.concatenate(alone).tolist()
+
+
+def test_line_under_touches_and_is_the_best():
+    rng = np.random.default_rng(3)
+    x, y = np.sort(rng.uniform(0, 10, 200)), rng.exponential(1.0, 200)
+    corners = lower_hulls(x, y + 0.3 * x, np.zeros(200, int))
+    offset, rate = line_under(x[corners], (y + 0.3 * x)[corners], float(np.mean(x)))
+    best = linprog(
+        [-1.0, -np.mean(x)], A_ub=np.stack([np.ones(200), x], 1), b_ub=y + 0.3 * x, bounds=[(None, None)] * 2
+    )
+    assert offset + rate * np.mean(x) == pytest.approx(-best.fun, abs=1e-9)
+    assert np.all(offset + rate * x <= y + 0.3 * x + 1e-12)
 
 
 def test_robot_clock_follows_the_fastest_packets():

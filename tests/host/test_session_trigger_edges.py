@@ -12,7 +12,7 @@ from truearm.session.device_clock import fit_clock
 from truearm.session.joint_format import NO_INPUTS, parse_lines
 from truearm.session.joint_readings import InputTrack, JointReader
 from truearm.session.message_columns import columns_of
-from truearm.session.trigger_edges import SHORTEST_DELAY_NS, Output, TimedEdges, fit_edges, match, with_edges
+from truearm.session.trigger_edges import Output, TimedEdges, fit_edges, match, with_edges
 from truearm.types import Message
 
 CYCLE_S = 0.002
@@ -50,8 +50,8 @@ def edges_at(rng, n, least=0.3, most=1.3):
     return 2.0 + np.cumsum(rng.uniform(least, most, n))
 
 
-def errors(seed, n, controller, hint_ppm=0.0, between=(0.3, 1.3), delays=(0.0, 0.0)):
-    """Errors and bounds [µs] of controller time at 500 device times among n edges; arrivals err in rate by ``hint_ppm``.
+def errors(seed, n, controller, between=(0.3, 1.3), delays=(0.0, 0.0)):
+    """Errors and bounds [µs] of controller time at 500 device times among n edges.
 
     ``delays`` [s] of the input: of rising and falling edges.
     """
@@ -60,12 +60,7 @@ def errors(seed, n, controller, hint_ppm=0.0, between=(0.3, 1.3), delays=(0.0, 0
     rising = np.arange(n) % 2 == 0
     tick = np.floor(controller.reading(t + np.where(rising, *delays)) / CYCLE_S)
     stamp = np.floor(device_us(t)).astype(np.int64)
-
-    def arrivals(d):
-        true = (1e-6 * d - BOOT_S) / (1.0 + 1e-6 * DEVICE_PPM)
-        return controller.reading(true) + LATENCY_S + 1e-6 * hint_ppm * true
-
-    fit = fit_edges(100.0, TimedEdges(stamp, rising, tick * CYCLE_S, (tick + 1) * CYCLE_S), arrivals)
+    fit = fit_edges(100.0, TimedEdges(stamp, rising, tick * CYCLE_S, (tick + 1) * CYCLE_S))
     assert fit.rejected == 0
     assert fit.falling_later_ns[0] <= 1e9 * (delays[1] - delays[0]) <= fit.falling_later_ns[1]
     at = np.floor(device_us(np.linspace(t[0], t[-1], 500))).astype(np.int64)
@@ -76,31 +71,23 @@ def errors(seed, n, controller, hint_ppm=0.0, between=(0.3, 1.3), delays=(0.0, 0
 
 @pytest.mark.parametrize("seeds", [4, pytest.param(24, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("ppm_per_minute", [-1.0, 0.0, 1.0])
-@pytest.mark.parametrize("hint_ppm", [0.0, 0.2, 50.0])
-def test_the_error_is_within_the_bound_whatever_arrivals_say(ppm_per_minute, hint_ppm, seeds):
+def test_the_error_is_within_the_bound(ppm_per_minute, seeds):
     for seed in range(seeds):
-        error, bound = errors(seed, 150, Controller(ppm_per_minute=ppm_per_minute), hint_ppm)
+        error, bound = errors(seed, 150, Controller(ppm_per_minute=ppm_per_minute))
         assert np.all(np.abs(error) <= bound)
 
 
 @pytest.mark.parametrize("seeds", [20, pytest.param(100, marks=pytest.mark.soak)])
 def test_a_hundred_edges_at_a_cycle_of_2_ms(seeds):
-    """The middle of what n uniform phases leave open has a standard deviation of 1/√2 of an nth of the cycle.
-
-    A window of 60 s has 37 edges of each direction: 38 µs, and the mean of both directions 27 µs. There is no delay here, and half of what a
-    delay may be is taken off.
-    """
+    """80 s of edges leave a rate open by a few ppm, which is some 100 µs at the ends; a cycle's fiftieth is 40 µs."""
     worst, square = [], []
     for seed in range(seeds):
-        error, bound = errors(seed, 100, Controller(), hint_ppm=0.1)
+        error, bound = errors(seed, 100, Controller())
         assert np.all(np.abs(error) <= bound)
         worst.append(np.max(np.abs(error)))
         square.append(np.mean(np.square(error)))
-    # A rate that is off by 0.1 ppm makes 4 µs at the ends of 80 s. The largest of 100 exponential tails is some ln(100) = 4.6 of 27/√2 µs off, and the
-    # ends of a line are about twice as uncertain as its middle.
-    usual = 0.5e-3 * SHORTEST_DELAY_NS
-    assert np.max(worst) < 2 * 100.0 + usual
-    assert np.sqrt(np.mean(square)) < 1.3 * np.hypot(27.0, usual)
+    assert np.max(worst) < 0.2e6 * CYCLE_S
+    assert np.sqrt(np.mean(square)) < 0.06e6 * CYCLE_S
 
 
 DELAYS = [(5e-6, 150e-6), (150e-6, 5e-6), (10e-6, 300e-6), (300e-6, 10e-6), (15e-6, 18e-6)]
@@ -113,15 +100,12 @@ def test_unequal_delays_are_within_the_bound(delays, seeds):
     error, bound = [], []
     for seed in range(seeds):
         drifting = Controller(ppm_per_minute=(-1.0, 0.0, 1.0)[seed % 3])
-        one = errors(seed, 1200, drifting, hint_ppm=0.1, between=(0.05, 0.15), delays=delays)
+        one = errors(seed, 1200, drifting, between=(0.05, 0.15), delays=delays)
         error.append(np.abs(one[0]))
         bound.append(one[1])
-    print(
-        f"error median {np.median(error):.1f}, most {np.max(error):.1f}, bound median {np.median(bound):.1f}, most {np.max(bound):.1f} µs"
-    )
     assert np.all(np.array(error) <= bound)
-    assert np.median(bound) <= 25.0
-    assert np.max(bound) <= 70.0
+    assert np.median(bound) <= 50.0
+    assert np.max(bound) <= 90.0
 
 
 # --- which edge is which

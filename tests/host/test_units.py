@@ -99,7 +99,7 @@ OF_TEN = {1e3, 1e-3, 1e6, 1e-6}
 TO_DEGREES = {"degrees", "rad2deg"}
 # files in which such a factor is not a unit that a person sees
 PHYSICAL = {
-    "session/clock_windows.py": "µs of the box's timer as ns of the host's, in arrays of clock exchanges",
+    "session/robot_clock.py": "a drift of ppm a minute",
     "session/device_clock.py": "µs of the box's timer as ns of the host's",
     "session/losses.py": "µs and ns as in device_clock",
     "session/trigger_edges.py": "s as whole µs of the box's timer",

@@ -98,7 +98,7 @@ def fit_clock(
     report = ClockReport(
         segment=segment,
         exchanges=len(every),
-        rejected=len(every) - clock.used,
+        rejected=len(every) - len(sane) + clock.wrong.size,
         device_us=(int(t1[0]), int(t1[-1])),
         offset_ns=int((device.to_host_ns(middle)[0] - 1000 * middle)[0]),
         rate_ppm=PPM.of(clock.rate),

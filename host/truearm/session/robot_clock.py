@@ -2,7 +2,10 @@
 
 A reading stamped t by the controller arrives at h(t) + latency, and latency is never negative. The line under all
 arrivals that is nearest to them on average (the lower hull's edge at their middle) follows the fastest packets; queues
-and a busy host only delay arrivals. Windows of 60 s overlap by half and are blended as in ``clock_windows``.
+and a busy host only delay arrivals. Windows of 60 s overlap by half. Between
+the centres of two neighbours, their lines are blended linearly.
+
+A line lies under all points exactly if it lies under the corners of their lower hull: a dozen of thousands.
 
 **The shortest latency cannot be observed**: a constant latency is part of the offset. It is not removed here; the
 parameter τ of the identification absorbs it. It does not matter for a robot at rest. Edges of a trigger wire
@@ -13,7 +16,7 @@ because a link may hold up every packet for a minute without any sign. It is twi
 fastest packet of each second. Of 60 such packets, the very fastest lies above the shortest latency by a fraction of
 that height: about a sixtieth if latencies near the shortest are as likely as elsewhere, a seventh if their density
 vanishes linearly there, a quarter if quadratically. At the ends of a window the line may be off by a few times as much.
-Two terms are added: the deviation from a line for a rate drift of 1 ppm per minute, and the disagreement of
+Two terms are added: the deviation from a line for a rate drift of 1 ppm per minute (DRIFT), and the disagreement of
 neighbouring windows.
 
 **Where a clock steps or is slewed**, the line follows the lowest arrivals and the rest of the window lies above it. The
@@ -28,11 +31,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
-from truearm.session.clock_windows import line_under, lower_hulls, slack_ns
 from truearm.types import Floats, Ints
 from truearm.units import PPM
 
@@ -42,6 +46,7 @@ RUN = 8  # seconds that contain a packet nearly as fast as possible
 TILTED = 1.75  # factor on a run's height: a change tilts the line, by less than 3/7 of the height that it leaves within a run (slews and steps of 10 ms: 0.88 of this bound)
 LEAST_BLOCKS = 16  # with fewer, the bound grows in proportion
 ROUNDING_NS = 1000.0  # stamps are printed to the microsecond
+DRIFT = 1e-6 / 60.0  # 1/s: a rate changes by no more than 1 ppm a minute
 MAX_RATE = 0.01  # a controller's clock may be poor, but 1 % off means another unit of time
 
 
@@ -202,7 +207,7 @@ def _line(
         height = (latency_sum - count * offset - per_second * dt_sum) / count
     reach_ns = 0.5e9 * (dt.max() - dt.min())
     runs = np.min(sliding_window_view(np.array(fastest), min(RUN, len(fastest))), axis=1)
-    bound = max(2.0 * height, TILTED * float(np.max(runs))) + float(slack_ns(np.array(reach_ns))) + ROUNDING_NS
+    bound = max(2.0 * height, TILTED * float(np.max(runs))) + 0.5e-9 * DRIFT * reach_ns**2 + ROUNDING_NS
     return float(0.5 * (dt.min() + dt.max())), offset, 1e-9 * per_second, bound
 
 
@@ -244,3 +249,55 @@ def _mean_heights(arrivals: Arrivals, lines: Floats) -> Floats:
     count, dt, latency = np.array(list(arrivals.sums.values())).T
     nearest = lines[np.argmin(np.abs(lines[:, :1] - dt / count), axis=0)]
     return np.asarray(latency / count - nearest[:, 1] - 1e9 * nearest[:, 2] * dt / count)
+
+
+def lower_hulls(x: Floats, y: Floats, group: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
+    """Return the indices, by ascending group and x, of the corners of the lower hull of each group of n ≥ 1 points.
+
+    Quickhull on points sorted by x: the lowest point below a chord is a corner and splits the rest into two slices
+    (Barber, Dobkin, Huhdanpaa, "The quickhull algorithm", 1996). All chords of one level are processed together.
+    """
+    order = np.lexsort((y, x, group))
+    xs, groups = x[order], group[order]
+    other = np.flatnonzero((np.diff(groups) != 0) | (np.diff(xs) > 0)) + 1  # for equal x, the lowest y
+    order = order[np.concatenate([[0], other])]
+    xs, ys, groups = x[order], y[order], group[order]
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(groups)) + 1])
+    left, right = begins, np.append(begins[1:], len(order)) - 1
+    is_corner = np.zeros(len(order), dtype=bool)
+    is_corner[left] = is_corner[right] = True
+    while True:
+        long = right - left > 1
+        left, right = left[long], right[long]
+        if not left.size:
+            return np.asarray(order[is_corner])
+        slope = (ys[right] - ys[left]) / (xs[right] - xs[left])
+        inner = right - left - 1
+        first = np.cumsum(inner) - inner
+        chord = np.repeat(np.arange(left.size), inner)
+        point = np.arange(chord.size) - first[chord] + left[chord] + 1
+        below = ys[point] - ys[left][chord] - slope[chord] * (xs[point] - xs[left][chord])
+        least = np.minimum.reduceat(below, first)
+        lowest = np.flatnonzero(below == least[chord])
+        split = np.flatnonzero(least < 0.0)
+        corner = point[lowest[np.searchsorted(chord[lowest], split)]]
+        is_corner[corner] = True
+        left, right = np.concatenate([left[split], corner]), np.concatenate([corner, right[split]])
+
+
+def line_under(x: Floats, y: Floats, middle: float) -> tuple[float, float]:
+    """Return (offset, rate) of the line under all points that is nearest to them on average.
+
+    ``x``, ``y`` (c,): the corners of the points' lower hull by ascending x. ``middle``: the mean x of the points. The
+    mean distance of a line under the points is its distance there, so the best line is the edge of the hull there. The
+    rate is 0 for a single point.
+    """
+    if x.size == 1:
+        return float(y[0]), 0.0
+    edge = int(np.clip(np.searchsorted(x, middle) - 1, 0, x.size - 2))
+    (x0, x1), (y0, y1) = x[edge : edge + 2], y[edge : edge + 2]
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # times may differ by almost nothing; the rate is then not finite
+        rate = float((y1 - y0) / (x1 - x0))
+        return float(y0 - rate * x0), rate

@@ -7,65 +7,49 @@ time d has two bounds, one cycle apart if no reading is missing::
 
     last reading with the old level  <  c(edge) + delay of that direction  ≤  first reading with the new level
 
-**Unknown** are the two delays, and whether the input is inverted. Each direction therefore has a clock of its own, c +
-its delay. The bounds have the same form as those of an exchange for the host's clock, so all lines that satisfy them
-are found in the same way (``clock_windows``), in overlapping windows. Edges occur anywhere within a cycle, so n of them
-narrow the uncertainty to a few nths of a cycle. Latency plays no role.
+These are rows of ``truearm.clocks``, which fits the clock. Edges occur anywhere within a cycle, so n of them narrow the
+uncertainty to a few nths of a cycle. Latency plays no role.
 
-All edges together allow less than each direction separately, because the two clocks differ by a constant and bend
-slowly. ``edge_ranges`` computes these ranges. If the edges contradict each other there, or all have the same direction,
-only the windows' lines are used.
+**Unknown** are the two delays, and whether the input is inverted. The controller sees falling edges later than rising
+ones by a constant difference D, which may be negative. Edges of one direction, moved by the rates of the clock to those
+of the other, limit D from both sides. With D, both directions bound one clock, that of the direction with the shorter
+delay. Each narrows the other, so this is repeated.
 
 **No edge shows a delay itself**, only the difference of the two: a delay common to both looks like an earlier clock. No
-delay is negative, and the shorter one is assumed to be at most SHORTEST_DELAY_NS, as for an input without a filter.
-With that, c lies between the earlier clock minus SHORTEST_DELAY_NS and the earlier clock. If the bounds do not show
-which clock is the earlier one, c lies in the union of what both allow. That is the **bound**. It holds under two
-conditions. The shorter delay must be within that range. The two clocks must drift apart by no more than 1 ppm per
-minute (the first assumption of ``clock_windows``; both are crystals that nothing slews). Any excess of a filter's delay
-over the range is constant and becomes part of the delay τ. So does any difference between the sampling instants of a
-reading's joints and its inputs.
-
-The **estimate** is the middle of that range if it is narrow. If it is wide, the lines allowed by the edges are first
-restricted to the rate given by arrivals, or to the nearest possible rate, and the middle of those is used. Edges a
-cycle wide determine offsets well and rates poorly; for arrivals it is the other way round. Arrivals only choose among
-what edges allow; the bound does not depend on them.
-
-**Windows** are 60 s long for edges every 0.1 s: longer ones would lose more to drift than they gain on a cycle of 2 ms.
-Every window is valid at any time, so the range is also restricted by windows of 120 s, which contain more edges if
-these are less frequent.
+delay is negative, and the shorter one is assumed to be at most SHORTEST_DELAY_NS, as for an input without a filter. The
+controller's clock therefore lies between the clock of the edges minus SHORTEST_DELAY_NS and that clock. That is the
+**bound**. It holds if the shorter delay is within that range and the rate of the two clocks stays within COURSE_WANDER of
+its mean over two minutes (both are crystals that nothing slews). Any excess of a filter's delay over the range is
+constant and becomes part of the delay τ. So does any difference between the sampling instants of a reading's joints and
+its inputs.
 
 **Matching edges** uses the clocks that are already known (arrivals and exchanges), to within TOLERANCE_S. A change of
 the input and an edge are matched if neither could belong to another one and all have the same polarity, or all the
 opposite one. A bouncing contact or a gap in the readings makes several matches possible: these are left out and
-counted. Edges that contradict the rest are rejected as in ``clock_windows``. A single edge that contradicts all others
-was matched incorrectly or bounced between two readings; a clock does not jump and return. The bound therefore is not
-extended for it.
+counted. An edge that contradicts the others is left out: it was matched incorrectly or bounced between two readings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.clock_windows import Window, blended, lower_hull, windows_of
+from truearm.clocks import Clock, fit
 from truearm.session.device_clock import DeviceClock
-from truearm.session.edge_ranges import EdgeRanges, edge_ranges
 from truearm.session.joint_readings import Changes, InputTrack, JointStream
 from truearm.session.robot_clock import EdgeReport, RobotClock
 from truearm.types import Floats, Ints
 
 SHORTEST_DELAY_NS = 15_000.0  # upper limit for the shorter delay of an input: an optocoupler without a filter
-WINDOWS_US = (60_000_000, 120_000_000)
-RATE_US = 30_000_000  # on both sides of a window's centre: range of arrivals used for the rate
 TOLERANCE_S = 0.1  # possible delay of arrivals; less than half the time between edges
 LEAST_USED = 3
 LEAST_SHARE = 0.5  # of the edges: an input that matches fewer serves another purpose
-NARROW_NS = 50_000.0  # on each side: within so narrow a range, arrivals are not used to choose
+COURSE_WANDER = 1e-6  # of the rate, from its mean over two minutes: two crystals that drift by less than 1 ppm a minute
+ROUNDS = 4  # of the difference of the delays and the clock, each of which narrows the other
 STAMP_NS = 1000  # edge stamps are at most 0.3 µs late; readings are printed to the microsecond
 NODE_S = 10.0  # between the points at which the host time is computed
 LATENCY_NS = 1e6  # shortest latency of a fast link: if the bounds are wider, arrivals are more accurate
@@ -135,62 +119,22 @@ def match(expected_s: Floats, level: NDArray[np.bool_], changes: Changes) -> Mat
 
 
 @dataclass(frozen=True)
-class SeenClock:
-    """Device time → controller time at which the input shows an edge of one direction; ns from a reference."""
-
-    windows: tuple[tuple[Window, ...], ...]  # of each length
-
-    @classmethod
-    def of(cls, rows: Ints, arrivals: Callable[[Ints], Floats]) -> SeenClock | None:
-        """Build from edges (n, 4) as rows of ``clock_windows``; None if none is usable."""
-        if len(rows) < LEAST_USED:
-            return None
-        each = [tuple(_chosen(window, arrivals) for window in windows_of(rows, length)) for length in WINDOWS_US]
-        return cls(tuple(each)) if all(each) else None
-
-    def rejected(self) -> set[int]:
-        """Return the device times of the edges that contradict the others."""
-        return {t for window in self.windows[0] for t in window.rejected_us}
-
-    def at(self, t_us: Ints) -> tuple[Ints, Floats, Floats]:
-        """Return controller times (n,) of device times, and the range of the true minus these [ns]."""
-        seen, bound = blended(self.windows[0], t_us)
-        low, high = -bound, bound
-        for window in (window for windows in self.windows for window in windows):
-            here, reach = window.to_host_ns(t_us)
-            behind = (here - seen).astype(np.float64)
-            low, high = np.maximum(low, behind - reach), np.minimum(high, behind + reach)
-        torn = low > high  # windows contradict each other: handled by ``blended``
-        return seen, np.where(torn, -bound, low), np.where(torn, bound, high)
-
-
-@dataclass(frozen=True)
 class EdgeClock:
     """Device time → controller time within one segment, like ``DeviceClock`` for the host's; ns from ``t_ref_s``."""
 
     t_ref_s: float
-    earlier: tuple[SeenClock, ...]  # of the direction with the shorter delay; of both if that is not known
-    together: EdgeRanges | None  # None if the clock violates DRIFT or all edges have the same direction
+    clock: Clock  # of the direction with the shorter delay
+    best: Clock  # the same by the most likely difference of the delays
     first_us: int
 
     def to_robot_s(self, t_us: Ints) -> tuple[Floats, Floats]:
         """Return controller times (n,) [s] of device times (n,) and the bounds (n,) [ns] of their errors."""
-        t_us = np.asarray(t_us, dtype=np.int64)
-        seen, low, high = (np.array(rows) for rows in zip(*(clock.at(t_us) for clock in self.earlier), strict=True))
-        behind = (seen - seen[0]).astype(np.float64)
-        estimate = np.mean(behind + np.clip(0.0, low, high), axis=0)
-        earliest = np.min(behind + low, axis=0)
-        latest = np.min(behind + high, axis=0)  # whichever delay is shorter
-        if self.together is not None:
-            base, lowest, highest = self.together.at(t_us)
-            aside = (base - seen[0]).astype(np.float64)
-            earliest, latest = np.maximum(earliest, aside + lowest), np.minimum(latest, aside + highest)
-            middle, half = 0.5 * (earliest + latest), 0.5 * (latest - earliest)
-            aside_at_most = np.maximum(half - NARROW_NS, 0.0)
-            estimate = np.clip(estimate, middle - aside_at_most, middle + aside_at_most)
+        stamps = 1000 * np.asarray(t_us, dtype=np.int64)
+        middle, reach = self.clock.to_time(stamps)
+        aside = np.clip(self.best.to_time(stamps)[0] - middle, -reach, reach)
         # No delay is negative, and the shorter one is at most SHORTEST_DELAY_NS.
-        error = np.maximum(latest - estimate, estimate - earliest) + 0.5 * SHORTEST_DELAY_NS
-        return np.asarray(self.t_ref_s + 1e-9 * (seen[0] + estimate - 0.5 * SHORTEST_DELAY_NS)), error
+        seen, bound = middle + aside - 0.5 * SHORTEST_DELAY_NS, reach + np.abs(aside) + 0.5 * SHORTEST_DELAY_NS
+        return np.asarray(self.t_ref_s + 1e-9 * seen), bound
 
 
 class EdgeFit(NamedTuple):
@@ -203,51 +147,51 @@ class EdgeFit(NamedTuple):
     falling_later_ns: tuple[float, float]  # at least and at most; NaN if only one direction is usable
 
 
-def fit_edges(t_ref_s: float, edges: TimedEdges, arrivals: Callable[[Ints], Floats]) -> EdgeFit | None:
-    """Fit the clock to edges (n,) of one segment.
-
-    ``arrivals``: controller times [s] of device times, up to an unknown constant. None if no edge is usable.
-    """
-    low, high = (np.rint(1e9 * (t - t_ref_s)).astype(np.int64) for t in (edges.before_s, edges.after_s))
-    rows = np.stack([low - STAMP_NS, edges.t_us, edges.t_us, high + STAMP_NS], axis=1)
-    each = [SeenClock.of(part, arrivals) for part in (rows[edges.level], rows[~edges.level])]
-    clocks = tuple(clock for clock in each if clock is not None)
-    if not clocks:
+def fit_edges(t_ref_s: float, edges: TimedEdges) -> EdgeFit | None:
+    """Fit the clock to edges (n,) of one segment; None if no edge is usable."""
+    before, after = (np.rint(1e9 * (t - t_ref_s)).astype(np.int64) for t in (edges.before_s, edges.after_s))
+    rows, rising = np.stack([1000 * edges.t_us, after + STAMP_NS, before - STAMP_NS]), edges.level
+    alone = [clock for k in (rising, ~rising) if (clock := _fit(rows[:, k])) is not None]
+    if not alone:
         return None
-    left_out = np.array(sorted(set().union(*(clock.rejected() for clock in clocks))), dtype=np.int64)
-    kept = ~np.isin(edges.t_us, left_out)
-    together = edge_ranges(rows[kept], edges.level[kept])
-    later = _later_ns(*clocks, edges.t_us) if len(clocks) == 2 else (np.nan, np.nan)
-    if together is not None:
-        later = max(later[0], together.falling_later_ns[0]), min(later[1], together.falling_later_ns[1])
-    if 0.0 < later[0] <= later[1]:
-        clocks = clocks[:1]
-    elif later[0] <= later[1] < 0.0:
-        clocks = clocks[1:]
-    return EdgeFit(EdgeClock(t_ref_s, clocks, together, int(edges.t_us[0])), left_out.size, later)
+    right = ~np.isin(rows[0], np.concatenate([clock.wrong for clock in alone]))
+    rows, rising = rows[:, right], rising[right]
+    clock = best = alone[0]
+    later = (np.nan, np.nan)
+    for _ in range(ROUNDS if len(alone) == 2 else 0):
+        if len(clock.steady) > 1:  # a clock stepped
+            break
+        later = _falling_later(clock, rows, rising)
+        least, most = sorted(later)
+        clock = _fit(_of_earlier(rows, rising, least, most)) or clock
+        best = _fit(_of_earlier(rows, rising, 0.5 * (least + most), 0.5 * (least + most))) or clock
+    rejected = len(right) - rising.size + clock.wrong.size
+    return EdgeFit(EdgeClock(t_ref_s, clock, best, int(edges.t_us[0])), rejected, later)
 
 
-def _later_ns(first: SeenClock, second: SeenClock, t_us: Ints) -> tuple[float, float]:
-    """Return the least and greatest delay of the second clock relative to the first.
+def _of_earlier(rows: Ints, rising: NDArray[np.bool_], least: float, most: float) -> Ints:
+    """Return the rows of the earlier direction's clock, whichever that is: falling edges are later by least to most."""
+    earliest, latest = (
+        np.where(rising, min(0.0, least), min(0.0, -most)),
+        np.where(rising, min(0.0, most), min(0.0, -least)),
+    )
+    return rows + np.rint([np.zeros(rising.size), latest, earliest]).astype(np.int64)
 
-    The delay is constant, so all device times (n,) contribute.
+
+def _fit(rows: Ints) -> Clock | None:
+    return fit(*rows, course_wander=COURSE_WANDER)
+
+
+def _falling_later(clock: Clock, rows: Ints, rising: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return how much later falling edges are seen than rising ones, at least and at most.
+
+    The difference of the delays is constant, so each edge limits it by all edges of the other direction, which the rates
+    of a clock move to it.
     """
-    (first_ns, first_low, first_high), (second_ns, second_low, second_high) = first.at(t_us), second.at(t_us)
-    apart = (second_ns - first_ns).astype(np.float64)
-    return float(np.max(apart + second_low - first_high)), float(np.min(apart + second_high - first_low))
-
-
-def _chosen(window: Window, arrivals: Callable[[Ints], Floats]) -> Window:
-    """Return the window with the middle of its lines at the rate of ``arrivals``, or at the nearest rate that it
-    allows.
-    """
-    ends = window.centre_us + np.array([-RATE_US, RATE_US])
-    apart = np.diff(arrivals(ends))[0]
-    offsets, rates = window.lines.T
-    rate = float(np.clip(1e6 * apart / (ends[1] - ends[0]) - 1.0, rates.min(), rates.max()))
-    low, high = lower_hull(rates, offsets), lower_hull(rates, -offsets)
-    between = np.interp(rate, rates[low], offsets[low]) + np.interp(rate, rates[high], offsets[high])
-    return replace(window, offset_ns=0.5 * float(between), rate=rate, reach_ns=0.0)
+    early, late = (clock.beside_course(*rows[:, k]) for k in (rising, ~rising))
+    x = np.concatenate([early.x, late.x])
+    (least, most), (least_later, most_later) = early.range(x), late.range(x)
+    return float(np.max(least_later - most)), float(np.min(most_later - least))
 
 
 @dataclass(frozen=True)
@@ -384,7 +328,7 @@ def _ties(
             continue
         change = matched.change[paired]
         timed = TimedEdges(edges.t_us[paired], edges.level[paired], changes.before_s[change], changes.after_s[change])
-        fit = fit_edges(arrivals.t_ref_s, timed, partial(_by_arrivals, arrivals, clocks[segment]))
+        fit = fit_edges(arrivals.t_ref_s, timed)
         if fit is not None:
             ties.append(_Tie(fit, clocks[segment], paired.size - fit.rejected))
     return ties
@@ -396,7 +340,7 @@ def _through_nodes(
     """Convert controller time to host time via device time, computed every NODE_S.
 
     Also return, for each node, the part of the bound that is between controller and box [ns]: it is that of the edges
-    alone, without the box's clock against the host's. Between nodes both clocks are practically straight: DRIFT bends them by less than 1 µs in 10 s.
+    alone, without the box's clock against the host's. Between nodes both clocks are practically straight: a drift of 1 ppm a minute bends them by less than 1 µs in 10 s.
     """
     nodes = np.linspace(first_s, last_s, max(2, round((last_s - first_s) / NODE_S) + 1))
     best, to_box_ns = np.full(nodes.size, np.inf), np.full(nodes.size, np.nan)
