@@ -30,7 +30,8 @@ def test_twelve_seats_of_one_place_make_a_real_arm_worse_elsewhere(tmp_path, run
     assert change["mean_before_mm"] == pytest.approx(result["held_out_before"]["mean_mm"], rel=1e-6)
     assert change["mean_after_mm"] == pytest.approx(result["held_out"]["mean_mm"], rel=1e-6)
     assert change["mean_after_mm"] > 2.0 > 1.0 > change["mean_before_mm"]
-    assert said.startswith("This fit is not usable. It is worse than the nominal robot with base and tool placed")
+    assert result["findings"][0]["code"] == "worse-than-nominal"
+    assert said.startswith(result["findings"][0]["text"][:60])
     code, _, err = run("export", out, *ARM[:4], "--format", "urdf", "--out", tmp_path / "arm.urdf")
     assert (code, "(worse than nominal)" in err) == (2, True)
 
@@ -44,9 +45,8 @@ def test_a_calibration_that_is_not_significantly_better_says_so_first(tmp_path, 
     change = result["mean_change"]
     assert (change["gain"], change["by"], change["n_mm"]) == ("no better", "cross-validation", 12)
     assert change["mean_after_mm"] > change["mean_before_mm"]
-    assert said.startswith(
-        "The calibration is not significantly better than the nominal robot with base and tool placed"
-    )
+    assert result["findings"][0]["code"] == "no-gain"
+    assert said.startswith(result["findings"][0]["text"][:60])
 
 
 def tolerances(size, seed):
@@ -66,7 +66,8 @@ def test_the_fit_of_an_arm_without_errors_is_worse_in_cross_validation(tmp_path)
     assert found.document["mean_change"]["by"] == "cross-validation"
     page = tmp_path / "report.html"
     write_page(page, found, "", [])
-    assert 'class="verdict">This fit is not usable. It is worse than the nominal robot' in page.read_text()
+    assert found.document["findings"][0]["code"] == "worse-than-nominal"
+    assert f'class="verdict">{found.document["findings"][0]["text"][:60]}' in page.read_text()
 
 
 @pytest.mark.parametrize("seed", range(4))

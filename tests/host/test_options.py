@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from tests.refusals import ended
 
 from truearm.cli import command as declaration
 from truearm.cli.main import command_tree, main
@@ -62,24 +63,24 @@ def test_every_word_of_the_page_is_an_option():
 @pytest.mark.parametrize(
     ("typed", "now"),
     [
-        ("identify t.csv --robot puma560", "--robot is now --model"),
-        ("record --robot tcp://127.0.0.1:7008", "--robot is now --address"),
-        ("record --device /dev/ttyACM0", "--device is now --box"),
-        ("box info --device /dev/ttyACM0", "--device is now --box"),
-        ("simulate --robot rtde", "--robot is now --protocol"),
-        ("simulate --rig-file rig.toml", "--rig-file is now --rig"),
-        ("demo --rig line", "--rig is now --experiment"),
-        ("identify t.csv --save-table x.csv", "--save-table is now --table-out"),
-        ("identify t.csv --allow joint1", "--allow is now --apply"),
-        ("inspect s.mcap --allow-truncated", "--allow-truncated is now --allow-damaged"),
-        ("demo --device x", "No such option: --device"),  # it has no box
-        ("recover session.mcap", "truearm recover is now truearm session recover"),
-        ("export-session session.mcap --out x", "truearm export-session is now truearm session export"),
+        ("identify t.csv --robot puma560", "--model"),
+        ("record --robot tcp://127.0.0.1:7008", "--address"),
+        ("record --device /dev/ttyACM0", "--box"),
+        ("box info --device /dev/ttyACM0", "--box"),
+        ("simulate --robot rtde", "--protocol"),
+        ("simulate --rig-file rig.toml", "--rig"),
+        ("demo --rig line", "--experiment"),
+        ("identify t.csv --save-table x.csv", "--table-out"),
+        ("identify t.csv --allow joint1", "--apply"),
+        ("inspect s.mcap --allow-truncated", "--allow-damaged"),
+        ("demo --device x", "--device"),  # it has no box
+        ("recover session.mcap", "truearm session recover"),
+        ("export-session session.mcap --out x", "truearm session export"),
     ],
 )
 def test_an_earlier_word_is_refused_and_the_new_one_named(typed, now, capsys):
     assert main(typed.split()) == 2
-    assert now in capsys.readouterr().err
+    ended(capsys.readouterr().err, "usage", reason=now)
 
 
 @pytest.mark.parametrize("typed", ["correct targets.csv r.json --out c.csv", "validate poses.csv r.json"])
@@ -89,7 +90,7 @@ def test_files_in_the_wrong_order_are_named_as_such(typed, tmp_path, monkeypatch
     Path("poses.csv").write_text("kind,bar\n")
     Path("r.json").write_text('{"format": "truearm-result"}')
     assert main(typed.split()) == 2
-    assert f"{typed.split()[1]}: stands where the result belongs" in capsys.readouterr().err
+    ended(capsys.readouterr().err, "invalid-input", place=typed.split()[1])
 
 
 @pytest.mark.parametrize(

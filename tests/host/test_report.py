@@ -64,7 +64,7 @@ def test_every_kind_has_its_words_and_units(kind):
     text = render(make_page(240, kind))
     of = kinds()[kind]
     name, signed = of.name, of.components.count("m") == 1
-    assert f"Residual of a {name} observation: " in text
+    assert name in text
     assert all(html.escape(residual) in text for residual in of.residual.values())
     assert ("Gaussian" in text, "Maxwell" in text) == (signed, not signed)
     assert f"By {of.groups}" in titles(text)

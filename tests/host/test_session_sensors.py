@@ -80,15 +80,15 @@ def with_channel(**change):
 
 
 FAULTY = [
-    ({"scale": "abc"}, "scale is missing or not a list"),
-    ({"scale": [1]}, "scale must be"),
-    ({"scale": [True, 1]}, "scale must be"),
-    ({"scale": [1, 400]}, "scale is out of range"),
-    ({"calibration": {"unit": "m", "poly": [1, 2]}}, r"poly\[0\] is missing or not a list"),
-    ({"calibration": {"unit": "m", "poly": [[1, 0]] * 17}}, "17 coefficients, 16 are possible"),
-    ({"calibration": {"unit": 5, "poly": [[1, 0]]}}, "unit is missing or not a text"),
-    ({"calibration": [1]}, "calibration is missing or not a map"),
-    ({"unit": 5}, "unit is missing or not a text"),
+    ({"scale": "abc"}, "scale"),
+    ({"scale": [1]}, "scale"),
+    ({"scale": [True, 1]}, "scale"),
+    ({"scale": [1, 400]}, "scale"),
+    ({"calibration": {"unit": "m", "poly": [1, 2]}}, r"poly\[0\]"),
+    ({"calibration": {"unit": "m", "poly": [[1, 0]] * 17}}, "17 coefficients, 16"),
+    ({"calibration": {"unit": 5, "poly": [[1, 0]]}}, "unit"),
+    ({"calibration": [1]}, "calibration"),
+    ({"unit": 5}, "unit"),
 ]
 
 
@@ -102,8 +102,9 @@ class TestIdent:
         assert math.isnan(stream.channels[0].scale)
         assert [c.fault for c in stream.channels[1:]] == ["", "", ""]
         (fault,) = found.faults
-        assert fault == f"channel 'lvdt' of stream adc: {stream.channels[0].fault}"
-        with pytest.raises(SessionError, match=f"'lvdt' of the box cannot be used: .*{says}"):
+        assert "'lvdt'" in fault
+        assert fault.endswith(stream.channels[0].fault)
+        with pytest.raises(SessionError, match=f"'lvdt'.*{says}"):
             extension(np.array([1]), stream.channels[0])
 
     def test_a_channel_without_a_name_and_one_that_is_none(self):
@@ -134,7 +135,7 @@ class TestIdent:
     )
     def test_the_last_error_of_its_firmware(self, text, shown):
         (fault,) = parse_ident({**ident_document(), "last_error": text}).faults
-        assert fault.startswith("the box's firmware stopped with an error earlier: " + shown)
+        assert shown in fault
         assert len(fault) < 120
 
     def test_a_stream_of_flight_times(self):

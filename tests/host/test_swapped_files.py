@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from tests.refusals import ended
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
 FILES = {
@@ -43,5 +44,4 @@ def test_a_swapped_file_is_named(typed, file, kind, expected, run, tmp_path, mon
     words = [f"../{word}" if word in FILES else word.replace("day=", "day=../") for word in typed.split()]
     code, out, err = run(*words)
     assert (code, out) == (2, "")
-    assert f"{file}: is {kind}, where " in err
-    assert expected in err
+    ended(err, "invalid-input", f"{kind}, where ", expected, place=file)
