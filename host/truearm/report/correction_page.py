@@ -143,12 +143,13 @@ def _rows(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, tota
 def _pictures(document: Document) -> list[Figure]:
     chosen = thinned(len(document["targets"]), MOST_ARROWS)
     asked, told = (_places(document, when)[chosen] for when in ("before", "after"))
+    names = [document["targets"][i]["place"] for i in chosen]
     views = [("Shifts from above", [0, 1]), ("Shifts from the side", [0, 2])]
-    arrows = [_arrows(title, axes, asked[:, axes], (told - asked)[:, axes]) for title, axes in views]
-    return [*arrows, _errors(document, chosen)]
+    arrows = [_arrows(title, axes, asked[:, axes], (told - asked)[:, axes], names) for title, axes in views]
+    return [*arrows, _errors(document, chosen, names)]
 
 
-def _arrows(title: str, axes: Sequence[int], at: Floats, by: Floats) -> Figure:
+def _arrows(title: str, axes: Sequence[int], at: Floats, by: Floats, names: Sequence[str]) -> Figure:
     """Return positions in two axes of the file's frame [mm] with their shifts, enlarged by a round factor."""
     span = max(float(np.ptp(at, axis=0).max()), 100.0)
     median = float(np.median(np.linalg.norm(by, axis=1)))
@@ -156,18 +157,22 @@ def _arrows(title: str, axes: Sequence[int], at: Floats, by: Floats) -> Figure:
     ends = at + factor * by
     low, high = np.minimum(at, ends).min(axis=0), np.maximum(at, ends).max(axis=0)
     middle, half = 0.5 * (low + high), 0.55 * max(float((high - low).max()), 100.0)
-    names = [f"{'xyz'[axis]} [mm]" for axis in axes]
-    x, y = (svg.linear_axis(name, m - half, m + half) for name, m in zip(names, middle, strict=True))
+    titles = [f"{'xyz'[axis]} [mm]" for axis in axes]
+    x, y = (svg.linear_axis(name, m - half, m + half) for name, m in zip(titles, middle, strict=True))
     plot = svg.Plot(x, y, height=420.0)
     lines = zip(plot.px(at[:, 0]), plot.py(at[:, 1]), plot.px(ends[:, 0]), plot.py(ends[:, 1]), strict=True)
     path = "".join(f"M{svg.num(a)} {svg.num(b)}L{svg.num(c)} {svg.num(d)}" for a, b, c, d in lines)
-    parts = [svg.axes(plot), f'<path class="fit" fill="none" d="{path}"/>', svg.dots(plot, at[:, 0], at[:, 1], "old")]
+    parts = [
+        svg.axes(plot),
+        f'<path class="fit" fill="none" d="{path}"/>',
+        svg.scatter(plot, at[:, 0], at[:, 1], "old", names),
+    ]
     parts.append(svg.legend(plot, [("old", "target"), ("fit line", f"its shift, × {factor:g}")]))
     caption = f"Each line runs from a target to where the command moved it, drawn {factor:g} times as long."
     return drawn(plot, title, caption, parts)
 
 
-def _errors(document: Document, chosen: Sequence[int] | np.ndarray) -> Figure:
+def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Sequence[str]) -> Figure:
     """Return the errors without correction and the expected errors with it, in the order of the file."""
     order = np.asarray(chosen, dtype=float) + 1.0
     before, due = (_column(document, key)[chosen] for key in ("error_before_mm", "expected_mm"))
@@ -176,7 +181,11 @@ def _errors(document: Document, chosen: Sequence[int] | np.ndarray) -> Figure:
         svg.linear_axis("target", 1.0, float(len(document["targets"]))),
         svg.log_axis("error [mm]", np.concatenate([before, due[known]])),
     )
-    parts = [svg.axes(plot), svg.dots(plot, order, before, "val"), svg.dots(plot, order[known], due[known], "fit")]
+    tips = [
+        [f"{name}: {figures(value)} mm" for name, value in zip(names, values, strict=True)] for values in (before, due)
+    ]
+    parts = [svg.axes(plot), svg.scatter(plot, order, before, "val", tips[0])]
+    parts.append(svg.scatter(plot, order[known], due[known], "fit", np.array(tips[1])[known]))
     parts.append(svg.legend(plot, [("val", "without correction"), ("fit", "expected with it, k = 2")]))
     caption = f"Error of {document['error_point']} without the correction, and the bound expected with it (about 95 %)."
     if not known.all():

@@ -126,7 +126,8 @@ def validation_certificate(
 
 def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording], result: str) -> Facts:
     project, checksum = issue.project, str(calibration.document.get("checksum", ""))[:12]
-    masses = ", ".join(masses_of(calibration.stored.payloads))
+    payloads = calibration.stored.payloads
+    masses = ", ".join(masses_of(payloads)) if any(payload.mass for payload in payloads) else ""
     return (
         ("certificate", issue.number or NOT_GIVEN),
         ("issued", f"{datetime.now(UTC):%Y-%m-%d}"),
@@ -136,7 +137,7 @@ def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording
         ("model", calibration.chain.name),
         ("serial number", project.serial or NOT_GIVEN),
         ("controller", project.controller or NOT_GIVEN),
-        ("payload", f"{masses} kg" if masses else "not stated: as mounted during the measurement"),
+        ("payload", f"{masses} kg" if masses else "none declared: as mounted during the measurement"),
         ("operator", project.operator or NOT_GIVEN),
         ("software", f"truearm {__version__}"),
         (
