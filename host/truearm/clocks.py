@@ -11,7 +11,7 @@ and likewise from below. The least of the upper bounds and the greatest of the l
 rows before t and after t (``Band``). **Half the distance between them bounds the error.** The mean rate is known within
 an interval by pairs of rows far apart, which widens the band.
 
-**The estimate** lies in that range. The middle of the range shows the rate around each row, over two minutes. The rates add
+**The estimate** lies in that range. The middle of the range shows the rate around each row, over a minute. The rates add
 up to a *course*. The range that is left if the rate stays within FOLLOWED of the course's has a middle that is as good
 as the line of the largest margin. Its rates make a better course, and that one the estimate, clipped to the hard range.
 
@@ -40,7 +40,7 @@ WANDER = 30e-6  # of the rate of two crystals, about its mean: temperature and a
 SLEWED_WANDER = 530e-6  # if the operating system slews one of the clocks, by up to 500 ppm
 RATE_LIMIT = 1e-3  # beyond that it is not a clock of the same unit
 FOLLOWED = 1e-6  # of the rate, from that of the course: for the estimate alone
-COURSE_NS = 120e9  # over which the rate is taken
+FOLLOWED_NS, COURSE_NS = 60e9, 120e9  # over which the rate is taken: for the estimate alone, and if it bounds y too
 SLOPE_NS = 10e9  # baseline of the median rate, which single steps do not spoil
 ROUNDS = 6  # of the course and the range
 FEW = 3  # rows that are a step and not wrong
@@ -110,7 +110,7 @@ class Steady:
     course_wander: float | None  # of the rate, from that of the course; None: unknown
 
     @classmethod
-    def of(cls, rows: Band, wander: float, course_wander: float | None) -> Steady:
+    def from_rows(cls, rows: Band, wander: float, course_wander: float | None) -> Steady:
         """Bound the rate by rows far apart, unless it then contradicts the rows: it is within ``wander`` of no mean.
 
         The rates of the course follow from y at the rows, at first the middle of the range, then the estimate. They are off
@@ -119,8 +119,9 @@ class Steady:
         band = rows.with_rate(0.5 * (rows.x[-1] - rows.x[0]), wander)
         band = rows if np.any(band.contradicts(band)) else band
         x = band.x
-        begin = np.clip(x - 0.5 * COURSE_NS, x[0], max(x[0], x[-1] - COURSE_NS))
-        end = np.minimum(begin + COURSE_NS, x[-1])
+        span = FOLLOWED_NS if course_wander is None else COURSE_NS
+        begin = np.clip(x - 0.5 * span, x[0], max(x[0], x[-1] - span))
+        end = np.minimum(begin + span, x[-1])
         duration = np.maximum(end - begin, 1.0)
         low, high = band.range(x)
         y = _middle(low, high)
@@ -143,19 +144,19 @@ class Steady:
         beyond = first * np.minimum(t - x[0], 0.0) + last * np.maximum(t - x[-1], 0.0)
         return np.asarray(np.interp(t, x, self.course) + beyond)
 
-    def _beside(self, wander: float) -> Band:
+    def _relative_rows(self, wander: float) -> Band:
         """Return the rows relative to the course."""
         return Band(self.band.x, self.band.low - self.course, self.band.high - self.course, -wander, wander)
 
     @cached_property
     def _followed(self) -> Band:
-        return self._beside(FOLLOWED)
+        return self._relative_rows(FOLLOWED)
 
     @cached_property
     def _bounded(self) -> Band | None:
         if self.course_wander is None:
             return None
-        band = self._beside(self.course_wander)
+        band = self._relative_rows(self.course_wander)
         return None if np.any(band.contradicts(band)) else band
 
     def estimate(self, t: Floats) -> Floats:
@@ -202,23 +203,23 @@ class Clock:
         whole = np.asarray(stamps, dtype=np.int64) - self.stamp_ref
         t = whole.astype(float)
         y, bound = np.empty(t.shape), np.empty(t.shape)
-        of = np.searchsorted([piece.band.x[0] for piece in self.steady[1:]], t, side="right")
-        for k, piece in enumerate(self.steady):
-            mine = of == k
-            inner = t[mine]
-            low, high = piece.range(inner)
-            best = piece.estimate(inner)
+        piece = np.searchsorted([steady.band.x[0] for steady in self.steady[1:]], t, side="right")
+        for k, steady in enumerate(self.steady):
+            selected = piece == k
+            x = t[selected]
+            low, high = steady.range(x)
+            best = steady.estimate(x)
             if k + 1 < len(self.steady):  # behind the last row before a step, the time is as before it or as after it
-                behind = inner > piece.band.x[-1]
-                low_after, high_after = self.steady[k + 1].range(inner)
-                low = np.where(behind, np.minimum(low, low_after), low)
-                high = np.where(behind, np.maximum(high, high_after), high)
-                best = np.where(behind, _middle(low, high), best)
-            y[mine] = np.clip(best, low, high)
-            bound[mine] = np.maximum(high - y[mine], y[mine] - low)
+                undecided = x > steady.band.x[-1]
+                low_after, high_after = self.steady[k + 1].range(x)
+                low = np.where(undecided, np.minimum(low, low_after), low)
+                high = np.where(undecided, np.maximum(high, high_after), high)
+                best = np.where(undecided, _middle(low, high), best)
+            y[selected] = np.clip(best, low, high)
+            bound[selected] = np.maximum(high - y[selected], y[selected] - low)
         return self.time_ref + whole + np.rint(y).astype(np.int64), bound + 1.0
 
-    def beside_course(self, stamps: Ints, latest: Ints, earliest: Ints) -> Band:
+    def relative_to_course(self, stamps: Ints, latest: Ints, earliest: Ints) -> Band:
         """Return other rows, ascending, relative to the course of this clock, which has no step."""
         (steady,) = self.steady
         x = stamps - self.stamp_ref
@@ -253,9 +254,9 @@ class Clock:
     @property
     def rate(self) -> float:
         """How much faster the time runs than the stamps: the mean, without steps."""
-        ends = [piece.band.x[[0, -1]] for piece in self.steady]
-        rise = sum(np.diff(piece.estimate(end))[0] for piece, end in zip(self.steady, ends, strict=True))
-        return float(rise / max(sum(np.diff(end)[0] for end in ends), 1.0))
+        ends = [steady.band.x[[0, -1]] for steady in self.steady]
+        rise = sum(np.diff(steady.estimate(x))[0] for steady, x in zip(self.steady, ends, strict=True))
+        return float(rise / max(sum(np.diff(x)[0] for x in ends), 1.0))
 
 
 def fit(
@@ -270,10 +271,10 @@ def fit(
 
     ``stamps`` (k,) [ns], in any order. ``latest`` (k,) [ns]: a time that had not passed at the stamp, such as that of the
     arrival of a message. ``earliest`` (k,) [ns]: a time that had passed, such as that at which a request was sent.
-    Without it the times are those of the fastest messages, and no bound is known. ``wander``: WANDER, or SLEWED_WANDER if
-    the operating system slews one of the clocks. ``course_wander``: how far the rate may be from its mean over the two
-    minutes around, if that is known; it narrows the bound unless rows contradict it. Raises TypeError if a column does not hold integers, ValueError if their
-    lengths differ.
+    Without it the times are those of the fastest messages, no bound is known and no step is seen. ``wander``: WANDER, or
+    SLEWED_WANDER if the operating system slews one of the clocks. ``course_wander``: how far the rate may be from its mean
+    over the two minutes around, if that is known; it narrows the bound unless rows contradict it. Raises TypeError if a
+    column does not hold integers, ValueError if their lengths differ.
     """
     columns = (stamps, latest, latest if earliest is None else earliest)
     rows = np.stack(columns, dtype=np.int64, casting="same_kind")
@@ -288,7 +289,7 @@ def fit(
     baseline = min(SLOPE_NS, 0.25 * float(x[-1]))  # a step spoils no more than a third of the rates
     band = Band(x.astype(float), low, high, 0.0, 0.0).with_rate(baseline, wander)
     pieces = _without_steps(band)
-    steady = tuple(Steady.of(band.rows(index), wander, course_wander) for index in pieces)
+    steady = tuple(Steady.from_rows(band.rows(index), wander, course_wander) for index in pieces)
     return Clock(stamp_ref, time_ref, steady, np.delete(stamps, np.concatenate(pieces)))
 
 

@@ -163,13 +163,13 @@ def fit_edges(t_ref_s: float, edges: TimedEdges) -> EdgeFit | None:
             break
         later = _falling_later(clock, rows, rising)
         least, most = sorted(later)
-        clock = _fit(_of_earlier(rows, rising, least, most)) or clock
-        best = _fit(_of_earlier(rows, rising, 0.5 * (least + most), 0.5 * (least + most))) or clock
+        clock = _fit(_earlier_direction(rows, rising, least, most)) or clock
+        best = _fit(_earlier_direction(rows, rising, 0.5 * (least + most), 0.5 * (least + most))) or clock
     rejected = len(right) - rising.size + clock.wrong.size
     return EdgeFit(EdgeClock(t_ref_s, clock, best, int(edges.t_us[0])), rejected, later)
 
 
-def _of_earlier(rows: Ints, rising: NDArray[np.bool_], least: float, most: float) -> Ints:
+def _earlier_direction(rows: Ints, rising: NDArray[np.bool_], least: float, most: float) -> Ints:
     """Return the rows of the earlier direction's clock, whichever that is: falling edges are later by least to most."""
     earliest, latest = (
         np.where(rising, min(0.0, least), min(0.0, -most)),
@@ -188,7 +188,7 @@ def _falling_later(clock: Clock, rows: Ints, rising: NDArray[np.bool_]) -> tuple
     The difference of the delays is constant, so each edge limits it by all edges of the other direction, which the rates
     of a clock move to it.
     """
-    early, late = (clock.beside_course(*rows[:, k]) for k in (rising, ~rising))
+    early, late = (clock.relative_to_course(*rows[:, k]) for k in (rising, ~rising))
     x = np.concatenate([early.x, late.x])
     (least, most), (least_later, most_later) = early.range(x), late.range(x)
     return float(np.max(least_later - most)), float(np.min(most_later - least))
