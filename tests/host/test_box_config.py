@@ -66,6 +66,17 @@ def test_a_file_that_is_put_back_changes_nothing(config):
     assert firmware.check(back) is back
 
 
+def test_a_calibration_that_is_changed_by_hand_names_no_reference():
+    config = full()
+    config["magnetostrictive"] |= {"reference": "scale 17", "reference_sigma": [4, -6]}
+    typed = with_assignment(config, "magnetostrictive.us_per_inch=9.017")
+    filed = with_file(config, "[magnetostrictive]\nus_per_inch = 9.017\n", "box.toml")
+    for changed in (typed, filed):
+        assert not {"reference", "reference_sigma"} & changed["magnetostrictive"].keys()
+    same = with_assignment(config, "magnetostrictive.serial=S-2")
+    assert same["magnetostrictive"]["reference"] == "scale 17"
+
+
 def test_what_this_truearm_does_not_know_is_kept():
     config = full()
     text = format_config(config)

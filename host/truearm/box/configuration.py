@@ -20,6 +20,7 @@ from truearm.box.configuration_schema import (
     MAGNETOSTRICTIVE,
     MODULATOR_NS,
     OSRS,
+    PROVENANCE,
     THERMOMETERS,
     UnquotedText,
     as_table,
@@ -133,7 +134,10 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
     channels, head = given.pop("channels", ()), given.pop("magnetostrictive", {})
     named = given.pop("thermometers", {})
     new |= given
-    new.setdefault("magnetostrictive", {}).update(head)
+    before = new.setdefault("magnetostrictive", {})
+    if any(head.get(key, before.get(key)) != before.get(key) for key in ("us_per_inch", "delay_ns")):
+        _without_provenance(before)
+    before.update(head)
     if named:
         new.setdefault("thermometers", {}).update(named)
     for index, channel in zip(_places(new, channels, name), channels, strict=True):
@@ -171,6 +175,12 @@ def _places(config: Mapping[str, Any], channels: Sequence[Mapping[str, Any]], na
     )
 
 
+def _without_provenance(calibration: Values) -> None:
+    """Remove how a calibration was made: the new one was made otherwise."""
+    for key in PROVENANCE:
+        calibration.pop(key.called, None)
+
+
 def with_assignment(config: Mapping[str, Any], text: str) -> Values:
     """Return ``config`` with one KEY=VALUE changed, such as ``channel.lvdt.gain=2``. Raises ConfigError.
 
@@ -192,6 +202,8 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
             return new
         if not value.strip() and not isinstance(key.value, UnquotedText):
             raise ConfigError(f"{path.strip()}: needs a value; it cannot be removed")
+        if name in ("poly", "us_per_inch", "delay_us"):
+            _without_provenance(target)
         with at(path.strip()):
             raw = _value(value.strip(), isinstance(key.value, UnquotedText))
             target[key.called] = key.value.parse(raw, key.spellings[name])
