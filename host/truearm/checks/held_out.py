@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from truearm.checks.evidence import WIDEST
 from truearm.checks.whitened import WhitenedFit
@@ -14,7 +13,7 @@ from truearm.types import Floats, Indices
 
 BLOCKS = 12  # contiguous stretches of the order of measurement
 FEWEST_PLACES = 3
-JITTER = 1e-12  # of the square of a column
+LEAST = 1e-11  # of the largest eigenvalue of the information: less is rounding
 
 
 class Gain(NamedTuple):
@@ -31,11 +30,30 @@ def left_out_blocks(n: int, places: Indices | None) -> Indices:
     return np.arange(n) * BLOCKS // n
 
 
+class Block(NamedTuple):
+    """Rows left out: their residuals' indices, the inverse (k, k) of what all others determine, and a basis (n, r) of what
+    only these rows determine, such as the sockets of a place.
+    """
+
+    rows: Indices
+    inverse: Floats
+    own: Floats
+
+
+def _block(rows: Indices, jac: Floats, information: Floats) -> Block:
+    inside = jac[rows]
+    values, vectors = np.linalg.eigh(information - inside.T @ inside)
+    determined = values > LEAST * values[-1]
+    usable = vectors[:, determined]
+    own, singular, _ = np.linalg.svd(inside @ vectors[:, ~determined], full_matrices=False)
+    return Block(rows, usable / values[determined] @ usable.T, own[:, singular > math.sqrt(LEAST)])
+
+
 class LeftOut:
     """Predictions of each block of rows by a fit to all others, with the columns (m, d) of findings as parameters.
 
     x = (H − H_b)⁻¹(g − g_b), with H and g of all rows and knowledge. Further columns enter by their Schur complement.
-    What only the rows of a block determine, such as the sockets of a place, is fitted to these.
+    What only the rows of a block determine is fitted to these.
     """
 
     def __init__(self, fit: WhitenedFit, findings: Floats, blocks: Indices) -> None:
@@ -48,45 +66,31 @@ class LeftOut:
         self.jac, prior, self.target = jac / scale, prior / scale, fit.residual
         targets = np.concatenate([fit.knowledge_residual, fit.prior_residual, np.zeros(d)])
         information, self.score = self.jac.T @ self.jac + prior.T @ prior, self.jac.T @ self.target + prior.T @ targets
-        block = blocks[fit.row]
-        self.rows = [np.flatnonzero(block == number) for number in np.unique(block)]
-        jitter = JITTER * np.eye(k + d)
-        self.factors = [
-            linalg.cho_factor(information - self.jac[inside].T @ self.jac[inside] + jitter) for inside in self.rows
-        ]
-        self.own = [self._own_columns(inside, prior) for inside in self.rows]
+        number = blocks[fit.row]
+        self.blocks = [_block(np.flatnonzero(number == block), self.jac, information) for block in np.unique(number)]
         self.residual = np.empty_like(self.target)
-        for inside, factor, local in zip(self.rows, self.factors, self.own, strict=True):
-            score = self.score - self.jac[inside].T @ self.target[inside]
-            predicted = self.jac[inside] @ linalg.cho_solve(factor, score)
-            self.residual[inside] = without(local, self.target[inside] - predicted)
-
-    def _own_columns(self, inside: Indices, prior: Floats) -> Floats:
-        """Return an orthonormal basis of what only a block's rows ``of`` determine."""
-        elsewhere = np.ones(len(self.jac), dtype=bool)
-        elsewhere[inside] = False
-        alone = ~(self.jac[elsewhere].any(axis=0) | prior.any(axis=0))
-        return np.linalg.qr(self.jac[inside][:, alone])[0]
+        for block in self.blocks:
+            inside, jac = block.rows, self.jac[block.rows]
+            predicted = jac @ block.inverse @ (self.score - jac.T @ self.target[inside])
+            self.residual[inside] = without(block.own, self.target[inside] - predicted)
 
     def residual_with(self, columns: Floats) -> Floats:
         """Return the residuals (m,) of all blocks with columns (m, d) as further parameters."""
         out = np.empty_like(self.residual)
         cross, square, score = self.jac.T @ columns, columns.T @ columns, columns.T @ self.target
-        for inside, factor, local in zip(self.rows, self.factors, self.own, strict=True):
-            mine = columns[inside]
-            others = cross - self.jac[inside].T @ mine
-            solved = linalg.cho_solve(
-                factor, np.column_stack([others, self.score - self.jac[inside].T @ self.target[inside]])
-            )
-            reduced = square - mine.T @ mine + np.eye(len(square)) / WIDEST**2 - others.T @ solved[:, :-1]
-            size = np.linalg.solve(reduced, score - mine.T @ self.target[inside] - others.T @ solved[:, -1])
-            out[inside] = self.residual[inside] - without(local, (mine - self.jac[inside] @ solved[:, :-1]) @ size)
+        for inside, inverse, own in self.blocks:
+            inner, jac, target = columns[inside], self.jac[inside], self.target[inside]
+            others = cross - jac.T @ inner
+            follow = inverse @ others
+            reduced = square - inner.T @ inner + np.eye(len(square)) / WIDEST**2 - others.T @ follow
+            size = np.linalg.solve(reduced, score - inner.T @ target - follow.T @ (self.score - jac.T @ target))
+            out[inside] = self.residual[inside] - without(own, (inner - jac @ follow) @ size)
         return out
 
     def gain(self, residual: Floats) -> Gain:
         """Return the gain of residuals (m,) over those without further columns."""
         before, after = (
-            np.array([float(r[inside] @ r[inside]) for inside in self.rows]) for r in (self.residual, residual)
+            np.array([float(r[block.rows] @ r[block.rows]) for block in self.blocks]) for r in (self.residual, residual)
         )
         less = before - after
         error = float(less.std(ddof=1)) / math.sqrt(less.size) if less.size > 1 else math.inf
