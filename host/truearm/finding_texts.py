@@ -163,7 +163,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "fault-unmended": Statement(
         WARNING,
-        "The result does not contain it, and nothing is offered to apply[{worse:!}: left-out rows would be predicted worse].[ If all of {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
+        "The result does not contain it, and nothing is offered to apply[{worse:!}: left-out rows would be predicted worse][{lasting:!}: it stays in the arm, and only joint laws ({@joint_laws} auto) can describe it].[ If all of {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
         "[Measure {deciding} again to decide.]",
     ),
     "faults-here": Statement(

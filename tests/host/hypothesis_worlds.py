@@ -193,6 +193,14 @@ def slip(of, rng, amount=0.3e-3):
     return measured(of, truth, np.linalg.norm(bar, axis=1), rng, (f"{kind}.{name}.step",))
 
 
+def wrong_chuck(of, rng, amount):
+    """A chuck is elsewhere than the rig says, from the first row on; across the plane of all chucks, the base follows."""
+    truth, name = true_arm(of, rng), rng.choice(np.unique(of.chuck))
+    off = (of.chuck == name)[:, None] * amount * direction(rng)
+    bar = points(of, truth, of.q) - chucks(of) - off
+    return measured(of, truth, np.linalg.norm(bar, axis=1), rng, (f"chuck.{name}.offset",))
+
+
 def on_length(change, *names):
     """Return a fault that adds ``change(of, bar (n, 3), t (n,), amount, rng)`` to the lengths."""
 
@@ -287,6 +295,7 @@ def mislabelled(of, rng, whole=True):
 FAULTS = {
     "slip": (slip, 0.3e-3, 0.9),
     "small slip": (slip, 0.2e-3, 0.7),
+    "wrong chuck": (wrong_chuck, 0.5e-3, 0.8),
     "bar": (on_length(lambda u, length, t, a, rng: a, "bar.{bar}.zero.offset"), 0.3e-3, 0.9),
     "bar drift": (on_length(lambda u, length, t, a, rng: a * t, "bar.{bar}.zero.drift"), 0.2e-3, 0.9),
     "creep": (creep, 0.5e-3, 0.9),

@@ -376,13 +376,17 @@ def test_faults_outside_the_list():
 @pytest.mark.soak
 @pytest.mark.parametrize(("name", "urdf"), [("panda_3", "panda.urdf"), ("kuka_14", "iiwa14.urdf")])
 def test_real_arms_have_no_false_name(name, urdf):
-    """Seats of two real arms: errors of the gears are no drift, step or slip of a part, and are learned as noise."""
+    """Seats of two real arms: errors of the gears are no drift, step or slip of a part, and are learned as noise.
+
+    An eccentricity predicts places that were left out, but it stays in the arm: nothing is offered to apply.
+    """
     folder = worlds.PANDA_URDF.parent
     robot, rig = load_robot(str(folder / urdf), None, "ball_link"), read_rig(folder / "rig.toml")
     table = parse_table((folder / f"{name}.csv").read_text(), name, robot.chain.joint_units)
     world = worlds.World(worlds.Site(robot.chain, robot.free, rig, table.q, None, None, None), None, table)
     estimate, _ = worlds.identified(world)
     result = examined(robot.chain, rig, table, estimate)
-    assert not result.faults
+    rivals = [rival for fault in result.faults for rival in fault.rivals]
+    assert all(rival.name.endswith(".eccentricity") and not rival.apply for rival in rivals)
     assert result.claim.noise != "declared"
     assert result.claim.total >= result.claim.parameters

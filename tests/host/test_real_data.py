@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truearm.checks.examination import examined
+from truearm.checks.examination import examined, tool_gram
 from truearm.checks.inputs import explanations_of
 from truearm.checks.trial import Alternative, fitted
 from truearm.estimate.identify import SolverOptions, identify
@@ -93,6 +93,38 @@ def test_at_one_place_no_error_is_found_that_shrinks_the_arm(panda, place):
     e = identify(chain, rig, table.select(table.place == place), free=free, prior_sigma=prior)
     assert e.status == "converged"
     assert not examined(chain, rig, table.select(table.place == place), e).faults
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [("panda_3", "frontcenter"), ("panda_3", "frontleft"), ("kuka_14", "front"), ("kuka_14", "left_back")],
+)
+def test_the_claim_of_one_place_is_the_error_at_others(name, place):
+    """A fault that the rows of one place do not show adds no millimetres at other places."""
+    urdf = {"panda_3": "panda.urdf", "kuka_14": "iiwa14.urdf"}[name]
+    robot, rig = load_robot(str(MUKCA / urdf), None, "ball_link"), read_rig(MUKCA / "rig.toml")
+    table = read_table(MUKCA / f"{name}.csv", robot.chain.joint_units)
+    options = SolverOptions(reject=True)
+    prior, free = weak_prior(robot.chain), free_without_gains(robot.chain)
+    e = identify(robot.chain, rig, table, free=free, prior_sigma=prior, hold_out=table.place != place, options=options)
+    result = examined(robot.chain, rig, table, e, any_base=True)
+    gram = tool_gram(robot.chain, rig, table, e, any_base=True)
+    claim = np.sqrt(np.trace(gram @ result.average.covariance({})))
+    assert not result.faults
+    assert 0.5 < claim / e.held_out.figures["m"].rms < 2.0
+
+
+def test_an_encoder_that_jumps_between_places_is_named(panda):
+    """Places that were left out confirm it: their sockets, whose distance the rig says, are fitted to their own rows."""
+    chain, rig, free, prior = panda
+    table = read_table(MUKCA / "panda_3.csv", chain.joint_units)
+    q = table.q.copy()
+    q[174:, 2] += 1e-3
+    e = identify(chain, rig, table.replace(q=q), free=free, prior_sigma=prior)
+    first = examined(chain, rig, table.replace(q=q), e).faults[0]
+    assert first.rivals[0].name == "panda_joint3.step"
+    assert first.rivals[0].rows == pytest.approx((174, 387), abs=4)
+    assert first.rivals[0].gain_t > 3.0
 
 
 def test_radians_in_columns_of_degrees_are_named_where_only_sockets_were_seated(panda):

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, build_design, rows_of, size_of, weigh
+from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, amount_of, build_design, rows_of, weigh
 from truearm.checks.noise import DECLARED
 from truearm.checks.search import Detection, Search, columns_of
 from truearm.types import Floats
@@ -129,10 +129,16 @@ def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
 
 
-def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design) -> Part:
-    """Return what the best candidate does to the parameters; its size is that of the ``design``."""
+def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design, is_named: bool = False) -> Part:
+    """Return what the best candidate does to the parameters; its size is that of the ``design``.
+
+    In directions that the rows do not show, a finding is as large as in those that they do, in which it could be
+    smaller by chance: one typical size is added.
+    """
     scale = float(SCALES[np.argmax(weighed.by_scale[:, weighed.best])])
-    size, root = size_of(weighed, design.variance, scale)
+    size, root, hidden = amount_of(weighed, design.variance, scale, is_named)
+    if is_named:
+        root = np.column_stack([root, hidden * math.sqrt((1.0 + float(size @ size)) / max(root.shape[1], 1))])
     columns = weighed.hypothesis.candidate(weighed.best, design.fit.row)
     loading = fitted.root @ (fitted.basis[: len(columns)].T @ columns)
     return Part(weighed, weight, size, -loading @ size, loading @ root)
@@ -149,7 +155,10 @@ def explanations(detection: Detection, result: Search, fitted: Design) -> tuple[
         alone = special.logsumexp(detection.best.by_scale[:, 0]) - math.log(len(SCALES))
         log[0] += detection.best.log_evidence - float(alone)
     weights = np.exp(log - special.logsumexp(log))
-    return tuple(explanation(weighed, float(w), design, fitted) for weighed, w in zip(options, weights, strict=True))
+    return tuple(
+        explanation(weighed, float(w), design, fitted, is_named=True)
+        for weighed, w in zip(options, weights, strict=True)
+    )
 
 
 def unseen(table: Sequence[Weighed], variance: float) -> tuple[str, ...]:

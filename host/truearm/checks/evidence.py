@@ -103,8 +103,8 @@ class Design:
 
 def build_design(fit: WhitenedFit, kernel: Kernel, robot_prior: bool = False) -> Design:
     """Return what the parameters of a fit can follow."""
-    m, k = fit.residual.size, fit.jac.shape[1]
-    prior = (fit.prior_jac, fit.prior_residual) if robot_prior else (np.zeros((0, k)), np.zeros(0))
+    m = fit.residual.size
+    prior = (fit.prior_jac, fit.prior_residual) if robot_prior else (fit.leeway, np.zeros(len(fit.leeway)))
     top = kernel.whiten(np.concatenate([fit.jac, fit.residual[:, None]], axis=1))
     jac = np.concatenate([top[:, :-1], fit.knowledge_jac, prior[0]])
     residual = np.concatenate([top[:, -1], fit.knowledge_residual, prior[1]])
@@ -167,7 +167,10 @@ def moments(hypothesis: Hypothesis, design: Design) -> Moments:
         score = score - cross @ (added[: len(bare.remainder)].T @ bare.remainder)
     values, vectors = np.linalg.eigh(square)
     return Moments(
-        np.maximum(values, 0.0), vectors, np.einsum("cdk,cd->ck", vectors, score), values > SEEN * size[:, None]
+        np.maximum(values, 0.0),
+        vectors,
+        np.einsum("cdk,cd->ck", vectors, score),
+        values > np.maximum(SEEN * size[:, None], WIDEST**-2),
     )
 
 
@@ -260,24 +263,27 @@ def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:
     return np.where(freedom == 0, 0.0, np.where(deep, tail, np.log(np.where(deep, 1.0, p))))
 
 
-def size_of(weighed: Weighed, variance: float, scale: float = SCALES[-1]) -> tuple[Floats, Floats]:
-    """Return β (d,) of the best candidate and a root (d, r) of its covariance, in typical sizes, with the prior of a scale.
+class Amount(NamedTuple):
+    """β (d,) in typical sizes, a root (d, r) of its covariance, and a basis (d, d − r) of what the rows do not show of it."""
 
-    Directions of which the rows say less than the typical size does, and that are not SHOWN, have β = 0 and no variance:
-    nothing is claimed about them.
+    size: Floats
+    root: Floats
+    hidden: Floats
+
+
+def amount_of(weighed: Weighed, variance: float, scale: float = SCALES[-1], is_named: bool = True) -> Amount:
+    """Return by how much the best candidate is off, with the prior of a scale.
+
+    Directions of which the rows say less than the typical size does are hidden, unless the hypothesis ``is_named`` and
+    they are SHOWN: their β is 0.
     """
     sums, number = weighed.moments, weighed.best
-    information = sums.values[number] / variance
-    square = np.divide(
-        sums.scores[number] ** 2,
-        sums.values[number] * variance,
-        where=sums.significant[number],
-        out=np.zeros_like(information),
-    )
-    stated = sums.significant[number] & ((information > 1.0) | (square > SHOWN**2))
-    vectors = sums.vectors[number][:, stated]
-    root = vectors / np.sqrt(information[stated] + scale**-2.0)
-    return root @ (root.T @ (sums.vectors[number] @ (sums.scores[number] / variance))), root
+    information = np.where(sums.significant[number], sums.values[number], 0.0) / variance
+    scores, vectors = sums.scores[number] / variance, sums.vectors[number]
+    is_shown = (scores**2 > SHOWN**2 * information) & sums.significant[number]
+    stated = (information > 1.0) | (is_named & is_shown)
+    root = vectors[:, stated] / np.sqrt(information[stated] + scale**-2.0)
+    return Amount(root @ (root.T @ (vectors @ scores)), root, vectors[:, ~stated])
 
 
 def rows_of(weighed: Weighed) -> tuple[int, int] | None:

@@ -9,26 +9,27 @@ import numpy as np
 
 from truearm.checks.averaging import Average, Part, averaged, unseen
 from truearm.checks.catalogue import Profiles, catalogue
-from truearm.checks.evidence import Design, Weighed, build_design, rows_of, size_of
+from truearm.checks.evidence import Design, Weighed, amount_of, build_design, rows_of
 from truearm.checks.held_out import LeftOut
 from truearm.checks.noise import DECLARED
 from truearm.checks.search import Search, checked, columns_of
 from truearm.checks.whitened import WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import measured_order
-from truearm.estimate.prediction import FIRST_ORDER, MOST_POSES, body_motion, measured_jacobian
+from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.validation import Judgement, Ways
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import Chain, forward
+from truearm.model.chain import Chain
 from truearm.results import MOVES, Diagnosis, DriftWith, Effect, Estimate, Rival, Size, ToolClaim
 from truearm.types import Floats, Indices, Mask, Rigs, thinned
 
 GROSS = 30.0  # σ of the residuals: a fit this distorted shows only that the inputs are wrong
 MEAN = "mean"
 EVERY = ".all"  # ends the name of a hypothesis about all items of a type
+LASTING = "eccentricity"  # the form of an error that stays in the arm: parameters alone would predict worse without it
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,6 @@ def examined(
     gram = tool_gram(chain, rig, table.select(fitted), estimate, any_base)
     covariance = estimate.covariance[np.ix_(estimate.free, estimate.free)]
     average = averaged(result, gram, covariance)
-    if average.moves(average.bias({})) > FIRST_ORDER * farthest(chain, estimate, table.q[fitted]):
-        result = replace(result, detections=())
-        average = averaged(result, gram, covariance)
     kernel = result.design.kernel
     declared = build_design(fit, DECLARED).extended(columns_of(result.detections, fit))
     claim = ToolClaim(
@@ -129,6 +127,7 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
         prior_jac=np.zeros((0, k)),
         prior_residual=none,
         robot=np.zeros(k, dtype=bool),
+        leeway=np.zeros((0, k)),
         names=(),
         units=(),
         values=none,
@@ -144,13 +143,6 @@ def is_distorted(fit: WhitenedFit) -> bool:
     if fit.residual.size <= fit.jac.shape[1] or not np.isfinite(fit.residual).all():
         return True
     return float(fit.residual @ fit.residual) > GROSS**2 * fit.residual.size
-
-
-def farthest(chain: Chain, estimate: Estimate, q: Floats) -> float:
-    """Return the largest distance [m] of the end from the base over poses q (n, j)."""
-    few = q[thinned(len(q), MOST_POSES)]
-    ends = forward(chain, estimate.value[: estimate.n_robot_parameters], few)[:, :3, 3]
-    return float(np.linalg.norm(ends, axis=1).max())
 
 
 def diagnoses(result: Search, average: Average, table: ObservationTable) -> tuple[Diagnosis, ...]:
@@ -192,7 +184,9 @@ def rival_of(
     weighed = part.weighed
     span = rows_of(weighed)
     rows = None if span is None else fit.how.in_table(*span)
-    name = "" if weighed.hypothesis.item.endswith(EVERY) else apply_name(weighed, fit)
+    hypothesis = weighed.hypothesis
+    no_remedy = hypothesis.item.endswith(EVERY) or hypothesis.form == LASTING
+    name = "" if no_remedy else apply_name(weighed, fit)
     return Rival(weighed.name, name, rows, part.weight, average.moves(part.step), average.error(applied), *gain)
 
 
@@ -246,7 +240,7 @@ def apply_name(weighed: Weighed, fit: WhitenedFit) -> str:
 
 def sizes_of(weighed: Weighed, design: Design) -> tuple[Size, ...]:
     """Return the size of an explanation over its numbers of each unit."""
-    value, root = size_of(weighed, design.variance)
+    value, root, _ = amount_of(weighed, design.variance)
     typical, out = weighed.hypothesis.sizes, []
     for unit in dict.fromkeys(weighed.hypothesis.units):
         mine = np.array([other == unit for other in weighed.hypothesis.units])

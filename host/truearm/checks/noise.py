@@ -2,25 +2,25 @@
 
 The kernels are V = σ²[(1 − a) I + a K] over the rows, with K: rows near in the order of measurement, rows of one mount,
 or rows of similar joint readings. The one with the greatest restricted likelihood is taken, if it is better than the
-declared noise by its price.
+declared noise by the number of kernels tried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
 
 from truearm.checks.whitened import WhitenedFit
+from truearm.estimate.ties import first_within
 from truearm.types import Floats, Indices, Mask
 
 SHARES = (0.1, 0.3, 0.6, 0.9)  # of the variance that rows share
 LAGS = (2.0, 8.0, 40.0)  # rows
 DISTANCES = (0.1, 0.3, 1.0)  # of the joint readings, in their standard deviations
-# By how many nats of likelihood a kernel must be better: 4 for each of its numbers, and those are chosen from a grid.
-PRICES: Mapping[str, float] = {"white": 4.0, "order": 12.0, "mount": 10.0, "pose": 12.0}
 STRETCH = 50  # rows; of a longer table, stretches of as many are judged
 MOST_JUDGED = 400  # rows
 ODD = 1e-3  # probability that χ² of noise as declared is so small or so large
@@ -104,27 +104,29 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     judged = judged_rows(fit.n)
     judged_residuals = np.isin(fit.row, judged)
     sets = residual_sets(fit, judged_residuals)
-    jac = np.concatenate([fit.jac, fit.residual[:, None]], axis=1)[judged_residuals]
-    declared, _ = likelihood(jac, fit, DECLARED, is_known=True)
-    plain, scale = likelihood(jac, fit, Kernel("white"), is_known=False)
-    best = (plain - PRICES["white"], scale, "white", 0.0, -1)
-    for number, (name, whole) in enumerate(similarities(fit, judged)):
-        for share in SHARES:
-            try:
-                lower = [(index, covariance_root(whole[np.ix_(rows, rows)], share)) for index, rows in sets]
-            except np.linalg.LinAlgError:
-                continue
-            value, scale = likelihood(jac, fit, Kernel(name, lower=tuple(lower)), is_known=False)
-            best = max(best, (value - PRICES[name], scale, name, share, number))
-    value, scale, name, share, number = best
-    if value <= declared:
+    columns = np.concatenate([fit.jac, fit.residual[:, None]], axis=1)[judged_residuals]
+    declared, _ = likelihood(columns, fit, DECLARED, is_known=True)
+    kernels = [Kernel("white")]
+    for name, similar in similarities(fit, judged):
+        kernels += [shared(name, share, similar, sets) for share in SHARES]
+    likelihoods = [likelihood(columns, fit, kernel, is_known=False) for kernel in kernels]
+    best = first_within([value for value, _ in likelihoods])
+    value, scale = likelihoods[best]
+    gain = value - declared - math.log(len(kernels))
+    if gain <= 0.0:
         return DECLARED
-    if name == "white":
-        return Kernel(name, scale, gain=value - declared)
-    whole = [kernel for _, kernel in similarities(fit, np.arange(fit.n))][number]
-    sets = residual_sets(fit, np.ones(fit.row.size, dtype=bool))
-    lower = [(index, scale * covariance_root(whole[np.ix_(rows, rows)], share)) for index, rows in sets]
-    return Kernel(name, scale, share, value - declared, tuple(lower))
+    kernel = kernels[best]
+    if not kernel.plain:
+        _, similar = list(similarities(fit, np.arange(fit.n)))[(best - 1) // len(SHARES)]
+        kernel = shared(kernel.name, kernel.share, similar, residual_sets(fit, np.ones(fit.row.size, dtype=bool)))
+    lower = tuple((index, scale * root) for index, root in kernel.lower)
+    return replace(kernel, scale=scale, gain=gain, lower=lower)
+
+
+def shared(name: str, share: float, similar: Floats, sets: Sequence[tuple[Indices, Indices]]) -> Kernel:
+    """Return noise of which rows have a ``share`` in common by their similarity K (n', n')."""
+    lower = tuple((index, covariance_root(similar[np.ix_(rows, rows)], share)) for index, rows in sets)
+    return Kernel(name, share=share, lower=lower)
 
 
 def judged_rows(n: int) -> Indices:

@@ -22,7 +22,7 @@ RIVAL = math.log(100.0)  # a rival is at least a hundredth as probable
 MOST_FINDINGS = 8
 SAME = 1.0 - 1e-6  # cosine of the angles between columns that no data can distinguish
 FEW_SPANS = 60  # of a hypothesis where rows share noise
-LEAST_T, LEAST_T_LEARNED = 1.0, 2.0  # standard errors by which left-out rows must be better; with a learned noise
+UNCONFIRMED = 0.025  # probability that chance alone makes left-out rows so much better
 OWN_EDGE = 8  # rows from the edge of a place, where the model's errors make steps
 
 
@@ -64,7 +64,7 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], blocks: Indices) ->
     declared noise the search then ends: what is less probable explains the same residuals.
     """
     detections: list[Detection] = []
-    refused: list[str] = []
+    refused: tuple[str, ...] = ()
     fit, log_count = bare.fit, math.log(max(len(hypotheses), 1))
     while True:
         design = bare.extended(columns_of(detections, fit))
@@ -74,23 +74,15 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], blocks: Indices) ->
             for weighed in table
             if weighed.log_chance + log_count < math.log(LEVEL) and weighed.log_evidence > 0.0
         ]
-        significant = by_evidence(significant)
-        detection, held_out = None, None
-        for likely in significant if len(detections) < MOST_FINDINGS else ():
-            if likely.name in refused:
-                continue
-            detection = detected(likely, table, design, refused)
-            held_out = held_out or LeftOut(fit, columns_of(detections, fit), blocks)
+        if significant and len(detections) < MOST_FINDINGS and not refused:
+            detection = detected(by_evidence(significant)[0], table, design)
+            held_out = LeftOut(fit, columns_of(detections, fit), blocks)
             gain = held_out.gain(held_out.residual_with(detection.columns))
-            if gain.share > 0.0 and gain.t >= (LEAST_T if bare.kernel.declared else LEAST_T_LEARNED):
-                break
-            refused += detection.names
-            detection = None
-            if bare.kernel.declared:
-                break
-        if detection is None:
-            return Search(tuple(detections), design, table, blocks, tuple(dict.fromkeys(refused)))
-        detections.append(detection)
+            if bare.kernel.declared or special.stdtr(len(held_out.blocks) - 1, -gain.t) < UNCONFIRMED:
+                detections.append(detection)
+                continue
+            refused = detection.names
+        return Search(tuple(detections), design, table, blocks, refused)
 
 
 def by_evidence(table: Sequence[Weighed]) -> list[Weighed]:
@@ -98,13 +90,13 @@ def by_evidence(table: Sequence[Weighed]) -> list[Weighed]:
     return [table[number] for number in largest_first([weighed.log_evidence for weighed in table])]
 
 
-def detected(likely: Weighed, table: Sequence[Weighed], design: Design, refused: Sequence[str]) -> Detection:
+def detected(likely: Weighed, table: Sequence[Weighed], design: Design) -> Detection:
     """Return a finding with its ends refined, those nearly as probable, and those that no rows can tell from it."""
     row, best = design.fit.row, refined(likely, design)
     rivals = [
         weighed for weighed in table if weighed.name != best.name and weighed.log_evidence > best.log_evidence - RIVAL
     ]
-    rivals = by_evidence([weighed for weighed in rivals if weighed.name not in refused])
+    rivals = by_evidence(rivals)
     columns = best.hypothesis.candidate(best.best, row)
     aliases = tuple(
         weighed.name for weighed in rivals if is_same(columns, weighed.hypothesis.candidate(weighed.best, row), design)
@@ -157,10 +149,10 @@ def checked(fit: WhitenedFit, hypotheses: Sequence[Hypothesis], places: Indices 
         return searched(build_design(fit, kernel), thinned(hypotheses, fit.n, places), blocks)
     plain = searched(bare, hypotheses, blocks)
     still_odd = is_odd(plain.design)
-    if not still_odd and not is_odd(bare):
+    if not (still_odd or is_odd(bare)):
         return plain
     kernel = learned_noise(fit)
-    explained = sum(detection.best.log_evidence for detection in plain.detections)
+    explained = sum(detection.best.log_evidence - math.log(len(hypotheses)) for detection in plain.detections)
     if kernel.declared or (not still_odd and explained > kernel.gain):
         return plain
     return searched(build_design(fit, kernel), thinned(hypotheses, fit.n, places), blocks)

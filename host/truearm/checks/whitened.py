@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate.frame_choice import mounting
 from truearm.estimate.measured_order import Measured
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
@@ -37,6 +38,7 @@ class WhitenedFit:
     knowledge_residual: Floats  # (κ,)
     prior_jac: Floats  # (π, k) of the robot
     prior_residual: Floats  # (π,)
+    leeway: Floats  # (l, k) how far an arm can be from the fit: a wide prior of the robot about it
     fault_jac: Floats  # (m, c) by everything in ``errors``
     errors: Errors  # names and SI units of these c columns
     causes: tuple[Cause, ...]  # items with the numbers that are off together
@@ -91,6 +93,9 @@ def whitened_fit(
     error = (problem.start - x)[columns]
     rig, of_robot = (np.flatnonzero(np.isfinite(sigma) & mask) for mask in (~robot, robot))
     wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
+    vague = np.array([UNITS[unit].vague_sigma for unit in problem.units])
+    is_mounting = np.zeros(wide.size, dtype=bool)
+    is_mounting[: problem.n_robot] = mounting(problem.chain, x[: problem.n_robot]).either
     knowledge = np.concatenate([*knowledge_parts, np.zeros((0, k + 1))])
     return WhitenedFit(
         row=row[order],
@@ -101,6 +106,7 @@ def whitened_fit(
         knowledge_residual=np.concatenate([knowledge[:, -1], error[rig] / sigma[rig]]),
         prior_jac=np.eye(k)[of_robot] / sigma[of_robot, None],
         prior_residual=error[of_robot] / sigma[of_robot],
+        leeway=(np.eye(k) / np.where(is_mounting, vague, wide)[columns])[robot],
         fault_jac=whole[order, k:-1],
         errors=problem.errors,
         causes=problem.causes,

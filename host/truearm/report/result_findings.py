@@ -315,14 +315,16 @@ def _choice(fault: Document) -> Finding:
     """Return what can be applied: what improves left-out rows, a single cause or the mean of several first."""
     rivals = fault["rivals"]
     every = [rival["name"] for rival in rivals if rival["name"].rpartition(".")[0].endswith(EVERY)]
-    offers = [fault["mean"]] if len(rivals) > 1 and not every else []
+    lasting = not (rivals[0]["apply"] or every)
+    offers = [fault["mean"]] if len(rivals) > 1 and all(rival["apply"] for rival in rivals) else []
     offers = [offer for offer in (*offers, *rivals) if offer["apply"] and (offer["gain"] or 0.0) > 0.0][:MAX_CHOICES]
     deciding = fault["deciding"] if len(rivals) > 1 else []
-    if not offers or every:
+    if not offers or every or lasting:
         size = next((size for size in fault["sizes"] if every and size["value"] is not None), None)
         numbers = math.sqrt(fault["freedom"])
         values = {
-            "worse": not every,
+            "worse": not (every or lasting),
+            "lasting": lasting,
             "every": [name.rpartition(".")[0].removesuffix(EVERY) for name in every[:1]],
             "sigma": size and UNITS[size["unit"]].scale.text(size["value"] / numbers, ".2g"),
             "deciding": deciding,
