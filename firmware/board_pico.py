@@ -13,9 +13,8 @@ frame is therefore handed over only when the endpoint has sent everything: then 
 call returns at once. When the host is gone the endpoint stays full, `send` takes nothing, and the box counts what it
 must drop.
 
-Both times of a clock exchange are taken in C, in the USB interrupt and just before the FIFO, if the image supports it
-(image/usb_stamp), which also reads in C: 60 µs a byte are saved. A stock MicroPython takes them in Python: when it looks for bytes, and
-before CRC and FIFO.
+Both times of a clock exchange are taken in C, in the USB interrupt and just before the FIFO (image/usb_stamp), which also
+reads in C: 60 µs a byte are saved.
 
 For two seconds after power-on, Ctrl-C leads to the REPL; only after that is byte 3 data, and the watchdog runs. The box
 therefore stays reachable whatever the firmware does; a command leads back too.
@@ -30,6 +29,7 @@ import time
 import machine
 import micropython
 import rp2
+import usb_stamp
 from machine import mem16, mem32
 
 from chips import rp2040 as chip
@@ -39,12 +39,6 @@ from drivers.ds18b20 import Thermometers
 from drivers.lvdt import Excitation
 from drivers.magnetostrictive import FIRST, Magnetostrictive
 from drivers.triggers import Triggers
-
-try:
-    import usb_stamp
-except ImportError:  # a stock MicroPython: Python takes the times of exchanges
-    usb_stamp = None
-from truearm_wire.frame import close
 
 BOOT_WINDOW_MS = 2000
 CONVERTER_PINS = (16, 17, 18, 19, 20, 21, 22)  # DOUT, CS, SCLK, DIN, DRDY, SYNC/RESET, CLKIN
@@ -120,11 +114,9 @@ class Board:
         self._rail = machine.ADC(RAIL_5V_ADC)
         self._poll = select.poll()
         self._poll.register(sys.stdin, select.POLLIN)
-        self._stdin = sys.stdin.buffer
         self._stdout = sys.stdout.buffer
-        self._byte = bytearray(1)
-        self.receive = usb_stamp.receive if usb_stamp else self._receive
-        self.send_stamped = usb_stamp.send if usb_stamp else self._send_stamped
+        self.receive = usb_stamp.receive
+        self.send_stamped = usb_stamp.send
         self._watchdog = None
         self._blink = BLINKS[0]
         self._lit_at = time.ticks_ms()
@@ -156,31 +148,10 @@ class Board:
 
     # -- the link
 
-    def _receive(self, buf, stamp):
-        n = 0
-        while n < len(buf):
-            for _ in self._poll.ipoll(0):
-                break
-            else:
-                break
-            if n == 0:
-                _now(stamp, 0)
-            self._stdin.readinto(self._byte)
-            buf[n] = self._byte[0]
-            n += 1
-        return n
-
     def send(self, buf, at, n):
         if not self._link_rests():
             return 0
         return self._stdout.write(buf, at, min(n, TX_MAX)) or 0
-
-    @micropython.native
-    def _send_stamped(self, buf, at, end, place):
-        if not self._link_rests():
-            return 0
-        _now(buf, place)
-        return self._stdout.write(buf, at, close(buf, at, end) - at) or 0
 
     def _link_rests(self):
         """Return whether the host has fetched everything that was handed over.

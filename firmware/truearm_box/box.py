@@ -53,8 +53,7 @@ None of them may allocate except configure, self_test, output, console, reset, t
 
 Functions in the path of the samples that need many words are native code (`micropython.native`): MicroPython allocates the frame of a
 bytecode function on the heap if locals and operands exceed 11 words. It frees it again, so nothing grows, but the search for space took 2 to 3
-ms per block; a native function's frame is on the stack. tests/chip/test_speed.py checks it; docs/explanation/benchmarks.md has the figures. Not
-everything is native: as files on a stock MicroPython the code is on the heap, and native code is twice as long.
+ms per block; a native function's frame is on the stack. tests/chip/test_speed.py checks it; docs/explanation/benchmarks.md has the figures.
 """
 
 import gc

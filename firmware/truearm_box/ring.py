@@ -8,23 +8,13 @@ from array import array
 from truearm_wire.fast import add, copy, extend, less, micropython
 from truearm_wire.messages import COUNTER
 
-SLOTS_LEAST = 64  # 0.6 s of both streams at 1 kHz
 SLOT = 252  # the longest data frame (13 samples of 4 x 32 bit) has 251 bytes
 
 
 class Ring:
     def __init__(self, slots):
-        """Create `slots` slots, or fewer if memory is short, and one for data discarded while the ring is full."""
-        while True:
-            try:
-                self.buf = bytearray((slots + 1) * SLOT)
-                break
-            except (
-                MemoryError
-            ):  # as files on a stock MicroPython the code is on the heap too, and leaves no such block free
-                if slots < SLOTS_LEAST:
-                    raise
-                slots = slots * 3 // 4
+        """Create `slots` slots, and one for data discarded while the ring is full."""
+        self.buf = bytearray((slots + 1) * SLOT)
         self._ends = array("H", bytearray(2 * (slots + 1)))  # end of the payload in each slot, relative to the slot
         self._slots = slots
         self._head = 0  # next slot to fill

