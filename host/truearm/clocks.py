@@ -8,8 +8,8 @@ Both clocks are crystals, so the rate y′ stays within ``wander`` of its mean. 
     y(t) ≤ high_k + (rate + wander) (t − x_k)  for t > x_k,    y(t) ≤ high_k − (rate − wander) (x_k − t)  for t < x_k,
 
 and likewise from below. The least of the upper bounds and the greatest of the lower ones are running minima over the
-rows before t and after t (``Band``). **Half the distance between them bounds the error.** The mean rate is known within
-an interval by pairs of rows far apart, which widens the band.
+rows before t and after t (``Band``). The mean rate is known within an interval by pairs of rows far apart, which widens
+the band. **The distance from the estimate to the farther bound limits its error.**
 
 **The estimate** lies in that range. The middle of the range shows the rate around each row, over a minute. The rates add
 up to a *course*. The range that is left if the rate stays within FOLLOWED of the course's has a middle that is as good
@@ -22,7 +22,7 @@ allow. A narrower range makes a better course and that one a narrower range, unt
 **Where rows contradict each other**, a clock stepped or a stamp is wrong. FEW rows in succession that agree with each
 other and contradict those before them are a step; fewer are wrong and left out. Between the last row before a step and
 the first one after it, the time may be as either side continues. A step that contradicts no row cannot be seen, and the
-error may exceed the bound by as much: such a step is smaller than the rows' range, for an exchange its round trip.
+error may exceed the bound by as much: for exchanges, by up to about two of the shortest round trips.
 """
 
 from __future__ import annotations
