@@ -532,7 +532,7 @@ def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
     beyond = ((q < limits[0] - 0.051) | (q > limits[1] + 0.051)).any(axis=1)
     assert 0 < some.outside[reached].sum() < reached.sum()
     assert some.outside[reached][beyond].all()
-    findings = map_findings(map_files(found, files._replace(force=True), section), 0.1, None)
+    findings = map_findings(map_files(found, replace(files, force=True), section), 0.1, None)
     assert Finding("cells-outside", {"n": some.outside[reached].sum()}) in findings
     rows = [line.rpartition(",")[2] for line in (tmp_path / "map.csv").read_text().splitlines()]
     assert rows[0] == "covered"
