@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -136,6 +137,10 @@ def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: 
     lines = text.splitlines()
     assert lines[0].startswith("This fit is not usable. Its inputs are probably wrong. Residuals of ")
     assert lines[1].startswith("This explains the observations: 20 rows were measured with other parts than named: ")
+    remedy = re.search(r"or give (--leave-out .*?) \(rows", " ".join(text.split()))
+    assert remedy is not None
+    result, _ = identified(run, tmp_path, replace(table, sphere=sphere), rig, *shlex.split(remedy[1]))
+    assert (result["usable"], result["explanations"]) == (True, [])
 
 
 def test_chi2_is_shown_with_its_band(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:

@@ -20,8 +20,8 @@ from puma_bench import (
 )
 
 from truearm.checks.inputs import explanations_of
-from truearm.checks.labels import relabelled
-from truearm.checks.trial import Alternative, fitted
+from truearm.checks.labels import APART, PRICE, best_labels, likelihood, relabelled
+from truearm.checks.trial import LEVEL, Alternative, fitted
 from truearm.kinds.table import ObservationTable
 from truearm.types import Rig
 
@@ -53,6 +53,31 @@ def of(t, chuck, sphere):
 def restored(t, right, rig=RIG):
     result, _ = labels(t, rig)
     return all((getattr(result.table, column) == getattr(right, column)).all() for column in ("chuck", "sphere"))
+
+
+@pytest.mark.parametrize("d", [1, 3, 6])
+def test_right_labels_gain_nothing_on_average(d):
+    """E exp(gain) is at most 1 under normal noise of d numbers a row, wherever another label has them: formula (14)."""
+    noise = np.random.default_rng(d).normal(size=(100_000, d))
+    square = (noise**2).sum(axis=1)
+    scale = 1.4826 * float(np.sqrt(np.median(square)))
+    own = likelihood(square, scale)
+    for away in np.linspace(0.5, 12.0, 24):
+        other = likelihood(((noise - away * np.eye(d)[0]) ** 2).sum(axis=1), scale)
+        assert np.exp(other - own).mean() < 1.0
+    assert np.exp(likelihood(np.array(APART**2), 1.0) - own).mean() == pytest.approx(0.035, abs=0.01)
+
+
+def test_a_run_is_relabelled_if_chance_hardly_gives_it():
+    """Two labels and none, 100 rows: log(300 / LEVEL) = 12.6 nats."""
+    score, original = np.zeros((3, 100)), np.zeros(100, dtype=np.intp)
+    score[2] = -50.0
+    for gain, runs in ((0.99, []), (1.01, [(40, 44, 1)])):
+        score[1] = -1.0
+        score[1, 40:44] = PRICE + gain * np.log(300 / LEVEL) / 4
+        labels, changed = best_labels(score, original)
+        assert [run[:3] for run in changed] == runs
+        assert np.flatnonzero(labels).tolist() == [row for first, last, _ in runs for row in range(first, last)]
 
 
 CASES = {

@@ -28,6 +28,7 @@ from truearm.checks.trial import (
     explains,
     fitted,
     log_chance,
+    log_chance_of_place,
     placed,
 )
 from truearm.estimate.solvers import SOLVERS
@@ -38,7 +39,8 @@ from truearm.results import Estimate, Explanation, Figures, Unusable
 from truearm.types import Mask, Rigs
 from truearm.units import UNITS
 
-ROUNDS = ((16, 2), (4, 8))  # the best alternatives that go on, after base, tool and rig were placed in so many steps
+STEPS_TO_RANK = 2  # to place base, tool and rig
+MOST_PLACED, MOST_FITTED = 16, 4  # the best alternatives that go on
 MOST_NAMED = 3
 RIVALS = math.log(100.0)  # nats, of explanations that are reported with the best
 MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search
@@ -130,20 +132,20 @@ def other_set_up(original: Trial) -> tuple[tuple[Explanation, ...], int]:
 def explaining(original: Trial, tier: Sequence[Alternative], count: int) -> list[Trial]:
     """Return the trials of alternatives that explain the rows, of those with the greatest evidence in quick fits."""
     goal = (AS_WELL if original.displacement > FAR else HUNDREDFOLD) * original.reduced
-    trials: list[Trial | None] = []
-    for most, steps in ROUNDS:
-        trials = [placed(alternative, steps) for alternative in tier]
-        scores = [math.inf if trial is None else -evidence(original, trial) for trial in trials]
-        best = np.argsort(scores, kind="stable")[:most].tolist()
-        tier, trials = [tier[i] for i in best], [trials[i] for i in best]
-    starts = [None if trial is None else trial.parameters for trial in trials]
-    finals = [fitted(alternative, goal, start) for alternative, start in zip(tier, starts, strict=True)]
-    return [trial for trial in finals if trial is not None and explains(original, trial, count)]
+    quick = _ranked(original, [placed(alternative, STEPS_TO_RANK) for alternative in tier])[:MOST_PLACED]
+    best = _ranked(original, [placed(trial.alternative, start=trial.parameters) for trial in quick])[:MOST_FITTED]
+    trials = [fitted(trial.alternative, goal, trial.parameters) for trial in best]
+    return [trial for trial in trials if trial is not None and explains(original, trial, count)]
+
+
+def _ranked(original: Trial, trials: Sequence[Trial | None]) -> list[Trial]:
+    return sorted(filter(None, trials), key=lambda trial: -evidence(original, trial))
 
 
 def _explanation(original: Trial, after: Trial, count: int) -> Explanation:
     inputs = after.alternative
-    chance = math.exp(min(log_chance(after.reduced / original.reduced, after.freedom) + math.log(count), 0.0))
+    by_fit, by_place = log_chance(after.reduced / original.reduced, after.freedom), log_chance_of_place(original, after)
+    chance = math.exp(min(min(by_fit, by_place) + math.log(count), 0.0))
     values = dict(inputs.values)
     for effect in inputs.effects:
         off = {name: after.off[name] for name in after.off if name == str(effect) or name.startswith(f"{effect}.")}

@@ -2,7 +2,7 @@
 
 After a robust fit, each possible label has a robust log-likelihood in each row, −1.5 log(1 + r²/2s²), with s the median
 residual; "none of them" has that of a residual of APART s. The run of rows in which another label gains most over the
-given one, less PRICE a row, is relabelled, and the next is sought, until none gains SURE. The fit is repeated with the
+given one, less PRICE a row, is relabelled, and the next is sought, until chance may give as much. The fit is repeated with the
 new labels as long as they change. One wrong mount can pull a fit along with it, and a moved set-up half of the rows: the
 fits without each mount, and without each half, compete with that of all rows.
 """
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.checks.trial import Alternative, idle_options, misfit, trial_problem
+from truearm.checks.trial import LEVEL, Alternative, idle_options, misfit, trial_problem
 from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.measured_order import mountings
@@ -27,7 +27,6 @@ from truearm.kinds.registry import kinds, rig_names
 from truearm.kinds.table import ObservationTable
 from truearm.types import Floats, Indices, Rigs, rigs_by_name, thinned
 
-SURE = 12.0  # nats that a run must gain
 PRICE = 0.3  # nats a row, for being relabelled at all
 APART = 5.0  # usual residuals
 LEAST_APART = 5  # rows
@@ -35,7 +34,7 @@ MOST_RUNS = 12
 MOST_LABELS = 60  # of more, only those that rows have
 MOST_MOUNTS = 40  # each of which is left out in turn
 MOST_ROWS = 150  # of a robust fit
-STEPS = 8
+STEPS = 5
 ROUNDS = 3
 IMPOSSIBLE = -1e3  # log-likelihood of a label that the rig does not have
 FLOOR = 0.05  # of a drawing's tolerance: residuals are not taken for more exact
@@ -240,15 +239,17 @@ def likelihood(square: Floats, scale: float) -> Floats:
 def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[tuple[int, int, int, float]]]:
     """Return labels (n,) and the runs in which they are not the ``original`` ones: first row, after last, label, gain.
 
-    The last label stands for none, which fewer than LEAST_APART rows do not get.
+    The last label stands for none, which fewer than LEAST_APART rows do not get. A run begins at any of n rows and has any
+    of l + 1 labels, so that one of them gains ``sure`` by chance with a probability of at most LEVEL.
     """
+    sure = np.log(score.size / LEVEL)  # nats
     labels, runs = original.copy(), list[tuple[int, int, int, float]]()
     each = np.arange(original.size)
     allowed = list(range(len(score)))
     while len(runs) < MOST_RUNS:
         candidates = [(*best_run(score[number] - score[labels, each] - PRICE), number) for number in allowed]
         gain, first, last, label = max(candidates)
-        if gain < SURE:
+        if gain < sure:
             break
         if label == len(score) - 1 and last - first < LEAST_APART:
             allowed.remove(label)

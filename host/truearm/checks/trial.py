@@ -112,17 +112,21 @@ def log_chance(ratio: float, freedom: float) -> float:
     )
 
 
+def log_chance_of_place(before: Trial, after: Trial) -> float:
+    """Return the log probability that a right robot or rig is as far off as before, if it is where described after."""
+    is_nearer = before.displacement > FAR and after.displacement < NEAR
+    return float(special.log_ndtr(-before.displacement)) + math.log(2.0) if is_nearer else 0.0
+
+
 def explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOLD) -> bool:
     """Return whether one of ``count`` alternatives explains the rows and is close to the described robot.
 
     Either its fit is far better, beyond chance. Or it is as good with the same readings, and places everything where it
     was described, while the inputs as given do not.
     """
-    ratio = after.reduced / before.reduced
-    better = ratio < least and log_chance(ratio, after.freedom) + math.log(count) < math.log(LEVEL)
-    nearer = (
-        not after.alternative.rescaled and ratio < AS_WELL and before.displacement > FAR and after.displacement < NEAR
-    )
+    ratio, beyond = after.reduced / before.reduced, math.log(LEVEL / count)
+    better = ratio < least and log_chance(ratio, after.freedom) < beyond
+    nearer = not after.alternative.rescaled and ratio < AS_WELL and log_chance_of_place(before, after) < beyond
     return after.plausible and after.shifted < LARGEST_SHIFT and (better or nearer)
 
 
@@ -140,9 +144,15 @@ def trial_problem(
     return replace(problem, prior_sigma=vague), problem.columns(free | mounted), placing
 
 
-def placed(alternative: Alternative, steps: int = STEPS_TO_PLACE) -> Trial | None:
-    """Return the nominal robot with base, tool and rig fitted to a few rows; None if they define no problem."""
-    return _trial(replace(alternative, free=np.zeros_like(alternative.free)), FEW_ROWS, steps)
+def placed(
+    alternative: Alternative, steps: int = STEPS_TO_PLACE, start: Mapping[str, float] | None = None
+) -> Trial | None:
+    """Return the nominal robot with base, tool and rig fitted to a few rows; None if they define no problem.
+
+    ``start``: parameters after fewer steps.
+    """
+    trial = _trial(replace(alternative, free=np.zeros_like(alternative.free)), FEW_ROWS, steps, start=start)
+    return trial and replace(trial, alternative=alternative)
 
 
 def fitted(alternative: Alternative, goal: float = 0.0, start: Mapping[str, float] | None = None) -> Trial | None:
@@ -175,10 +185,7 @@ def _fitted(alternative: Alternative, most: int, steps: int, goal: float, start:
         np.isfinite(table[name]).sum() * math.log(factor) for name, factor in alternative.rescaled.items()
     )
     price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike would fit in any larger unit
-    x = problem.at(start)
-    if problem.of_rig.any() and not start:
-        x = fit(problem, problem.of_rig, x, idle_options(2 * steps)).x
-    solution = fit(problem, columns, x, idle_options(steps, goal * n / price))
+    solution = fit(problem, columns, problem.at(start), idle_options(steps, goal * n / price))
     shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
     quality = goodness(*of_data(problem, columns, solution), shares)
     off = solution.x - problem.start
