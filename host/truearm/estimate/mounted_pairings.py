@@ -69,13 +69,11 @@ NOISE = (
     3e-4,
 )  # m, of a reading about the fitted robot, round by round
 TAIL, TAIL_SIGMAS = 0.01, 10.0  # a reading may be off although the pairing is correct
-SOFT = 2.5  # σ, beyond which a reading has less weight in the fit (Cauchy's loss)
 LOST = 0.02  # a sensor is beyond its stroke although the bar is within
 # m, rad and 1: σ of rig values declared as unknown. They are described nevertheless: if a chuck were farther off than
 # the travel that a plan keeps in reserve (22 mm), the bar would leave its stroke.
 DIFFUSE = 0.02
 MOST_PAIRINGS = 150
-MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out if the fit misses by this factor more than predicted
 
 SURE = 0.998  # minimum probability of a label based on the evidence alone
 SUPPORTED = 0.97  # minimum probability of a label on which plan and operator agree, if the readings lower it
@@ -161,16 +159,9 @@ def _annealed(fit: _Fit, transitions: Sequence[Floats], told: Floats) -> tuple[F
     if not fit.readings.read.any():
         return probability, evidence
     for fit.noise in steps_of(NOISE, "comparing labels with the readings"):
-        seen = fit.judge(probability)
-        probability, evidence = posterior(transitions, told, *fit.densities(seen))
-        fit.move(probability, seen)
-    for _ in range(MOST_SUSPECT):
-        seen = fit.judge(probability)
-        probability, evidence = posterior(transitions, told, *fit.densities(seen))
-        if not fit.suspect(probability, seen):
-            break
-        fit.move(probability, seen)
-    return probability, evidence
+        probability, _ = posterior(transitions, told, *fit.densities(fit.judge(probability)))
+        fit.move(probability)
+    return posterior(transitions, told, *fit.densities(fit.judge(probability)))
 
 
 def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Floats]:
@@ -296,9 +287,6 @@ class _Fit:
         self.columns = self.problem.columns(free)
         self.prior = 1.0 / np.minimum(self.problem.prior_sigma[self.columns], DIFFUSE) ** 2
         self.x = self.problem.start.copy()
-        self.widened = 1.0
-        self.left_out = np.zeros(self.n, dtype=bool)  # of the fit, because they may be wrong
-        self.soft = np.ones(self.n)  # weight of each dwell in Cauchy's loss
         self._linearise()
 
     def _linearise(self) -> None:
@@ -313,9 +301,7 @@ class _Fit:
         """Return the most probable candidate of each dwell, and its weight in the fit (n,) [1/m²], 0 where improbable."""
         best = probability[:, : self.k].argmax(axis=1)
         likely = probability[np.arange(self.n), best]
-        return best, np.where(
-            self.readings.read & ~self.left_out & (likely > 0.5), self.soft * likely, 0.0
-        ) / self.noise**2
+        return best, np.where(self.readings.read & (likely > 0.5), likely, 0.0) / self.noise**2
 
     def _normal(self, best: Indices, weight: Floats) -> tuple[Floats, Floats]:
         """Return information and right-hand side of the prior and all dwells."""
@@ -325,33 +311,11 @@ class _Fit:
         away = (self.problem.start - self.x)[self.columns]
         return info, self.prior * away + weighted.T @ self.residual[rows, best]
 
-    def move(self, probability: Floats, seen: _Seen) -> None:
+    def move(self, probability: Floats) -> None:
         """Fit to all dwells, weighted by the probability of their candidates."""
-        best, _ = self._weighted(probability)
-        rows = np.arange(self.n)
-        self.soft = 1.0 / (1.0 + (seen.misfit[rows, best] / (SOFT * seen.sigma[rows, best])) ** 2)
         info, rhs = self._normal(*self._weighted(probability))
         self.x[self.columns] += cho_solve(cho_factor(info), rhs)
         self._linearise()
-
-    def suspect(self, probability: Floats, seen: _Seen) -> bool:
-        """Leave the run with the largest misfit out while the fit is worse than its noise; return whether one was left out.
-
-        Half of the readings remain: a run can be checked against the others only if they are the majority.
-        """
-        if self.widened < WIDENED:
-            return False
-        best, weight = self._weighted(probability)
-        rows = np.arange(self.n)
-        ratio = np.where(weight > 0.0, np.abs(seen.misfit[rows, best]) / seen.sigma[rows, best], 0.0)
-        worst = int(ratio.argmax())
-        run = next(run for run in runs(best) if run.start <= worst < run.stop)
-        left_out = self.left_out.copy()
-        left_out[run] = True
-        if weight[worst] == 0.0 or 2 * (left_out & self.readings.read).sum() > self.readings.read.sum():
-            return False
-        self.left_out = left_out
-        return True
 
     def judge(self, probability: Floats) -> _Seen:
         """Compare each dwell with the fit without its run."""
@@ -381,7 +345,7 @@ class _Fit:
             self._condition(seen, pair, *without(slice(before.start, run.stop), pair))
         known = np.flatnonzero(weight > 0.0)
         after = known[(known > 0) & (best[known] == best[known - 1])]
-        self.widened = widen(seen.misfit, seen.sigma, known, best) if known.size else np.inf
+        widen(seen.misfit, seen.sigma, known, best)
         widen(seen.after, seen.after_sigma, after, best)
         return seen
 
@@ -419,14 +383,11 @@ def log_density(misfit: Floats, sigma: Floats, wide: Floats) -> Floats:
     return np.asarray(np.logaddexp(np.log(1.0 - TAIL) + normal(sigma), np.log(TAIL) + normal(TAIL_SIGMAS * wide)))
 
 
-def widen(misfit: Floats, sigma: Floats, rows: Indices, best: Indices) -> float:
-    """Increase σ if the usual misfit of some rows' most probable candidates is larger; return the factor."""
+def widen(misfit: Floats, sigma: Floats, rows: Indices, best: Indices) -> None:
+    """Increase σ if the usual misfit of some rows' most probable candidates is larger."""
     ratio = np.abs(misfit[rows, best[rows]]) / sigma[rows, best[rows]]
-    if not np.isfinite(ratio).any():
-        return 1.0
-    factor = max(1.0, float(np.nanmedian(ratio)) / float(special.ndtri(0.75)))
-    sigma *= factor
-    return factor
+    if np.isfinite(ratio).any():
+        sigma *= max(1.0, float(np.nanmedian(ratio)) / float(special.ndtri(0.75)))
 
 
 def runs(labels: Indices) -> list[slice]:
