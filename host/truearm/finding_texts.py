@@ -65,7 +65,7 @@ INPUTS: Mapping[str, tuple[str, str]] = {
     ),
     "wrong-labels": (
         "{n:#row was|rows were} measured with other parts than named: {runs}",
-        "Correct this (a session with truearm session relabel --mounted)[{bar:!}, and the lengths that follow from the bar], or give {leave_out:@leave_out} (rows numbered from 1 over all inputs).",
+        "Correct this (a session with truearm session relabel)[{bar:!}, and the lengths that follow from the bar], or give {leave_out:@leave_out} (rows numbered from 1 over all inputs).",
     ),
     "rows-apart": (
         "{n:#row does|rows do} not fit the other {others}, which fit together ({runs}): something in the set-up moved in between, a joint's zero jumped, or the labels of these rows are wrong",
