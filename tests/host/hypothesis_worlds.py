@@ -342,12 +342,23 @@ LABELS = {"clean": clean, "mislabelled": mislabelled, "partly mislabelled": part
 RECIPE = on_length(pads, "bar.pads")
 
 
-def world(robot, fault, seed, visits=1, planned=False):
+def with_mount_again(of, names):
+    """Return a site where the poses of a mount, such as ("chuck c2", "sphere s3"), are measured again at the end."""
+    rows = np.flatnonzero(
+        of.first
+        & np.array([{f"chuck {c}", f"sphere {s}"} == set(names) for c, s in zip(of.chuck, of.sphere, strict=True)])
+    )
+    rows = np.r_[np.arange(len(of.q)), rows]
+    first = of.first[rows] & (np.arange(len(rows)) < len(of.q))
+    return replace(of, q=of.q[rows], chuck=of.chuck[rows], sphere=of.sphere[rows], first=first)
+
+
+def world(robot, fault, seed, visits=1, planned=False, of=None):
     """Return a world by the names of robot and fault, deterministically."""
     rng = np.random.default_rng([seed, sum(map(ord, robot + fault)), 0xFA17])
     if fault in FAULTS:
         make, amount, _ = FAULTS[fault]
-        return make(site(robot, visits, planned), rng, amount)
+        return make(of or site(robot, visits, planned), rng, amount)
     return (OUTSIDE | LABELS)[fault](site(robot, visits, planned), rng)
 
 

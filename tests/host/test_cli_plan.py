@@ -21,6 +21,7 @@ from truearm.files.result_file import RobotFrames, write_result
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_text
 from truearm.plan.forecast import bar_table
+from truearm.results import Diagnosis, Rival
 
 COMMON = ("--model", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")
 
@@ -63,6 +64,15 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     assert again["rank"] == 30
     first = dict(zip(found.parameter_names, found.sigma, strict=True))
     assert all(p["sigma"] < first[p["name"]] for p in again["parameters"])
+
+    sphere, chuck = visits.sphere[-1], visits.chuck[-1]
+    assert again["pairings"][0]["chuck"] != chuck
+    cause = Rival("base.drift", "base.drift", None, 1.0, 1e-4, 1e-4, 0.1, 2.0)
+    fault = Diagnosis((cause, cause), cause, (), (), 30.0, 2, 9.0, (f"chuck {chuck}", f"sphere {sphere}"))
+    write_result(folder / "result.json", result_of(replace(found, faults=(fault,)), table, frames))
+    assert main(["plan", "ballbar", *COMMON, "--rig", rig, *more]) == 0
+    begin = json.loads(capsys.readouterr().out)["pairings"][0]
+    assert (begin["chuck"], begin["sphere"]) == (chuck, sphere), "what would decide between the causes of a fault"
 
 
 def test_a_urdf_with_several_ends(folder, capsys):

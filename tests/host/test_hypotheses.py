@@ -234,6 +234,48 @@ def test_a_fault_of_one_line_is_listed_at_noncentrality_30():
     assert sum(error < 2.0 * result.claim.total for result, error, _ in results) >= 0.95 * len(cases)
 
 
+def wrong_rivals(robot, fault, seed):
+    """Return the number of wrong causes before, if the named mount is measured again, and if the first one is.
+
+    None if nothing is to be decided, or if the same session with more rows names another mount.
+    """
+    of = worlds.site(robot)
+    first, names, counts = (f"chuck {of.chuck[0]}", f"sphere {of.sphere[0]}"), (), []
+    named = worlds.with_mount_again(of, first)
+    for _ in range(3):
+        world = worlds.world(robot, fault, seed, of=named)
+        before = replace(world, site=of, table=world.table.select(np.arange(len(of.q))))
+        result, *_ = judged(before)
+        faults = [fault for fault in result.faults if fault.deciding]
+        if not faults:
+            return None
+        if faults[0].deciding == names:
+            break
+        names = faults[0].deciding
+        named = worlds.with_mount_again(of, names)
+    else:
+        return None
+    for site in (None, named, worlds.with_mount_again(of, first)):
+        faults = result.faults if site is None else judged(worlds.world(robot, fault, seed, of=site))[0].faults
+        counts.append(sum(len(set(names_of(each)) - set(world.names)) for each in faults))
+    return counts
+
+
+def test_the_mount_that_would_decide_is_named():
+    before, named, first = wrong_rivals("puma560", "creep", 20)
+    assert named == 0 < first <= before
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("fault", ["creep", "encoder step"])
+def test_the_named_mount_excludes_rivals(fault):
+    """A third of the wrong causes at least; of a base that creeps, more than the first mount, which is on one chuck."""
+    cases = [wrong_rivals(robot, fault, seed) for robot in ROBOTS for seed in range(20, 35)]
+    before, named, first = np.sum([case for case in cases if case is not None], axis=0)
+    assert named < 0.67 * before
+    assert named < first or fault != "creep"
+
+
 def test_rows_that_cannot_decide_give_one_name_with_or(slipped):
     """Two hypotheses whose columns differ by what the parameters follow anyway."""
     fit, _ = fitted(slipped)

@@ -12,7 +12,7 @@ from truearm.checks.catalogue import Profiles, catalogue
 from truearm.checks.evidence import Design, Weighed, amount_of, build_design, rows_of
 from truearm.checks.held_out import LeftOut
 from truearm.checks.noise import DECLARED
-from truearm.checks.search import Search, checked, columns_of
+from truearm.checks.search import RIVAL, Search, checked, columns_of
 from truearm.checks.whitened import WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import measured_order
@@ -171,7 +171,7 @@ def diagnoses(result: Search, average: Average, table: ObservationTable) -> tupl
                 best.drop,
                 best.freedom,
                 best.log_evidence,
-                deciding(options, fit, table),
+                deciding(options, result.design, table),
             )
         )
     return tuple(out)
@@ -190,19 +190,20 @@ def rival_of(
     return Rival(weighed.name, name, rows, part.weight, average.moves(part.step), average.error(applied), *gain)
 
 
-def deciding(options: Sequence[Part], fit: WhitenedFit, table: ObservationTable) -> tuple[str, ...]:
-    """Return the names mounted in the rows of which the explanations predict most differently, measured at the end.
+def deciding(options: Sequence[Part], design: Design, table: ObservationTable) -> tuple[str, ...]:
+    """Return the names mounted in the rows that would exclude most explanations if they were measured again at the end.
 
-    Empty if they agree within the noise of a row wherever something was mounted.
+    Formula (14) of docs/explanation/hypotheses.md. Empty if no mount is expected to give one nat.
     """
+    fit = design.fit
     predicted = np.array([fit.jac @ part.step + at_the_end(part.weighed, fit) @ part.size for part in options])
-    weights = np.array([part.weight for part in options])
-    variance = weights @ (predicted - weights @ predicted) ** 2
+    square = (predicted - predicted[0]) ** 2 / (1.0 + ((fit.jac @ design.root) ** 2).sum(axis=1))
     run = fit.how.run[fit.row]
-    by_run = np.bincount(run, variance) / np.maximum(np.bincount(run), 1)
-    if by_run.max() < 1.0:
+    nats = 0.5 * np.array([np.bincount(run, of_rival) for of_rival in square])
+    if nats.max() < 1.0:
         return ()
-    row = fit.how.row[np.flatnonzero(fit.how.run == np.argmax(by_run))[0]]
+    best = np.argmax(np.minimum(nats, RIVAL).sum(axis=0))
+    row = fit.how.row[np.flatnonzero(fit.how.run == best)[0]]
     columns = kinds()[str(table.kind[row])].grouped_by
     return tuple(f"{column} {table[column][row]}" for column in columns if table[column][row])
 

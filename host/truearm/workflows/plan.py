@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.criteria import Criterion
-from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_rig_values
+from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_first, with_rig_values
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
@@ -264,11 +264,15 @@ def plan_approaches_files(
 
 
 def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known:
-    """Return what is known before a plan: the design, or a result's robot and its estimates of the rig."""
+    """Return what is known before a plan: the design, or a result's robot and its estimates of the rig.
+
+    What would decide between the causes of a fault in the result comes first in the rig, and so in the plan.
+    """
     params, values = robot.chain.params_nominal, {}
     if result is not None:
         estimates = {parameter.name: parameter.value for parameter in result.stored.parameters}
         params, values = result.identified, {name: value for name, value in estimates.items() if value is not None}
+        rig = with_first(rig, [name for fault in result.stored.faults for name in cast("list[str]", fault["deciding"])])
     prior = default_prior(robot, DEFAULTS.solver)
     known = Known.design(robot, with_rig_values(rig, values))
     return replace(known, params=params, rig_values=values, free=robot.free, prior=prior)
