@@ -8,7 +8,7 @@ declared noise by the number of kernels tried.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,8 +19,8 @@ from truearm.estimate.ties import first_within
 from truearm.types import Floats, Indices, Mask
 
 SHARES = (0.1, 0.3, 0.6, 0.9)  # of the variance that rows share
-LAGS = (2.0, 8.0, 40.0)  # rows
-DISTANCES = (0.1, 0.3, 1.0)  # of the joint readings, in their standard deviations
+# Kernels with their widths: rows, and standard deviations of the joint readings.
+SHAPES = (("order", 2.0), ("order", 8.0), ("order", 40.0), ("mount", 0.0), ("pose", 0.1), ("pose", 0.3), ("pose", 1.0))
 STRETCH = 50  # rows; of a longer table, stretches of as many are judged
 MOST_JUDGED = 400  # rows
 ODD = 1e-3  # probability that χ² of noise as declared is so small or so large
@@ -84,19 +84,17 @@ class Kernel:
 DECLARED = Kernel()
 
 
-def similarities(fit: WhitenedFit, rows: Indices) -> Iterator[tuple[str, Floats]]:
-    """Return the kernels K (n', n') of some rows by their names."""
-    for lag in LAGS:
-        yield "order", np.exp(-np.abs(rows[:, None] - rows) / lag)
-    run = fit.how.run[rows]
-    if np.unique(run).size > 1:
-        yield "mount", (run[:, None] == run).astype(float)
+def similarity(fit: WhitenedFit, rows: Indices, name: str, width: float) -> Floats:
+    """Return the kernel K (n', n') of some rows; ``width`` in rows, or in standard deviations of the joint readings."""
+    if name == "order":
+        return np.asarray(np.exp(-np.abs(rows[:, None] - rows) / width))
+    if name == "mount":
+        run = fit.how.run[rows]
+        return np.asarray(run[:, None] == run, dtype=float)
     readings = fit.how.table.q[fit.how.row]
     z = ((readings - readings.mean(axis=0)) / np.maximum(readings.std(axis=0), 1e-9))[rows] / np.sqrt(readings.shape[1])
     square = (z**2).sum(axis=1)
-    apart = np.maximum(square[:, None] + square - 2.0 * z @ z.T, 0.0)
-    for distance in DISTANCES:
-        yield "pose", np.exp(-0.5 * apart / distance**2)
+    return np.asarray(np.exp(-0.5 * np.maximum(square[:, None] + square - 2.0 * z @ z.T, 0.0) / width**2))
 
 
 def learned_noise(fit: WhitenedFit) -> Kernel:
@@ -106,8 +104,10 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     sets = residual_sets(fit, judged_residuals)
     columns = np.concatenate([fit.jac, fit.residual[:, None]], axis=1)[judged_residuals]
     declared, _ = likelihood(columns, fit, DECLARED, is_known=True)
+    shapes = [(name, width) for name, width in SHAPES if name != "mount" or np.unique(fit.how.run[judged]).size > 1]
     kernels = [Kernel("white")]
-    for name, similar in similarities(fit, judged):
+    for name, width in shapes:
+        similar = similarity(fit, judged, name, width)
         kernels += [shared(name, share, similar, sets) for share in SHARES]
     likelihoods = [likelihood(columns, fit, kernel, is_known=False) for kernel in kernels]
     best = first_within([value for value, _ in likelihoods])
@@ -117,7 +117,7 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
         return DECLARED
     kernel = kernels[best]
     if not kernel.plain:
-        _, similar = list(similarities(fit, np.arange(fit.n)))[(best - 1) // len(SHARES)]
+        similar = similarity(fit, np.arange(fit.n), *shapes[(best - 1) // len(SHARES)])
         kernel = shared(kernel.name, kernel.share, similar, residual_sets(fit, np.ones(fit.row.size, dtype=bool)))
     lower = tuple((index, scale * root) for index, root in kernel.lower)
     return replace(kernel, scale=scale, gain=gain, lower=lower)
