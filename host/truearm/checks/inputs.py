@@ -40,7 +40,7 @@ from truearm.types import Mask, Rigs
 from truearm.units import UNITS
 
 STEPS_TO_RANK = 2  # to place base, tool and rig
-MOST_PLACED, MOST_FITTED = 16, 4  # the best alternatives that go on
+MOST_PLACED, MOST_FITTED = 8, 4  # the best alternatives that go on
 MOST_NAMED = 3
 RIVALS = math.log(100.0)  # nats, of explanations that are reported with the best
 MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search
