@@ -82,6 +82,13 @@ def test_operators_who_err(tmp_path, plan):
     assert account.before < 0.75 * account.usable  # without it much is lost
 
 
+def test_readings_of_dwells_that_need_a_decision_are_evidence_about_the_others(tmp_path, plan):
+    """Operator 104 mounts a sphere one dwell late and confirms it as planned; the other readings refute that dwell."""
+    account = Account()
+    account.add(tmp_path, plan, 104)
+    assert account.wrong_before == account.wrong == 0
+
+
 @pytest.mark.soak
 def test_two_hundred_operators(tmp_path, plan, capsys):
     """The requirement: 97 % usable, at most one of 2000 labels wrong; without relabel, no wrong label is used."""

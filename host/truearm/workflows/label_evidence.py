@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from truearm.errors import InputError
 from truearm.estimate.mounted_pairings import MountingChances, Readings, Words, mountings
 from truearm.session.dwell_labels import Said, may_be_dwells, pairing_of, said_of_dwells
-from truearm.types import Rig
+from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.session.dwells import Dwell
-    from truearm.session.observations import SyncResult
+    from truearm.session.observations import Survey, SyncResult
     from truearm.session.plan_matching import Marks
 
 LEAST_DWELLS = 3  # fewer cannot support one another
@@ -32,14 +32,22 @@ class Stop(NamedTuple):
     marks: Marks
 
 
-def stops_of(path: Path, result: SyncResult) -> list[Stop]:
-    """Return the stops of a session that may be dwells of its plan."""
-    from truearm.session.dwells import DwellRules
+def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
+    """Return the stops of a session that may be dwells of its plan.
 
-    every, marks, tolerance = result.survey.dwells, result.survey.marks, DwellRules().pose_tolerance
+    They are measured as if one bar had been mounted all the time: the sensor's readings do not depend on it.
+    """
+    from truearm.session.dwells import DwellRules
+    from truearm.session.observations import observations
+
+    every, marks, tolerance = survey.dwells, survey.marks, DwellRules().pose_tolerance
     numbers = may_be_dwells(every, marks, tolerance)
     said = said_of_dwells([every[i] for i in numbers], marks, tolerance)
-    return [Stop((path, i + 1), result.dwells[i], words, marks) for i, words in zip(numbers, said, strict=True)]
+    bar = max(rig.bars.values(), key=lambda bar: bar.travel).name
+    mounted = dict(zip(BAR_MOUNTED, (bar, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
+    labels = [DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted) for dwell in every]
+    measured = observations(lambda: iter(()), rig, found=survey, labels=labels).dwells
+    return [Stop((path, i + 1), measured[i], words, marks) for i, words in zip(numbers, said, strict=True)]
 
 
 def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances:
@@ -61,10 +69,9 @@ def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances
 def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.bool_]:
     """Return the rows (n,) of a session's table that are no dwells, or have labels that the readings support."""
     out = np.ones(len(result.table), dtype=bool)
-    labels = [pairing_of(dwell.mounted) for dwell in result.dwells if not dwell.reason]
-    if len(labels) >= LEAST_DWELLS and result.table.q.shape[1] == len(robot.chain.joints):
-        stops = stops_of(Path(), result)
-        used = [k for k, stop in enumerate(stops) if not stop.dwell.reason]
-        chances = chances_of(robot, rig, stops)
-        out[: len(labels)] = [chances.supports(k, label) for k, label in zip(used, labels, strict=True)]
+    used = {i + 1: pairing_of(dwell.mounted) for i, dwell in enumerate(result.dwells) if not dwell.reason}
+    if len(used) >= LEAST_DWELLS and result.table.q.shape[1] == len(robot.chain.joints):
+        stops = stops_of(Path(), rig, result.survey)
+        number, chances = {stop.place[1]: k for k, stop in enumerate(stops)}, chances_of(robot, rig, stops)
+        out[: len(used)] = [chances.supports(number[place], label) for place, label in used.items()]
     return out

@@ -62,20 +62,16 @@ def relabel(
 
 
 def _measured(path: Path, rig: Rig | None) -> tuple[Rig, list[Stop]]:
-    """Return the rig and the stops of a file as if one bar had been mounted all the time: the readings do not depend on it."""
+    """Return the rig and the stops of a file."""
     from truearm.session.box_ident import recorded_ident
     from truearm.session.device_clock import recorded_wander
-    from truearm.session.observations import observations, survey
+    from truearm.session.observations import survey
 
     session = open_finished(path)
     rig = rig or recorded_rig(session, path)
     if not (rig.bars and rig.chucks and rig.spheres):
         raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
-    seen = survey(session.batches, recorded_ident(session), wander=recorded_wander(session))
-    bar = max(rig.bars.values(), key=lambda bar: bar.travel).name
-    mounted = dict(zip(BAR_MOUNTED, (bar, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
-    labels = [DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted) for dwell in seen.dwells]
-    return rig, stops_of(path, observations(lambda: iter(()), rig, found=seen, labels=labels))
+    return rig, stops_of(path, rig, survey(session.batches, recorded_ident(session), wander=recorded_wander(session)))
 
 
 def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing | None, p: float) -> DwellLabel:
