@@ -464,14 +464,14 @@ TABLE = Rig(targets=devices.TARGETS, planes={"table": Plane("table", (0.4, 0.0, 
 
 
 def probed(heights, give=0.0, n=60):
-    """Distances from a table that an arm was sent to at ``heights``; it gives way under 10 kg in every other row."""
+    """Distances from a table that an arm was sent to at ``heights``; it gives way under 0, 5 and 10 kg."""
     rng = np.random.default_rng(3)
     points = np.column_stack(
         [rng.uniform(0.25, 0.65, n), rng.uniform(-0.4, 0.4, n), 0.3 + heights * rng.normal(size=n)]
     )
     q = devices.joints_at(points, rng, DESIGN)
     q = q[np.isfinite(q).all(axis=1)]
-    mass = np.where(np.arange(len(q)) % 2, 10.0, 0.0)
+    mass = np.resize((0.0, 5.0, 10.0), len(q))
     frames, sagging = joint_frames(PUMA.chain, DESIGN, q), q.copy()
     for joint in (1, 2):
         arm = point_forward(PUMA.chain, DESIGN, q, np.array([0.0, 0.0, 0.12])) - frames[:, joint, :3, 3]
