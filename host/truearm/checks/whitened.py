@@ -96,6 +96,7 @@ def whitened_fit(
     vague = np.array([UNITS[unit].vague_sigma for unit in problem.units])
     is_mounting = np.zeros(wide.size, dtype=bool)
     is_mounting[: problem.n_robot] = mounting(problem.chain, x[: problem.n_robot]).either
+    leeway = np.where(is_mounting, vague, wide)[columns]
     knowledge = np.concatenate([*knowledge_parts, np.zeros((0, k + 1))])
     return WhitenedFit(
         row=row[order],
@@ -106,7 +107,7 @@ def whitened_fit(
         knowledge_residual=np.concatenate([knowledge[:, -1], error[rig] / sigma[rig]]),
         prior_jac=np.eye(k)[of_robot] / sigma[of_robot, None],
         prior_residual=error[of_robot] / sigma[of_robot],
-        leeway=(np.eye(k) / np.where(is_mounting, vague, wide)[columns])[robot],
+        leeway=np.eye(k)[robot] / leeway[robot, None],
         fault_jac=whole[order, k:-1],
         errors=problem.errors,
         causes=problem.causes,
