@@ -101,7 +101,11 @@ def _fixed(out, first, n, width):
 def _encode(value, out, depth):
     if depth == 0:
         raise CborError("nested too deeply")
-    if isinstance(value, U32):
+    if isinstance(value, str):  # first: the keys of an ident, most of what a box encodes
+        text = value.encode()
+        _head(out, 3, len(text))
+        out.extend(text)
+    elif isinstance(value, U32):
         _fixed(out, 0x1A, value, 4)
     elif isinstance(value, U64):
         _fixed(out, 0x1B, value, 8)
@@ -115,10 +119,6 @@ def _encode(value, out, depth):
     elif isinstance(value, (bytes, bytearray)):
         _head(out, 2, len(value))
         out.extend(value)
-    elif isinstance(value, str):
-        text = value.encode()
-        _head(out, 3, len(text))
-        out.extend(text)
     elif isinstance(value, (list, tuple)):
         _head(out, 4, len(value))
         for item in value:
