@@ -76,7 +76,7 @@ def _followed(
             case Step.BRANCH | Step.ELSE:
                 for block in blocks[-1:]:
                     block.ends, last = block.ends | last, block.before
-                    block.is_skipped &= step is not Step.ELSE
+                    block.is_skipped &= step is not Step.ELSE or block.step is not Step.IF
             case Step.LEAVE:
                 for block in [block for block in blocks if block.step in (Step.LOOP, Step.REPEAT)][-1:]:
                     block.ends |= last

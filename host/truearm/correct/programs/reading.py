@@ -73,7 +73,9 @@ class Reading:
             try:
                 alternatives += evaluate(tokens, scope)
             except Uncertain as uncertain:
-                raise uncertain.within(self.program, Place(scope.file, tokens[0].start)) from None
+                if tokens:
+                    uncertain = uncertain.within(self.program, Place(scope.file, tokens[0].start))
+                raise uncertain from None
             if len(alternatives) > MOST_TARGETS:
                 raise Uncertain("many", most=MOST_TARGETS)
         return alternatives
