@@ -13,7 +13,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "out" / "demo" / "report.html"
 PICTURE = ROOT / "docs" / "images" / "report.png"
-WIDTH, HEIGHT = 1180, 1305  # px: as far as the first row of figures
+WIDTH, HEIGHT = 1180, 1490  # px: as far as the first row of figures
 COLOURS = 128
 
 

@@ -10,7 +10,7 @@ import pytest
 from tests.end_to_end.conftest import interpreter, standard_plan, truearm
 
 from truearm.record.recorder import record
-from truearm.workflows.demo_steps import record_virtually, write_setup
+from truearm.workflows.simulate import record_virtually, write_setup
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World
 
@@ -76,7 +76,7 @@ def test_an_interrupt_while_the_file_is_being_completed_is_not_lost(tmp_path, mo
 
     monkeypatch.setattr("truearm.record.recorder.record", struck_after)
     with pytest.raises(KeyboardInterrupt):
-        record_virtually(tmp_path, plan, world, box, 16384, 1)
+        record_virtually(tmp_path, world, box, 16384, 1)
     box.close()
 
 

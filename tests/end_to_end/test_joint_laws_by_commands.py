@@ -12,7 +12,8 @@ from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import RobotChoice
 from truearm.model.chain import forward
 from truearm.model.poses import position_and_rotation
-from truearm.workflows.simulated_robot import TruthOptions, simulated_robot
+from truearm.workflows.requests import TruthOptions
+from truearm.workflows.simulated_robot import simulated_robot
 
 POSES, TARGETS = 1600, 40
 GEAR, PERIODS = 2.5e-4, (180.0, 360.0 / 17.0)  # rad of each sine, deg: 2 and 17 cycles a turn
@@ -26,7 +27,9 @@ LAWS = [
 
 def true_poses(seed):
     """Return a function from joint readings to the true pose of the end."""
-    truth = TruthOptions(gear_error=GEAR, gear_periods=tuple(np.radians(PERIODS)), masses=MASSES, stiffness=STIFFNESS)
+    truth = TruthOptions(
+        gear_error=GEAR, gear_periods=tuple(np.radians(PERIODS)), masses=MASSES, stiffness_nm_rad=STIFFNESS
+    )
     robot = simulated_robot(RobotChoice("ur5e"), truth, seed)
     chain = robot.robot.chain
     return chain, lambda q: forward(chain, robot.params, q + sum(error.at(q) for error in robot.arm.errors))

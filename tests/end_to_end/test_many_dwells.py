@@ -22,7 +22,7 @@ SEED = 1
 RECORD = f"""
 import sys
 from pathlib import Path
-from truearm.workflows.demo_steps import record_virtually
+from truearm.workflows.simulate import record_virtually
 from truearm.files.plan_file import read_plan
 from truearm_sim import micropython
 from truearm_sim.simbox import SimulatedBox
@@ -32,14 +32,14 @@ out = Path(sys.argv[1])
 plan = read_plan(out / "plan.csv")
 world = World({SEED}, plan)
 box = SimulatedBox(world, micropython.find(), seed={SEED})
-record_virtually(out, plan, world, box, 4096, {SEED})
+record_virtually(out, world, box, 4096, {SEED})
 box.close()
 """
 
 PLAN = f"""
 import sys
 from pathlib import Path
-from truearm.workflows.demo_steps import write_setup
+from truearm.workflows.simulate import write_setup
 from truearm.model.robot import builtin_robot
 from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells

@@ -10,13 +10,13 @@ from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.robot import builtin_robot
 from truearm.workflows.requests import SimulateOptions
 from truearm.workflows.simulate import visits
-from truearm.workflows.simulated_robot import AS_DRAWN, simulated_robot
+from truearm.workflows.simulated_robot import simulated_robot
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 from truearm_sim.world import World, standard_plan, standard_rig
 
 
 def visited(options):
-    return visits(options, simulated_robot(options.robot, AS_DRAWN, options.seed))
+    return visits(options, simulated_robot(options.robot, options.truth, options.seed))
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
         (["--masses-kg", "1,2"], "--masses-kg: needs 6 masses, one per joint of puma560, has 2"),
         (["--masses-kg", "1,2,x"], "wrong-form"),
         (["--tolerance", "1"], "wrong-form"),
-        (["--gear-periods-deg", "0"], "--gear-periods-deg 0:"),
+        (["--gear-periods-deg", "0"], "--gear-periods-deg:"),
         (["--fast", "--protocol", "rtde"], "--fast opens no ports"),
         (["--fast", "--truth-out", "{}/ur5e.toml"], "ur5e.toml"),
         (

@@ -135,7 +135,9 @@ def _fields(record: Any, known: Collection[tuple[bool, str]], usual: Any) -> Ite
         elif (name := names.get(OPTIONS.get(field, field))) is not None:
             is_needed = default is parameter.empty or not (is_given or position or is_dataclass(record))
             is_option = (True, name) in known and not ((False, name) in known and is_needed)
-            if get_origin(hint) is tuple:
+            if field in options.READERS:
+                hint = str | None
+            elif get_origin(hint) is tuple:
                 hint, default = list[get_args(hint)[0]] | None, default or None  # type: ignore[misc]
             scale = units.ONE if name in (field, OPTIONS.get(field)) else SCALES[name.removeprefix(f"{field}_")]
             scale = units.ONE if scale.factor == 1.0 else scale

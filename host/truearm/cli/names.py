@@ -16,7 +16,6 @@ EARLIER = {
     "--robot": "--model",
     "record --robot": "--address",
     "simulate --robot": "--protocol",
-    "demo --rig": "--experiment",
     "--allow-truncated": "--allow-damaged",
     "--allow": "--apply",
     "--save-table": "--table-out",
@@ -37,6 +36,7 @@ REMOVED = {
         f"--{word}": f"write {word} = … into truearm.toml"
         for word in ("name", "serial", "operator", "controller", "customer")
     },
+    "--experiment": "give --lines 5 for lines along a line device; without it, a ball-bar measures the robot",
     "--all-free": "give --free '*'",
     "--residuals-out": "the corrected table and --json have the error of every target",
     "--zero-sigma-mm": "give --measured-with, or write zero_sigma_mm of the bar into rig.toml",

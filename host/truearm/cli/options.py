@@ -85,7 +85,7 @@ tolerance : MM,DEG
 gear_error_mrad : MRAD
     Amplitude of the gear error at each period.
 gear_periods_deg : DEG,…
-    Periods of the gear error, in joint angle.
+    Periods of the gear error, in joint angle. Default: 180,90.
 masses_kg : KG,…
     Masses of the links, one per joint: the joints sag under them. Default: no sag.
 stiffness_nm_rad : NM/RAD
@@ -107,6 +107,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from truearm import option_defaults
+from truearm.bounds import Within
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names, names_with_branch
 from truearm.plan.criteria import Criterion, criterion_summary
@@ -239,4 +240,31 @@ def branch_given(text: str | None) -> Branch | None:
     return Branch(np.array(lower), np.array(upper))
 
 
-READERS = {"branch": branch_given, "payload": payload_of}  # of fields that are given as texts
+def tolerance_of(text: str | None) -> tuple[float, float] | None:
+    """Return the standard deviations [m, rad] of the option in mm and deg. Raises InputError."""
+    values = numbers_of("--tolerance", text, 2)
+    Within(0.0).check("tolerance", values or ())
+    return None if values is None else (MM.to_si(values[0]), DEG.to_si(values[1]))
+
+
+def masses_of(text: str | None) -> tuple[float, ...] | None:
+    """Return the masses [kg] of the option. Raises InputError."""
+    values = numbers_of("--masses-kg", text)
+    Within(0.0, 1e4).check("masses_kg", values or ())
+    return values
+
+
+def gear_periods_of(text: str) -> tuple[float, ...]:
+    """Return the periods [rad] of the option in deg. Raises InputError."""
+    values = numbers_of("--gear-periods-deg", text) or ()
+    Within(0.1, 3600.0).check("gear_periods_deg", values)
+    return tuple(map(DEG.to_si, values))
+
+
+READERS = {  # of fields that are given as texts
+    "branch": branch_given,
+    "payload": payload_of,
+    "tolerance": tolerance_of,
+    "masses": masses_of,
+    "gear_periods": gear_periods_of,
+}

@@ -6,17 +6,13 @@ import queue
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from truearm.bounds import REPEATABILITY, SEED, Within
 from truearm.cli.command import command
 from truearm.cli.project import ProjectCommand, typed
-from truearm.cli.truth_options import DEFAULT_PERIODS, DEFAULT_STIFFNESS, truth_of
 from truearm.errors import InputError
-from truearm.units import MM
 from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
 
 
@@ -38,14 +34,6 @@ def simulate(
     request: SimulateOptions,
     *,
     fast: bool = False,
-    worn: bool = False,
-    tolerance: str | None = None,
-    repeatability_mm: Annotated[float | None, REPEATABILITY, MM] = None,
-    gear_error_mrad: Annotated[float, Within(0.0)] = 0.0,
-    gear_periods_deg: str = DEFAULT_PERIODS,
-    masses_kg: str | None = None,
-    stiffness_nm_rad: Annotated[float, Within(1.0)] = DEFAULT_STIFFNESS,
-    truth_seed: Annotated[int | None, SEED] = None,
     stage: bool = False,
 ) -> None:
     """Simulate a sensor box and a robot, to rehearse a session on your own arm.
@@ -108,15 +96,14 @@ def simulate(
 
     if request.rate is not None and not fast:
         raise InputError("needs-option", place="--rate", needed="--fast")
-    options = replace(request, truth=truth_of(locals()))
     if stage and fast:
         raise InputError("--stage waits for what you type, in real time: leave out --fast")
     if stage:
-        simulate_stage(options, typer.echo, _typed_lines())
+        simulate_stage(request, typer.echo, _typed_lines())
     elif fast:
-        simulate_fast(options, typer.echo)
+        simulate_fast(request, typer.echo)
     else:
-        simulate_box_and_robot(options, typer.echo)
+        simulate_box_and_robot(request, typer.echo)
 
 
 def _typed_lines() -> Callable[[], list[str]]:

@@ -5,18 +5,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from truearm.bounds import OneOf, Within
+from truearm.bounds import REPEATABILITY, SEED, OneOf, Within
 from truearm.export.formats import FORMATS
 from truearm.files.robot_file import NO_ROBOT, RobotChoice
 
 if TYPE_CHECKING:
     from truearm.model.workspace import Branch
     from truearm.types import Payload
-    from truearm.workflows.simulated_robot import TruthOptions
 
 PUMA = RobotChoice("puma560")
 FAST_RATE_HZ = 500.0  # of what simulate records in virtual time
@@ -50,11 +50,31 @@ class PlanFiles:
 
 
 @dataclass(frozen=True)
+class TruthOptions:
+    """How the true robot differs from its design.
+
+    ``tolerance``: standard deviations of lengths [m] and angles [rad]; None: the simulator's, or those measured
+    according to the robot file. ``gear_error``: amplitude [rad] of a sine for each of the ``gear_periods`` [rad].
+    ``masses`` [kg] of the links, one per joint; None for joints that do not sag. ``stiffness_nm_rad`` of each joint.
+    ``repeatability`` [m] of the bars, None for the rig's. ``worn``: backlash, slow settling, swinging links, noisy
+    readings. ``truth_seed``: random seed of the truth; None: that of everything else.
+    """
+
+    worn: bool = False
+    tolerance: tuple[float, float] | None = None
+    repeatability: Annotated[float | None, REPEATABILITY] = None
+    gear_error: Annotated[float, Within(0.0)] = 0.0
+    gear_periods: tuple[float, ...] = (math.pi, 0.5 * math.pi)
+    masses: tuple[float, ...] | None = None
+    stiffness_nm_rad: Annotated[float, Within(1.0)] = 5e4
+    truth_seed: Annotated[int | None, SEED] = None
+
+
+@dataclass(frozen=True)
 class SimulateOptions:
     """What to simulate, and where it listens.
 
-    ``branch``: where poses are drawn, by default the robot file's. ``truth``: how the robot differs from its design, None
-    for the simulator's differences, written to ``truth_out``. ``protocol``: one of PROTOCOLS. ``level``: a Level. ``plan``
+    ``branch``: where poses are drawn, by default the robot file's. ``truth`` is written to ``truth_out``. ``protocol``: one of PROTOCOLS. ``level``: a Level. ``plan``
     and ``rig`` are files that replace ``poses`` with each bar, or ``lines``. A ``fault`` is written SECONDS:KIND. A port of
     0 means any free one. ``warming`` [K]: how much the laboratory warms up; bar and sensor then have thermometers.
     ``rate`` [Hz]: of what is recorded in virtual time, None for the usual one.
@@ -63,7 +83,7 @@ class SimulateOptions:
     out: Path = Path("out/simulated")
     robot: RobotChoice = PUMA
     branch: Branch | None = None
-    truth: TruthOptions | None = None
+    truth: TruthOptions = TruthOptions()
     truth_out: Path | None = None
     force: bool = False
     rate: float | None = None

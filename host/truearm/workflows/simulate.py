@@ -12,16 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, assert_never
 
 from truearm.box.readiness import LVDT_DRIFT
-from truearm.errors import Argument, InputError, LinkError
+from truearm.errors import Argument, IncompleteError, InputError, LinkError
 from truearm.progress import step
 from truearm.text import counted
 from truearm.units import MM
-from truearm.workflows.demo_steps import record_virtually
-from truearm.workflows.record import nearest_osr
+from truearm.workflows.record import nearest_osr, plan_rows
 from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
 from truearm.workflows.session_observations import Say
+from truearm.workflows.session_parts import SETUP
 from truearm.workflows.simulated_robot import (
-    AS_DRAWN,
     SimulatedRobot,
     check_plan,
     simulated_robot,
@@ -117,7 +116,6 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
     try:
         record_virtually(
             options.out,
-            world.controller.plan,
             world,
             box,
             nearest_osr(FAST_RATE_HZ if options.rate is None else options.rate),
@@ -128,6 +126,64 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
     finally:
         box.close()
     say(f"{_visits_of(world)}, recorded in {time.perf_counter() - started:.1f} s: {options.out / SESSION}")
+
+
+def write_setup(out: Path, world: World) -> None:
+    """Write plan.csv and rig.toml, as a user would have them."""
+    from truearm.files.plan_file import write_plan
+    from truearm.files.rig_file import write_rig
+
+    write_plan(out / "plan.csv", world.controller.plan)
+    write_rig(out / "rig.toml", world.rig)
+
+
+def record_virtually(
+    out: Path,
+    world: World,
+    box: SimulatedBox,
+    osr: int,
+    seed: int,
+    step_ns: int | None = None,
+    model: str = "",
+) -> None:
+    """Run the recorder on the lab's links and clock and write session.mcap.
+
+    ``step_ns``: the longest step of the box's time; None: the lab's own. ``model``: the robot, or its file.
+    """
+    from truearm.interrupt import asked_to_stop
+    from truearm.record.recorder import Hooks, RecordOptions, record
+    from truearm.record.session_writer import SessionWriter
+    from truearm_sim.confirming import Confirming
+    from truearm_sim.lab import STEP_NS, Lab
+
+    lab = Lab(world, box, seed, STEP_NS if step_ns is None else step_ns)
+    writer = SessionWriter(out / SESSION, lab.clock, overwrite=True)
+    # An exception in the middle of a grant would leave the box's process waiting for its counterpart.
+    name = f"recording {counted(round(world.duration / 60), 'minute')} in virtual time"
+    with asked_to_stop() as interrupted, step(name) as advance:
+        summary = record(
+            lab.box_link,
+            writer,
+            lab.clock,
+            robot=lab.robot_link,
+            options=RecordOptions(
+                plan=plan_rows(world.controller.plan),
+                rig_toml=(out / "rig.toml").read_bytes(),
+                osr=osr,
+                head=[(SETUP, {"model": model})],
+            ),
+            hooks=Hooks(
+                interrupted=interrupted,
+                progress=lambda status: advance(status.elapsed_s / world.duration),
+                operator=Confirming(lab),
+            ),
+        )
+    if summary.file_losses:
+        raise IncompleteError("; ".join(summary.file_losses))
+    if interrupted():  # also while the file was being completed, when the recorder no longer asks
+        raise KeyboardInterrupt
+    if summary.reason != "robot closed":
+        raise LinkError(f"the simulated recording ended early: {summary.reason}, {summary.text}")
 
 
 def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[str]]) -> None:
@@ -196,13 +252,11 @@ def _lab(
 ) -> tuple[World, Hardware, SimulatedBox]:
     """Return the world, the hardware behind its box, and the box; writes plan, rig and truth. Raises InputError."""
     from truearm.files.disk import check_writable, own_folder
-    from truearm.files.plan_file import write_plan
-    from truearm.files.rig_file import write_rig
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.thermal import Thermal
     from truearm_sim.world import RobotInput, Setup, World
 
-    folder, seed, truth = options.out, options.seed, options.truth or AS_DRAWN
+    folder, seed, truth = options.out, options.seed, options.truth
     faults = [parse_fault(text) for text in options.fault]
     simulated = simulated_robot(options.robot, truth, seed, options.branch)
     joints = len(simulated.robot.chain.joints)
@@ -230,10 +284,9 @@ def _lab(
             thermal=thermal,
         ),
     )
-    of_box = hardware(options.level, say, fast=fast)
     own_folder(folder, MARK)
-    write_plan(folder / "plan.csv", plan)
-    write_rig(folder / "rig.toml", world.rig)
+    of_box = hardware(options.level, say, fast=fast)
+    write_setup(folder, world)
     if options.truth_out is not None:
         write_truth(options.truth_out, world, simulated.robot, truth, seed)
     return world, of_box, SimulatedBox(world, power_on=of_box.power_on, faults=faults, seed=seed)
@@ -268,7 +321,7 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
     if rig_file is not None:
         rig = read_rig(rig_file)
     else:
-        rig = with_repeatability(line_rig() if lines else standard_rig(robot), options.truth or AS_DRAWN)
+        rig = with_repeatability(line_rig() if lines else standard_rig(robot), options.truth)
     if plan_file is None:
         return _drawn(options, robot, rig).of_robot(robot.chain.name), rig
     plan = read_plan(plan_file)

@@ -15,6 +15,7 @@ from truearm.files.robot_file import RobotChoice
 from truearm.model.chain import point_forward
 from truearm.plan.branches import branch_of
 from truearm.units import MM
+from truearm.workflows.requests import TruthOptions
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
@@ -24,30 +25,6 @@ if TYPE_CHECKING:
     from truearm_sim.world import World
 
 TRUTH_FORMAT = "truearm-truth"
-
-
-@dataclass(frozen=True)
-class TruthOptions:
-    """How the true robot differs from its design, in SI units.
-
-    ``tolerance``: standard deviations of lengths [m] and angles [rad]; None: the simulator's, or those measured
-    according to the robot file. ``gear_error``: amplitude [rad] of a sine for each of the ``gear_periods`` [rad].
-    ``masses`` [kg] of the links, one per joint; None for joints that do not sag. ``stiffness`` [N·m/rad] of each joint.
-    ``repeatability`` [m] of the bars, None for the rig's. ``worn``: backlash, slow settling, swinging links, noisy
-    readings. ``seed``: random seed of the truth; None: that of everything else.
-    """
-
-    tolerance: tuple[float, float] | None = None
-    gear_error: float = 0.0
-    gear_periods: tuple[float, ...] = ()
-    masses: tuple[float, ...] | None = None
-    stiffness: float = 5e4
-    repeatability: float | None = None
-    worn: bool = False
-    seed: int | None = None
-
-
-AS_DRAWN = TruthOptions()
 
 
 @dataclass(frozen=True)
@@ -71,7 +48,7 @@ def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: 
     robot = model.load()
     if branch is not None:
         robot = replace(robot, branch=branch_of(robot, branch))
-    seed = seed if truth.seed is None else truth.seed
+    seed = seed if truth.truth_seed is None else truth.truth_seed
     chain = robot.chain
     params = true_params(robot, seed, None if truth.tolerance is None else Tolerance(*truth.tolerance))
     errors: list[JointError] = []
@@ -81,7 +58,7 @@ def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: 
         if len(truth.masses) != len(chain.joints):
             text = f": needs {len(chain.joints)} masses, one per joint of {chain.name}, has {len(truth.masses)}"
             raise InputError(Argument("masses_kg"), text)
-        errors.append(Sag(chain, params, np.array(truth.masses), truth.stiffness))
+        errors.append(Sag(chain, params, np.array(truth.masses), truth.stiffness_nm_rad))
     return SimulatedRobot(robot, params, replace(WORN if truth.worn else Arm(), errors=tuple(errors)))
 
 
@@ -139,12 +116,12 @@ def truth_document(world: World, robot: Robot, truth: TruthOptions, seed: int) -
     return {
         "format": TRUTH_FORMAT,
         "robot": chain.name,
-        "seed": seed if truth.seed is None else truth.seed,
+        "seed": seed if truth.truth_seed is None else truth.truth_seed,
         "parameters": [{"name": p.name, "unit": p.unit, "design": d, "true": t} for p, d, t in pairs],
         "gear_error_rad": truth.gear_error,
         "gear_periods_rad": list(truth.gear_periods) if truth.gear_error else [],
         "masses_kg": None if truth.masses is None else list(truth.masses),
-        "stiffness_nm_rad": None if truth.masses is None else truth.stiffness,
+        "stiffness_nm_rad": None if truth.masses is None else truth.stiffness_nm_rad,
         "backlash_rad": list(arm.backlash),
         "reading_sigma_rad": arm.reading_sigma,
         "robot_delay_s": hidden.robot_delay,
