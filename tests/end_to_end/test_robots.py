@@ -41,5 +41,5 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
 
 def test_another_kind_of_robot_is_refused(tmp_path, capsys):
     assert main(["simulate", "--protocol", "kuka", "--out", str(tmp_path / "x")]) == 2
-    ended(capsys.readouterr().err, "unknown-choice", place="protocol", value="kuka")
+    ended(capsys.readouterr().err, "usage", "--protocol", "kuka")
     assert not (tmp_path / "x").exists()

@@ -94,7 +94,7 @@ CASES = {
     "an endless time": (("record", "--box", "x", "--out", "s.mcap", "--duration-s", "inf"), "finite number"),
     "a port beyond": (("simulate", "--port", "99999"), "65535"),
     "a rate in real time": (("simulate", "--rate", "300", "--out", "new"), "needs-option"),
-    "a level that is none": (("simulate", "--fast", "--level", "abc", "--out", "new"), "unknown-choice"),
+    "a level that is none": (("simulate", "--fast", "--level", "abc", "--out", "new"), "not one of"),
     "a seed that draws nothing": ((*IDENTIFY, "--seed", "3"), "needs-option"),
     "a seed with a group": ((*IDENTIFY, "--seed", "3", "--hold-out", "bar=b"), "needs-option"),
     "points of no line": ((*IDENTIFY, "--line-points", "9"), "no-effect"),

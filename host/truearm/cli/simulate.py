@@ -71,7 +71,7 @@ def simulate(
         With --fast: samples per second of each channel. Default: {fast_rate}.
     port : PORT
         TCP port of the box; 0 takes a free one.
-    protocol : KIND
+    protocol
         Protocol of the robot: lines (JSON) or rtde (Universal Robots).
     robot_port : PORT
         TCP port of the robot; 0 takes a free one. Default: 7008, or 30004 with --protocol rtde.
@@ -86,7 +86,7 @@ def simulate(
     force
         Overwrite the file of --truth-out if truearm wrote it. Files of the same command in the folder of --out are
         overwritten in any case.
-    level : LEVEL
+    level
         vm: the firmware in MicroPython; chip: its image in an RP2040 emulator.
     stage
         Simulate the sensors without a robot, to rehearse truearm box gauge: they follow a reference position that you

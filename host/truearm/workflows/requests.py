@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,11 +71,18 @@ class TruthOptions:
     truth_seed: Annotated[int | None, SEED] = None
 
 
+class Level(StrEnum):
+    """What the simulated box runs in."""
+
+    VM = "vm"
+    CHIP = "chip"
+
+
 @dataclass(frozen=True)
 class SimulateOptions:
     """What to simulate, and where it listens.
 
-    ``branch``: where poses are drawn, by default the robot file's. ``truth`` is written to ``truth_out``. ``protocol``: one of PROTOCOLS. ``level``: a Level. ``plan``
+    ``branch``: where poses are drawn, by default the robot file's. ``truth`` is written to ``truth_out``. ``plan``
     and ``rig`` are files that replace ``poses`` with each bar, or ``lines``. A ``fault`` is written SECONDS:KIND. A port of
     0 means any free one. ``warming`` [K]: how much the laboratory warms up; bar and sensor then have thermometers.
     ``rate`` [Hz]: of what is recorded in virtual time, None for the usual one.
@@ -88,7 +96,7 @@ class SimulateOptions:
     force: bool = False
     rate: float | None = None
     port: Annotated[int, Within(0, 65535)] = 7007
-    protocol: str = "lines"
+    protocol: Annotated[str, OneOf(("lines", "rtde"))] = "lines"
     robot_port: Annotated[int | None, Within(0, 65535)] = None
     pty: bool = False
     poses: Annotated[int, Within(9, 5000)] = 72
@@ -99,7 +107,7 @@ class SimulateOptions:
     trigger: Annotated[int | None, Within(0, 15)] = None
     warming: Annotated[float | None, Within(-20.0, 20.0)] = None
     seed: Annotated[int, Within(0)] = 1
-    level: str = "vm"
+    level: Level = Level.VM
     fault: tuple[str, ...] = ()
 
 

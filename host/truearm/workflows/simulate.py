@@ -6,7 +6,6 @@ import shlex
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, assert_never
@@ -17,7 +16,7 @@ from truearm.progress import step
 from truearm.text import counted
 from truearm.units import MM
 from truearm.workflows.record import nearest_osr, plan_rows
-from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
+from truearm.workflows.requests import FAST_RATE_HZ, Level, SimulateOptions
 from truearm.workflows.session_observations import Say
 from truearm.workflows.session_parts import SETUP
 from truearm.workflows.simulated_robot import (
@@ -51,13 +50,6 @@ if TYPE_CHECKING:
     from truearm_sim.world import World
 
 
-class Level(StrEnum):
-    """What the simulated box runs in."""
-
-    VM = "vm"
-    CHIP = "chip"
-
-
 class Hardware(NamedTuple):
     """What runs as the box; the longest step of its time [ns] (None: any) in virtual time, its pace in real time."""
 
@@ -74,7 +66,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
     from truearm_sim.rtde_server import RtdeServer
     from truearm_sim.serve import serve
 
-    scheme, usual_port, rate = _spoken(options.protocol)
+    scheme, usual_port, rate = PROTOCOLS[options.protocol]
     world, of_box, box = _lab(options, rate, say)
     folder = options.out
     robot_port = usual_port if options.robot_port is None else options.robot_port
@@ -110,7 +102,7 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
         raise InputError(
             Argument("fast"), " opens no ports; leave out ", Argument("protocol"), " and ", Argument("pty")
         )
-    _, _, rate = _spoken(options.protocol)
+    _, _, rate = PROTOCOLS[options.protocol]
     world, of_box, box = _lab(options, rate, say, fast=True)
     started = time.perf_counter()
     try:
@@ -240,13 +232,6 @@ def _listening(
     return box_port, device, other_port
 
 
-def _spoken(protocol: str) -> tuple[str, int, float]:
-    """Return the robot's protocol: scheme, default port, readings per second. Raises InputError."""
-    if protocol not in PROTOCOLS:
-        raise InputError("unknown-choice", place=Argument("protocol"), value=protocol, names=list(PROTOCOLS))
-    return PROTOCOLS[protocol]
-
-
 def _lab(
     options: SimulateOptions, rate: float, say: Say, *, fast: bool = False
 ) -> tuple[World, Hardware, SimulatedBox]:
@@ -338,16 +323,14 @@ def _drawn(options: SimulateOptions, robot: Robot, rig: Rig) -> Plan:
     return standard_plan(options.poses, options.seed, rig, robot)
 
 
-def hardware(level: str, say: Say, *, fast: bool = False) -> Hardware:
-    """Return what runs as the box, and report it. Raises InputError, and LinkError if the emulator is missing."""
+def hardware(level: Level, say: Say, *, fast: bool = False) -> Hardware:
+    """Return what runs as the box, and report it. Raises LinkError if the emulator is missing."""
     from truearm_sim import micropython, node
     from truearm_sim.chip import ChipBox
     from truearm_sim.serve import EMULATED, Pace
     from truearm_sim.vmbox import VmBox
 
-    if level not in tuple(Level):
-        raise InputError("unknown-choice", place=Argument("level"), value=level, names=list(Level))
-    match wanted := Level(level):
+    match level:
         case Level.VM:
             interpreter = find_interpreter()
             say(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
@@ -359,7 +342,7 @@ def hardware(level: str, say: Say, *, fast: bool = False) -> Hardware:
                 partial(ChipBox, prompt=not fast), CHIP_STEP_NS, replace(EMULATED, delayed=lambda: say(DELAYED))
             )
         case _:
-            assert_never(wanted)
+            assert_never(level)
 
 
 def find_interpreter() -> Interpreter | None:
