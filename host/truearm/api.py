@@ -38,7 +38,7 @@ from truearm.workflows import identify as identification
 from truearm.workflows import map as maps
 from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.identify import Identification, IdentifyOptions, Progress
-from truearm.workflows.inputs import Sources, observed
+from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.plan import BallBarOptions, Budget
 from truearm.workflows.session_arrays import channel_samples, joint_readings
 from truearm.workflows.session_observations import is_session
@@ -304,7 +304,7 @@ def read_session(
         line_points=line_points,
         say=lost.append,
     )
-    around, table = observed(sources, None)
+    around, table, *_ = read_sources(sources, None)
     return SessionObservations(table, around, tuple(lost), parts, allow_damaged)
 
 

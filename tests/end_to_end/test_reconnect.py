@@ -18,7 +18,7 @@ from truearm.record.session_writer import SessionWriter
 from truearm.session.box_reader import BoxReader
 from truearm.session.joint_readings import JointReader
 from truearm.session.session_file import open_session
-from truearm.workflows.inputs import Sources, observed
+from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import observations_of_session
 from truearm.workflows.session_parts import SETUP, session_parts, with_parts
@@ -188,7 +188,7 @@ def test_parts_are_one_session(in_parts):
     whole, first = in_parts
     assert [path.name for path in session_parts(first)] == ["s.mcap", "s.2.mcap"]
     reference = observations_of_session(whole).table
-    _, table = observed(Sources(tuple(with_parts([first]))), UNITS)
+    _, table, *_ = read_sources(Sources(tuple(with_parts([first]))), UNITS)
     assert len(reference) - 3 <= len(table) < len(reference)
     assert {str(source).split(" ")[0].split(":")[0] for source in table.source} >= {"s.mcap", "s.2.mcap"}
     apart = np.max(np.abs(table.q[:, None, :] - reference.q[None, :, :]), axis=2)
@@ -209,8 +209,8 @@ def test_an_empty_part_is_no_fault(in_parts, tmp_path):
     with SessionWriter(short, _Clock(session)) as writer:
         writer.metadata(SETUP, {"of": "s.mcap", "part": "3"})
         writer.attach("rig.toml", "application/toml", session.attachments["rig.toml"])
-    _, two = observed(Sources(tuple(with_parts([first]))), UNITS)
-    _, three = observed(Sources(tuple(with_parts([tmp_path / "s.mcap"]))), UNITS)
+    _, two, *_ = read_sources(Sources(tuple(with_parts([first]))), UNITS)
+    _, three, *_ = read_sources(Sources(tuple(with_parts([tmp_path / "s.mcap"]))), UNITS)
     assert len(with_parts([tmp_path / "s.mcap"])) == 3
     assert np.array_equal(two.value, three.value)
 

@@ -1,6 +1,5 @@
 """A session that gives no observation: the error counts what was rejected, by reason, and names the command that helps."""
 
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from truearm.cli.main import main
 from truearm.record.recover import recover
 from truearm.session.session_file import open_session
 from truearm.workflows import inputs
-from truearm.workflows.session_observations import Rejected, nothing_observed
+from truearm.workflows.session_observations import nothing_observed
 from truearm.workflows.session_parts import SETUP, recorded_model
 
 __all__ = ["plan"]  # a fixture
@@ -73,7 +72,7 @@ def test_a_session_of_another_robot(tmp_path, plan, capsys, monkeypatch):
     ],
 )
 def test_reasons_and_commands(dwells, passes, planned, said):
-    text = nothing_observed(Path("s.mcap"), Rejected(Counter(dwells), Counter(passes), planned))
+    text = nothing_observed(Path("s.mcap"), dwells, passes, planned)
     assert text.startswith("s.mcap: ")
     assert all(part in text for part in said)
     assert [command in text for command in (RELABEL, INSPECT)] == [command in said for command in (RELABEL, INSPECT)]
@@ -88,6 +87,6 @@ def test_the_session_of_another_robot(tmp_path, plan, capsys):
 
 
 def test_nothing_at_all():
-    said = nothing_observed(Path("s.mcap"), Rejected(Counter(), Counter(), False))
+    said = nothing_observed(Path("s.mcap"), {}, {}, False)
     assert said.startswith("s.mcap: ")
     assert said.endswith(INSPECT)

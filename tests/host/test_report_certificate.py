@@ -33,8 +33,8 @@ from truearm.session.session_file import open_session
 from truearm.types import rms
 from truearm.units import MM
 from truearm.workflows.correction_findings import unexplained_error
-from truearm.workflows.recordings import counted_dwells, recording_of, sensors_of
-from truearm.workflows.session_observations import SessionOptions, observations_of_session
+from truearm.workflows.inputs import Sources, read_sources
+from truearm.workflows.recordings import sensors_of
 
 SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
 OPTIONS = ["--hold-out", "0.2", "--seed", "3", "--solver", "map", "--freeze", "link2.y"]
@@ -216,11 +216,7 @@ def test_a_recording_says_how_it_was_made(tmp_path):
         writer.attach("rig.toml", "application/toml", (tmp_path / "rig.toml").read_bytes())
         for message in session(np.random.default_rng(2), dwells=5)[0]:
             writer.add(message.topic, message.t_host_ns, message.data)
-    heard = []
-    observations_of_session(
-        tmp_path / "s.mcap", options=SessionOptions(heard=lambda *both: heard.append(recording_of(*both)))
-    )
-    (one,) = heard
+    (one,) = read_sources(Sources((tmp_path / "s.mcap",)), None).recordings
     assert one.name == "s.mcap"
     assert re.fullmatch(r"20\d\d-\d\d-\d\d \d\d:\d\d UTC", one.begun)
     assert (one.dwells, one.rejected, one.samples_lost) == (5, (), 0)
@@ -229,11 +225,7 @@ def test_a_recording_says_how_it_was_made(tmp_path):
 
 
 def test_stops_between_lines_are_no_rejected_dwells():
-    heard = []
-    observations_of_session(
-        SESSIONS / "line.mcap", options=SessionOptions(heard=lambda *both: heard.append(recording_of(*both)))
-    )
-    (one,) = counted_dwells(heard, ())
+    (one,) = read_sources(Sources((SESSIONS / "line.mcap",)), None).recordings
     facts = dict(facts_of([one]))
     assert facts["passes along lines"] == "2"
     assert "dwells" not in facts

@@ -120,10 +120,11 @@ def identify(
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.inputs import Sources
     from truearm.workflows.selection import held_out_fraction
+    from truearm.workflows.session_parts import with_parts
 
     if typed(context, "seed") is not None and all(held_out_fraction(text) is None for text in hold_out or ()):
         raise InputError("needs-option", place="--seed", needed="a fraction to hold out, such as --hold-out 0.2")
-    sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
+    sources = Sources(tuple(with_parts(inputs)), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
     results = [] if out is None else [out]
     kept = context.lookup_default("out")  # in the project

@@ -60,8 +60,9 @@ def report(
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
     from truearm.workflows.report import ReportFiles, report_files
+    from truearm.workflows.session_parts import with_parts
 
-    sources = Sources(tuple(inputs or ()), rigs_of(rig), None, True, line_points, warn)
+    sources = Sources(tuple(with_parts(inputs or [])), rigs_of(rig), None, True, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
     files = IdentifyFiles(robot, sources, command=command_line, force=force)
     certificate = report_files(ReportFiles(result, files, out, issue_of(number, tolerance_mm)))

@@ -64,9 +64,10 @@ def validate(
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
     from truearm.workflows.report import ReportFiles, validation_report
+    from truearm.workflows.session_parts import with_parts
     from truearm.workflows.validate import validate_files
 
-    sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
+    sources = Sources(tuple(with_parts(inputs)), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
     if report is None:
         if number or tolerance_mm is not None:
             raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))

@@ -91,11 +91,9 @@ def calibration_certificate(
     )
 
 
-def validation_certificate(
-    measured: Measured, validation: Validation, issue: Issue, recordings: Sequence[Recording]
-) -> Certificate:
+def validation_certificate(measured: Measured, validation: Validation, issue: Issue) -> Certificate:
     """Return page one of the report on a validation."""
-    calibration, rig, table, inputs = measured
+    calibration, rig, table, inputs, recordings = measured
     errors: list[tuple[str, str]] = []
     for si, after in validation.after.items():
         errors += [

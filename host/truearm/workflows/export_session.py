@@ -18,15 +18,13 @@ from truearm.files.rig_file import read_rig
 from truearm.files.strict_json import strict_json
 from truearm.progress import step
 from truearm.record.session_writer import read_anchor
-from truearm.session.box_ident import recorded_ident
-from truearm.session.device_clock import recorded_wander
-from truearm.session.observations import Survey, observations, survey
+from truearm.session.observations import Survey, observations
 from truearm.session.session_file import Session
 from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
 from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.requests import ExportSession
-from truearm.workflows.session_observations import attached_rig, labels_of
+from truearm.workflows.session_observations import attached_rig, labels_of, surveyed
 from truearm.workflows.session_parts import open_finished
 
 SAID = "session.json"
@@ -75,8 +73,7 @@ def _export(
     session: Session, folder: Path, wanted: ExportSession, rig: Rig | None, units: Sequence[str]
 ) -> dict[str, Any]:
     """Write all tables; return the contents of session.json."""
-    ident = recorded_ident(session)
-    found = survey(session.batches, ident, wander=recorded_wander(session))
+    found = surveyed(session)
     utc_ns, host_ns = read_anchor(session.metadata.get("session", {})) or (0, 0)
     rate_hz = USUAL_RATE_HZ if wanted.rate is None else wanted.rate
     tables = _Tables(folder, wanted.format, Placement(utc_ns - host_ns, host_ns, rate_hz))

@@ -38,7 +38,6 @@ from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
-from truearm.report.certificate import Recording
 from truearm.report.result_findings import result_findings
 from truearm.results import Effect, Estimate, PredictedError
 from truearm.types import Mask, Rigs
@@ -47,9 +46,7 @@ from truearm.workflows.calibration_report import write_page
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.informative_rows import check_rows
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
-from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
-from truearm.workflows.session_parts import with_parts
 
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
@@ -198,23 +195,18 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
 
     Raises InputError with a one-line message, and ProblemError as ``identified`` does; then no result is written.
     """
-    recordings: list[Recording] = []
-    sources = replace(
-        files.sources,
-        inputs=tuple(with_parts(list(files.sources.inputs))),
-        heard=lambda session, result: recordings.append(recording_of(session, result)),
-    )
+    sources = files.sources
     outputs = [*(("result", path) for path in files.results), ("table", files.save_table), ("page", files.report)]
     check_files(sources, files.robot, outputs, files.force)
     robot = files.robot.load()
-    rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
+    rig, table, counts, recordings = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)
     if files.save_table is not None:
         write_table(files.save_table, table, robot.chain.joint_units)
     found = identified(robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot), counts=counts)
     if files.report is not None:
         with step("drawing the report"):
-            write_page(files.report, found, files.command, counted_dwells(recordings, counts))
+            write_page(files.report, found, files.command, recordings)
     for path in files.results:
         write_result(path, found.stored)
     return found

@@ -19,21 +19,20 @@ from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
 from truearm.progress import step
+from truearm.report.certificate import Recording
+from truearm.session.dwells import DOUBTFUL
 from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.label_evidence import borne_out_rows
+from truearm.workflows.recordings import recording_of
 from truearm.workflows.session_observations import (
-    Heard,
-    Rejected,
     Say,
     SessionOptions,
     is_session,
     labels_of,
     nothing_observed,
     observations_of_opened,
-    rejected_of,
     silent,
-    unheard,
 )
 from truearm.workflows.session_parts import SETUP, is_part
 from truearm.workflows.session_rigs import Assigned, session_rigs
@@ -49,7 +48,7 @@ class Sources:
     ``rigs``: files, or rigs that were read, by the name in the rows' column rig, "" for the one rig of all rows; if
     empty, each session's own.
     ``noise``: a noise file that replaces the figures of the rigs. ``line_points``: maximum number per pass along a
-    line. ``say`` is called with the losses of a damaged session, ``heard`` with every session.
+    line. ``say`` is called with the losses of a damaged session.
     """
 
     inputs: tuple[Path, ...]
@@ -58,7 +57,6 @@ class Sources:
     allow_damaged: bool = False
     line_points: int | None = None
     say: Say = silent
-    heard: Heard = unheard
 
     @property
     def files(self) -> list[Path]:
@@ -108,26 +106,19 @@ class DwellCount(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """The rig, or the rigs by name, the observations, and the accounts of the sessions' dwells."""
+    """The rig, or the rigs by name, the observations, and of each session the account of its dwells and how it was recorded."""
 
     rigs: Rig | dict[str, Rig]
     table: ObservationTable
     counts: tuple[DwellCount, ...]
-
-
-def observed(sources: Sources, joint_units: tuple[str, ...] | None) -> tuple[Rig | dict[str, Rig], ObservationTable]:
-    """Return the rig, or the rigs by name, and the observations, checked against each other.
-
-    ``joint_units`` are the robot's; None skips that check.
-    """
-    found = read_sources(sources, joint_units)
-    return found.rigs, found.table
+    recordings: tuple[Recording, ...]
 
 
 def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: Robot | None = None) -> Observed:
-    """Return the same as ``observed``, with the accounts of the dwells.
+    """Return rigs and observations, checked against each other.
 
-    With the nominal ``robot``, labels that the readings do not support are left out.
+    ``joint_units`` are the robot's; None skips that check. With the nominal ``robot``, labels that the readings do not
+    support are left out.
     """
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
@@ -147,16 +138,16 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
                 f"{path}: the rows are not in the order of time_s; they are used in that order, and row numbers count in it"
             )
     tables = [one.table for one in read.values()]
-    counts = tuple(one.dwells for one in read.values() if one.dwells is not None)
+    of_sessions = [one.session for one in read.values() if one.session is not None]
+    counts = tuple(one.dwells for one in of_sessions)
+    recordings = tuple(one.recording for one in of_sessions)
     if sources.line_points is not None and not any(one.lines for one in counts):
         raise InputError(
             "no-effect", place=Argument("line_points"), reason="no input is a session with passes along a line"
         )
     table = concatenate([part for part in tables if len(part)] or tables)
     if not len(table):
-        raise SessionError(
-            "; ".join(nothing_observed(path, one.rejected) for path, one in read.items() if one.rejected)
-        )
+        raise SessionError("; ".join(one.nothing for one in of_sessions))
     rigs = given | dict(of_session.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
@@ -164,12 +155,12 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
         one = rigs.get("", with_noise(Rig(), noise))
         check_against_rig(table, one)
         _say_doubts(table, one, sources.say)
-        return Observed(one, table, counts)
+        return Observed(one, table, counts, recordings)
     _check_names(table, rigs, sources.rigs)
     for name, rig in rigs.items():
         check_against_rig(table.select(table.rig == name), rig)
         _say_doubts(table.select(table.rig == name), rig, sources.say)
-    return Observed(rigs, table, counts)
+    return Observed(rigs, table, counts, recordings)
 
 
 def _is_reordered(table: ObservationTable) -> bool:
@@ -199,12 +190,19 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[s
             raise InputError(f"{source}: {whose}; the rigs given are {', '.join(sorted(rigs))}")
 
 
+class _SessionRead(NamedTuple):
+    """The account of a session's dwells, how it was recorded, and why it gives ``nothing`` if its table is empty."""
+
+    dwells: DwellCount
+    recording: Recording
+    nothing: str
+
+
 class _Read(NamedTuple):
-    """The observations of an input, and what it rejected if it is a session."""
+    """The observations of an input, and more of a session."""
 
     table: ObservationTable
-    dwells: DwellCount | None = None
-    rejected: Rejected | None = None
+    session: _SessionRead | None = None
 
 
 def _opened(paths: Sequence[Path], allow_damaged: bool) -> dict[Path, Session]:
@@ -225,7 +223,7 @@ def _read_session(
 ) -> _Read:
     path, (name, rig) = session.path, assigned
     options = SessionOptions(
-        sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say, sources.heard
+        sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say
     )
     result = observations_of_opened(session, rig, options)
     table = result.table
@@ -238,7 +236,7 @@ def _read_session(
             borne_out = borne_out_rows(robot, rig, result)
         table = table.select(borne_out)
         doubtful = int((~borne_out).sum())
-    rejected = rejected_of(result, doubtful)
+    rejected = {**result.reasons, **({DOUBTFUL: doubtful} if doubtful else {})}
     model = session.metadata.get(SETUP, {}).get("model", "")
     if (
         robot is not None
@@ -252,11 +250,12 @@ def _read_session(
     used = sum(table.kind == "ball_bar")
     n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
     lines, lines_used = len(result.passes), sum(not one.reason for one in result.passes)
-    reasons, of_lines = (dict(sorted(counts.items())) for counts in (rejected.dwells, result.pass_reasons))
+    reasons, of_lines = (dict(sorted(counts.items())) for counts in (rejected, result.pass_reasons))
     count = DwellCount(
         path.name, n, int(used), reasons, labels, mountings, lines, lines_used, of_lines, result.with_bar
     )
-    return _Read(table.replace(rig=name), count, rejected)
+    nothing = nothing_observed(path, reasons, of_lines, result.survey.marks.plan() is not None)
+    return _Read(table.replace(rig=name), _SessionRead(count, recording_of(session, result, count), nothing))
 
 
 def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:

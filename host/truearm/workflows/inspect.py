@@ -12,12 +12,11 @@ from truearm.files.strict_json import without_nan
 from truearm.findings import entries
 from truearm.progress import step
 from truearm.report.session_findings import session_findings
-from truearm.session.box_ident import recorded_ident
-from truearm.session.device_clock import recorded_wander
 from truearm.session.joint_format import parse_reading
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM
+from truearm.workflows.session_observations import attached_rig, labels_of, surveyed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from truearm.session.line_passes import LinePass
     from truearm.session.losses import Silences
     from truearm.session.message_columns import Messages
-    from truearm.session.observations import Survey, SyncResult
+    from truearm.session.observations import Survey
     from truearm.session.session_file import Session
 
 MAX_TOPICS = 1000
@@ -99,10 +98,8 @@ def describe(session: Session) -> dict[str, Any]:
 
     Raises SessionError if the file is damaged.
     """
-    from truearm.session.observations import survey
-
-    contents, ident = Contents(), recorded_ident(session)
-    found = survey(lambda: contents.watched(session.batches()), ident, wander=recorded_wander(session))
+    contents = Contents()
+    found = surveyed(session, lambda: contents.watched(session.batches()))
     times = [t for topic in contents.topics.values() for t in (topic.first_ns, topic.last_ns)]
     document = {
         "file": str(session.path),
@@ -196,6 +193,8 @@ def _robot(found: Survey, contents: Contents) -> dict[str, Any]:
 
 def _measured(session: Session, found: Survey) -> dict[str, Any]:
     """Return dwells by the joint readings and passes along lines; with a rig also their outcome."""
+    from truearm.session.observations import observations
+
     rejected = [dwell.reason for dwell in found.dwells if dwell.reason]
     dwells: dict[str, Any] = {
         "found": len(found.dwells),
@@ -209,12 +208,12 @@ def _measured(session: Session, found: Survey) -> dict[str, Any]:
     planned = sum(row.move == Move.LINE for row in found.marks.rows)
     passes: dict[str, Any] = {"planned": planned, "found": None, "rejected": {}, "points": None, "table": []}
     document = {"dwells": dwells, "passes": passes}
-    attached = session.attachments.get("rig.toml")
-    if attached is None:
-        dwells["not_paired"] = "no rig is attached"
-        return document
     try:
-        result = _observations(session, attached, found)
+        rig = attached_rig(session, session.path)
+        if rig is None:
+            dwells["not_paired"] = "no rig is attached"
+            return document
+        result = observations(session.batches, rig, found=found, labels=labels_of(session.path))
     except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
         dwells["not_paired"] = one_line(str(exc))
         return document
@@ -234,20 +233,6 @@ def _measured(session: Session, found: Survey) -> dict[str, Any]:
         "table": [_pass_row(number, one) for number, one in enumerate(result.passes, start=1)],
     }
     return document
-
-
-def _observations(session: Session, attached: bytes, found: Survey) -> SyncResult:
-    from truearm.files.rig_file import parse_rig
-    from truearm.session.observations import observations
-    from truearm.workflows.session_observations import labels_of
-
-    try:
-        text = attached.decode()
-    except UnicodeDecodeError as exc:
-        raise InputError(
-            f"{session.path}: the attached rig.toml is not UTF-8 text; give the rig file to truearm identify with --rig"
-        ) from exc
-    return observations(session.batches, parse_rig(text, "rig.toml"), found=found, labels=labels_of(session.path))
 
 
 def _pass_row(number: int, one: LinePass) -> dict[str, Any]:

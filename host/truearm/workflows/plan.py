@@ -41,7 +41,7 @@ from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.identify import DEFAULTS, default_prior
-from truearm.workflows.inputs import Sources, observed
+from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.requests import PlanFiles
 from truearm.workflows.selection import held_out_rows
 from truearm.workflows.session_parts import with_parts
@@ -348,7 +348,9 @@ def _known(files: PlanFiles) -> Known:
     known = replace(known_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
     if not files.measured:
         return known
-    same, table = observed(Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain.joint_units)
+    same, table, *_ = read_sources(
+        Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain.joint_units
+    )
     if not isinstance(same, Rig):
         raise InputError(
             Argument("measured"), ": rows of several rigs cannot be used for a plan; give the rows of one rig"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -17,22 +16,22 @@ if TYPE_CHECKING:
     from truearm.workflows.inputs import DwellCount
 
 
-def recording_of(session: Session, result: SyncResult) -> Recording:
-    """Return the facts of one session."""
+def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Recording:
+    """Return the facts of one session; ``count`` has its dwells."""
     idents = list(result.survey.idents.values())
     reports = result.clock_reports
     read = [(one_line(name) or "unnamed", one.extremes) for name, one in result.survey.thermometers.items()]
-    counts = result.with_bar or not result.passes  # otherwise the dwells are stops between lines
+    counts = count.with_bar or not count.lines  # otherwise the dwells are stops between lines
     return Recording(
         name=one_line(session.path.name),
         begun=_utc(session.metadata.get("session", {}).get("utc_ns", "")),
         uid=", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents)),
         firmware=", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents)),
         sensors=tuple(dict.fromkeys(sensor for ident in idents for sensor in sensors_of(ident.document))),
-        dwells=counts * (len(result.dwells) - result.n_mountings),
-        mountings=counts * result.n_mountings,
-        rejected=tuple(sorted(result.reasons.items())) * counts,
-        passes=len(result.passes),
+        dwells=counts * count.dwells,
+        mountings=counts * count.mountings,
+        rejected=tuple(count.rejected.items()) * counts,
+        passes=count.lines,
         samples=result.samples_seen,
         samples_lost=result.losses.samples_lost + result.losses.samples_overrun,
         frames_lost=result.losses.frames_lost,
@@ -73,9 +72,3 @@ def _sigma(calibration: Mapping[str, Any], key: str) -> float | None:
     mantissa, exponent = pair
     known = type(mantissa) is int and type(exponent) is int and abs(exponent) < 30
     return float(mantissa * 10.0**exponent) if known else None
-
-
-def counted_dwells(recordings: Sequence[Recording], counts: Sequence[DwellCount]) -> list[Recording]:
-    """Return the recordings with the dwells left out of the identification, including those with doubtful pairing."""
-    rejected = {one_line(count.session): tuple(sorted(count.rejected.items())) for count in counts}
-    return [replace(one, rejected=rejected.get(one.name, one.rejected) if one.dwells else ()) for one in recordings]

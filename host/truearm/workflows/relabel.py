@@ -15,7 +15,7 @@ from truearm.progress import step
 from truearm.session.dwell_labels import Pairing, label_of
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.label_evidence import Stop, chances_of, stops_of
-from truearm.workflows.session_observations import recorded_rig
+from truearm.workflows.session_observations import recorded_rig, surveyed
 from truearm.workflows.session_parts import open_finished, session_parts
 
 if TYPE_CHECKING:
@@ -63,15 +63,11 @@ def relabel(
 
 def _measured(path: Path, rig: Rig | None) -> tuple[Rig, list[Stop]]:
     """Return the rig and the stops of a file."""
-    from truearm.session.box_ident import recorded_ident
-    from truearm.session.device_clock import recorded_wander
-    from truearm.session.observations import survey
-
     session = open_finished(path)
     rig = rig or recorded_rig(session, path)
     if not (rig.bars and rig.chucks and rig.spheres):
         raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
-    return rig, stops_of(path, rig, survey(session.batches, recorded_ident(session), wander=recorded_wander(session)))
+    return rig, stops_of(path, rig, surveyed(session))
 
 
 def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing | None, p: float) -> DwellLabel:

@@ -16,15 +16,13 @@ from truearm.files.result_file import Result, read_result
 from truearm.files.robot_file import load_robot
 from truearm.progress import step
 from truearm.report import validation_page
-from truearm.report.certificate import Certificate, Recording
+from truearm.report.certificate import Certificate
 from truearm.workflows.calibration import frames_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
 from truearm.workflows.identify import Identification, IdentifyFiles, IdentifyOptions, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.project import folders_of
-from truearm.workflows.recordings import counted_dwells, recording_of
-from truearm.workflows.session_parts import with_parts
 from truearm.workflows.validate import Validation, measured_files, validated
 
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
@@ -50,17 +48,15 @@ def report_files(files: ReportFiles) -> Certificate:
     """
     stored = read_result(files.result)
     options, hold_out = _options(files.result, stored.made_with)
-    recordings: list[Recording] = []
     given = files.made_from.sources
     measured = {entry.sha256 for entry in stored.inputs if entry.role == "observations"}
-    named = tuple(path for path in with_parts(list(given.inputs)) if sha256(path) in measured)
+    named = tuple(path for path in given.inputs if sha256(path) in measured)
     rigs = _nearby(files.result, stored, "rig") if not given.rigs else []
     sources = replace(
         given,
         inputs=named or given.inputs or tuple(_nearby(files.result, stored, "observations")),
         rigs={"": rigs[0]} if len(rigs) == 1 else given.rigs,
         noise=next(iter(_nearby(files.result, stored, "noise")), None),
-        heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
     choice = files.made_from.robot
     check_files(sources, choice, [("page", files.out)], files.made_from.force)
@@ -68,10 +64,9 @@ def report_files(files: ReportFiles) -> Certificate:
     _check_inputs(files.result, stored, {one.sha256 for one in inputs})
     name = choice.robot or stored.robot.name
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
-    rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
+    rig, table, counts, recordings = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)
     found = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
-    recordings = counted_dwells(recordings, counts)
     _check_same(files.result, stored.column("value"), found)
     certificate = calibration_certificate(found, files.issue, recordings, inputs)
     with step("drawing the report"):
@@ -91,12 +86,10 @@ def _nearby(result: Path, stored: Result, role: str) -> list[Path]:
 @step("validating")
 def validation_report(files: ReportFiles, keep_rig: bool = False) -> Validation:
     """Judge a result by independent observations and write the page. Raises InputError."""
-    recordings: list[Recording] = []
     made_from = files.made_from
-    sources = replace(made_from.sources, heard=lambda session, result: recordings.append(recording_of(session, result)))
-    measured = measured_files(files.result, made_from.robot, sources, [("page", files.out)], made_from.force)
-    validation = validated(*measured, keep_rig)
-    certificate = validation_certificate(measured, validation, files.issue, recordings)
+    measured = measured_files(files.result, made_from.robot, made_from.sources, [("page", files.out)], made_from.force)
+    validation = validated(*measured[:4], keep_rig)
+    certificate = validation_certificate(measured, validation, files.issue)
     name = measured.calibration.chain.name
     write_atomic(files.out, validation_page.render(name, certificate, validation.document, made_from.command))
     return validation

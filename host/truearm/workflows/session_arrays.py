@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from truearm.errors import Argument, InputError
-from truearm.session.box_ident import recorded_ident
-from truearm.session.device_clock import recorded_wander
-from truearm.session.observations import survey
 from truearm.session.session_tables import UNKNOWN, Batch, Columns, tabulate
 from truearm.types import Floats
+from truearm.workflows.session_observations import surveyed
 from truearm.workflows.session_parts import open_finished
 
 COUNTS = "_counts"
@@ -54,8 +52,7 @@ def joint_readings(parts: Sequence[Path], allow_damaged: bool = False) -> tuple[
 
 def _batches(parts: Sequence[Path], allow_damaged: bool) -> Iterator[Batch]:
     for part in parts:
-        session = open_finished(part, allow_damaged)
-        yield from tabulate(survey(session.batches, recorded_ident(session), wander=recorded_wander(session)))
+        yield from tabulate(surveyed(open_finished(part, allow_damaged)))
 
 
 def _rank(title: str) -> int:

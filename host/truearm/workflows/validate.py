@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,14 +35,14 @@ from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
 from truearm.progress import step
+from truearm.report.certificate import Recording
 from truearm.report.validation_findings import BY_PLACE, error_lines, validation_findings
 from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of, unusable_because
-from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
+from truearm.workflows.inputs import Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.selection import parse_effect
-from truearm.workflows.session_parts import with_parts
 
 LEAST_ROWS = 5  # in a region: fewer are not meaningful
 NOTHING = 1e-7  # m, rad: less than the last digit that is printed
@@ -136,6 +136,7 @@ class Measured(NamedTuple):
     rig: Rigs
     table: ObservationTable
     inputs: list[Input]
+    recordings: Sequence[Recording] = ()
 
 
 @step("validating")
@@ -145,7 +146,7 @@ def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig:
     Raises InputError with a one-line message.
     """
     measured = measured_files(result, robot, sources)
-    return validated(*measured, keep_rig)
+    return validated(*measured[:4], keep_rig)
 
 
 def measured_files(
@@ -157,11 +158,11 @@ def measured_files(
 ) -> Measured:
     """Read a result and the observations for judging it, and check the files that will be written. Raises InputError."""
     calibration = read_calibration(result, robot)
-    sources = replace(sources, inputs=tuple(with_parts(list(sources.inputs))))
     check_files(sources, robot, outputs, force)
     if because := unusable_because(calibration):
         sources.say(f"{result}: the fit is not usable ({because}); correct its inputs and identify again")
-    return Measured(calibration, *observed(sources, calibration.joint_units), hashed_inputs(sources, robot))
+    rigs, table, _, recordings = read_sources(sources, calibration.joint_units)
+    return Measured(calibration, rigs, table, hashed_inputs(sources, robot), recordings)
 
 
 def validated(
