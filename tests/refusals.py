@@ -7,7 +7,7 @@ import pytest
 from truearm.cli import findings_text
 from truearm.cli import main as cli
 from truearm.errors import TruearmError
-from truearm.finding_texts import ERRORS
+from truearm.finding_texts import STATEMENTS
 
 findings = []  # with which commands ended in this process
 _complain = cli._complain
@@ -49,7 +49,7 @@ def check(finding, text, *expected, **values):
     """Check an error: the code or words of its text that are expected, and values: equal, or part of a text."""
     assert finding is not None, text
     for word in expected:
-        assert finding.code == word if word in ERRORS else str(word) in text, (finding, text)
+        assert finding.code == word if word in STATEMENTS else str(word) in text, (finding, text)
     for name, value in values.items():
         actual = finding.values[name]
         assert value == actual or (isinstance(actual, str) and str(value) in actual), finding

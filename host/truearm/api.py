@@ -711,7 +711,7 @@ def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
 def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable:
     joints = len(robot.chain.joints)
     if value.q.shape[1] != joints:
-        raise InputError("joint-count", place=name, joints=value.q.shape[1], expected=joints)
+        raise InputError("other-robot", place=name, joints=value.q.shape[1], expected=joints)
     if not len(value):
         raise InputError("no-rows", place=name)
     try:

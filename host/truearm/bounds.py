@@ -59,7 +59,7 @@ class OneOf:
     def check(self, name: str, value: Any) -> None:
         """Raise InputError if a value breaks the rule."""
         if value not in self.names:
-            raise InputError("unknown-choice", place=Argument(name), value=value[:SHOWN], names=list(self.names))
+            raise InputError("wrong-value", place=Argument(name), value=value[:SHOWN], names=list(self.names))
 
 
 PATH = FileName()

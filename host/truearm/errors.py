@@ -38,7 +38,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from truearm.exit_codes import ExitCode
-from truearm.finding_texts import ERRORS
+from truearm.finding_texts import STATEMENTS
 from truearm.findings import Argument as Argument
 from truearm.findings import Finding
 
@@ -63,7 +63,7 @@ class TruearmError(Exception):
     """
 
     exit_code = ExitCode.FAILED
-    default_code = "failed"  # of an error that is raised with a text
+    default_code = "invalid-input"  # of an error that is raised with a text
 
     def __init__(self, *text: object, **values: Any) -> None:
         """Take a code and its values, or a text in pieces."""
@@ -96,7 +96,7 @@ class TruearmError(Exception):
             return Finding(self.args[0], self.values)
         text, argument = str(self), next(iter(self.args), "")
         if isinstance(argument, Argument):
-            return Finding("invalid-argument", {"place": argument, "reason": text[len(argument) :].lstrip(": ")})
+            return Finding("invalid-input", {"place": argument, "reason": text[len(argument) :].lstrip(": ")})
         place, colon, reason = text.partition(": ")
         if not colon or not _PLACE.fullmatch(place):
             place, reason = "", text
@@ -105,7 +105,7 @@ class TruearmError(Exception):
 
     @property
     def _has_entry(self) -> bool:
-        return type(next(iter(self.args), None)) is str and self.args[0] in ERRORS  # an argument may have its name
+        return type(next(iter(self.args), None)) is str and self.args[0] in STATEMENTS  # an argument may have its name
 
     def within(self, place: object) -> Self:
         """Return the error with the file, or whatever else encloses its place, in front."""
@@ -129,7 +129,6 @@ class InputError(TruearmError, ValueError):
     """
 
     exit_code = ExitCode.INPUT
-    default_code = "invalid-input"
 
 
 class MissingFileError(InputError, FileNotFoundError):

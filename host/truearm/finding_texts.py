@@ -84,16 +84,9 @@ INPUTS: Mapping[str, tuple[str, str]] = {
 
 IDENTIFICATION: Mapping[str, Statement] = {
     # the verdict
-    "better": Statement(
+    "usable": Statement(
         RESULT,
-        "Usable: the mean error of {n:#pose} {by} is {after}, and {before} with the nominal robot.",
-    ),
-    "held-out": Statement(
-        RESULT, "Usable: the RMS of {n:#held-out row} is {after}, and {before} with the nominal robot."
-    ),
-    "unjudged": Statement(
-        RESULT,
-        "Usable, but not judged by poses that were not fitted: the RMS of the fitted rows is {after}, and {before} with the nominal robot.",
+        "Usable[{unjudged:!}, but not judged by poses that were not fitted]: the [mean error of {n:#pose} {by}][RMS of {rows}] is {after}, and {before} with the nominal robot.",
     ),
     "no-gain": Statement(
         WARNING,
@@ -158,13 +151,8 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "fault-choice": Statement(
         WARNING,
-        "The result does not contain it. {choices}.",
-        "[Measure {deciding} again to decide. ]To apply it: {@apply} {first}.",
-    ),
-    "fault-unmended": Statement(
-        WARNING,
-        "The result does not contain it, and nothing is offered to apply[{worse:!}: left-out rows would be predicted worse][{lasting:!}: it stays in the arm, and only joint laws ({@joint_laws} auto) can describe it].[ If all of {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
-        "[Measure {deciding} again to decide.]",
+        "The result does not contain it[. {choices}||, and nothing is offered to apply][{worse:!}: left-out rows would be predicted worse][{lasting:!}: it stays in the arm, and only joint laws ({@joint_laws} auto) can describe it].[ If all of {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
+        "[Measure {deciding} again to decide.][{both:!} ][To apply it: {@apply} {first}.]",
     ),
     "faults-here": Statement(
         WARNING,
@@ -256,16 +244,12 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "outliers": Statement(
         NOTE,
-        "{n:#row disagrees|rows disagree} significantly with all others[; {left_out} left out of the fit]: {rows}.[ Not left out, because {why}: {kept}.]",
+        "{n:#row disagrees|rows disagree} significantly with all others[; {left_out} left out of the fit]: {rows}.[ Not left out, because {why}: {kept}.][ Fitted to all rows: RMS {after}, χ² per degree of freedom {chi2:.3g}][{geometry:!} (geometry alone)][{after:!}.]",
         "[To leave out a row yourself: {first:@leave_out}.]",
     ),
     "too-many-outliers": Statement(
         WARNING,
         "{n} of {fitted:#row} lie farther from the fit than their declared noise allows. These are too many to be outliers: the model is wrong, or the sigmas are too small.",
-    ),
-    "all-rows-fit": Statement(
-        NOTE,
-        "[{geometry:!}Geometry alone, fitted][{plain:!}Fitted] to all rows: RMS {after}, χ² per degree of freedom {chi2:.3g}.",
     ),
     "before": Statement(
         NOTE,
@@ -281,31 +265,27 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "rig-unknowns": Statement(
         NOTE,
-        "{n:#unknown of the rig was|unknowns of the rig were} [{kept:!}held as identified||estimated from the rows that judge].",
-    ),
-    "rows-not-judged": Statement(
-        NOTE,
-        "{n:#row is|rows are} not judged: unknowns of the rig fit such rows exactly.",
+        "[{left_out:#row is|rows are} not judged: unknowns of the rig fit such rows exactly.||{n:#unknown of the rig was|unknowns of the rig were} {how}.]",
     ),
     "no-row-judged": Statement(
         WARNING,
         "No held-out row can be judged: unknowns of the rig fit each of them exactly.",
         "Measure more rows there.",
     ),
-    "observability": Statement(NOTE, "Observability of {n:#parameter}: {indices} (larger is better)."),
-    "solver": Statement(NOTE, "Solved by {solver} {prior}[, {loss} loss]."),
+    "solver": Statement(
+        NOTE,
+        "Solved by {solver} {prior}[, {loss} loss].[ Observability of {n:#parameter}: {indices} (larger is better).]",
+    ),
     "solver-recipe": Statement(WARNING, "The solver {message}."),
     # joint laws
-    "law-not-tried": Statement(NOTE, "Joint laws: {reason}."),
     "no-law": Statement(
         NOTE,
-        "No joint law is [{tried:!}supported by the evidence ({tried:#law} tried)||used]: the geometry alone is fitted.",
+        "[Joint laws: {reason}.][Tried and dropped, with their evidence in nats (6 are needed): {dropped}.][{tried:!}No joint law is supported by the evidence ({tried:#law} tried): the geometry alone is fitted.][{none:!}No joint law is used: the geometry alone is fitted.]",
     ),
     "law-kept": Statement(
         NOTE,
         "{joint} {term}: {rms} RMS, evidence {nats:.0f} nats[, covered {covered}][, strongest cycles per turn: {periods}; the covered range resolves {resolution:.2g} cycles per turn][{short:!}, covered range too short for a spectrum].",
     ),
-    "laws-dropped": Statement(NOTE, "Tried and dropped, with their evidence in nats (6 are needed): {laws}."),
     "gravity-assumed": Statement(
         NOTE,
         "Gravity is assumed to point along -z of the base frame; otherwise give gravity in the robot file or the table.",
@@ -315,9 +295,9 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "The fitted poses show only part of the sag's range within the joint limits ({joints}): the rest is extrapolated.",
         "Measure poses with other gravity torques if you use them.",
     ),
-    "sag-of-payload": Statement(
+    "sag-payload": Statement(
         NOTE,
-        "The sag of the joints [{several:!}depends on the payload||holds for the payload of the calibration][, {masses} kg].",
+        "The sag of the joints [{several:!}depends on the payload||holds for the payload of {holder}][: {mass} kg][; it was measured under {masses} kg].",
     ),
     "law-noise": Statement(NOTE, "Noise learned from the residuals: {terms}."),
     # what to do next
@@ -335,9 +315,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
 # Errors: sentence and remedy; the first ones are the codes of errors that have a text.
 REASON = "[{place}: ]{reason}"
 ERRORS: Mapping[str, tuple[str, str]] = {
-    "failed": (REASON, ""),
     "invalid-input": (REASON, ""),
-    "invalid-argument": (REASON, ""),
     "malformed-file": (REASON, ""),
     "cannot-write": (REASON, ""),
     "unsolvable": (REASON, ""),
@@ -351,27 +329,23 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "usage": ("{reason} (see {command} {@help})", ""),
     # files
     "missing-file": (
-        "{place}: no such file[, because the folder {folder} does not exist]",
+        "{place}: [the folder {folder} does not exist||no such file]",
         "[did you mean {meant}?||check its name and folder]",
     ),
     "unreadable-file": ("{place}: [cannot be read: {reason}||is not a regular file]", "give the name of a file"),
     "not-text": ("{place}: is not UTF-8 text[ (at byte {byte})]", "save it as UTF-8"),
     "too-large": ("[{place}: ]has more than {most}, the maximum", "check that it is the right file, or split it"),
-    "file-exists": ("{place}: exists", "choose another name[{may_force:!} or give {@force}]"),
-    "foreign-file": (
-        "{place}: [{folder:!}holds other files||exists and is not a file that this command writes]",
-        "give another name[{folder:!} or an empty folder||, or remove it]",
+    "file-exists": (
+        "{place}: [{folder:!}holds other files||exists][{foreign:!} and is not a file that this command writes]",
+        "choose another name[{may_force:!} or give {@force}][{folder:!} or an empty folder]",
     ),
-    "missing-folder": ("{place}: the folder {folder} does not exist", "create it first"),
-    "wrong-suffix": ("{place}: has the name of another kind of file", "give a name that ends in {suffixes}"),
+    "wrong-suffix": (
+        "{place}: is not a name for this kind of file",
+        "give [a name that ends in {suffixes}||the name of a file][; {@as_json} prints {what} to standard output]",
+    ),
     "in-use": ("{place}: is still being written", "end that recording first, or give another name"),
-    "no-file-name": ("-: is not a file name", "give a file[; {@as_json} prints {what} to standard output]"),
     # names and options
-    "unknown-choice": ("{place}: {value!r} is not one of {names}", ""),
-    "unknown-robot": (
-        "there is no built-in robot {value!r}, and it is no .toml or .urdf file",
-        "[did you mean {meant}?||use one of {names}]",
-    ),
+    "wrong-value": ("{place}[: {value!r} is not one of {names}|| {value}: needs {form}]", "[did you mean {meant}?]"),
     "not-in-rig": (
         "{place}: {what} {name!r} is not in the rig[, which has {names}]",
         "correct the name, or give a rig that has it",
@@ -383,8 +357,6 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     ),
     "needs-option": ("{place} needs {needed}", ""),
     "no-effect": ("{place} has no effect: {reason}", "leave it out"),
-    "no-terminal": ("there is no terminal to ask questions on", "give {option}"),
-    "wrong-form": ("{place} {value}: needs {form}", ""),
     "missing-package": ("{place} needs the package {package}", "install it: pip install '{install}'"),
     # tables
     "no-rows": ("{place}: has no rows", "write one row for each measurement, pose or target below the header"),
@@ -393,15 +365,10 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "[expected a header such as {example}||check that it is the right file, and its first row a header]",
     ),
     "unknown-column": ("{place}: is not a known column", "{remedy}"),
-    "wrong-unit": ("{place}: [unit {unit} does not fit||has no unit]", "use one of {names}"),
     # robots and results
-    "joint-count": (
-        "{place}: has {joints} joints, the robot has {expected}",
-        "give the robot that was measured",
-    ),
     "other-robot": (
-        "{place}: belongs to another robot[, {robot}][: {difference}]",
-        "give the robot that it was identified with, its file as {@robot}",
+        "{place}: [has {joints} joints, the robot has {expected}||belongs to another robot][, {robot}][: {difference}]",
+        "give the robot that was measured[{difference:!}, its file as {@robot}]",
     ),
     "unusable-result": (
         "{place}: the fit is not usable ({reason})",
@@ -414,12 +381,7 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "{place}: is damaged {where}",
         "copy it again from where it was recorded, or, to use the intact part, give {@allow_damaged}",
     ),
-    "incomplete-session": (
-        "{place}: is incomplete: the recorder was killed or is still running",
-        "repair it with truearm session recover, or give {@allow_damaged}",
-    ),
     "no-rig": ("{place}: was recorded without a rig", "give one as {@rig}"),
-    "no-joint-readings": ("{place}: no joint readings", "add them with truearm session add-joints"),
     "no-project": ("no {file} here or in a folder above", "create one with truearm init"),
     # box and robot
     "no-box": ("{place}: not found", "plug the box in"),
@@ -430,9 +392,10 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     ),
     "old-firmware": ("[{place}: ]the box {reason}", "update its firmware with truearm box flash"),
     # programs
-    "no-program": ("{place}: holds no program", "give a program or a folder of programs ({suffixes})"),
-    "languages": ("[{place}: ]holds programs of several languages ({names})", "give those of one robot"),
-    "binary": ("{place}: holds a NUL byte, so it is not a program", "give the program as text"),
+    "no-program": (
+        "{place}: holds [no program||programs of several languages ({names})]",
+        "give the programs of one robot ({suffixes})",
+    ),
     "no-move": (
         "{place}: contains no move[{kept:!} besides those to joint values, which are kept]",
         "there is nothing to correct",
@@ -514,7 +477,7 @@ SESSION: Mapping[str, Statement] = {
     ),
     "no-joint-readings": Statement(
         REFUSAL,
-        "Not usable: no joint readings[; the robot sent {bytes:#byte that is no reading|bytes that are no readings}].",
+        "[{place}:||Not usable:] no joint readings[; the robot sent {bytes:#byte that is no reading|bytes that are no readings}].",
         "Add them with truearm session add-joints.",
     ),
     "no-stops": Statement(REFUSAL, "Not usable: the robot never stood still.", WAIT),
@@ -534,16 +497,12 @@ SESSION: Mapping[str, Statement] = {
     # the file
     "session-incomplete": Statement(
         WARNING,
-        "The file is incomplete: what followed is lost, or its recorder is still running.",
-        "Save what it holds with truearm session recover.",
+        "[{place}: the||The] file is incomplete: what followed is lost, or its recorder is still running.",
+        "Save what it holds with truearm session recover[{place:!}, or give {@allow_damaged}].",
     ),
     "session-damaged": Statement(
         WARNING,
-        "Damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.",
-    ),
-    "session-headers-damaged": Statement(
-        WARNING,
-        "Damaged: a CRC of the file does not match, although those of all its parts do; a header or the summary may be wrong.",
+        "Damaged[{headers:!}: a CRC of the file does not match, although those of all its parts do; a header or the summary may be wrong.|| at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.]",
         "Copy the file again.",
     ),
     "foreign-datagrams": Statement(
@@ -556,7 +515,6 @@ SESSION: Mapping[str, Statement] = {
         "Recorded by truearm {version}[ ({clock} clock)][; firmware {firmware}][; attached: {attached}].[ Recovered from {recovered}: {lost} messages are known to be lost.][ The joint readings were added from {joints}: their arrival was not observed. Controller time: {time}; its error is unknown.][ Temperature: {ranges}.]",
     ),
     # what did not arrive
-    "nothing-lost": Statement(NOTE, "Nothing lost, nothing duplicated, no restart."),
     "lost-on-link": Statement(
         WARNING,
         "Lost on the link: {frames_lost:#frame} and {samples_lost:#sample}[; the box was silent from {periods}, and {missing:#sample is|samples are} missing by the nominal rate].",
@@ -578,7 +536,8 @@ SESSION: Mapping[str, Statement] = {
         "Bring the magnet closer to the rod.",
     ),
     "received": Statement(
-        NOTE, "{frames:#frame} received, {samples:#sample} in {blocks:#block}[; also counted: {counts}]."
+        NOTE,
+        "[{complete:!}Nothing lost, nothing duplicated, no restart: ]{frames:#frame} received, {samples:#sample} in {blocks:#block}[; also counted: {counts}].",
     ),
     # time
     "box-clock": Statement(
@@ -723,21 +682,13 @@ VALIDATION: Mapping[str, Statement] = {
     "regions-worse": Statement(WARNING, "Worse than without the calibration: {regions}."),
     "few-rows": Statement(
         WARNING,
-        "{n:#row} cannot show how accurate the calibration is at other poses.",
-        "Validate with {enough} or more.",
-    ),
-    "rows-were-fitted": Statement(
-        WARNING,
-        "The identification used these rows too, so this verdict proves little.",
-        "Validate with other measurements.",
+        "[{n:#row} cannot show how accurate the calibration is at other poses||The identification used these rows too, so this verdict proves little].",
+        "Validate with [{enough} or more||other measurements].",
     ),
     # notes
     "validation-terms": Statement(
         NOTE,
-        '"Expected" is the error that declared noise and the calibration\'s uncertainty explain.[{by_place:!} "Radius" is the distance of the end from the z axis of the base frame, "z" its height in this frame; each is split at its median.]',
-    ),
-    "validation-chi2": Statement(
-        NOTE, "χ² per degree of freedom {chi2}; declared noise alone leaves it below {limit:.3g} (99 %)."
+        '"Expected" is the error that declared noise and the calibration\'s uncertainty explain.[{by_place:!} "Radius" is the distance of the end from the z axis of the base frame, "z" its height in this frame; each is split at its median.][ χ² per degree of freedom {chi2}; declared noise alone leaves it below {limit:.3g} (99 %).]',
     ),
 }
 
@@ -755,10 +706,6 @@ CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
         WARNING,
         "Unidentifiable combinations of parameters move the end (weights in m, rad and 1): {terms}[; and {more} more]. Their nominal values are used.",
         "Measure what the lines “Next:” of truearm identify propose.",
-    ),
-    "sag-at-payload": Statement(
-        NOTE,
-        "The sag of the joints holds for [{each:!}the payload of each row||a payload of {mass:g} kg][; it was measured under {masses} kg].",
     ),
     "other-payload": Statement(
         WARNING,
@@ -785,14 +732,10 @@ MAP: Mapping[str, Statement] = {
         "Error with calibration, from the parameters' covariance: {least:.3f} to {most:.3f} (standard deviation[, relative to {relative_to}]).",
     ),
     "map-sigma-unknown": Statement(WARNING, "Error with calibration: unknown in {n} of {cells:#cell}."),
-    "cells-outside": Statement(
-        WARNING,
-        'In {n:#cell} a joint is outside the readings that the calibration was identified from ("covered" is 0 in the table; pale in the picture).',
-    ),
     "joints-outside": Statement(
         WARNING,
-        "Outside in every cell: {joints}.",
-        "Give other readings with {@at}, or the other {@elbow}, or neither.",
+        '[Outside in every cell: {joints}.||In {n:#cell} a joint is outside the readings that the calibration was identified from ("covered" is 0 in the table; pale in the picture).]',
+        "[{joints:!}Give other readings with {@at}, or the other {@elbow}, or neither.]",
     ),
 }
 
@@ -831,12 +774,8 @@ CORRECTION: Mapping[str, Statement] = {
     ),
     "moves-bent": Statement(
         WARNING,
-        "{n:#straight move} will deviate from a straight path by more than {limit:.1f}: {places}. The largest deviation is {worst:.2f} ({place}).",
+        "{n:#straight move} [{worst:!}will deviate from a straight path by more than {limit:.1f}||may pass a joint limit, a singularity or another configuration between the ends]: {places}.[ The largest deviation is {worst:.2f} ({place}).]",
         "Add targets between the ends.",
-    ),
-    "moves-blocked": Statement(
-        WARNING,
-        "{n:#straight move} may pass a joint limit, a singularity or another configuration between the ends: {places}.",
     ),
     "moves-unchecked": Statement(
         WARNING,

@@ -171,7 +171,7 @@ class TestWhatIsWrong:
     def test_no_output_over_an_input(self, recorded, table, out, capsys):
         table.rename(out)
         ended(self.fails(capsys, out, recorded.bare, out), "given-twice")
-        ended(self.fails(capsys, out, recorded.bare, recorded.bare), "foreign-file")
+        ended(self.fails(capsys, out, recorded.bare, recorded.bare), "file-exists")
         out.write_bytes(recorded.bare.read_bytes())
         ended(self.fails(capsys, out, recorded.bare, recorded.bare), "file-exists")
 

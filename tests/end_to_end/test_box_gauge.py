@@ -199,7 +199,7 @@ def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
     session = tmp_path / "session.mcap"
     session.write_bytes(b"an afternoon")
     assert box("gauge", "lvdt", "--box", "/dev/none", "--out", session) == 2
-    ended(capsys.readouterr().err, "foreign-file")
+    ended(capsys.readouterr().err, "file-exists")
     assert session.read_bytes() == b"an afternoon"
 
 

@@ -301,7 +301,7 @@ def full_page():
                     "as_given": {"mm": 43.0},
                 },
             ),
-            Finding("no-law", {"tried": 0}),
+            Finding("no-law", {"tried": 0, "none": True}),
         ),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
         prior="weak",

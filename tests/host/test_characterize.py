@@ -360,8 +360,8 @@ def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        (("--model", "panda"), "joint-count"),
-        (("--model", "puma560", "--out", "-"), "no-file-name"),
+        (("--model", "panda"), "other-robot"),
+        (("--model", "puma560", "--out", "-"), "wrong-suffix"),
         (("--model", "puma560", "--rig", "none.toml"), "none.toml"),
         (("--model", "puma560", "--within-mm", "nan"), "within-mm"),
     ],

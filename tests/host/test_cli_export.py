@@ -173,12 +173,12 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
     cases = [
         ((*good, "--adjust", "nothing*"), "matches no parameter"),
         ((*good, "--adjust", "*.gain"), "leaves no parameter that urdf can hold"),
-        ((*good, "--over", tmp_path / "short.csv"), "joint-count"),
+        ((*good, "--over", tmp_path / "short.csv"), "other-robot"),
         ((*good, "--over", tmp_path / "none.csv"), "missing-file"),
         (("export", result, "--format", "ur", "--out", tmp_path / "o.yaml"), "Universal Robots"),
         (
             ("export", result, "--format", "dh-hayati", "--out", tmp_path / "mine.toml"),
-            "foreign-file",
+            "file-exists",
         ),
         (
             ("export", tmp_path / "short.csv", "--format", "urdf", "--out", tmp_path / "o.urdf"),

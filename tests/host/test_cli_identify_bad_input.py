@@ -15,10 +15,10 @@ HEADER = "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sph
 ROW = "ball_bar,0,0,0,0,0,0,460,b,c0,s0"
 BAD_TABLES = {
     "unknown column": (HEADER.replace("chuck", "chukc"), ROW, "did you mean chuck?"),
-    "no unit": (HEADER.replace("length_mm", "length"), ROW, "wrong-unit"),
-    "joint without unit": (HEADER.replace("q3_rad", "q3"), ROW, "wrong-unit"),
+    "no unit": (HEADER.replace("length_mm", "length"), ROW, "wrong-value"),
+    "joint without unit": (HEADER.replace("q3_rad", "q3"), ROW, "wrong-value"),
     "NaN": (HEADER, ROW.replace("460", "nan"), "row 2 column length_mm: nan"),
-    "joint count": (HEADER.replace("q6_rad,", ""), ROW.replace("0,", "", 1), "joint-count"),
+    "joint count": (HEADER.replace("q6_rad,", ""), ROW.replace("0,", "", 1), "other-robot"),
     "unknown chuck": (
         HEADER,
         ROW.replace("c0", "c9"),
@@ -51,7 +51,7 @@ BAD_ARGUMENTS = {
     "no such group": (["--hold-out", "shell=s99"], "it has inner, outer"),
     "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing-left"),
     "no such parameter": (["--free", "link9.*"], "--free link9.*: matches no parameter"),
-    "no such folder": (["--out", "/none/result.json"], "missing-folder"),
+    "no such folder": (["--out", "/none/result.json"], "missing-file"),
     "a folder": (["--out", "/"], "unreadable-file"),
     "line breaks in a name": (["--out", "a\nb\x1b[31m/r.json"], "a b\\x1b[31m"),
 }

@@ -189,14 +189,14 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
     (tmp_path / "bad.json").write_text(signed(document))
     (tmp_path / "mine.svg").write_text("<svg>precious</svg>")
     cases = [
-        (("map", result, "--vary", "2"), "wrong-form"),
+        (("map", result, "--vary", "2"), "wrong-value"),
         (("map", result, "--vary", "2,9"), "must be two joints between 1 and 6"),
         (("map", result, "--vary", "1,2"), "--vary"),
         (("map", result, "--at", "1,2"), "needs 6 numbers"),
-        (("map", result, "--task", "0x10"), "wrong-form"),
-        (("map", result, "--task", "ax10"), "wrong-form"),
-        (("map", result, "--task", "9x9", "--within", "9:1,0:1"), "wrong-form"),
-        (("map", result, "--task", "9x9", "--within", "0:1"), "wrong-form"),
+        (("map", result, "--task", "0x10"), "wrong-value"),
+        (("map", result, "--task", "ax10"), "wrong-value"),
+        (("map", result, "--task", "9x9", "--within", "9:1,0:1"), "wrong-value"),
+        (("map", result, "--task", "9x9", "--within", "0:1"), "wrong-value"),
         (("map", result, "--within", "0:1,0:1"), "needs-option"),
         (("map", result, "--cell-mm", "0.1"), "--cell-mm"),
         (("map", tmp_path / "bad.json"), "null_space[0].weights[0]: expected float, got str"),
@@ -204,7 +204,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
             ("map", result, "--picture-out", tmp_path / "a.png"),
             "wrong-suffix",
         ),
-        (("map", result, "--picture-out", tmp_path / "mine.svg"), "foreign-file"),
+        (("map", result, "--picture-out", tmp_path / "mine.svg"), "file-exists"),
     ]
     for arguments, says in cases:
         code, said, err = run(*arguments)

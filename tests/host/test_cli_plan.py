@@ -145,7 +145,7 @@ def test_lines_with_a_delay_that_is_not_known(folder, capsys):
             ["--region", "5000:5001,0:1,0:1"],
             "no-plan",
         ),
-        (["--rig-out", "-"], "file name"),
+        (["--rig-out", "-"], "wrong-suffix"),
         (["--rig-out", "rig.toml"], "rig.toml"),
         (["--out", "two.csv", "--rig-out", "two.csv"], "two.csv"),
     ],
@@ -167,15 +167,15 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--spread-mm", "nan"], "--spread-mm"),
         (["--dwell-s", "inf"], "--dwell-s"),
         (["--model", "bare.toml"], "give LOW:HIGH"),
-        (["--region", "1:2"], "wrong-form"),
+        (["--region", "1:2"], "wrong-value"),
         (["--region", "5000:5001,0:1,0:1"], "cannot reach"),
         (["--bar", "nope"], "bar 'nope'"),
         *(
-            (["--region", text], "wrong-form")
+            (["--region", text], "wrong-value")
             for text in ("0:1,2:3,5:4", "a:b,0:1,0:1", "0:1,0:1,0:nan", "0:1:2,0:1,0:1")
         ),
         (["--branch", "1:2"], "--branch: needs bounds of 6 joints, has 1"),
-        *((["--branch", ",".join([pair] * 6)], "wrong-form") for pair in ("", "1", "1:0", "a:b", "0:nan")),
+        *((["--branch", ",".join([pair] * 6)], "wrong-value") for pair in ("", "1", "1:0", "a:b", "0:nan")),
         (
             ["--branch", ",".join(["0:9999"] * 6)],
             "--branch: the bounds of joint1 must lie within its limits, -165 to 165 deg",
@@ -183,7 +183,7 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--reserve-mm", "37"], "lower --reserve-mm or --spread-mm"),
         (["--result", "missing.json"], "missing.json"),
         (["--measured", "missing.csv"], "missing.csv"),
-        (["--out", "-"], "file name"),
+        (["--out", "-"], "wrong-suffix"),
         (["--program-out", "x.txt"], "programs cannot be written as '.txt'"),
         (
             ["--poses", "61"],
@@ -211,7 +211,7 @@ def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, optio
     precious.write_text("precious")
     given = ("plan", "line", *LINES, "--rig", str(folder / "rig.toml"), option)
     assert main([*given, str(precious)]) == 2
-    ended(capsys.readouterr().err, "foreign-file")
+    ended(capsys.readouterr().err, "file-exists")
     assert precious.read_text() == "precious"
     assert [main([*given, str(own), *force]) for force in ((), (), ["--force"])] == [0, 2, 0]
     ended(capsys.readouterr().err, "file-exists", "--force")

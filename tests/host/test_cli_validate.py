@@ -231,7 +231,7 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     findings = listed(document)
     assert "independent measurement" not in (tmp_path / "v.html").read_text()
     # Sockets at unknown places determine neither base nor tool, so neither was fitted.
-    assert {"rows-were-fitted", "rig-unknowns", "before"} <= set(findings)
+    assert {"few-rows", "rig-unknowns", "before"} <= set(findings)
     assert "rig-missing" not in findings
     assert "rows-unseen" in [finding.code for finding in validation_findings({**document, "unseen": 5})]
     document = json.loads(run("validate", tmp_path / "r.json", rows, "--model", urdf, "--json").out)

@@ -46,7 +46,7 @@ def test_a_bad_cell(column, value, says):
 
 
 def test_bad_joint_readings():
-    with refused("joint-count", joints=5, expected=6):
+    with refused("other-robot", joints=5, expected=6):
         build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5], q_rate=TABLE.q_rate[:, :5], side=TABLE.side[:, :5]))
     q = TABLE.q.copy()
     q[7, 2] = np.nan

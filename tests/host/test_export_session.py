@@ -296,13 +296,13 @@ class TestRefusals:
     def test_a_folder_that_holds_something(self, made, tmp_path, capsys):
         (tmp_path / "x").mkdir()
         (tmp_path / "x" / "mine").write_text("precious")
-        ended(self.refused(capsys, made[1], "--out", tmp_path / "x"), "foreign-file")
+        ended(self.refused(capsys, made[1], "--out", tmp_path / "x"), "file-exists")
         assert os.listdir(tmp_path / "x") == ["mine"]
         (tmp_path / "y").mkdir()
         export(made[1], tmp_path / "y")
 
     def test_no_folder_above(self, made, tmp_path, capsys):
-        ended(self.refused(capsys, made[1], "--out", tmp_path / "a" / "b"), "missing-folder")
+        ended(self.refused(capsys, made[1], "--out", tmp_path / "a" / "b"), "missing-file")
 
     def test_a_format_that_is_none(self, made, tmp_path, capsys):
         assert "'xlsx'" in self.refused(capsys, made[1], "--out", tmp_path / "x", "--format", "xlsx")

@@ -27,7 +27,7 @@ def test_only_what_we_wrote_is_replaced(tmp_path):
     (tmp_path / "theirs").write_text('[[bar]]\nname = "b46"')
     (tmp_path / "ours").write_text("pose,shell")
     (tmp_path / "empty").write_text("\n")
-    with refused("foreign-file"):
+    with refused("file-exists"):
         check_writable(tmp_path / "theirs", kind="plan")
     for name in ("ours", "empty", "new"):
         check_writable(tmp_path / name, kind="plan")
@@ -49,7 +49,7 @@ def test_devices_and_links_stay_what_they_are(tmp_path):
 def test_a_folder_of_others_is_not_written_into(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("years of work")
-    with refused("foreign-file"):
+    with refused("file-exists"):
         own_folder(tmp_path / "full", ".mark")
     with pytest.raises(InputError, match="cannot be used"):
         own_folder(tmp_path / "full" / "thesis.tex", ".mark")

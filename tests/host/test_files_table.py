@@ -152,10 +152,10 @@ WRONG = {
     "not an observation kind": ("q1_rad,place\n0,a\n", "missing-column"),
     "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean plane or place?"),
     "nothing like it": ("kind,q1_rad,humidity\nseat,0,20\n", "x_"),
-    "no unit": ("kind,q1\nseat,0\n", "wrong-unit"),
-    "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "wrong-unit"),
-    "unknown unit": ("kind,q1_grad\nseat,0\n", "'grad'"),
-    "length in degrees": ("kind,q1_rad,length_deg\nball_bar,0,1\n", "'deg'"),
+    "no unit": ("kind,q1\nseat,0\n", "wrong-value"),
+    "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "wrong-value"),
+    "unknown unit": ("kind,q1_grad\nseat,0\n", "wrong-value"),
+    "length in degrees": ("kind,q1_rad,length_deg\nball_bar,0,1\n", "wrong-value"),
     "both units": ("kind,q1_rad,q1_deg\nseat,0,0\n", "given-twice"),
     "both lengths": ("kind,q1_rad,length_m,length_mm\nball_bar,0,1,1\n", "given-twice"),
     "doubled column": ("kind,q1_rad,place,place\nseat,0,a,a\n", "given-twice"),
@@ -181,7 +181,7 @@ WRONG = {
         SEAT.replace("socket", "socket,x_m,y_m,z_m").replace("front,0", "front,0,1,1,1"),
         "has no x_mm",
     ),
-    "point in cm": (LINE.replace("y_mm", "y_cm"), "wrong-unit"),
+    "point in cm": (LINE.replace("y_mm", "y_cm"), "wrong-value"),
     "rotation sigma of a point": (
         "kind,q1_rad,tracker,x_m,y_m,z_m,rotation_sigma_deg\nposition,0,t,0,0,0,0.1\n",
         "no rotation_sigma_deg or rotation_sigma_rad",
@@ -192,7 +192,7 @@ WRONG = {
     ),
     "rotation sigma in m": (
         "kind,q1_rad,tracker,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,rotation_sigma_mm\npose,0,t,0,0,0,0,0,0,1\n",
-        "wrong-unit",
+        "wrong-value",
     ),
     "pose without a turn": (
         "kind,q1_rad,tracker,x_m,y_m,z_m\npose,0,t,0,0,0\n",
@@ -202,7 +202,7 @@ WRONG = {
     "touch of no plane": ("kind,q1_rad,plane\nplane,0,\n", "a plane row needs a plane"),
     "speed of one joint": ("kind,q1_rad,q2_rad,qd1_rad_s,place,socket\nseat,0,0,0,a,0\n", "2 joint columns but 1"),
     "speed of a slide": ("kind,q1_rad,qd1_mm_s,place,socket\nseat,0,0,a,0\n", "qd1_mm_s: does"),
-    "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "wrong-unit"),
+    "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "wrong-value"),
     "degrees called rad": (SEAT.replace("0.5", "95"), "in another unit"),
     "a length of nothing": (GOOD.replace("460.25", "1e-300"), "row 2 column length_mm: '1e-300'"),
     "a sigma of a picometre": (GOOD.replace("0.1,", "1e-9,"), "sigma_mm: '1e-9'"),
@@ -229,7 +229,7 @@ def test_wrong_tables_are_told_in_one_line(text: str, message: str) -> None:
 
 
 def test_joints_must_be_the_robots() -> None:
-    with refused("joint-count", joints=2, expected=6):
+    with refused("other-robot", joints=2, expected=6):
         parse_table(GOOD, "t.csv", ("rad",) * 6)
     with pytest.raises(TableError, match="column q2_deg:"):
         parse_table(GOOD, "t.csv", ("rad", "m"))

@@ -378,7 +378,7 @@ def test_a_payload_that_was_not_measured_is_predicted(loaded_arm):
     assert blind.held_out.figures["m"].mean > 3.0 * mean
     laws = found.document["joint_laws"]
     assert [one["mass_kg"] for one in laws["payloads"]] == [0.0, 4.0]
-    (masses,) = [of.values["masses"] for of in law_findings(found.document) if of.code == "sag-of-payload"]
+    (masses,) = [of.values["masses"] for of in law_findings(found.document) if of.code == "sag-payload"]
     assert masses == ["0", "4"]
     at = {name: i for i, name in enumerate(found.chain.parameter_names)}
     for joint, give in (("joint2", 4e-5), ("joint3", 6e-5)):
@@ -400,9 +400,12 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
     assert np.linalg.norm(due, axis=1).max() > 1e-4
     np.testing.assert_allclose(full - empty, due, rtol=0.0, atol=0.1 * np.abs(due).max())
     (sag,) = again.carrying(6.0).payload_findings()
-    assert (sag.code, sag.values) == ("sag-at-payload", {"mass": 6.0, "masses": ["0", "4"], "each": False})
+    assert (sag.code, sag.values) == (
+        "sag-payload",
+        {"holder": "the robot", "mass": "6", "masses": ["0", "4"]},
+    )
     judged = validated(again, RIG, table.select(np.arange(260) >= 200))
-    assert listed(judged.document)["sag-at-payload"] == {"mass": 0.0, "masses": ["0", "4"], "each": True}
+    assert listed(judged.document)["sag-payload"]["holder"] == "each row"
     with pytest.raises(InputError, match="mass: -1 kg"):
         again.carrying(-1.0)
 
@@ -419,6 +422,9 @@ def test_sag_of_poses_with_alike_torques_is_said_to_be_extrapolated():
     assert shown.values == {"joints": ["joint2 18%"]}
 
 
+HELD_SAG = {"holder": "the calibration", "masses": ["4"], "several": False}
+
+
 def test_one_payload_in_all_rows_says_nothing_of_another():
     """It passes for mass of the tool: the sag holds for it, which is said; the rig may name it as well as the table."""
     table, _ = loaded_world(np.random.default_rng(22), np.full(160, 4.0))
@@ -433,15 +439,13 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     for found in (by_table, by_rig):
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert all(0.3 < law["range_share"] <= 1.0 for law in found.document["joint_laws"]["tried"] if law["kept"])
-        assert [of.values for of in law_findings(found.document) if of.code == "sag-of-payload"] == [
-            {"masses": ["4"], "several": False}
-        ]
+        assert [of.values for of in law_findings(found.document) if of.code == "sag-payload"] == [HELD_SAG]
     again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
-    assert again.payload_findings() == [Finding("sag-of-payload", {"masses": ["4"], "several": False})]
+    assert again.payload_findings() == [Finding("sag-payload", HELD_SAG)]
     assert "other-payload" not in listed(validated(again, rig, without_payload(table)).document)
     masses = np.where(np.arange(160) < 30, 4.0, 0.0)
     light = validated(again, rig, table.replace(payload=masses))
-    assert listed(light.document)["sag-of-payload"] == {"masses": ["4"], "several": False}
+    assert listed(light.document)["sag-payload"] == HELD_SAG
     assert listed(light.document)["other-payload"] == {"n": 130, "rows": 160, "payload": ["0"], "masses": ["4"]}
     with pytest.raises(InputError, match="payload acts"):
         again.carrying(2.0)
@@ -533,7 +537,7 @@ def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
     assert 0 < some.outside[reached].sum() < reached.sum()
     assert some.outside[reached][beyond].all()
     findings = map_findings(map_files(found, replace(files, force=True), section), 0.1, None)
-    assert Finding("cells-outside", {"n": some.outside[reached].sum()}) in findings
+    assert Finding("joints-outside", {"n": some.outside[reached].sum()}) in findings
     rows = [line.rpartition(",")[2] for line in (tmp_path / "map.csv").read_text().splitlines()]
     assert rows[0] == "covered"
     assert rows[1:] == [str(int(not one)) for one in some.outside[reached]]

@@ -126,7 +126,7 @@ def test_a_file_with_a_hole_is_one_clear_line(old, new, says):
 
 
 def test_unknown_robot_and_oversized_file():
-    with refused("unknown-choice", place="built-in robot"):
+    with refused("wrong-value", place="built-in robot"):
         builtin_robot("../x")
     with pytest.raises(RobotError, match="limit"):
         parse_robot("#" * 2_000_000)

@@ -148,7 +148,7 @@ class TestRefused:
             (["--mounted", "bar=a,bar=b"], "given-twice"),
             (["--plan", "none.csv"], "missing-file"),
             (["--rig", "none.toml"], "missing-file"),
-            (["--box", "ftp://x"], "wrong-form"),
+            (["--box", "ftp://x"], "wrong-value"),
             (["--address", "x:1"], "is not the address of a robot"),
         ],
         ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -178,7 +178,7 @@ class TestRefused:
         assert out.read_bytes() == EARLIER
         out.write_text("precious")
         assert main([*record, "--force"]) == 2
-        ended(capsys.readouterr().err, "foreign-file")
+        ended(capsys.readouterr().err, "file-exists")
         assert out.read_text() == "precious"
 
     def test_no_file_to_write(self, tmp_path, capsys):

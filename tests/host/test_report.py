@@ -159,7 +159,7 @@ def test_the_verdict_is_the_headline_then_doubts_and_advice_then_notes():
         Finding("simulated"),
         Finding("wrong-inputs", {"after": {"mm": 43.0}, "large": False}),
         Finding("still-joint", {"joint": "joint2", "reading": "3 deg"}),
-        Finding("no-law", {"tried": 0}),
+        Finding("no-law", {"tried": 0, "none": True}),
         Finding("correct-next"),
     )
     text = html.unescape(render(make_page(20, findings=findings)))

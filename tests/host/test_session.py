@@ -115,7 +115,7 @@ class TestCrash:
         whole = (tmp_path / "s.mcap").read_bytes()
         for size in [*range(8, 400), *range(400, len(whole) - 1, 97), len(whole) - 1]:
             (tmp_path / "cut.mcap").write_bytes(whole[:size])
-            with refused("incomplete-session", place=tmp_path / "cut.mcap"):
+            with refused("session-incomplete", place=tmp_path / "cut.mcap"):
                 open_session(tmp_path / "cut.mcap")
             session = open_session(tmp_path / "cut.mcap", allow_damaged=True)
             read = list(session.messages())

@@ -72,7 +72,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
 
     unit, channel, say = options.unit, options.channel, operator.say
     if unit not in UNITS:
-        raise InputError("unknown-choice", place=Argument("unit"), value=unit[:20], names=list(UNITS))
+        raise InputError("wrong-value", place=Argument("unit"), value=unit[:20], names=list(UNITS))
     listed = None if options.references is None else read_references(options.references)
     page = options.out or Path(
         "gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html"

@@ -48,7 +48,7 @@ def characterize(
     from truearm.workflows.characterize import characterize_files
 
     if files.out == Path("-"):
-        raise InputError("no-file-name", what="the result")
+        raise InputError("wrong-suffix", place="-", what="the result")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     document = characterize_files(files, bands)
     if json:

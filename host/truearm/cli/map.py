@@ -94,7 +94,7 @@ def map_(
 def _joints_of(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"([1-9][0-9]?),([1-9][0-9]?)", text)
     if match is None:
-        raise InputError("wrong-form", place="--vary", value=text[:40], form="two joints, such as 2,3")
+        raise InputError("wrong-value", place="--vary", value=text[:40], form="two joints, such as 2,3")
     return int(match[1]), int(match[2])
 
 
@@ -107,7 +107,7 @@ def _span_of(text: str) -> tuple[float, float, float, float]:
 def _size_of(text: str) -> tuple[float, float]:
     match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)x([0-9]{1,6}(?:\.[0-9]{1,6})?)", text)
     if match is None or min(float(match[1]), float(match[2])) <= 0.0:
-        raise InputError("wrong-form", place="--task", value=text[:40], form="width and height in mm, such as 300x200")
+        raise InputError("wrong-value", place="--task", value=text[:40], form="width and height in mm, such as 300x200")
     return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
 
 

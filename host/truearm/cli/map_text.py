@@ -33,7 +33,7 @@ def map_findings(mapped: Mapped, cell: float, task: str | None, simulated: bool 
 
 def _outside_findings(mapped: Mapped) -> Iterator[Finding]:
     if outside := _outside(mapped.map):
-        yield Finding("cells-outside", {"n": outside})
+        yield Finding("joints-outside", {"n": outside})
     if mapped.outside:
         yield Finding("joints-outside", {"joints": list(mapped.outside)})
 

@@ -174,7 +174,7 @@ def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple
         values = ()
     if not values or (count is not None and (len(values) != count or not all(map(math.isfinite, values)))):
         raise InputError(
-            "wrong-form", place=option, value=text[:60], form=f"{count or 'one or more'} numbers, separated by commas"
+            "wrong-value", place=option, value=text[:60], form=f"{count or 'one or more'} numbers, separated by commas"
         )
     return values
 
@@ -186,7 +186,7 @@ def payload_of(text: str | None) -> Payload:
     mass, *centre = numbers_of("--payload", text) or (0.0,)
     if len(centre) not in (0, 3):
         raise InputError(
-            "wrong-form", place="--payload", value=(text or "")[:60], form="KG, or KG,X,Y,Z with the centre in mm"
+            "wrong-value", place="--payload", value=(text or "")[:60], form="KG, or KG,X,Y,Z with the centre in mm"
         )
     x, y, z = map(MM.to_si, centre or (0.0, 0.0, 0.0))
     return Payload(mass, (x, y, z))
@@ -206,7 +206,7 @@ def spans_of(
     if len(spans) != (count or len(spans) or 1) or not rising:
         times = f"{count} times " if count else ""
         form = f"{times}LOW:HIGH in {scale.suffix}, LOW below HIGH, separated by commas"
-        raise InputError("wrong-form", place=option, value=text[:60], form=form)
+        raise InputError("wrong-value", place=option, value=text[:60], form=form)
     return tuple(scale.to_si(low) for low, _ in spans), tuple(scale.to_si(high) for _, high in spans)
 
 
@@ -216,7 +216,9 @@ def joints_of(option: str, shown: Sequence[float] | None, units: Sequence[str]) 
         return None
     if len(shown) != len(units) or not all(map(math.isfinite, shown)):
         text = ",".join(f"{value:g}" for value in shown)
-        raise InputError("wrong-form", place=option, value=text[:60], form=f"{len(units)} numbers, separated by commas")
+        raise InputError(
+            "wrong-value", place=option, value=text[:60], form=f"{len(units)} numbers, separated by commas"
+        )
     return tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=True))
 
 
@@ -224,7 +226,7 @@ def frame_of(option: str, text: str | None) -> Six:
     """Return position [m] and rotation vector [rad] of an option in mm and deg; zeros if not given. Raises InputError."""
     x, y, z, rx, ry, rz = numbers_of(option, text, 6) or (0.0,) * 6
     if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:
-        raise InputError("wrong-form", place=option, value=text, form="x, y, z in mm and a rotation vector in deg")
+        raise InputError("wrong-value", place=option, value=text, form="x, y, z in mm and a rotation vector in deg")
     return MM.to_si(x), MM.to_si(y), MM.to_si(z), DEG.to_si(rx), DEG.to_si(ry), DEG.to_si(rz)
 
 

@@ -299,7 +299,7 @@ def _check_choice(solver: str, loss: str, damping: str) -> None:
         ("damping", damping, DAMPINGS),
     ):
         if given not in known:
-            raise ProblemError("unknown-choice", place=what, value=given, names=list(known))
+            raise ProblemError("wrong-value", place=what, value=given, names=list(known))
     if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
         raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
     if damping != "scaled" and solver != "lm":

@@ -316,7 +316,7 @@ def _rigs(rig: Rigs, table: ObservationTable) -> Mapping[str, Rig]:
 
 def _check_joints(chain: Chain, table: ObservationTable) -> None:
     if table.q.shape[1] != len(chain.joints):
-        raise ProblemError("joint-count", place="table", joints=table.q.shape[1], expected=len(chain.joints))
+        raise ProblemError("other-robot", place="table", joints=table.q.shape[1], expected=len(chain.joints))
     bad = np.flatnonzero(~np.isfinite(table.q).all(axis=1))
     if bad.size:
         raise ProblemError(f"{table.source[bad[0]]}: a joint reading is not a finite number")

@@ -192,7 +192,7 @@ FORMATS: dict[str, Callable[[Path, Placement], Tables]] = {
 def check_format(name: str) -> None:
     """Raise InputError for an unknown format, or one whose library is missing."""
     if name not in FORMATS:
-        raise InputError("unknown-choice", place=Argument("format"), value=name[:40], names=list(FORMATS))
+        raise InputError("wrong-value", place=Argument("format"), value=name[:40], names=list(FORMATS))
     if name == "parquet":
         try:
             import pyarrow.parquet  # noqa: F401

@@ -183,7 +183,7 @@ def check_outputs(
     earlier = list(inputs)
     for kind, path in outputs:
         if path == Path("-"):
-            raise InputError("no-file-name", what=shown)
+            raise InputError("wrong-suffix", place=path, what=shown)
         if path is not None:
             check_writable(path, force, inputs=earlier, kind=kind)
             earlier.append(path)
@@ -196,7 +196,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], kind: str | None) -> Non
     if any(same_file(path, other) for other in inputs):
         raise InputError("given-twice", place=path)
     if not path.parent.is_dir():
-        raise InputError("missing-folder", place=path, folder=path.parent)
+        raise InputError("missing-file", place=path, folder=path.parent)
     if not os.access(path.parent, os.W_OK):
         raise InputError(
             f"{path}: the folder {path.parent} cannot be written; choose another folder, or change its permissions"
@@ -205,7 +205,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], kind: str | None) -> Non
         with path.open("rb") as file:
             head = file.read(HEAD)
         if head.strip() and not KINDS[kind].fits(head):
-            raise InputError("foreign-file", place=path)
+            raise InputError("file-exists", place=path, foreign=True)
 
 
 def same_file(a: Path, b: Path) -> bool:
@@ -258,7 +258,7 @@ def own_folder(path: Path, mark: str) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not (path / mark).exists() and any(path.iterdir()):
-            raise InputError("foreign-file", place=path, folder=True)
+            raise InputError("file-exists", place=path, folder=True)
         (path / mark).touch()
     except OSError as exc:
         raise _failure(f"{path}: cannot be used as a folder", exc) from exc

@@ -79,7 +79,7 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
         raise TableError("unknown-column", place=where, remedy=_suggestion(title))
     quantity, unit, known = match[1] + match[2], match[3] or "", units[match[1]]
     if unit not in known:
-        raise TableError("wrong-unit", place=where, unit=unit and repr(unit), names=[named(quantity, u) for u in known])
+        raise TableError("wrong-value", place=where, value=title[:40], names=[named(quantity, u) for u in known])
     return sigma_column(SUFFIXES[unit].si) if quantity == "sigma" else quantity, unit
 
 
@@ -106,7 +106,7 @@ def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None,
     if joint_units is None:
         return joints
     if len(joints) != len(joint_units):
-        raise TableError("joint-count", place=name, joints=len(joints), expected=len(joint_units))
+        raise TableError("other-robot", place=name, joints=len(joints), expected=len(joint_units))
     for joint, unit in zip(joints, joint_units, strict=True):
         if base_unit(joint.unit) != unit:
             allowed = "rad or deg (it turns)" if unit == "rad" else "m or mm (it slides)"

@@ -102,7 +102,7 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
         raise PlanError(f"{where} column {ROBOT}: has more than {MAX_ROBOT} characters")
     move = cells.get("move") or Move.DWELL
     if move not in tuple(Move):
-        raise PlanError("unknown-choice", place=f"{where} column move", value=move[:40], names=list(Move))
+        raise PlanError("wrong-value", place=f"{where} column move", value=move[:40], names=list(Move))
     for name in (*IDS, *LINE_MOUNTED):
         cell = cells.get(name, "")
         if not NAME.fullmatch(cell) and (cell or name in _required(Move(move))):

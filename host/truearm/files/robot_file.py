@@ -88,9 +88,10 @@ def robot_file(robot: str) -> Path | None:
         word = robot.lower()
         of_maker = [names for maker, names in ROBOTS_OF.items() if maker in word]
         meant = difflib.get_close_matches(word, builtin_names(), n=1) or of_maker
-        if meant and not path.suffix:
-            raise RobotError("unknown-robot", value=robot, names=list(builtin_names()), meant=meant[0])
-        raise RobotError("unknown-robot", value=robot, names=list(builtin_names()))
+        names = [*builtin_names(), "a .toml or .urdf file"]
+        raise RobotError(
+            "wrong-value", place="robot", value=robot, names=names, meant=(meant and not path.suffix) and meant[0]
+        )
     return path
 
 

@@ -49,6 +49,6 @@ def _ask(listed: list[str], output: TextIO) -> int:
         print(f"1 to {len(listed)}: ", end="", file=output, flush=True)
         answer = sys.stdin.readline()
         if not answer:
-            raise InputError("no-terminal", option=Argument("box"))
+            raise InputError("needs-option", place="the command without a terminal", needed=Argument("box"))
         if answer.strip().isdecimal() and 1 <= int(answer) <= len(listed):
             return int(answer) - 1

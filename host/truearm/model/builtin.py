@@ -19,7 +19,7 @@ def builtin_names() -> tuple[str, ...]:
 def builtin_text(name: str) -> str:
     """Return the robot file of a built-in robot. Raises RobotError for an unknown name."""
     if name not in builtin_names():
-        raise RobotError("unknown-choice", place="built-in robot", value=name, names=list(builtin_names()))
+        raise RobotError("wrong-value", place="built-in robot", value=name, names=list(builtin_names()))
     return resources.files(__package__).joinpath("robots", name + SUFFIX).read_text("utf-8")
 
 

@@ -160,7 +160,7 @@ def _inverse(information: Floats) -> Floats:
 
 def _checked(rows: Floats, n: int, criterion: str, region: Floats | None) -> Criterion:
     if criterion not in tuple(Criterion):
-        raise PlanError("unknown-choice", place="criterion", value=criterion, names=list(Criterion))
+        raise PlanError("wrong-value", place="criterion", value=criterion, names=list(Criterion))
     if criterion == Criterion.I and region is None:
         raise PlanError(
             "criterion I needs the argument region: the rows of the region in which the error should be small"

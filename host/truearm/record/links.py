@@ -237,7 +237,7 @@ def _check_device(device: str) -> None:
     scheme, separator, _ = device.partition("://")
     if not device or (separator and scheme != "socket"):
         raise InputError(
-            "wrong-form", place="box", value=device, form="a path such as /dev/ttyACM0, or socket://host:port"
+            "wrong-value", place="box", value=device, form="a path such as /dev/ttyACM0, or socket://host:port"
         )
     if separator:
         host_and_port(device, "socket")
@@ -367,6 +367,6 @@ def host_and_port(url: str, scheme: str) -> tuple[str, int]:
         host = port = None
     if host is None or not port or parts.scheme != scheme or parts.path or parts.query:
         raise InputError(
-            "wrong-form", place="address", value=url, form=f"{scheme}://host:port, such as {scheme}://127.0.0.1:7007"
+            "wrong-value", place="address", value=url, form=f"{scheme}://host:port, such as {scheme}://127.0.0.1:7007"
         )
     return host, port

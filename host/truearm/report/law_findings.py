@@ -18,17 +18,17 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
     if laws is None:
         return
     for reason in laws["reasons"]:
-        yield Finding("law-not-tried", {"reason": reason})
+        yield Finding("no-law", {"reason": reason})
     kept = [law for law in laws["tried"] if law["kept"]]
     dropped = [law for law in laws["tried"] if not law["kept"]]
     if not kept:
-        yield Finding("no-law", {"tried": len(dropped)})
+        yield Finding("no-law", {"tried": len(dropped), "none": not dropped})
         return
     for law in kept:
         yield _kept(law)
     if dropped:
         names = [f"{law['joint']} {law['term']} {round(law['nats'], 1) + 0.0:.1f}" for law in dropped]
-        yield Finding("laws-dropped", {"laws": ", ".join(map(one_line, names))})
+        yield Finding("no-law", {"dropped": ", ".join(map(one_line, names))})
     sags = [law for law in kept if law["term"] == "sag"]
     if sags and not laws["gravity_known"]:
         yield Finding("gravity-assumed")
@@ -39,7 +39,8 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
     payloads = laws.get("payloads", [])
     masses = [f"{mass:g}" for mass in sorted({payload["mass_kg"] for payload in payloads})]
     if sags and any(payload["mass_kg"] for payload in payloads):
-        yield Finding("sag-of-payload", {"masses": masses, "several": len(payloads) > 1})
+        values = {"masses": masses, "several": len(payloads) > 1, "holder": "the calibration"}
+        yield Finding("sag-payload", values)
     noise = laws["noise"]
     terms = [f"{noise['factor']:.2g} times the declared variances"]
     if noise["shared_mm"]:

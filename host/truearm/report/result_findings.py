@@ -27,6 +27,7 @@ MAX_ROWS = 6  # bad rows that are named
 MAX_TERMS = 4  # parameters that are named
 MAX_CHOICES = 6  # causes whose application is described
 MAX_UNSEEN = 12  # causes that cannot show and are named
+SETTLED = "estimated from the rows that judge"  # unknowns of the rig
 EVERY = ".all"  # ends the name of all items of a type
 FORMS = {  # what an item does, by the form of a hypothesis; of another form, a kind's own, the name is shown
     "offset": "is off",
@@ -88,11 +89,13 @@ def verdict(document: Document) -> Finding:
     if because is not None:
         return _unusable(Unusable(because), document)
     if change is not None:
-        return Finding("no-gain" if change["gain"] == Gain.NONE else "better", _change(change))
+        return Finding("no-gain" if change["gain"] == Gain.NONE else "usable", _change(change))
     judged, before = document["held_out"], document["held_out_before"]
     if judged is not None and before is not None:
-        return Finding("held-out", {"n": judged["n"], "after": sizes(judged, "rms"), "before": sizes(before, "rms")})
-    return Finding("unjudged", {"after": sizes(document, "rms_after"), "before": sizes(document, "rms_before")})
+        rows = counted(judged["n"], "held-out row")
+        return Finding("usable", {"rows": rows, "after": sizes(judged, "rms"), "before": sizes(before, "rms")})
+    after, before = (sizes(document, name) for name in ("rms_after", "rms_before"))
+    return Finding("usable", {"unjudged": True, "rows": "the fitted rows", "after": after, "before": before})
 
 
 def _change(change: Document) -> dict[str, Any]:
@@ -329,13 +332,14 @@ def _choice(fault: Document) -> Finding:
             "sigma": size and UNITS[size["unit"]].scale.text(size["value"] / numbers, ".2g"),
             "deciding": deciding,
         }
-        return Finding("fault-unmended", values)
+        return Finding("fault-choice", values)
     choices = "; ".join(
         f"{one_line(offer['apply'])}: the tool moves by {MM.text(MM.to_si(offer['moves_mm']), '.3f')}, its error is then "
         f"{MM.text(MM.to_si(offer['error_mm']), '.3f')}, and {_gain(offer)}"
         for offer in offers
     )
-    return Finding("fault-choice", {"choices": choices, "first": offers[0]["apply"], "deciding": deciding})
+    values = {"choices": choices, "first": offers[0]["apply"], "deciding": deciding}
+    return Finding("fault-choice", {**values, "both": bool(deciding)})
 
 
 # sessions, and the error of the tool
@@ -435,7 +439,10 @@ def _parts(document: Document) -> dict[str, Any]:
 def _identified(document: Document) -> Iterator[Finding]:
     """Return what was identified, what is held by default, base and tool that are elsewhere, time offsets."""
     yield identified(document)
-    yield Finding("solver", {"solver": document["solver"], "prior": _prior(document), "loss": _loss(document)})
+    indices = document["observability"] or {}
+    named = [f"{name.upper()} {value:.3g}" for name, value in indices.items() if value is not None]
+    solver = {"solver": document["solver"], "prior": _prior(document), "loss": _loss(document)}
+    yield Finding("solver", {**solver, "n": len(document["suggested_free"]), "indices": named})
     if SOLVERS[document["solver"]].ends_by_recipe:
         yield Finding("solver-recipe", {"message": document["message"]})
     defaults = document["defaults"]
@@ -453,10 +460,6 @@ def _identified(document: Document) -> Iterator[Finding]:
             late = "late" if value >= 0.0 else "early"
             values = {"offset": {"ms": MS.of(abs(value))}, "sigma": {"ms": MS.of(sigma)}, "late": late, "name": name}
             yield Finding("time-offset", values)
-    indices = document["observability"]
-    if indices is not None and None not in indices.values():
-        named = [f"{name.upper()} {value:.3g}" for name, value in indices.items()]
-        yield Finding("observability", {"n": len(document["suggested_free"]), "indices": named})
 
 
 def identified(document: Document) -> Finding:
@@ -552,13 +555,11 @@ def outliers(document: Document) -> Iterator[Finding]:
         usual = "the residuals of most rows exceed their declared noise"
         why = "they hardly change the fit" if laws else usual
         values |= {"why": why, "kept": named_rows(kept), "first": [kept[0]["source"]]}
-    yield Finding("outliers", {"why": None, "kept": None, "first": None, **values})
     all_rows = document["with_outliers"]
     if all_rows is not None:
-        after = sizes(all_rows, "rms_after", document["residual_units"])
-        yield Finding(
-            "all-rows-fit", {"geometry": laws, "plain": not laws, "after": after, "chi2": all_rows["chi2_reduced"]}
-        )
+        values |= {"chi2": all_rows["chi2_reduced"], "geometry": laws}
+        values |= {"after": sizes(all_rows, "rms_after", document["residual_units"])}
+    yield Finding("outliers", values)
 
 
 def _held_out(document: Document) -> Iterator[Finding]:
@@ -575,9 +576,9 @@ def _held_out(document: Document) -> Iterator[Finding]:
         proposed = document.get("hold_out_proposal")
         yield Finding("group-held-out", {"names": names, "proposed": bool(proposed), **_proposal(proposed)})
     if held_out and held_out["n_settled"]:
-        yield Finding("rig-unknowns", {"n": held_out["n_settled"], "kept": False})
+        yield Finding("rig-unknowns", {"n": held_out["n_settled"], "how": SETTLED})
     if held_out and held_out["n_left_out"]:
-        yield Finding("rows-not-judged", {"n": held_out["n_left_out"]})
+        yield Finding("rig-unknowns", {"left_out": held_out["n_left_out"]})
     if held_out is None and document["held_out_by"]:
         yield Finding("no-row-judged")
 

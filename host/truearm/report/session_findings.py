@@ -104,7 +104,7 @@ def _file(document: Document) -> Iterator[Finding]:
 
 def damage_finding(damage: Mapping[str, Any]) -> Finding:
     """Return a damaged place of a session file, which may be byte 0."""
-    return Finding("session-headers-damaged" if damage["at"] is None else "session-damaged", damage)
+    return Finding("session-damaged", {**damage, "headers": damage["at"] is None})
 
 
 def _losses(losses: Document) -> Iterator[Finding]:
@@ -116,14 +116,15 @@ def _losses(losses: Document) -> Iterator[Finding]:
     periods = [f"{gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"] if missing]
     values["lost-on-link"] |= {"periods": periods, "missing": missing}
     findings = [Finding(code, counts) for code, counts in values.items() if any(counts.values())]
-    yield from findings or [Finding("nothing-lost")]
+    yield from findings
     named = {name for counts in values.values() for name in counts} | {"samples_missing", *RECEIVED}
     others = [
         f"{count} {name.replace('_', ' ')}"
         for name, count in counters.items()
         if name not in named and isinstance(count, int) and count
     ]
-    yield Finding("received", {**{name: losses[name] for name in RECEIVED}, "counts": others})
+    received = {name: losses[name] for name in RECEIVED}
+    yield Finding("received", {**received, "complete": not findings, "counts": others})
 
 
 def _clock(reports: Iterable[Document]) -> Iterator[Finding]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from truearm.findings import Finding, ordered
-from truearm.report.result_findings import FAR_OFF, copies, fault_findings, sizes
+from truearm.report.result_findings import FAR_OFF, SETTLED, copies, fault_findings, sizes
 from truearm.results import chi2_text
 from truearm.text import one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, title
@@ -64,7 +64,7 @@ def _limits(document: Document) -> Iterator[Finding]:
     if document["consistent"] and document["rows"] < FEW_ROWS:
         yield Finding("few-rows", {"n": document["rows"], "enough": FEW_ROWS})
     if document["identified_from"]:
-        yield Finding("rows-were-fitted")
+        yield Finding("few-rows")
     yield from copies(document)
 
 
@@ -76,18 +76,17 @@ def _is_worse(region: Document, unit: str) -> bool:
 def _notes(document: Document) -> Iterator[Finding]:
     """Return what the tables mean, and what was estimated from the rows themselves."""
     by_place = any(region["region"].startswith(BY_PLACE) for region in document["regions"])
-    yield Finding("validation-terms", {"by_place": by_place})
+    chi2 = document["chi2_reduced"]
+    limits = {"chi2": chi2 and chi2_text(chi2), "limit": document["chi2_limit"]}
+    yield Finding("validation-terms", {"by_place": by_place, **limits})
     raw = sizes(document, "rms_raw", document["residual_units"])
     placed = document["placed"]
     yield Finding("before", {"fitted": ["base and tool"] * placed, "raw": raw, "placed": placed})
-    if document["chi2_reduced"] is not None:
-        values = {"chi2": chi2_text(document["chi2_reduced"]), "limit": document["chi2_limit"]}
-        yield Finding("validation-chi2", values)
-    for name in ("settled", "kept"):
+    for name, how in (("settled", SETTLED), ("kept", "held as identified")):
         if document[name]:
-            yield Finding("rig-unknowns", {"n": document[name], "kept": name == "kept"})
+            yield Finding("rig-unknowns", {"n": document[name], "how": how})
     if document["left_out"]:
-        yield Finding("rows-not-judged", {"n": document["left_out"]})
+        yield Finding("rig-unknowns", {"left_out": document["left_out"]})
 
 
 def error_tables(document: Document) -> list[list[tuple[str, ...]]]:

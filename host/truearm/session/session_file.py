@@ -146,7 +146,7 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
         if allow_damaged and not proven:
             return _salvaged(path, file, known_damaged=False)
     if session.truncated and not allow_damaged:
-        raise SessionError("incomplete-session", place=path)
+        raise SessionError("session-incomplete", place=path)
     return session
 
 

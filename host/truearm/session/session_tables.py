@@ -266,7 +266,7 @@ class _Robot:
         n = len(found.joints.step)
         self._units = tuple(units) or ("rad",) * n
         if n and len(self._units) != n:
-            raise SessionError("joint-count", place="session", joints=n, expected=len(self._units))
+            raise SessionError("other-robot", place="session", joints=n, expected=len(self._units))
         self._order = ReadingOrder(len(self._units) or None)
         self._segment = -1
         self._keys: set[str] = set()  # optional keys seen so far

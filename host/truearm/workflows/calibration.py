@@ -175,10 +175,12 @@ class Calibration(Displayed):
         """
         masses = masses_of(self.stored.payloads)
         if has_payload_law(self.chain):
-            values = {"mass": self.chain.payload.mass, "masses": masses, "each": payloads is not None}
-            return [Finding("sag-at-payload", values)]
+            mass = f"{self.chain.payload.mass:g}"
+            holder = {"holder": "the robot", "mass": mass} if payloads is None else {"holder": "each row"}
+            return [Finding("sag-payload", {**holder, "masses": masses})]
         has_sag = any(isinstance(law, SagMasses) for law in self.stored.laws)
-        findings = [Finding("sag-of-payload", {"masses": masses, "several": False})] if has_sag else []
+        values = {"holder": "the calibration", "masses": masses, "several": False}
+        findings = [Finding("sag-payload", values)] if has_sag else []
         others = [payload for payload in payloads or () if not any(map(payload.is_like, self.stored.payloads))]
         if payloads and masses and others:
             values = {"n": len(others), "rows": len(payloads), "payload": masses_of(others), "masses": masses}
@@ -281,7 +283,7 @@ def _laws_of(stored: Result, robot: Robot, result: str) -> tuple[Law, ...]:
 def check_names(*paths: Path | None) -> None:
     """Raise InputError for "-": these arguments cannot be standard input or standard output."""
     if Path("-") in paths:
-        raise InputError("no-file-name")
+        raise InputError("wrong-suffix", place="-")
 
 
 def chosen_mountings(calibration: Calibration, own_frames: bool) -> Mountings:

@@ -172,7 +172,7 @@ def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple
     result = observations(part.messages, rig, name=part.name, found=read, labels=part.labels)
     n_joints = result.table.q.shape[1]
     if len(result.table) and n_joints != len(chain.joints):
-        raise InputError("joint-count", place=part.name, joints=n_joints, expected=len(chain.joints))
+        raise InputError("other-robot", place=part.name, joints=n_joints, expected=len(chain.joints))
     reached = visits(result, rig, bands)
     if not reached.dwells:  # without a robot the number of joints is unknown
         none = np.zeros((0, len(chain.joints)))

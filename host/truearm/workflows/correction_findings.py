@@ -225,7 +225,7 @@ def _move_findings(moves: CorrectedMoves) -> Iterator[Finding]:
             yield Finding("moves-bent", {**values, "n": int(bent.size), "places": places, "place": moves.places[worst]})
         if blocked.size:
             places = _several([moves.places[i] for i in blocked])
-            yield Finding("moves-blocked", {"n": int(blocked.size), "places": places})
+            yield Finding("moves-bent", {"n": int(blocked.size), "places": places})
     if moves.unchecked:
         yield Finding("moves-unchecked", {"n": moves.unchecked})
 

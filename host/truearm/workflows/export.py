@@ -250,5 +250,5 @@ def _poses_of(path: Path, chain: Chain) -> Floats:
     is_plan = read_text(path, MAX_BYTES, InputError).lstrip().startswith("pose,")
     q = read_plan(path).q if is_plan else read_table(path, chain.joint_units).q
     if q.shape[1] != len(chain.joints):
-        raise InputError("joint-count", place=path, joints=q.shape[1], expected=len(chain.joints))
+        raise InputError("other-robot", place=path, joints=q.shape[1], expected=len(chain.joints))
     return q

@@ -62,9 +62,9 @@ def export_session_files(wanted: ExportSession) -> dict[str, dict[str, Any]]:
 def _check_folder(out: Path) -> None:
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise InputError("foreign-file", place=out, folder=True)
+            raise InputError("file-exists", place=out, folder=True)
         if not out.parent.is_dir():
-            raise InputError("missing-folder", place=out, folder=out.parent)
+            raise InputError("missing-file", place=out, folder=out.parent)
     except OSError as exc:
         raise InputError(f"{out}: cannot be used as a folder: {exc.strerror}") from exc
 

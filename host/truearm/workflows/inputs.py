@@ -77,7 +77,7 @@ def check_files(
     A repeated input would make its sigmas too small. Raises InputError.
     """
     if Path("-") in sources.inputs:
-        raise InputError("no-file-name")
+        raise InputError("wrong-suffix", place="-")
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, other) for other in counted[:i]):
@@ -228,7 +228,7 @@ def _read_session(
     result = observations_of_opened(session, rig, options)
     table = result.table
     if joint_units is not None and len(table) and table.q.shape[1] != len(joint_units):
-        raise InputError("joint-count", place=path, joints=table.q.shape[1], expected=len(joint_units))
+        raise InputError("other-robot", place=path, joints=table.q.shape[1], expected=len(joint_units))
     labels = labels_of(path) is not None
     doubtful = 0
     if robot is not None and not labels:

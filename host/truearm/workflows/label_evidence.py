@@ -54,7 +54,7 @@ def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances
     """Return the probability of what was mounted at each stop, by all evidence. Raises InputError."""
     dwells, wanted = [stop.dwell for stop in stops], len(robot.chain.joints)
     for joints in {dwell.q.size for dwell in dwells} - {wanted}:
-        raise InputError("joint-count", place="session", joints=joints, expected=wanted)
+        raise InputError("other-robot", place="session", joints=joints, expected=wanted)
     extension, beyond = np.full(len(dwells), np.nan), np.zeros(len(dwells), dtype=bool)
     for i, dwell in enumerate(dwells):
         if not dwell.reason:

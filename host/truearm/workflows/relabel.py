@@ -96,6 +96,6 @@ def _named(text: str, rig: Rig, stops: Sequence[Stop]) -> list[tuple[tuple[Path,
     places = [stop.place for stop in stops if stop.place[0].name == file and stop.place[1] in dwells]
     if not places:
         form = "FIRST:LAST=BAR,CHUCK,SPHERE with numbers of dwells, such as 12:14=bar46,c1,s2"
-        raise InputError("wrong-form", place=Argument("mounted"), value=text[:60], form=form)
+        raise InputError("wrong-value", place=Argument("mounted"), value=text[:60], form=form)
     check_mounted(dict(zip(BAR_MOUNTED, (bar, chuck, sphere), strict=True)), rig, text)
     return [(place, (bar, chuck, sphere)) for place in places]

@@ -364,7 +364,7 @@ def parse_fault(text: str) -> Fault:
         return Fault(float(seconds), kind)
     except ValueError:
         raise InputError(
-            "wrong-form",
+            "wrong-value",
             place=Argument("fault"),
             value=text,
             form=f"SECONDS:KIND, with KIND one of {', '.join(FAULTS)}",

@@ -35,7 +35,7 @@ def language_of(names: Iterable[str]) -> ProgramLanguage | None:
     if "krl" in found and "src" not in suffixes and len(found) > 1:
         found.remove("krl")  # a .dat file of something else
     if len(found) > 1:
-        raise InputError("languages", names=found)
+        raise InputError("no-program", place="the files", names=found, suffixes=list(ALL_SUFFIXES))
     return found[0] if found else None
 
 
@@ -43,7 +43,7 @@ def read_programs(language: ProgramLanguage, files: Sequence[Source], surroundin
     """Read files of one language: one program for all files that run together. Raises InputError."""
     for source in files:
         if b"\0" in source.data:
-            raise InputError("binary", place=source.name)
+            raise InputError("not-text", place=source.name, byte=source.data.index(0))
     if language == "rapid":
         return read_rapid(_tasks(files), surroundings)
     if language == "urscript":
