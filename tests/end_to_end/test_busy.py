@@ -152,7 +152,7 @@ def test_a_view_that_fails(device, tmp_path, monkeypatch, capsys):
     def fail(*_):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("truearm.live.state.LiveState.line", fail)
+    monkeypatch.setattr("truearm.live.state.LiveState._rows", fail)
     out = tmp_path / "s.mcap"
     assert main(["record", "--box", device, "--duration-s", "3", "--out", str(out)]) == 0
     assert "live view failed (ZeroDivisionError:" in capsys.readouterr().err

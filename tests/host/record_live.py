@@ -53,19 +53,21 @@ class Session:
 
     def __init__(self, rows=(), mounted=None, robot=True, rig=RIG):
         self.state = LiveState(SessionProgress(list(rows), dict(mounted or {})), rig, robot)
-        self.state.ident(box())
+        self.state.approve(box())
+        self.state.messages.clear()
         self.t = 1000 * S
         self.robot = robot
         self.burst = 1  # ns; arrivals are at multiples of it
-        self.looks = True  # whether somebody looks at the time
         self.n0 = 0
         self.rng = np.random.default_rng(3)
-        self.said = []
+        self.said, self.wishes = [], []
         self.position, self.q = 0.0, np.zeros(2)
 
     def run(self, seconds, speed=0.0, q_speed=0.0):
         """Run for some seconds. ``speed`` [m/s] of the bar, ``q_speed`` [rad/s] of every joint."""
-        for _ in range(round(seconds * S / BLOCK_NS)):
+        for k in range(round(seconds * S / BLOCK_NS)):
+            if k % 20 == 0:
+                self.look()
             within = np.arange(13) * BLOCK_NS * 1e-9 / 13
             extension = self.position + speed * within + NOISE * self.rng.standard_normal(13)
             counts = np.zeros((13, 4), "<i4")
@@ -80,10 +82,18 @@ class Session:
             if self.robot:
                 q = self.q + 1e-5 * self.rng.standard_normal(self.q.size)
                 self.state.reading(arrival, JointLine(t=1e-9 * self.t, q=q.tolist()))
-            if self.looks:
-                self.state.look()
-        self.said += self.state.said
-        self.state.said.clear()
+        self.look()
+
+    def look(self, **more):
+        """Show the view; alarms become messages."""
+        self.state.status(self.status(**more))
+        assert not self.state.trouble
+        self.said += self.state.messages
+        self.state.messages.clear()
+
+    def type(self, text):
+        self.state.typed.append(text)
+        self.wishes += self.state.wishes()
 
     def dwell(self, seconds=2.5):
         """Move to the next pose for half a second, half a radian and 5 mm away, and stop."""
@@ -91,20 +101,16 @@ class Session:
         self.run(seconds)
 
     def events(self, kind):
-        return [wish.fields for wish in self.state.wishes if wish.kind == kind]
+        self.wishes += self.state.wishes()
+        return [wish.fields for wish in self.wishes if wish.kind == kind]
 
     def status(self, **more):
-        return Status(
-            12.0,
-            "recording",
-            312.0,
-            True if self.robot else None,
-            Counters(),
-            **({"robot_age_s": 0.02} | more),
-        )
+        usual = {"robot_ok": True if self.robot else None, "counters": Counters(), "robot_age_s": 0.02}
+        return Status(1e-9 * self.t - 1000.0, "recording", 312.0, **(usual | more))
 
     def row(self, name):
-        return next(row for row in self.state.rows(self.status(), None) if row.name == name)
+        self.look()
+        return next(row for row in self.state.rows if row.name == name)
 
 
 PAIRS = [("b46", "c1"), ("b46", "c1"), ("b61", "c1"), ("b61", "c2")]

@@ -163,7 +163,7 @@ class TestTheBoxGoes:
             assert main(["record", "--box", device, "--out", str(out), "--duration-s", "4"]) == 4
         said = capsys.readouterr()
         *lines, gone = said.err.splitlines()
-        assert sum("the link to the box was lost" in line for line in lines) == 1
+        assert sum("s: box: " in line and line.endswith("; lost; trying to open it again") for line in lines) == 1
         assert "the box was gone at the end" in gone
         assert str(out) in gone
         assert shown["recorded"]["ended"] == "duration"

@@ -1,8 +1,7 @@
-"""Choose the box: the one named, the only one connected, or the one picked by the operator."""
+"""Choose the box: the one named, or the only one connected."""
 
 from __future__ import annotations
 
-import sys
 from typing import TextIO
 
 from truearm.errors import Argument, InputError, LinkError
@@ -16,10 +15,9 @@ NONE = (
 
 
 def choose_box(device: str | None, output: TextIO) -> str:
-    """Return the device of the box and print it on ``output``.
+    """Return the device of the box; print it on ``output`` if it was not named.
 
-    If there are several and ``output`` is a terminal, the operator is asked there and answers on standard input. Raises
-    LinkError if there is none, InputError if there are several and nobody to ask.
+    Raises LinkError if there is none, InputError if there are several.
     """
     from truearm.record.ports import find_boxes
 
@@ -28,27 +26,8 @@ def choose_box(device: str | None, output: TextIO) -> str:
     boxes = find_boxes()
     if not boxes:
         raise LinkError(*NONE)
+    listed = [one_line(f"{box.device} ({box.product}{box.serial and ', serial '}{box.serial})") for box in boxes]
     if len(boxes) == 1:
-        print(f"box: {one_line(boxes[0].device)} ({_words(boxes[0].product, boxes[0].serial)})", file=output)
+        print(f"box: {listed[0]}", file=output)
         return boxes[0].device
-    listed = [f"{one_line(box.device)} ({_words(box.product, box.serial)})" for box in boxes]
-    if not (sys.stdin.isatty() and output.isatty()):
-        raise InputError("several-boxes", boxes=listed)
-    return boxes[_ask(listed, output)].device
-
-
-def _words(product: str, serial: str) -> str:
-    return one_line(f"{product}, serial {serial}" if serial else product)
-
-
-def _ask(listed: list[str], output: TextIO) -> int:
-    print("Which box?", file=output)
-    for number, text in enumerate(listed, start=1):
-        print(f"  {number}  {text}", file=output)
-    while True:
-        print(f"1 to {len(listed)}: ", end="", file=output, flush=True)
-        answer = sys.stdin.readline()
-        if not answer:
-            raise InputError("needs-option", place="the command without a terminal", needed=Argument("box"))
-        if answer.strip().isdecimal() and 1 <= int(answer) <= len(listed):
-            return int(answer) - 1
+    raise InputError("several-boxes", boxes=listed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,53 +20,34 @@ class SessionProgress:
     """Progress through the plan.
 
     ``rows`` is the plan as in ``/plan``, [] without one. ``mounted`` is what is mounted according to the operator or
-    the beginning of the plan. ``confirmed``: the operator stated it. ``done``: rows with a dwell. ``unplanned``: number
-    of dwells that are not in the plan, or without a plan. ``next``: the expected row.
+    the beginning of the plan. ``confirmed``: the operator stated it. ``done``: rows that were taken. ``unplanned``:
+    number of dwells and lines that are not in the plan, or without a plan. ``next``: the expected row. ``planned``: the rows by
+    kind of move.
     """
 
     rows: Sequence[Mapping[str, Any]] = ()
     mounted: dict[str, str] = field(default_factory=dict)
     done: set[int] = field(default_factory=set)
-    unplanned: int = 0
-    lines: int = 0
+    unplanned: Counter[str] = field(default_factory=Counter)
     next: int = 0
-    confirmed: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self.confirmed = bool(self.mounted)
-        self._dwells = [k for k, row in enumerate(self.rows) if row.get("move", Move.DWELL) == Move.DWELL]
-        self._q = np.array([self.rows[k]["q"] for k in self._dwells])
-        if not self.mounted and self.rows:
-            self.mounted = self.wanted() or {}
+        self.mounted = self.mounted or self.wanted() or {}
+        self._q = np.array([row["q"] for row in self.rows])
+        self._place: set[int] = set()  # rows at the last planned joints
+        moves = [row.get("move", Move.DWELL) for row in self.rows]
+        self.planned: dict[str, list[int]] = {move: [k for k, m in enumerate(moves) if m == move] for move in Move}
 
-    @property
-    def taken(self) -> int:
-        """Number of dwells, each pose of the plan counted once."""
-        return len(self.done) if self._dwells else self.unplanned
-
-    @property
-    def planned(self) -> int:
-        """Number of dwells in the plan."""
-        return len(self._dwells)
-
-    @property
-    def planned_lines(self) -> int:
-        """Number of lines in the plan."""
-        return sum(row.get("move") == "line" for row in self.rows)
+    def taken(self, move: str) -> int:
+        """Return the number of dwells or lines, each row of the plan counted once."""
+        rows = self.planned[move]
+        return len(self.done.intersection(rows)) if rows else self.unplanned[move]
 
     @property
     def complete(self) -> bool:
         """Whether all of the plan has been taken."""
-        return bool(self.rows) and len(self.done) == self.planned and self.lines >= self.planned_lines
-
-    def pairings(self) -> list[dict[str, str]]:
-        """Return all pairings of the plan in order, each once."""
-        found: list[dict[str, str]] = []
-        for row in self.rows:
-            pairing = pairing_of(row)
-            if pairing and pairing not in found:
-                found.append(pairing)
-        return found
+        return bool(self.rows) and self.done.issuperset(self.planned[Move.DWELL] + self.planned[Move.LINE])
 
     def wanted(self) -> dict[str, str] | None:
         """Return what the next row needs mounted; None at the plan's end and without a plan."""
@@ -74,9 +56,7 @@ class SessionProgress:
     def change(self) -> dict[str, str] | None:
         """Return what must be mounted now, None if it already is."""
         wanted = self.wanted()
-        if wanted is None or all(self.mounted.get(key) == name for key, name in wanted.items()):
-            return None
-        return wanted
+        return None if wanted is None or wanted.items() <= self.mounted.items() else wanted
 
     def mount(self, pairing: Mapping[str, str]) -> None:
         """Note that a part is mounted from now on; a bar and a line exclude each other."""
@@ -85,44 +65,37 @@ class SessionProgress:
         self.mounted = {k: v for k, v in self.mounted.items() if k not in other} | dict(pairing)
 
     def visit(self, q: Floats | None) -> int | None:
-        """Note a dwell at joints ``q`` (None: unknown); return the plan's row, None if it is not in the plan."""
-        row = self._row(q)
+        """Note a dwell at joints ``q`` (None: unknown); return its row of the plan, None if it is not in the plan."""
+        near = None if q is None else self._near(q)
+        rows = [k for k in self.planned[Move.DWELL] if near is None or k in near]
+        row = next((k for k in rows if k >= self.next), rows[-1] if rows and q is not None else None)
+        self.note(Move.DWELL, row)
+        return row
+
+    def note(self, move: str, row: int | None) -> None:
+        """Note a dwell or a line of this row of the plan, None if it is not in the plan."""
         if row is None:
-            self.unplanned += 1
+            self.unplanned[move] += 1
         else:
             self.done.add(row)
             self.next = row + 1
+
+    def arrive(self, q: Floats) -> int | None:
+        """Note joints ``q``; return the line of the plan that ends there, if the arm came from its beginning."""
+        near = self._near(q) if self.planned[Move.LINE] else set()
+        if not near or near == self._place:
+            return None
+        row = next((k for k in self.planned[Move.LINE] if k in near and k - 1 in self._place), None)
+        self._place = near
+        if row is not None:
+            self.note(Move.LINE, row)
         return row
 
-    def drive(self, q: Floats | None) -> int | None:
-        """Note a line driven to joints ``q`` (None: unknown); return the plan's row, None if it is not in the plan."""
-        rows = [k for k in range(self.next, len(self.rows)) if self.rows[k].get("move") == "line"]
-        if q is not None:
-            rows = [k for k in rows if len(self.rows[k]["q"]) == q.size and _near(self.rows[k]["q"], q)]
-        if not rows and self.rows:
-            return None
-        self.lines += 1
-        if not rows:
-            return None
-        self.next = rows[0] + 1
-        return rows[0]
-
-    def is_pose(self, q: Floats | None) -> bool:
-        """Return whether joints ``q`` are those of a dwell of the plan."""
-        return q is not None and self._row(q) is not None
-
-    def _row(self, q: Floats | None) -> int | None:
-        if q is None:
-            return next((k for k in self._dwells if k >= self.next), None)
-        if not self._dwells or self._q.shape[1] != q.shape[0]:
-            return None
-        near = np.flatnonzero(np.max(np.abs(self._q - q), axis=1) <= TOLERANCE)
-        rows = [self._dwells[k] for k in near]
-        return next((k for k in rows if k >= self.next), rows[-1] if rows else None)
-
-
-def _near(planned: Sequence[float], q: Floats) -> bool:
-    return bool(np.max(np.abs(np.array(planned) - q)) <= TOLERANCE)
+    def _near(self, q: Floats) -> set[int]:
+        """Return the rows of the plan at joints ``q``."""
+        if self._q.shape[1:] != q.shape:
+            return set()
+        return {*np.flatnonzero(np.max(np.abs(self._q - q), axis=1) <= TOLERANCE).tolist()}
 
 
 def pairing_of(row: Mapping[str, Any]) -> dict[str, str]:

@@ -171,9 +171,7 @@ class BoxStorage:
 
     def _interpret(self, t_host_ns: int, kind: int | None, fields: Mapping[str, Any]) -> None:
         if kind == SYNC_REPLY:
-            t0_ns = self.exchanges.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
-            if t0_ns is not None:
-                self.operator.exchange(t0_ns, fields["t1_us"], fields["t2_us"], t_host_ns)
+            self.exchanges.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
         elif kind == HEARTBEAT:
             self._take_heartbeat(fields)
         elif kind == IDENT:

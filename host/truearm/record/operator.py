@@ -30,9 +30,6 @@ class Operator:
     def reading(self, t_host_ns: int, reading: JointLine) -> None:
         """Called when a joint reading has arrived and is stored."""
 
-    def exchange(self, t0_ns: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
-        """Called when the box has answered a clock request."""
-
     def box_temperature(self, degc: float) -> None:
         """Called when the box has reported its temperature, about once a second."""
 

@@ -31,7 +31,7 @@ _JSON: dict[str, dict[str, Any]] = {
         **_MOUNTED,
         **dict.fromkeys(("text", "reason", "device"), _TEXT),
         **dict.fromkeys(("begin_ns", "end_ns", "heard_ns", "pose", "lost", "boot_id", "boot_id_before"), _INTEGER),
-        **dict.fromkeys(("mean_m", "noise_m", "length_m", "speed_m_s", "away_s"), _NUMBER),
+        **dict.fromkeys(("mean_m", "noise_m", "away_s"), _NUMBER),
         "settled": _BOOLEAN,
     },
     "/plan": {"pose": _INTEGER, "move": _TEXT, **_MOUNTED, "speed_m_s": _NUMBER, "q": _NUMBERS},

@@ -17,7 +17,7 @@ from truearm.live.choose_box import choose_box
 from truearm.live.mounted_parts import check_mounted, parse_mounted
 from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
-from truearm.live.view import View, showing
+from truearm.live.view import showing
 from truearm.text import counted, one_line
 from truearm.types import Move
 from truearm.units import NS
@@ -142,7 +142,7 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
     progress = SessionProgress(work.rows, dict(work.mounted))
     if work.before is not None and request.plan is None:
         gone_on(progress, work.before)
-    view = View(LiveState(progress, work.rig, work.robot is not None), _purpose(work, device), request.unchecked)
+    state = LiveState(progress, work.rig, work.robot is not None, _purpose(work, device), request.unchecked)
     with (
         closing(Reopening(BoxPort(device, clock))) as link,
         _robot_link(work.robot, clock) as robot_link,
@@ -150,7 +150,7 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
     ):
         with (
             SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
-            showing(view, request.plain, output),
+            showing(state, request.plain, output),
         ):
             try:
                 summary = record_session(
@@ -167,7 +167,7 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
                         patience_s=request.patience,
                         head=[(SETUP, work.setup)],
                     ),
-                    hooks=Hooks(interrupted=interrupted, operator=view),
+                    hooks=Hooks(interrupted=interrupted, operator=state),
                 )
             except TruearmError as exc:
                 if not writer.kept:
@@ -178,7 +178,7 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
         if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
             dwells = recorded_dwells(writer.path)
         reasons = [what_is_missing(summary, work.robot is not None), unsettled(dwells, writer.path)]
-        return Recorded(writer.path, summary, writer.kept, view.trouble, "; ".join(filter(None, reasons)), dwells)
+        return Recorded(writer.path, summary, writer.kept, state.trouble, "; ".join(filter(None, reasons)), dwells)
 
 
 def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:

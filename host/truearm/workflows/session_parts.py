@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from truearm.errors import Argument, InputError, SessionError
 from truearm.files.disk import same_file
 from truearm.files.write_lock import is_held
+from truearm.types import Move
 
 if TYPE_CHECKING:
     from truearm.live.session_progress import SessionProgress
@@ -40,8 +41,7 @@ class Earlier:
     rows: list[dict[str, Any]] = field(default_factory=list)
     rig_toml: bytes | None = None
     mounted: dict[str, str] = field(default_factory=dict)
-    dwells: tuple[int | None, ...] = ()  # rows of the plan with a dwell; None for a dwell that is not in the plan
-    lines: tuple[int | None, ...] = ()  # rows of the plan that were driven; None without a plan
+    taken: tuple[tuple[str, int | None], ...] = ()  # dwells and lines, with their rows of the plan, None if not in it
     damaged: tuple[Path, ...] = ()  # parts that other commands refuse
 
 
@@ -118,8 +118,7 @@ def earlier(path: Path) -> Earlier:
     setup = dict(sessions[0].metadata.get(SETUP, {}))
     rows: list[dict[str, Any]] = []
     mounted: dict[str, str] = {}
-    dwells: list[int | None] = []
-    driven: list[int | None] = []
+    taken: list[tuple[str, int | None]] = []
     for number, session in enumerate(sessions):
         setup |= session.metadata.get(SETUP, {})
         for message in sorted(session.messages(["/plan", "/events"]), key=attrgetter("t_host_ns")):
@@ -128,10 +127,8 @@ def earlier(path: Path) -> Earlier:
                 rows += [_planned(row, rows, session.path)] * (number == 0)
             elif row.get("kind") == "mounted":
                 mounted = {k: v for k, v in row.items() if k != "kind" and isinstance(v, str)}
-            elif row.get("kind") == "dwell":
-                dwells.append(row.get("pose"))
-            elif row.get("kind") == "line" and ("pose" in row or not rows):
-                driven.append(row.get("pose"))
+            elif (kind := row.get("kind")) in (Move.DWELL, Move.LINE):
+                taken.append((kind, row.get("pose")))
     part = max([1, *_numbers(first)]) + 1
     out = first.with_name(f"{first.stem}.{part}{SUFFIX}")
     return Earlier(
@@ -143,24 +140,15 @@ def earlier(path: Path) -> Earlier:
         rows,
         sessions[0].attachments.get("rig.toml"),
         mounted,
-        tuple(dwells),
-        tuple(driven),
+        tuple(taken),
         tuple(one.path for one in sessions if one.truncated or one.damage),
     )
 
 
 def gone_on(progress: SessionProgress, before: Earlier) -> None:
     """Count what was taken before."""
-    for pose in before.dwells:
-        if type(pose) is int and 0 <= pose < len(progress.rows):
-            progress.done.add(pose)
-            progress.next = pose + 1
-        else:
-            progress.unplanned += 1
-    progress.lines += len(before.lines)
-    progress.next = max(
-        [progress.next, *(row + 1 for row in before.lines if type(row) is int and row < len(progress.rows))]
-    )
+    for move, pose in before.taken:
+        progress.note(move, pose if type(pose) is int and 0 <= pose < len(progress.rows) else None)
 
 
 def open_finished(path: Path, allow_damaged: bool = False) -> Session:
