@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,53 +18,14 @@ from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE
 from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.progress import step
-from truearm.text import page
 from truearm.units import MM
 
 if TYPE_CHECKING:
     from truearm.model.workspace import Branch
-    from truearm.types import Rig
+    from truearm.types import BallBar, Point, Rig
 
 PLAN_MINUTES = 30.0
 GAIN_SIGMA = 1e-3  # of a conditioner (docs/how-to/rig.md)
-RIG_HEAD = f"""\
-# The rig of {{name}}; {page("Build and measure the rig")}.
-# The coordinates are a proposal for an arm of this reach. Build the fixtures approximately like this, then enter their measured positions.
-# sigma: standard deviation of a position; "unknown": it is estimated from the measurements of the robot.
-"""
-CHUCKS = """
-# Chucks: magnetic cups on the table, in the robot's base frame. sigma follows from how you measured them: coordinate measuring machine, height gauge or tape."""
-SPHERES = """
-# Spheres: steel balls on the robot's flange, in the flange frame."""
-BARS = """
-# Bars: zero is the length at mid-travel, from the centre of the ball in the chuck to the centre of the sphere; gain is its change per change of the reading; travel is the full stroke;
-# sigma is the repeatability; zero_sigma is how well zero was measured. Measure at least the first bar (a calliper over both balls, minus their radii); others can be estimated."""
-
-OTHERS = """\
-# Other devices: remove the "#" in front of what you have, and enter what you measured.
-#
-# A line device, along which the robot drives the target on its end (truearm plan line).
-# [[line]]
-# name = "l1"
-# sigma_mm = [0.1, 0.1, 0.1]
-#
-# [[target]]
-# name = "t1"
-# xyz_mm = [0, 0, 100]
-# sigma_mm = "unknown"
-#
-# Sockets on the table, in which a ball on the robot's end is seated.
-# [[socket]]
-# place = "p1"
-# name = "0"
-# xyz_mm = [500, 100, 50]
-# sigma_mm = 0.05
-#
-# [[socket_distance]]
-# sockets = ["0", "1"]
-# distance_mm = 50
-# sigma_mm = 0.05
-"""
 
 
 class ProjectWanted(NamedTuple):
@@ -253,19 +215,24 @@ def _as_known(rig: Rig, wanted: ProjectWanted) -> Rig:
 
 def _rig_text(rig: Rig, name: str) -> str:
     """Format a rig file for people: in mm, with an explanation of each part."""
-    parts = [RIG_HEAD.format(name=name)]
-    for head, kind, points in ((CHUCKS, "chuck", rig.chucks), (SPHERES, "sphere", rig.spheres)):
-        parts.append(head)
-        for point in points.values():
-            xyz = ", ".join(f"{MM.of(x):g}" for x in point.xyz)
-            known = '"unknown"' if point.sigma is None else f"{MM.of(point.sigma):g}"
-            parts.append(f'[[{kind}]]\nname = "{point.name}"\nxyz_mm = [{xyz}]\nsigma_mm = {known}\n')
-    parts.append(BARS)
-    for bar in rig.bars.values():
-        lengths = {"zero": bar.zero, "travel": bar.travel, "sigma": bar.sigma, "zero_sigma": bar.zero_sigma}
-        keys = "\n".join(f"{key}_mm = {MM.of(value):g}" for key, value in lengths.items())
-        parts.append(f'[[bar]]\nname = "{bar.name}"\n{keys}\ngain_sigma = {bar.gain_sigma:g}\n')
-    return "\n".join([*parts, OTHERS])
+    template = files("truearm.workflows").joinpath("rig_template.toml").read_text(encoding="utf-8")
+    chucks, spheres = (
+        "\n".join(_point_text(kind, point) for point in points.values())
+        for kind, points in (("chuck", rig.chucks), ("sphere", rig.spheres))
+    )
+    return template.format(name=name, chucks=chucks, spheres=spheres, bars="\n".join(map(_bar_text, rig.bars.values())))
+
+
+def _point_text(kind: str, point: Point) -> str:
+    xyz = ", ".join(f"{MM.of(x):g}" for x in point.xyz)
+    known = '"unknown"' if point.sigma is None else f"{MM.of(point.sigma):g}"
+    return f'[[{kind}]]\nname = "{point.name}"\nxyz_mm = [{xyz}]\nsigma_mm = {known}\n'
+
+
+def _bar_text(bar: BallBar) -> str:
+    lengths = {"zero": bar.zero, "travel": bar.travel, "sigma": bar.sigma, "zero_sigma": bar.zero_sigma}
+    keys = "\n".join(f"{key}_mm = {MM.of(value):g}" for key, value in lengths.items())
+    return f'[[bar]]\nname = "{bar.name}"\n{keys}\ngain_sigma = {bar.gain_sigma:g}\n'
 
 
 def state_of(path: Path) -> dict[str, Any]:
