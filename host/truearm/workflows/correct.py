@@ -40,7 +40,6 @@ from truearm.workflows.correction_findings import (
     comparison,
     correction_findings,
     document_of,
-    findings,
 )
 from truearm.workflows.program_files import (
     check_program_out,
@@ -130,9 +129,10 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     stated = ordered(stated, calibration.simulated)
     document: Mapping[str, Any] = {}
     if options.document or files.report is not None:
-        effect = findings(calibration, how.pair, done.targets, done.moves)
         names = {"file": files.targets.name, "out": files.out.name, "result": files.result.name}
-        document = document_of(effect, calibration, stated, done.refused, names, configurations)
+        document = document_of(
+            calibration, how.pair, done.targets, done.moves, stated, done.refused, names, configurations
+        )
         if files.report is not None:
             page = render(document)
     if programs is None:

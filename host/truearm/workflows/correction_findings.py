@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -90,51 +89,14 @@ class OtherConfigurations(NamedTuple):
     tools: Floats
 
 
-@dataclass(frozen=True)
-class Findings:
-    """What is expected of n corrected targets.
-
-    ``shift`` (n, 2) [m, rad]: how far the command moved. ``expected`` (n, 2) [m, rad]: the expanded uncertainty of the tool (k = 2) from
-    covariance and unexplained error, NaN if unknown; relative to the frames ``relative_to`` ("base", "tool"). ``limits`` (n, j) [rad, m] and ``singular_value`` (n,) are
-    margins. ``outside`` (n, j): joints outside the fitted readings (``Calibration.outside``); None if the result does
-    not contain their range.
-    """
-
-    targets: CorrectedTargets
-    moves: CorrectedMoves
-    shift: Floats
-    expected: Floats
-    unexplained: tuple[float, float]
-    relative_to: tuple[str, ...]
-    limits: Floats
-    singular_value: Floats
-    outside: NDArray[np.bool_] | None
-
-
-def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTargets, moves: CorrectedMoves) -> Findings:
-    """Evaluate a correction by the calibration on which it is based; the mountings of ``pair`` were removed."""
-    q, chain = targets.correction.q, calibration.chain
-    unexplained = unexplained_error(calibration.document)
-    expected, relative_to = _expected_errors(calibration, pair, q, targets.tools)
-    difference = apart(targets.told, targets.asked)
-    difference[np.isnan(targets.correction.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
-    return Findings(
-        targets,
-        moves,
-        shift=np.stack([np.linalg.norm(part, axis=1) for part in (difference[:, :3], difference[:, 3:])], axis=1),
-        expected=expected,
-        unexplained=unexplained,
-        relative_to=relative_to,
-        limits=limit_margins(chain, q),
-        singular_value=singular_value(chain, calibration.nominal, q),
-        outside=calibration.outside(q),
-    )
-
-
 def _expected_errors(
     calibration: Calibration, pair: ModelPair, q: Floats, tools: Floats
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Return ``expected`` and ``relative_to`` of ``Findings`` for tools (n, 4, 4) at joint readings (n, j)."""
+    """Return the expanded uncertainty (n, 2) [m, rad] of tools (n, 4, 4) at joint readings (n, j), and what it is relative to.
+
+    It is from covariance and unexplained error, NaN if unknown, and excludes the poses of the frames ("base", "tool").
+    The mountings of ``pair`` were removed.
+    """
     points = (inverted(pair.mountings.tool) @ tools)[:, :3, 3]
     own = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)
     unseen, relative_to = unseen_within(calibration)
@@ -231,30 +193,34 @@ def _move_findings(moves: CorrectedMoves) -> Iterator[Finding]:
 
 
 def document_of(
-    found: Findings,
     calibration: Calibration,
+    pair: ModelPair,
+    targets: CorrectedTargets,
+    moves: CorrectedMoves,
     stated: Sequence[Finding],
     refused: Sequence[Refused],
     names: Mapping[str, str],
     configurations: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return a correction and its findings as JSON (docs/reference/target-format.md).
+    """Return a correction, what is expected of it, and its findings as JSON (docs/reference/target-format.md).
 
     ``names``: of the targets' ``file``, of the corrected one, ``out``, and of the ``result``.
     """
+    unexplained = unexplained_error(calibration.document)
+    expected, relative_to = _expected_errors(calibration, pair, targets.correction.q, targets.tools)
     return {
         **_head(calibration),
         **names,
         "coverage_factor": COVERAGE,
-        "unexplained_mm": float(MM.of(found.unexplained[0])),
-        "unexplained_mrad": float(MRAD.of(found.unexplained[1])),
-        "expected_relative_to": found.relative_to,
-        "error_point": found.targets.error_point(calibration.chain.end_frame),
+        "unexplained_mm": float(MM.of(unexplained[0])),
+        "unexplained_mrad": float(MRAD.of(unexplained[1])),
+        "expected_relative_to": relative_to,
+        "error_point": targets.error_point(calibration.chain.end_frame),
         "findings": entries(stated),
         "refused": [move.entry() for move in refused],
         "configurations": configurations,
-        "targets": _target_entries(found, calibration.joint_units),
-        "moves": _move_entries(found.moves, calibration.joint_units),
+        "targets": _target_entries(calibration, targets, expected),
+        "moves": _move_entries(moves, calibration.joint_units),
     }
 
 
@@ -264,24 +230,31 @@ def _head(calibration: Calibration) -> dict[str, Any]:
     return {"format": FORMAT, "format_version": FORMAT_VERSION, **frames}
 
 
-def _target_entries(found: Findings, units: Sequence[str]) -> list[dict[str, Any]]:
-    of, done = found.targets, found.targets.correction
+def _target_entries(calibration: Calibration, of: CorrectedTargets, expected: Floats) -> list[dict[str, Any]]:
+    done, units = of.correction, calibration.joint_units
     poses = [position_and_rotation(part) for part in (of.asked, of.told)]
+    shift = apart(of.told, of.asked)
+    shift[np.isnan(done.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
+    limits, singular = (
+        limit_margins(calibration.chain, done.q),
+        singular_value(calibration.chain, calibration.nominal, done.q),
+    )
+    outside = calibration.outside(done.q)
     return [
         {
             "place": place,
             "joints": bool(of.joints[i]),
             "before": _pose_entry(poses[0][i], done.q_nominal[i], units),
             "after": _pose_entry(poses[1][i], done.q[i], units),
-            "shift_mm": float(MM.of(found.shift[i, 0])),
-            "shift_mrad": number_or_null(MRAD.of(found.shift[i, 1])),
+            "shift_mm": float(MM.of(np.linalg.norm(shift[i, :3]))),
+            "shift_mrad": number_or_null(MRAD.of(np.linalg.norm(shift[i, 3:]))),
             "error_before_mm": float(MM.of(done.before[i, 0])),
             "error_after_mm": float(MM.of(done.after[i, 0])),
-            "expected_mm": number_or_null(MM.of(found.expected[i, 0])),
-            "expected_mrad": number_or_null(MRAD.of(found.expected[i, 1])),
-            **_limit_entry(found.limits[i], units),
-            "singular_value": float(found.singular_value[i]),
-            "outside": None if found.outside is None else [int(j) + 1 for j in np.flatnonzero(found.outside[i])],
+            "expected_mm": number_or_null(MM.of(expected[i, 0])),
+            "expected_mrad": number_or_null(MRAD.of(expected[i, 1])),
+            **_limit_entry(limits[i], units),
+            "singular_value": float(singular[i]),
+            "outside": None if outside is None else [int(j) + 1 for j in np.flatnonzero(outside[i])],
         }
         for i, place in enumerate(of.places)
     ]
