@@ -162,14 +162,10 @@ def _arrows(title: str, axes: Sequence[int], at: Floats, by: Floats, names: Sequ
     plot = svg.Plot(x, y, height=420.0)
     lines = zip(plot.px(at[:, 0]), plot.py(at[:, 1]), plot.px(ends[:, 0]), plot.py(ends[:, 1]), strict=True)
     path = "".join(f"M{svg.num(a)} {svg.num(b)}L{svg.num(c)} {svg.num(d)}" for a, b, c, d in lines)
-    parts = [
-        svg.axes(plot),
-        f'<path class="fit" fill="none" d="{path}"/>',
-        svg.scatter(plot, at[:, 0], at[:, 1], "old", names),
-    ]
-    parts.append(svg.legend(plot, [("old", "target"), ("fit line", f"its shift, × {factor:g}")]))
+    parts = [f'<path class="fit" fill="none" d="{path}"/>', svg.scatter(plot, at[:, 0], at[:, 1], "old", names)]
+    entries = [("old", "target"), ("fit line", f"its shift, × {factor:g}")]
     caption = f"Each line runs from a target to where the command moved it, drawn {factor:g} times as long."
-    return drawn(plot, title, caption, parts)
+    return drawn(plot, title, caption, parts, entries)
 
 
 def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Sequence[str]) -> Figure:
@@ -184,10 +180,12 @@ def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Seque
     tips = [
         [f"{name}: {figures(value)} mm" for name, value in zip(names, values, strict=True)] for values in (before, due)
     ]
-    parts = [svg.axes(plot), svg.scatter(plot, order, before, "val", tips[0])]
-    parts.append(svg.scatter(plot, order[known], due[known], "fit", np.array(tips[1])[known]))
-    parts.append(svg.legend(plot, [("val", "without correction"), ("fit", "expected with it, k = 2")]))
+    parts = [
+        svg.scatter(plot, order, before, "val", tips[0]),
+        svg.scatter(plot, order[known], due[known], "fit", np.array(tips[1])[known]),
+    ]
+    entries = [("val", "without correction"), ("fit", "expected with it, k = 2")]
     caption = f"Error of {document['error_point']} without the correction, and the bound expected with it (about 95 %)."
     if not known.all():
         caption += f" Where it is not known ({ABSENT} in the table) there is no point."
-    return drawn(plot, "Errors", caption, parts)
+    return drawn(plot, "Errors", caption, parts, entries)

@@ -68,7 +68,7 @@ def histogram(rows: ResidualRows) -> Figure:
     tips = [
         f"{figures(a)} to {figures(b)} {rows.unit}: {n}" for a, b, n in zip(edges[:-1], edges[1:], count, strict=True)
     ]
-    parts = [svg.axes(plot), svg.bars(plot, edges, count, "fit bar", tips)]
+    parts = [svg.bars(plot, edges, count, "fit bar", tips)]
     if not plain:
         parts.append(svg.line(plot, _grid(edges), scale * law.density(_grid(edges)), "law line"))
     what = law.name
@@ -76,11 +76,10 @@ def histogram(rows: ResidualRows) -> Figure:
     note += [f"σ {number(law.sigma, 4)} {rows.unit}", f"n {r.size}"]
     for k, text in enumerate(note):
         parts.append(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
-    parts.append(svg.legend(plot, [("fit", "fitted rows"), ("law line", what)]))
     caption = f"{counted(r.size, 'row')} not held out, and the {what} fitted to them: {', '.join(note)}."
     if not rows.signed:
         caption += " Norms of 3-vectors have no sign; σ is the mean over the three coordinates."
-    return drawn(plot, "Residuals after calibration", caption, parts)
+    return drawn(plot, "Residuals after calibration", caption, parts, [("fit", "fitted rows"), ("law line", what)])
 
 
 def _bin_edges(r: Floats) -> Floats:
@@ -101,7 +100,7 @@ def by_order(rows: ResidualRows) -> Figure:
     x, y = rows.number.astype(float), rows.residual
     plot = svg.Plot(svg.linear_axis("row", x[0], x[-1]), svg.linear_axis(rows.name, *_reach(y)), width=820.0)
     floor, top = plot.y.low, plot.y.high
-    parts = [svg.axes(plot)]
+    parts = []
     new_session, new_mount = (x[1:][of[1:] != of[:-1]] - 0.5 for of in (rows.session, rows.mount))
     marked = [("mount", new_mount)] if new_mount.size <= MAX_MARKS else []
     marked += [("session", new_session)] if new_session.size <= MAX_MARKS else []
@@ -109,15 +108,13 @@ def by_order(rows: ResidualRows) -> Figure:
         parts += [svg.line(plot, [at, at], [floor, top], css + " line") for at in places]
     means = _stretch_means(x[rows.fitted], y[rows.fitted])
     residuals, entries = _residuals_and_means(plot, rows, x, np.isfinite(y), "row {}", means)
-    parts += residuals
-    keys = [(css + " line", f"new {css}") for css, places in marked if places.size]
-    parts.append(svg.legend(plot, [*entries, *keys]))
+    entries += [(css + " line", f"new {css}") for css, places in marked if places.size]
     n_mounts, n_sessions = new_mount.size + 1, new_session.size + 1
     caption = (
         f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'stretch', 'stretches')} of rows with the same items of the rig. A step or a "
         "trend in the mean indicates a slip or a drift that the parameters could not absorb."
     )
-    return drawn(plot, "Residual in the order of measurement", caption, parts)._replace(wide=True)
+    return drawn(plot, "Residual in the order of measurement", caption, parts + residuals, entries, wide=True)
 
 
 def _stretch_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
@@ -136,12 +133,11 @@ def by_longitude(rows: ResidualRows) -> Figure | None:
     plot = svg.Plot(svg.linear_axis("longitude [deg]", low, high, 60.0), svg.linear_axis(rows.name, *_reach(y[known])))
     means = _bin_means(x[known & rows.fitted], y[known & rows.fitted])
     residuals, entries = _residuals_and_means(plot, rows, x, known, "{}°", means)
-    parts = [svg.axes(plot), *residuals, svg.legend(plot, entries)]
     caption = (
         "Longitude of the sphere about its chuck. Measurement errors do not depend on it: a mean that varies by more than "
         "its bars (two standard errors) indicates errors that the parameters do not model."
     )
-    return drawn(plot, "Residual against longitude", caption, parts)
+    return drawn(plot, "Residual against longitude", caption, residuals, entries)
 
 
 def _residuals_and_means(
@@ -217,13 +213,11 @@ def before_after(rows: ResidualRows) -> Figure:
     plot = svg.Plot(
         svg.log_axis(title("|residual|", rows.si), reach), svg.linear_axis("share of rows [%]", 0.0, 100.0, 20.0)
     )
-    parts = [svg.axes(plot)]
     share = np.linspace(0.0, 100.0, 201)
-    for css, _, values in lines:
-        parts.append(svg.line(plot, np.percentile(np.abs(values), share), share, css + " line"))
-    parts.append(svg.legend(plot, [(css + " line", name.replace(" rows", "")) for css, name, _ in lines]))
+    curves = [svg.line(plot, np.percentile(np.abs(of), share), share, css + " line") for css, _, of in lines]
+    entries = [(css + " line", name.replace(" rows", "")) for css, name, _ in lines]
     p95 = [f"{figures(float(np.percentile(np.abs(values), 95.0)))} {rows.unit} ({name})" for _, name, values in lines]
-    return drawn(plot, "Before and after", f"95 % of the rows lie below {', '.join(p95)}.", parts)
+    return drawn(plot, "Before and after", f"95 % of the rows lie below {', '.join(p95)}.", curves, entries)
 
 
 def by_group(rows: ResidualRows) -> Figure | None:
@@ -238,8 +232,7 @@ def by_group(rows: ResidualRows) -> Figure | None:
     categories = svg.category_axis("", [str(names[g]) for g in shown[::-1]])
     left = max(104.0, 16.0 + svg.LETTER * max(map(len, categories.tick_labels)))
     plot = svg.Plot(values, categories, height, least_left=left, right=66.0)
-    parts = [svg.axes(plot), svg.label(plot.width - 4, 18, f"RMS [{rows.unit}]", "end")]
-    parts.append(svg.legend(plot, [(css, name) for css, name, _ in _sets(rows)]))
+    parts = [svg.label(plot.width - 4, 18, f"RMS [{rows.unit}]", "end")]
     for k, g in enumerate(shown[::-1]):
         sets = [(css, name, rows.residual[at & (inverse == g)]) for css, name, at in _sets(rows)]
         sets = [entry for entry in sets if entry[2].size]
@@ -255,7 +248,7 @@ def by_group(rows: ResidualRows) -> Figure | None:
     caption += f"By chance alone these vary by {figures(spread, 2)} % (one σ)."
     if len(shown) < names.size:
         caption += f" The {len(shown)} with the largest RMS of {names.size} are shown."
-    return drawn(plot, f"By {place}", caption, parts)
+    return drawn(plot, f"By {place}", caption, parts, [(css, name) for css, name, _ in _sets(rows)])
 
 
 def _box(plot: svg.Plot, row: float, values: Floats, css: str, name: str, unit: str) -> str:
@@ -288,16 +281,15 @@ def quantiles(rows: ResidualRows) -> Figure | None:
         svg.linear_axis(f"quantile of the {what} [{rows.unit}]", low, high), svg.linear_axis(rows.name, low, high)
     )
     at = thinned(r.size, MAX_POINTS)
-    parts = [svg.axes(plot), svg.line(plot, [low, high], [low, high], "law")]
-    parts.append(svg.dots(plot, expected[at], r[at], "fit"))
-    parts.append(svg.legend(plot, [("fit", "fitted rows"), ("law line", what)]))
+    parts = [svg.line(plot, [low, high], [low, high], "law"), svg.dots(plot, expected[at], r[at], "fit")]
     beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.width == 1 else None
     caption = f"Points on the line follow the {what}. If the ends bend away from it, those rows have unexpectedly large residuals."
     if beyond is not None:
         caption += (
             f" Beyond 3σ: {counted(beyond, 'row')}; a normal distribution would have {figures(0.0027 * r.size, 2)}."
         )
-    return drawn(plot, "Quantiles" if law.width > 1 else "Normal probability", caption, parts)
+    name = "Quantiles" if law.width > 1 else "Normal probability"
+    return drawn(plot, name, caption, parts, [("fit", "fitted rows"), ("law line", what)])
 
 
 def convergences(estimate: Estimate) -> list[Figure]:
@@ -315,15 +307,22 @@ def _convergence(estimate: Estimate, si: str) -> Figure:
         svg.log_axis(title("RMS", si), history),
     )
     tips = [f"iteration {k}: {figures(v, 4)} {symbol(si)}" for k, v in zip(steps, history, strict=True)]
-    parts = [
-        svg.axes(plot),
-        svg.line(plot, steps, history, "fit line"),
-        svg.scatter(plot, steps, history, "fit", tips, 4),
-    ]
+    parts = [svg.line(plot, steps, history, "fit line"), svg.scatter(plot, steps, history, "fit", tips, 4)]
     caption = f"RMS of the fitted rows; {outcome(estimate.status, estimate.iterations)}."
     return drawn(plot, "Convergence", caption, parts)
 
 
-def drawn(plot: svg.Plot, title: str, caption: str, parts: Sequence[str]) -> Figure:
-    """Return the figure of a plot; screen readers read title and caption instead."""
-    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"))
+def drawn(
+    plot: svg.Plot,
+    title: str,
+    caption: str,
+    marks: Sequence[str],
+    entries: Sequence[tuple[str, str]] = (),
+    wide: bool = False,
+) -> Figure:
+    """Return the figure of marks in a plot, with axes and the entries of its legend.
+
+    Screen readers read title and caption instead.
+    """
+    parts = [svg.axes(plot), *marks, svg.legend(plot, entries)]
+    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"), wide)

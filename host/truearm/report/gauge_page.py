@@ -69,16 +69,13 @@ def _residuals(page: GaugePage) -> Figure:
     plot = svg.Plot(
         svg.linear_axis("reference [mm]", x.min(), x.max()), svg.linear_axis("residual [µm]", -reach, reach)
     )
-    parts = [svg.axes(plot)]
-    for at in (-two_sigma, two_sigma):
-        parts.append(svg.line(plot, [plot.x.low, plot.x.high], [at, at], "old line"))
+    ends = [plot.x.low, plot.x.high]
     tips = [f"{figures(a, 6)} mm: {number(b, 2, sign=True)} µm" for a, b in zip(x, y, strict=True)]
-    parts += [
-        svg.line(plot, [plot.x.low, plot.x.high], [0.0, 0.0], "mean line"),
-        svg.scatter(plot, x, y, "fit", tips, 3.2),
-    ]
-    parts.append(svg.legend(plot, [("fit", "places"), ("old line", "± 2 σ")]))
-    return drawn(plot, "Residual at each place", _RESIDUAL_CAPTION, parts)
+    levels = ((-two_sigma, "old line"), (two_sigma, "old line"), (0.0, "mean line"))
+    parts = [svg.line(plot, ends, [level, level], css) for level, css in levels]
+    parts.append(svg.scatter(plot, x, y, "fit", tips, 3.2))
+    entries = [("fit", "places"), ("old line", "± 2 σ")]
+    return drawn(plot, "Residual at each place", _RESIDUAL_CAPTION, parts, entries)
 
 
 def _orders(page: GaugePage) -> Figure:
@@ -90,13 +87,12 @@ def _orders(page: GaugePage) -> Figure:
     tips = [f"order {order}: {figures(e)} µm" for order, e in zip(page.orders, error, strict=True)]
     taken = page.orders.index(page.order)
     parts = [
-        svg.axes(plot),
         svg.line(plot, page.orders, error, "fit line"),
         svg.scatter(plot, page.orders, error, "fit", tips),
+        svg.scatter(plot, [page.order], [error[taken]], "val", [tips[taken]], 4.5),
     ]
-    parts.append(svg.scatter(plot, [page.order], [error[taken]], "val", [tips[taken]], 4.5))
-    parts.append(svg.legend(plot, [("fit line", "cross-validation RMS"), ("val", "chosen")]))
-    return drawn(plot, "Cross-validation error", _ORDER_CAPTION, parts)
+    entries = [("fit line", "cross-validation RMS"), ("val", "chosen")]
+    return drawn(plot, "Cross-validation error", _ORDER_CAPTION, parts, entries)
 
 
 def _table(page: GaugePage) -> str:

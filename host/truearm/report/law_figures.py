@@ -25,19 +25,16 @@ def _over_readings(curve: SampledCurve) -> Figure:
     plot = svg.Plot(
         svg.linear_axis("reading [deg]", float(x[0]), float(x[-1])), svg.linear_axis("error [mrad]", -top, top)
     )
-    parts = [svg.axes(plot)]
-    for edge in (y - band, y + band):
-        parts.append(svg.line(plot, x, edge, "old line"))
-    parts.append(svg.line(plot, x, y, "law line"))
-    for run in _runs(curve.covered):
-        parts.append(svg.line(plot, x[run], y[run], "fit line"))
-    parts.append(svg.legend(plot, [("fit line", "covered"), ("law line", "outside"), ("old line", "±2σ")]))
+    lines = [(y - band, "old line"), (y + band, "old line"), (y, "law line")]
+    parts = [svg.line(plot, x, values, css) for values, css in lines]
+    parts += [svg.line(plot, x[run], y[run], "fit line") for run in _runs(curve.covered)]
+    entries = [("fit line", "covered"), ("law line", "outside"), ("old line", "±2σ")]
     caption = (
         f"Deviation of the joint from offset and gain. RMS over the covered readings {figures(rms(y[curve.covered]), 2)} mrad. "
         f"Covered: {intervals_text(DEG.of(np.array(curve.intervals)).tolist())}. Elsewhere no reading was measured: "
         "the curve returns to zero and its band widens."
     )
-    return drawn(plot, f"Error curve of {curve.joint}", caption, parts)
+    return drawn(plot, f"Error curve of {curve.joint}", caption, parts, entries)
 
 
 def _over_cycles(curve: SampledCurve) -> Figure | None:
@@ -51,13 +48,12 @@ def _over_cycles(curve: SampledCurve) -> Figure | None:
         svg.linear_axis("amplitude [mrad]", 0.0, 1.05 * float(amplitude.max(initial=1e-3))),
     )
     tips = [f"{c:.0f} cycles: {figures(a, 2)} mrad" for c, a in zip(cycles, amplitude, strict=True)]
-    parts = [svg.axes(plot), svg.bars(plot, edges, amplitude, "fit bar", tips)]
     strongest = cycles[int(np.argmax(amplitude))]
     caption = (
         f"Amplitude of each sine alone over the covered readings; the strongest has {strongest:.0f} cycles per turn. "
         f"The covered range resolves {figures(resolution, 2)} cycles per turn; sines of fewer than {cycles[0]:.0f} cycles per turn cannot be seen."
     )
-    return drawn(plot, f"Spectrum of {curve.joint}", caption, parts)
+    return drawn(plot, f"Spectrum of {curve.joint}", caption, [svg.bars(plot, edges, amplitude, "fit bar", tips)])
 
 
 def _runs(flags: np.ndarray) -> list[slice]:

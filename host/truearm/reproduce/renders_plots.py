@@ -18,7 +18,7 @@ def runs_figure(histories: dict[str, Floats], paper: Floats, at: Floats) -> Figu
     every = np.concatenate([*histories.values(), paper])
     last = max(len(h) for h in histories.values()) - 1
     plot = svg.Plot(svg.linear_axis("run", 0, last, 1.0 if last < 6 else 2.0), svg.log_axis("mean error [mm]", every))
-    parts = [svg.axes(plot), svg.line(plot, at, paper, "old line")]
+    parts = [svg.line(plot, at, paper, "old line")]
     parts.append(svg.scatter(plot, at, paper, "old", [f"paper: {v} mm" for v in paper], 4))
     names = {"paper": ("val", "its recipe"), "map": ("fit", "map"), "gears": ("law", "map, gear errors")}
     for key, (css, name) in names.items():
@@ -28,20 +28,17 @@ def runs_figure(histories: dict[str, Floats], paper: Floats, at: Floats) -> Figu
             svg.scatter(plot, np.arange(values.size), values, css, [f"{name}: {figures(v)} mm" for v in values], 3)
         )
     entries = [("old line", "paper"), *((css + " line", name) for css, name in names.values())]
-    parts.append(svg.legend(plot, entries))
     caption = "Mean error of the fitted lines, placed by least squares; the paper's points are as printed."
-    return drawn(plot, "Mean error, run by run", caption, parts)
+    return drawn(plot, "Mean error, run by run", caption, parts, entries)
 
 
 def prediction_figure(title: str, caption: str, ml: Floats, plain: Floats, best: Floats) -> Figure:
     steps = np.arange(1, ml.size + 1)
     reach = np.concatenate([ml, plain, best])
     plot = svg.Plot(svg.linear_axis("point", 0, ml.size), svg.log_axis("prediction error [mm]", reach))
-    parts = [svg.axes(plot)]
-    for css, values in (("old line", plain), ("val line", best), ("fit line", ml)):
-        parts.append(svg.line(plot, steps, values, css))
-    parts.append(svg.legend(plot, [("fit line", "ML"), ("val line", "LS, best P₀"), ("old line", "LS, large P₀")]))
-    return drawn(plot, title, caption, parts)
+    curves = (("old line", plain), ("val line", best), ("fit line", ml))
+    entries = [("fit line", "ML"), ("val line", "LS, best P₀"), ("old line", "LS, large P₀")]
+    return drawn(plot, title, caption, [svg.line(plot, steps, values, css) for css, values in curves], entries)
 
 
 def map_figure(title: str, where: CrossSection, error: Floats, direction: Floats | None) -> Figure:
@@ -53,7 +50,7 @@ def map_figure(title: str, where: CrossSection, error: Floats, direction: Floats
     shade = (error - error.min()) / max(float(np.ptp(error)), svg.SMALLEST)
     left, right = plot.px(where.x - half), plot.px(where.x + half)
     top, bottom = plot.py(where.z + half), plot.py(where.z - half)
-    parts = [svg.axes(plot)]
+    parts = []
     for i, e in enumerate(error):
         tip = f"x {where.x[i]:.2f} m, z {where.z[i]:.2f} m: {figures(float(e))} mm"
         size = right[i] - left[i], bottom[i] - top[i]
