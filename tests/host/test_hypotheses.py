@@ -12,15 +12,15 @@ from scipy import stats
 from tests.recipes.recipes import LINE, PAGE, ROOT
 
 from truearm.checks.averaging import averaged
-from truearm.checks.catalogue import TYPICAL, Hypothesis, catalogue
+from truearm.checks.catalogue import TYPICAL, Hypothesis, catalogue, spans_of
 from truearm.checks.evidence import SCALES, WIDEST, build_design, moments, sums_of, weigh
 from truearm.checks.examination import examined, tool_gram
-from truearm.checks.held_out import LeftOut, left_out_blocks
+from truearm.checks.held_out import gain, left_out
 from truearm.checks.labels import relabelled
-from truearm.checks.noise import DECLARED, Kernel, covariance_root
+from truearm.checks.noise import shared_noise
 from truearm.checks.search import searched
 from truearm.checks.trial import Alternative
-from truearm.checks.whitened import whitened_fit
+from truearm.checks.whitened import DECLARED, Kernel, whitened_fit
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import build_problem
 from truearm.files.observation_table import parse_table
@@ -66,9 +66,12 @@ def test_the_columns_are_those_of_a_world_with_the_fault(fault, monkeypatch):
     world = make(site, np.random.default_rng(3), amount)
     fit = at_values(world, world.truth)
     unexplained = []
+    from_each_row = spans_of(np.stack([np.arange(fit.n), np.full(fit.n, fit.n)], axis=1), fit.n)
     for one in (one for one in catalogue(fit) if one.name in world.names):
+        if one.form == "step":
+            one = replace(one, candidates=from_each_row)
         for number in range(one.count):
-            by = one.candidate(number, fit.row)
+            by = one.candidate(number)
             left = fit.residual - by @ np.linalg.lstsq(by, fit.residual, rcond=None)[0]
             unexplained.append(np.linalg.norm(left) / np.linalg.norm(fit.residual))
     # What a part moves across the bar, 0.3 mm, changes its length of 0.46 m by the square only: 3e-4 of it.
@@ -91,46 +94,49 @@ def slipped():
 
 def test_the_drop_is_that_of_a_refit(slipped):
     fit, _ = fitted(slipped)
-    of = build_design(fit, DECLARED)
+    of = build_design(fit, DECLARED, fit.wide_prior)
+    rows = np.concatenate([np.column_stack([fit.jac, fit.residual]), fit.wide_prior])
+    rows /= np.r_[np.linalg.norm(rows[:, :-1], axis=0), 1.0]
     for one in catalogue(fit)[::9]:
         weighed = weigh(one, of)
-        if one.nuisance is not None:
+        if one.columns.shape[1] > one.sizes.size:
             continue
-        by = of.columns(one.candidate(weighed.best, fit.row))
+        by = np.zeros((len(rows), weighed.columns.shape[1]))
+        by[: fit.residual.size] = weighed.columns
         squares = [
-            float(((of.residual - jac @ np.linalg.lstsq(jac, of.residual, rcond=None)[0]) ** 2).sum())
-            for jac in (of.jac / np.linalg.norm(of.jac, axis=0), np.concatenate([of.basis, by], axis=1))
+            float(((rows[:, -1] - jac @ np.linalg.lstsq(jac, rows[:, -1], rcond=None)[0]) ** 2).sum())
+            for jac in (rows[:, :-1], np.column_stack([rows[:, :-1], by]))
         ]
         assert weighed.drop == pytest.approx(squares[0] - squares[1], rel=1e-6, abs=1e-6), one.name
 
 
 def test_spans_have_the_moments_of_their_columns(slipped):
-    """Differences of cumulative sums, and of a Gram matrix where rows share noise, against each span by itself."""
+    """The sums over rows, with noise of their own and with shared noise, against each span by itself."""
     fit, _ = fitted(slipped)
     rows = np.arange(fit.n)
     similar = np.exp(-np.abs(rows[:, None] - rows) / 8.0)
-    shared = Kernel("order", lower=((rows[None], covariance_root(similar, 0.5)),))
+    shared = Kernel("order", share=0.5, shared=shared_noise(fit, similar))
     for kernel in (DECLARED, shared):
-        of = build_design(fit, kernel)
+        of = build_design(fit, kernel, fit.wide_prior)
         for name in ("chuck.c1.step", "joint2.run"):
             one = hypothesis_of(fit, name)
             square, score, _ = sums_of(one, of)
             for number in (0, 5, one.count - 1):
-                by = of.columns(one.candidate(number, fit.row))
+                by = one.candidate(number)
                 left = of.without(by)
                 tolerance = 1e-9 * float((by**2).sum())
                 assert square[number] == pytest.approx(left.T @ left, abs=tolerance)
-                assert score[number] == pytest.approx(left.T @ of.residual, abs=tolerance)
+                assert score[number] == pytest.approx(left.T @ of.remainder, abs=tolerance)
 
 
 def test_the_evidence_is_that_of_two_normal_distributions(slipped):
     """The ratio of N(0, I + s²C⊥C⊥ᵀ) to N(0, I) at the residuals, averaged over sizes and candidates."""
     fit, _ = fitted(slipped)
-    of = build_design(fit, DECLARED)
+    of = build_design(fit, DECLARED, fit.wide_prior)
     one = hypothesis_of(fit, "chuck.c1.drift")
     ratios = []
     for number in range(one.count):
-        left = of.without(of.columns(one.candidate(number, fit.row)))
+        left = of.without(one.candidate(number))
         for scale in SCALES:
             cov = np.eye(len(left)) + scale**2 * left @ left.T
             ratios.append(
@@ -142,8 +148,8 @@ def test_the_evidence_is_that_of_two_normal_distributions(slipped):
 def test_the_chance_of_a_clean_session_is_that_of_chi2():
     """Of 400 draws of noise, each hypothesis' own p is below p₀ in a share p₀ of them."""
     fit, _ = fitted(worlds.world("puma560", "clean", 0))
-    of = build_design(fit, DECLARED)
-    left = of.without(of.columns(hypothesis_of(fit, "base.drift").candidate(0, fit.row)))
+    of = build_design(fit, DECLARED, fit.wide_prior)
+    left = of.without(hypothesis_of(fit, "base.drift").candidate(0))
     u, singular, _ = np.linalg.svd(left, full_matrices=False)
     u = u[:, singular**2 > 1e-8 * (left**2).sum()]
     drops = ((np.random.default_rng(0).normal(size=(400, len(u))) @ u) ** 2).sum(axis=1)
@@ -205,7 +211,7 @@ def of_recipe(robot, seed, noncentrality=30.0):
     of = worlds.site(robot)
     drawing = worlds.measured(of, of.chain.params_nominal, np.ones(len(of.q)), None, noise=0.0)
     fit = at_values(drawing, of.chain.params_nominal)
-    ((information,),) = moments(hypothesis_of(fit, "bar.pads"), build_design(fit, DECLARED)).values
+    ((information,),) = moments(hypothesis_of(fit, "bar.pads"), build_design(fit, DECLARED, fit.wide_prior)).values
     size = TYPICAL["m"] * np.sqrt(noncentrality / information)
     return worlds.RECIPE(of, np.random.default_rng([seed, 0xAD]), size), size
 
@@ -282,9 +288,9 @@ def test_rows_that_cannot_decide_give_one_name_with_or(slipped):
     one = hypothesis_of(fit, slipped.names[0])
     rng = np.random.default_rng(0)
     mixed = one.columns @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    named = [one, Hypothesis("other", "other", "step", mixed, one.sizes, one.units, one.candidates)]
+    named = [one, Hypothesis(fit, "other", "other", "step", mixed, one.sizes, one.units, one.candidates)]
     every = [*named, hypothesis_of(fit, "sphere.s1.step")]
-    detections = searched(build_design(fit, DECLARED), every, left_out_blocks(fit.n, None)).detections[0]
+    detections = searched(build_design(fit, DECLARED, fit.wide_prior), every).detections[0]
     assert {detections.best.name, *detections.aliases} == {one.name, "other.step"}
 
 
@@ -296,39 +302,37 @@ def test_noise_of_neighbours_is_learned_and_names_nothing():
 
 def test_left_out_blocks_are_those_of_refits(slipped):
     fit, _ = fitted(slipped)
-    by = hypothesis_of(fit, slipped.names[0]).candidate(20, fit.row)
+    by = hypothesis_of(fit, slipped.names[0]).candidate(20)
     blocks = np.arange(fit.n) * 5 // fit.n
     squares = np.zeros((2, 5))
     for which, added in enumerate((no_columns(fit), by)):
         d = added.shape[1]
-        prior = np.zeros((len(fit.prior_jac) + d, fit.jac.shape[1] + d))
-        prior[: len(fit.prior_jac), : fit.jac.shape[1]] = fit.prior_jac
-        prior[len(fit.prior_jac) :, fit.jac.shape[1] :] = np.eye(d) / WIDEST
+        prior = np.zeros((len(fit.prior) + d, fit.jac.shape[1] + d))
+        prior[: len(fit.prior), : fit.jac.shape[1]] = fit.prior[:, :-1]
+        prior[len(fit.prior) :, fit.jac.shape[1] :] = np.eye(d) / WIDEST
         jac = np.concatenate([fit.jac, added], axis=1)
         for block in range(5):
             out = blocks[fit.row] == block
             rows, target = (
                 np.concatenate([jac[~out], prior]),
-                np.concatenate([fit.residual[~out], fit.prior_residual, np.zeros(d)]),
+                np.concatenate([fit.residual[~out], fit.prior[:, -1], np.zeros(d)]),
             )
             scale = np.linalg.norm(rows, axis=0)
             x = np.linalg.lstsq(rows / scale, target, rcond=None)[0] / scale
             squares[which, block] = ((fit.residual[out] - jac[out] @ x) ** 2).sum()
-    held_out = LeftOut(fit, no_columns(fit), blocks)
-    gain = held_out.gain(held_out.residual_with(by))
-    assert gain.share == pytest.approx(1.0 - squares[1].sum() / squares[0].sum(), abs=1e-6)
-    beside = LeftOut(fit, by, blocks)
-    assert beside.residual == pytest.approx(held_out.residual_with(by), abs=1e-6)
+    of, block = build_design(fit, DECLARED, fit.prior), blocks[fit.row]
+    share, _ = gain(left_out(of, block), left_out(of.extended(by), block), block)
+    assert share == pytest.approx(1.0 - squares[1].sum() / squares[0].sum(), abs=1e-6)
 
 
 def test_the_step_is_that_of_a_refit(slipped):
     """The parameters after applying a finding, against the fit with its columns; its prior takes under 2 %."""
     fit, estimate = fitted(slipped)
-    result = searched(build_design(fit, DECLARED), [hypothesis_of(fit, slipped.names[0])], left_out_blocks(fit.n, None))
+    result = searched(build_design(fit, DECLARED, fit.wide_prior), [hypothesis_of(fit, slipped.names[0])])
     gram = tool_gram(slipped.site.chain, slipped.site.rig, slipped.table, estimate)
     average = averaged(result, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)])
     (step,) = average.means()
-    jac = np.concatenate([fit.jac, result.detections[0].columns], axis=1)
+    jac = np.concatenate([fit.jac, result.detections[0].best.columns], axis=1)
     scale = np.linalg.norm(jac, axis=0)
     refit = (np.linalg.lstsq(jac / scale, fit.residual, rcond=None)[0] / scale)[: fit.jac.shape[1]]
     assert average.moves(step - refit) < 0.02 * average.moves(step)
@@ -341,13 +345,13 @@ def test_a_last_move_is_judged_beside_the_pose(slipped):
     """Columns that a cubic polynomial of the angle follows are no backlash."""
     fit, _ = fitted(slipped)
     one = hypothesis_of(fit, "joint2.backlash")
-    of = build_design(fit, DECLARED)
+    of = build_design(fit, DECLARED, fit.wide_prior)
     by = moments(one, of)
-    more = np.concatenate([of.jac, of.columns(one.nuisance)], axis=1)
-    u, singular, _ = np.linalg.svd(more / np.maximum(np.linalg.norm(more, axis=0), 1e-300), full_matrices=False)
-    u = u[:, singular > 1e-9 * singular[0]]
-    column = of.columns(one.candidate(0, fit.row))
-    left = column - u @ (u.T @ column)
+    nuisance = one.columns[:, 1:]
+    columns = np.concatenate([of.without(nuisance), np.eye(nuisance.shape[1]) / WIDEST])
+    u, _, _ = np.linalg.svd(columns, full_matrices=False)
+    left = np.concatenate([of.without(one.candidate(0)), np.zeros((nuisance.shape[1], 1))])
+    left -= u @ (u.T @ left)
     assert by.values[0] == pytest.approx((left**2).sum(axis=0), rel=1e-6)
 
 

@@ -6,7 +6,8 @@ docs/explanation/hypotheses.md derives every formula. The way through the module
 2. ``catalogue``: the list of hypotheses, each a few columns with candidates (rows from which, or profiles over the rows).
 3. ``evidence``: the weight of each candidate in the residuals, and the probability of chance.
 4. ``noise``: kernels for residuals that are not what was declared.
-5. ``search``: the most probable hypothesis, its rivals, and the same again with it as a parameter.
+5. ``search``: the most probable hypothesis, its rivals, and the same again with it as a parameter; ``held_out``: what it
+   gives in rows that were left out.
 6. ``averaging``: the stated error of the tool, averaged over the hypotheses.
 7. ``examination``: all of this for an estimate.
 

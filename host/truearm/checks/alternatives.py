@@ -38,15 +38,21 @@ INCHES = (INCH / MM.scale, "inches", "millimetres")
 Robots = Mapping[str, tuple[Chain, Mask]]  # with their free parameters (p,), by name
 
 
-def tiers(inputs: Alternative, robots: Robots, allowed: Collection[str] = ()) -> Iterator[list[Alternative]]:
+def other_interpretations(inputs: Alternative, robots: Robots, allowed: Collection[str] = ()) -> list[Alternative]:
     """Return all other interpretations, the most common mistakes first; items that are ``allowed`` to be off are estimated."""
-    yield list(stuck(inputs))
-    yield [*units(inputs), *rotations(inputs), *shifted(inputs), *other_robots(inputs, robots)]
     labels, runs = relabelled(inputs)
-    every_row = bool(runs) and labels.rows.size == inputs.rows.size
-    yield [labels] * every_row
-    apart = [labels] * (bool(runs) and not every_row)  # an item that is elsewhere explains these rows too
-    yield [*apart, *joints(inputs), *mirrored(inputs), *names_exchanged(inputs), *constants(inputs, allowed)]
+    return [
+        *stuck(inputs),
+        *units(inputs),
+        *rotations(inputs),
+        *shifted(inputs),
+        *other_robots(inputs, robots),
+        *[labels] * bool(runs),
+        *joints(inputs),
+        *mirrored(inputs),
+        *names_exchanged(inputs),
+        *constants(inputs, allowed),
+    ]
 
 
 def units(inputs: Alternative) -> Iterator[Alternative]:

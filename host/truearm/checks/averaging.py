@@ -20,9 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, amount_of, build_design, rows_of, weigh
-from truearm.checks.noise import DECLARED
-from truearm.checks.search import Detection, Search, columns_of
+from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, amount_of, log_mean, weigh
+from truearm.checks.search import Detection, Search
 from truearm.types import Floats
 
 PRIOR = 0.03  # probability that a kind of fault is there, shared by the items that it can befall
@@ -98,18 +97,18 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
 
     If the noise was learned, the covariance is that which it gives to the same parameters, if the tool's error is larger.
     """
-    fit, kernel = result.design.fit, result.design.kernel
-    fitted = build_design(fit, DECLARED, robot_prior=True)  # as the parameters were fitted
+    fitted, kernel = result.fitted, result.design.kernel
     if not kernel.declared:
-        noise = kernel.spread(fitted.basis[: fit.residual.size]) * np.sqrt(result.design.variance)
-        half = np.concatenate([noise, fitted.basis[fit.residual.size :]]) @ fitted.root.T
+        m = fitted.fit.residual.size
+        noise = kernel.spread(fitted.basis[:m]) * np.sqrt(result.design.variance)
+        half = np.concatenate([noise, fitted.basis[m:]]) @ fitted.root.T
         covariance = max((covariance, half.T @ half), key=lambda matrix: float(np.trace(gram @ matrix)))
     unnamed = [np.zeros((len(gram), 0))]
     for weighed, weight in zip(result.table, posterior(result.table, result.refused), strict=True):
         if weight > LEAST_WEIGHT:
             part = explanation(weighed, float(weight), result.design, fitted)
             unnamed.append(math.sqrt(weight) * np.column_stack([part.step, part.root]))
-    choices = tuple(explanations(detection, result, fitted) for detection in result.detections)
+    choices = tuple(explanations(detection, result) for detection in result.detections)
     return Average(gram, covariance, np.concatenate(unnamed, axis=1), choices)
 
 
@@ -139,26 +138,22 @@ def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design,
     size, root, hidden = amount_of(weighed, design.variance, scale, is_named)
     if is_named:
         root = np.column_stack([root, hidden * math.sqrt((1.0 + float(size @ size)) / max(root.shape[1], 1))])
-    columns = weighed.hypothesis.candidate(weighed.best, design.fit.row)
+    columns = weighed.columns
     loading = fitted.root @ (fitted.basis[: len(columns)].T @ columns)
     return Part(weighed, weight, size, -loading @ size, loading @ root)
 
 
-def explanations(detection: Detection, result: Search, fitted: Design) -> tuple[Part, ...]:
+def explanations(detection: Detection, result: Search) -> tuple[Part, ...]:
     """Return the finding and its rivals by their probability, beside all other findings."""
-    fit = result.design.fit
-    neighbours = columns_of([neighbour for neighbour in result.detections if neighbour is not detection], fit)
-    design = (result.design.bare or result.design).extended(neighbours)
-    options = [weigh(weighed.hypothesis, design) for weighed in (detection.best, *detection.rivals)]
-    log = np.array([weighed.log_evidence for weighed in options])
-    if rows_of(detection.best) is not None:  # refined: its evidence is that of the search, over all its spans
-        alone = special.logsumexp(detection.best.by_scale[:, 0]) - math.log(len(SCALES))
-        log[0] += detection.best.log_evidence - float(alone)
-    weights = np.exp(log - special.logsumexp(log))
-    return tuple(
-        explanation(weighed, float(w), design, fitted, is_named=True)
-        for weighed, w in zip(options, weights, strict=True)
-    )
+    design = result.design.without_extensions.extended(result.beside(detection))
+    before = (detection.best, *detection.rivals)
+    options = [weigh(weighed.hypothesis, design) for weighed in before]
+    # The evidence of a refined step is that of the search, over all candidates.
+    refined = [weighed.log_evidence - log_mean(weighed.by_scale) for weighed in before]
+    log = np.array([weighed.log_evidence for weighed in options]) + refined
+    weights = np.exp(log - special.logsumexp(log)).tolist()
+    pairs = zip(options, weights, strict=True)
+    return tuple(explanation(weighed, weight, design, result.fitted, is_named=True) for weighed, weight in pairs)
 
 
 def unseen(table: Sequence[Weighed], variance: float) -> tuple[str, ...]:

@@ -18,51 +18,56 @@ from truearm.checks.whitened import WhitenedFit
 from truearm.estimate.systematic_effects import Cause
 from truearm.kinds.registry import kinds
 from truearm.results import DriftWith
-from truearm.types import Floats, Indices
+from truearm.types import Floats, Indices, thinned
 
 # The typical size of a fault [SI]; a hypothesis has the sizes 0.2, 1 and 5 times this (``evidence.SCALES``).
 TYPICAL = {"m": 0.3e-3, "rad": 0.3e-3, "1": 5e-3, "1/K": 5e-6, "s": 1e-3}
 GROWTH = 3e-4  # relative: an arm of 0.5 m that warms by 15 K
 MOVED_SHARE = 1e-3  # of its last move, by which a joint that has not settled is off
+LAST_MOVE = {"backlash": DriftWith.DIRECTION, "settling": DriftWith.MOVE}  # forms of what follows a joint's last move
 LEAST_ROWS = 4  # in a span, and before it
 KNOTS = 25  # rows at which a run may begin or end; the best is refined row by row
+STEPS = 60  # rows at which a step may begin
+OWN_EDGE = 8  # rows
 LEAST_WARMING = 0.2  # K
 BEND = 3.0  # of a drift that settles: 1 − exp(−BEND t)
 
 
-class Profiles(NamedTuple):
-    """Candidates that multiply an item's columns by ``values`` (c, n) over the rows.
+class Candidates(NamedTuple):
+    """Profiles (c, n) by which an item's columns are multiplied over the rows.
 
-    Of a drift, ``rows`` [first, after last) and what it is linear in, None if it settles.
+    Of those that concern some rows, ``spans`` (c, 2) are the first row and the one after the last. ``drifts`` are what
+    each is linear in, None if it settles. Steps and runs are differences of ``profiles`` by their numbers in ``pairs``
+    (c, 2): few rows begin or end many spans.
     """
 
-    values: Floats
-    drifts: tuple[tuple[int, int, DriftWith | None], ...] = ()
+    profiles: Floats
+    spans: Indices | None = None
+    drifts: tuple[DriftWith | None, ...] = ()
+    pairs: Indices | None = None
 
-
-class Spans(NamedTuple):
-    """Candidates by which an item is off from a row up to but excluding another: ``edges`` (c, 2)."""
-
-    edges: Indices
+    def of_profiles(self, values: Floats) -> Floats:
+        """Return what each candidate has of ``values`` (p, …) that each profile has."""
+        return values if self.pairs is None else np.asarray(values[self.pairs[:, 1]] - values[self.pairs[:, 0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """All candidates of one item and form.
 
-    ``columns`` (m, d) are the whitened changes of the predictions by each number that is off by its typical size
-    ``sizes`` (d,) [SI ``units``]. ``nuisance`` (m, f) are columns that are fitted with it. ``kind`` says which hypotheses
-    share one prior probability.
+    ``columns`` (m, d + f) are the whitened changes of the predictions by each number that is off by its typical size
+    ``sizes`` (d,) [SI ``units``], then those that are fitted with it. ``kind`` says which hypotheses share one prior
+    probability.
     """
 
+    fit: WhitenedFit
     kind: str
     item: str
     form: str
     columns: Floats
     sizes: Floats
     units: tuple[str, ...]
-    candidates: Profiles | Spans
-    nuisance: Floats | None = None
+    candidates: Candidates
 
     @property
     def name(self) -> str:
@@ -71,14 +76,12 @@ class Hypothesis:
     @property
     def count(self) -> int:
         """Return the number of candidates."""
-        return len(self.candidates[0])
+        return len(self.candidates.profiles if self.candidates.pairs is None else self.candidates.pairs)
 
-    def candidate(self, number: int, row: Indices) -> Floats:
-        """Return the columns (m, d) of a candidate; ``row`` (m,) are the rows of the residuals."""
-        if isinstance(self.candidates, Profiles):
-            return np.asarray(self.columns * self.candidates.values[number][row][:, None])
-        first, last = self.candidates.edges[number]
-        return np.asarray(self.columns * ((row >= first) & (row < last))[:, None])
+    def candidate(self, number: int) -> Floats:
+        """Return the columns (m, d) of a candidate."""
+        profile = self.candidates.of_profiles(self.candidates.profiles)[number]
+        return np.asarray(self.columns[:, : self.sizes.size] * profile[self.fit.row, None])
 
 
 class Catalogue:
@@ -87,10 +90,11 @@ class Catalogue:
     def __init__(self, fit: WhitenedFit) -> None:
         self.fit = fit
         self.hypotheses: list[Hypothesis] = []
-        self.always = Profiles(np.ones((1, fit.n)))
-        self.drifts = drift_profiles(fit)
-        self.steps = Spans(steps_from(np.arange(LEAST_ROWS, fit.n - LEAST_ROWS + 1), fit.n))
-        self.runs = Spans(runs_between(np.unique(np.linspace(0, fit.n, KNOTS).astype(np.intp)), fit.n))
+        self.always = Candidates(np.ones((1, fit.n)))
+        self.drifts = drifts_of(fit)
+        knots = away_from_edges(np.unique(np.linspace(0, fit.n, KNOTS).astype(np.intp)), fit)
+        spans = np.stack([knots[edge] for edge in np.triu_indices(knots.size, 1)], axis=1)
+        self.runs = spans_of(spans[np.ptp(spans, axis=1) < fit.n], fit.n)
 
     def add(
         self,
@@ -98,24 +102,26 @@ class Catalogue:
         form: str,
         columns: Floats,
         units: Sequence[str],
-        candidates: Profiles | Spans,
+        candidates: Candidates,
         sizes: Floats | None = None,
-        nuisance: Floats | None = None,
+        nuisance: Sequence[Floats] = (),
     ) -> None:
-        """Add a hypothesis; ``columns`` (m, d) are per SI unit, ``sizes`` (d,) typical ones if not those of the units."""
-        if not (len(candidates[0]) and columns.any()):
+        """Add a hypothesis; ``columns`` (m, d) are per SI unit, ``sizes`` (d,) typical ones if not those of the units.
+
+        Columns of a ``nuisance`` are fitted with it.
+        """
+        if not (candidates.profiles.any() and columns.any()):
             return
         size = np.array([TYPICAL[unit] for unit in units]) if sizes is None else sizes
         kind = f"{kind_of(item, self.fit)} {form}"
-        self.hypotheses.append(Hypothesis(kind, item, form, columns * size, size, tuple(units), candidates, nuisance))
+        whole = np.column_stack([columns * size, *nuisance])
+        self.hypotheses.append(Hypothesis(self.fit, kind, item, form, whole, size, tuple(units), candidates))
 
-    def rows_used(self, columns: Floats) -> Indices:
-        """Return the rows (u,) that some columns (m, d) touch."""
-        return np.flatnonzero(np.bincount(self.fit.row[columns.any(axis=1)], minlength=self.fit.n))
-
-    def steps_within(self, columns: Floats) -> Spans:
-        """Return steps that begin in a row which the columns touch, with LEAST_ROWS of them on either side."""
-        return Spans(steps_from(self.rows_used(columns)[LEAST_ROWS : 1 - LEAST_ROWS], self.fit.n))
+    def steps(self, columns: Floats) -> Candidates:
+        """Return steps between the rows that some columns (m, d) touch, with LEAST_ROWS of them on either side."""
+        rows = away_from_edges(rows_used(columns, self.fit)[LEAST_ROWS : 1 - LEAST_ROWS], self.fit)
+        knots = rows[thinned(rows.size, STEPS)]
+        return spans_of(np.stack([knots, np.full(knots.size, self.fit.n)], axis=1), self.fit.n)
 
 
 def catalogue(fit: WhitenedFit) -> list[Hypothesis]:
@@ -138,13 +144,12 @@ def add_item(out: Catalogue, cause: Cause) -> None:
     fit, fault = out.fit, cause.fault
     index = fit.errors.indices(cause.numbers)
     columns, units = fit.fault_jac[:, index], [fit.errors.units[i] for i in index]
-    rows_used = out.rows_used(columns)
-    if fault.moved or rows_used.size < 2 * LEAST_ROWS:  # joints have functions of their own
+    if fault.moved or rows_used(columns, fit).size < 2 * LEAST_ROWS:  # joints have functions of their own
         return
     if is_constant(cause, fit):
         out.add(cause.name, "offset", columns, units, out.always)
     if fault.step:
-        out.add(cause.name, "step", columns, units, out.steps_within(columns))
+        out.add(cause.name, "step", columns, units, out.steps(columns))
     if fault.run or fault.window:
         out.add(cause.name, "run", columns, units, out.runs)
     out.add(cause.name, "drift", columns, units, out.drifts)
@@ -170,7 +175,7 @@ def add_groups(out: Catalogue) -> None:
 def add_tilt(out: Catalogue) -> None:
     """Add a base that tilts about its level axes: the usual one of its six motions, and so a hypothesis by itself."""
     columns = out.fit.fault_jac[:, out.fit.errors.indices(["base.rx", "base.ry"])]
-    out.add("base.tilt", "step", columns, ["rad"] * 2, out.steps)
+    out.add("base.tilt", "step", columns, ["rad"] * 2, out.steps(columns))
     out.add("base.tilt", "drift", columns, ["rad"] * 2, out.drifts)
 
 
@@ -186,31 +191,29 @@ def add_joints(out: Catalogue) -> None:
         z = (reading - reading.mean()) / max(float(reading.std()), 1e-9)
         polynomial = columns * np.stack([z, z**2, z**3], axis=1) * TYPICAL[units[0]]
         out.add(name, "run", columns, units, out.runs)
-        out.add(name, "step", columns, units, out.steps)
+        out.add(name, "step", columns, units, out.steps(columns))
         out.add(name, "drift", columns, units, out.drifts)
-        direction, move = (moves_of(fit, name, drift) for drift in (DriftWith.DIRECTION, DriftWith.MOVE))
-        out.add(name, "backlash", columns, units, direction, nuisance=polynomial)
-        out.add(name, "settling", columns, units, move, np.array([MOVED_SHARE]), nuisance=polynomial)
+        for form, drift in LAST_MOVE.items():
+            course = fit.how.table.during(name, drift, 0, fit.how.total)
+            if course is not None:
+                size = np.array([MOVED_SHARE if drift is DriftWith.MOVE else TYPICAL[units[0]]])
+                by_move = columns * course[fit.how.row][fit.row, None]
+                out.add(name, form, by_move, units, out.always, size, nuisance=[polynomial])
         if units == ["rad"]:
             wheel = columns * np.stack([np.cos(reading), np.sin(reading)], axis=1)
             out.add(name, "eccentricity", wheel, units * 2, out.always)
 
 
-def moves_of(fit: WhitenedFit, joint: str, drift: DriftWith) -> Profiles:
-    """Return the profile of a joint's last direction or move; none if the rows do not know it."""
-    course = fit.how.table.during(joint, drift, 0, fit.how.total)
-    return Profiles(np.zeros((0, fit.n)) if course is None else course[fit.how.row][None])
-
-
 def add_arm(out: Catalogue) -> None:
     """Add a drift of each free parameter of the robot, and a growth of all its lengths together."""
     fit = out.fit
-    usual = [i for i in np.flatnonzero(fit.robot) if fit.units[i] in TYPICAL]
-    for i in usual:
-        out.add(fit.names[i], "drift", fit.jac[:, [i]], [fit.units[i]], out.drifts)
-    lengths = [i for i in usual if fit.units[i] == "m"]
-    growth = fit.jac[:, lengths] @ fit.values[lengths]
-    out.add("arm", "growth", growth[:, None], ["1"], out.drifts, np.array([GROWTH]))
+    usual = {name: parameter for name, parameter in fit.arm.items() if parameter.unit in TYPICAL}
+    for name, parameter in usual.items():
+        out.add(name, "drift", fit.jac[:, [parameter.column]], [parameter.unit], out.drifts)
+    growth = np.zeros((fit.residual.size, 1))
+    for length in (parameter for parameter in usual.values() if parameter.unit == "m"):
+        growth += fit.jac[:, [length.column]] * length.value
+    out.add("arm", "growth", growth, ["1"], out.drifts, np.array([GROWTH]))
 
 
 def add_loose_flange(out: Catalogue) -> None:
@@ -225,9 +228,9 @@ def add_loose_flange(out: Catalogue) -> None:
     out.add("tool", "loose", np.asarray(columns) * side[fit.row], ["m"] * 3, out.always)
 
 
-def drift_profiles(fit: WhitenedFit) -> Profiles:
+def drifts_of(fit: WhitenedFit) -> Candidates:
     """Return the profiles of a drift in each session: linear in time, settling, and linear in the temperature."""
-    values, drifts = [], []
+    profiles, spans, drifts = [np.zeros((0, fit.n))], [np.zeros((0, 2), dtype=np.intp)], list[DriftWith | None]()
     for session in np.unique(fit.how.session):
         rows = np.flatnonzero(fit.how.session == session)
         first, last = int(fit.how.row[rows[0]]), int(fit.how.row[rows[-1]]) + 1
@@ -236,29 +239,40 @@ def drift_profiles(fit: WhitenedFit) -> Profiles:
             if course is None or (drift is DriftWith.TEMPERATURE and np.ptp(course) < LEAST_WARMING):
                 continue
             share = (course - course[0]) / np.ptp(course)
-            bent = -np.expm1(-BEND * share) / -np.expm1(-BEND)
-            for linear, profile in ((drift, share), (None, bent))[: 2 if drift is DriftWith.TIME else 1]:
-                whole = np.zeros(fit.n)
-                whole[rows] = profile[fit.how.row[rows] - first]
-                values.append(whole)
-                drifts.append((int(rows[0]), int(rows[-1]) + 1, linear))
-    return Profiles(np.array(values).reshape(-1, fit.n), tuple(drifts))
+            shapes: dict[DriftWith | None, Floats] = {drift: share}
+            if drift is DriftWith.TIME:
+                shapes[None] = np.expm1(-BEND * share) / np.expm1(-BEND)
+            for linear, shape in shapes.items():
+                whole = np.zeros((1, fit.n))
+                whole[0, rows] = shape[fit.how.row[rows] - first]
+                profiles.append(whole)
+                spans.append(np.array([[rows[0], rows[-1] + 1]]))
+                drifts.append(linear)
+    return Candidates(np.concatenate(profiles), np.concatenate(spans), tuple(drifts))
 
 
-def steps_from(first: Indices, n: int) -> Indices:
-    """Return spans (c, 2) from some rows to the last of n."""
-    return np.stack([first, np.full(first.size, n)], axis=1)
+def spans_of(spans: Indices, n: int) -> Candidates:
+    """Return candidates by which an item is off from a row up to but excluding another, at least LEAST_ROWS later."""
+    spans = spans[np.diff(spans)[:, 0] >= LEAST_ROWS]
+    edges, pairs = np.unique(spans, return_inverse=True)
+    return Candidates((np.arange(n) < edges[:, None]).astype(float), spans, pairs=pairs.reshape(-1, 2))
 
 
-def runs_between(knots: Indices, n: int) -> Indices:
-    """Return spans (c, 2) between every two knots, at least LEAST_ROWS long and not all of the n rows."""
-    first, last = (knots[edge] for edge in np.triu_indices(knots.size, 1))
-    enough = (last - first >= LEAST_ROWS) & (last - first < n)
-    return np.stack([first[enough], last[enough]], axis=1)
+def away_from_edges(rows: Indices, fit: WhitenedFit) -> Indices:
+    """Return those of some rows that are not near an edge of a place, where errors of the model make steps."""
+    if fit.how.place is None:
+        return rows
+    edges = np.flatnonzero(np.diff(fit.how.place)) + 1
+    return np.asarray(rows[(np.abs(rows[:, None] - edges) > OWN_EDGE).all(axis=1)])
+
+
+def rows_used(columns: Floats, fit: WhitenedFit) -> Indices:
+    """Return the rows (u,) that some columns (m, d) touch."""
+    return np.flatnonzero(np.bincount(fit.row[columns.any(axis=1)], minlength=fit.n))
 
 
 def kind_of(item: str, fit: WhitenedFit) -> str:
     """Return the type of an item: "chuck" for "chuck.c1", "joint" for each joint, "arm" for the robot's parameters."""
     if any(cause.name == item and cause.fault.moved for cause in fit.causes):
         return "joint"
-    return "arm" if item in fit.names and item not in fit.errors.names else item.partition(".")[0]
+    return "arm" if item in fit.arm and item not in fit.errors.names else item.partition(".")[0]

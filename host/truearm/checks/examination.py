@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from truearm.checks.averaging import Average, Part, averaged, unseen
-from truearm.checks.catalogue import Profiles, catalogue
-from truearm.checks.evidence import Design, Weighed, amount_of, build_design, rows_of
-from truearm.checks.held_out import LeftOut
-from truearm.checks.noise import DECLARED
+from truearm.checks.catalogue import LAST_MOVE, catalogue
+from truearm.checks.evidence import Design, Weighed, amount_of, build_design
+from truearm.checks.held_out import gain, left_out
 from truearm.checks.search import RIVAL, Search, checked, columns_of
-from truearm.checks.whitened import WhitenedFit, whitened_fit
+from truearm.checks.whitened import DECLARED, WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
@@ -23,8 +22,8 @@ from truearm.estimate.whitened_rows import only
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import MOVES, Diagnosis, DriftWith, Effect, Estimate, Rival, Size, ToolClaim
-from truearm.types import Floats, Indices, Mask, Rigs, thinned
+from truearm.results import MOVES, Diagnosis, Effect, Estimate, Rival, Size, ToolClaim
+from truearm.types import Floats, Mask, Rigs, thinned
 
 GROSS = 30.0  # σ of the residuals: a fit this distorted shows only that the inputs are wrong
 MEAN = "mean"
@@ -95,12 +94,11 @@ def examined(
     fit = whitened_fit(problem, estimate.value, estimate.free, how, estimate.law_parameters)
     if is_distorted(fit):
         return None
-    result = checked(fit, catalogue(fit), places_of(table, fit))
+    result = checked(fit, catalogue(fit))
     gram = tool_gram(chain, rig, table.select(fitted), estimate, any_base)
-    covariance = estimate.covariance[np.ix_(estimate.free, estimate.free)]
-    average = averaged(result, gram, covariance)
+    average = averaged(result, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)])
     kernel = result.design.kernel
-    declared = build_design(fit, DECLARED).extended(columns_of(result.detections, fit))
+    declared = build_design(fit, DECLARED, fit.wide_prior).extended(columns_of(result.detections, fit))
     claim = ToolClaim(
         *average.parts(),
         kernel.name,
@@ -117,24 +115,14 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     problem, x = judgement.problem, judgement.x
     problem = replace(problem, prior_sigma=np.where(judgement.settled, problem.prior_sigma, np.inf))
     how = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
-    plain = whitened_fit(problem, x, ways.columns, how)
-    k, none = ways.matrix.shape[1], np.zeros(0)
-    fit = replace(
-        plain,
-        jac=plain.jac @ ways.matrix,
-        knowledge_jac=np.concatenate([plain.knowledge_jac @ ways.matrix, np.eye(ways.known, k)]),
-        knowledge_residual=np.concatenate([plain.knowledge_residual, np.zeros(ways.known)]),
-        prior_jac=np.zeros((0, k)),
-        prior_residual=none,
-        robot=np.zeros(k, dtype=bool),
-        leeway=np.zeros((0, k)),
-        names=(),
-        units=(),
-        values=none,
-    )
+    fit = whitened_fit(problem, x, ways.columns, how)
+    k = ways.matrix.shape[1]
+    prior = np.column_stack([fit.prior[:, :-1] @ ways.matrix, fit.prior[:, -1]])
+    prior = np.concatenate([prior, np.eye(ways.known, k + 1)])
+    fit = replace(fit, jac=fit.jac @ ways.matrix, prior=prior, wide_prior=prior, arm={})
     if is_distorted(fit):
         return ()
-    result = checked(fit, catalogue(fit), places_of(table, fit))
+    result = checked(fit, catalogue(fit))
     return diagnoses(result, averaged(result, np.zeros((k, k)), np.zeros((k, k))), table)
 
 
@@ -147,47 +135,33 @@ def is_distorted(fit: WhitenedFit) -> bool:
 
 def diagnoses(result: Search, average: Average, table: ObservationTable) -> tuple[Diagnosis, ...]:
     """Return the findings of a search, each with its rivals and what applying one of them, or their mean, gives."""
-    fit, out = result.design.fit, []
+    out = []
     for number, (detection, options) in enumerate(zip(result.detections, average.choices, strict=True)):
-        neighbours = columns_of([neighbour for neighbour in result.detections if neighbour is not detection], fit)
-        held_out = LeftOut(fit, neighbours, result.blocks)
-        columns = [part.weighed.hypothesis.candidate(part.weighed.best, fit.row) for part in options]
-        residuals = [held_out.residual_with(by) for by in columns]
-        rivals = tuple(
-            rival_of(part, fit, average, {number: part.step}, held_out.gain(residual))
-            for part, residual in zip(options, residuals, strict=True)
+        beside = result.fitted.extended(result.beside(detection))
+        before = left_out(beside, result.block)
+        after = [left_out(beside.extended(part.weighed.columns), result.block) for part in options]
+        mean = np.sum([part.weight * residual for part, residual in zip(options, after, strict=True)], axis=0)
+        names = [(part.weighed.name, apply_name(part.weighed), rows_of(part.weighed), part.weight) for part in options]
+        steps = [*(part.step for part in options), average.means()[number]]
+        *rivals, whole = (
+            Rival(*name, average.moves(step), average.error({number: step}), *gain(before, residual, result.block))
+            for name, step, residual in zip([*names, (MEAN, MEAN, None, 1.0)], steps, [*after, mean], strict=True)
         )
-        mean = np.sum([part.weight * residual for part, residual in zip(options, residuals, strict=True)], axis=0)
-        step = average.means()[number]
-        whole = Rival(MEAN, MEAN, None, 1.0, average.moves(step), average.error({number: step}), *held_out.gain(mean))
-        best = detection.best
-        sizes = sizes_of(options[0].weighed, result.design)
+        best, sizes = detection.best, sizes_of(options[0].weighed, result.design)
+        deciding_mount = deciding(options, result.design, table)
         out.append(
             Diagnosis(
-                rivals,
+                tuple(rivals),
                 whole,
                 detection.aliases,
                 sizes,
                 best.drop,
                 best.freedom,
                 best.log_evidence,
-                deciding(options, result.design, table),
+                deciding_mount,
             )
         )
     return tuple(out)
-
-
-def rival_of(
-    part: Part, fit: WhitenedFit, average: Average, applied: Mapping[int, Floats], gain: tuple[float, float]
-) -> Rival:
-    """Return an explanation in rows of the user's table."""
-    weighed = part.weighed
-    span = rows_of(weighed)
-    rows = None if span is None else fit.how.in_table(*span)
-    hypothesis = weighed.hypothesis
-    no_remedy = hypothesis.item.endswith(EVERY) or hypothesis.form == LASTING
-    name = "" if no_remedy else apply_name(weighed, fit)
-    return Rival(weighed.name, name, rows, part.weight, average.moves(part.step), average.error(applied), *gain)
 
 
 def deciding(options: Sequence[Part], design: Design, table: ObservationTable) -> tuple[str, ...]:
@@ -196,7 +170,7 @@ def deciding(options: Sequence[Part], design: Design, table: ObservationTable) -
     Formula (14) of docs/explanation/hypotheses.md. Empty if no mount is expected to give one nat.
     """
     fit = design.fit
-    predicted = np.array([fit.jac @ part.step + at_the_end(part.weighed, fit) @ part.size for part in options])
+    predicted = np.array([fit.jac @ part.step + at_the_end(part.weighed) @ part.size for part in options])
     square = (predicted - predicted[0]) ** 2 / (1.0 + ((fit.jac @ design.root) ** 2).sum(axis=1))
     run = fit.how.run[fit.row]
     nats = 0.5 * np.array([np.bincount(run, of_rival) for of_rival in square])
@@ -208,35 +182,39 @@ def deciding(options: Sequence[Part], design: Design, table: ObservationTable) -
     return tuple(f"{column} {table[column][row]}" for column in columns if table[column][row])
 
 
-def at_the_end(weighed: Weighed, fit: WhitenedFit) -> Floats:
+def at_the_end(weighed: Weighed) -> Floats:
     """Return the columns (m, d) of an explanation if all rows were measured again at the end of their session."""
-    candidates, columns = weighed.hypothesis.candidates, weighed.hypothesis.columns
-    if not isinstance(candidates, Profiles):
-        return columns * float(candidates.edges[weighed.best, 1] == fit.n)
-    if not candidates.drifts:
-        return weighed.hypothesis.candidate(weighed.best, fit.row)
-    last = candidates.drifts[weighed.best][1] - 1
-    return np.asarray(columns * candidates.values[weighed.best, last])
+    candidates = weighed.hypothesis.candidates
+    if candidates.spans is None:
+        return weighed.columns
+    row = candidates.spans[weighed.best, 1] - 1 if candidates.drifts else -1
+    return np.asarray(weighed.hypothesis.columns * candidates.of_profiles(candidates.profiles)[weighed.best, row])
 
 
-LAST_MOVE = {"backlash": DriftWith.DIRECTION, "settling": DriftWith.MOVE}
+def rows_of(weighed: Weighed) -> tuple[int, int] | None:
+    """Return the rows [first, after last) of the user's table that an explanation concerns; None for all of a session."""
+    candidates, how = weighed.hypothesis.candidates, weighed.hypothesis.fit.how
+    if candidates.spans is None or candidates.drifts:
+        return None
+    return how.in_table(*candidates.spans[weighed.best].tolist())
 
 
-def apply_name(weighed: Weighed, fit: WhitenedFit) -> str:
-    """Return the ``Effect`` that an explanation is, which a fit can estimate; otherwise the name of the explanation."""
+def apply_name(weighed: Weighed) -> str:
+    """Return the ``Effect`` that an explanation is, which a fit can estimate; otherwise its name; "" without a remedy."""
     hypothesis, candidates = weighed.hypothesis, weighed.hypothesis.candidates
-    span, drift = rows_of(weighed), LAST_MOVE.get(hypothesis.form)
-    if isinstance(candidates, Profiles) and candidates.drifts:
-        first, last, drift = candidates.drifts[weighed.best]
-        span = first, last
+    how, drift = hypothesis.fit.how, LAST_MOVE.get(hypothesis.form)
+    if hypothesis.item.endswith(EVERY) or hypothesis.form == LASTING:
+        return ""
+    if candidates.drifts:
+        drift = candidates.drifts[weighed.best]
         if drift is None:
             return f"{hypothesis.item}.bent_{hypothesis.form}"
-    elif span is None and hypothesis.form != "offset" and drift is None:
+    elif candidates.spans is None and hypothesis.form != "offset" and drift is None:
         return hypothesis.name
-    if all(cause.name != hypothesis.item for cause in fit.causes):
+    if all(cause.name != hypothesis.item for cause in hypothesis.fit.causes):
         return hypothesis.name
-    first, last = (0, fit.how.total) if span is None else fit.how.in_table(*span)
-    return str(Effect(hypothesis.item, first, None if last == fit.how.total else last, drift))
+    first, last = (0, how.total) if candidates.spans is None else how.in_table(*candidates.spans[weighed.best].tolist())
+    return str(Effect(hypothesis.item, first, None if last == how.total else last, drift))
 
 
 def sizes_of(weighed: Weighed, design: Design) -> tuple[Size, ...]:
@@ -250,12 +228,6 @@ def sizes_of(weighed: Weighed, design: Design) -> tuple[Size, ...]:
         along = of_unit / max(size, 1e-300)
         out.append(Size(unit, size, float(np.linalg.norm(along @ (root * typical[:, None])[mine]))))
     return tuple(out)
-
-
-def places_of(table: ObservationTable, fit: WhitenedFit) -> Indices | None:
-    """Return the numbers (n,) of the places of the fit's rows; None if the table has none."""
-    place = table.place[fit.how.row]
-    return np.unique(place, return_inverse=True)[1] if (place != "").all() else None
 
 
 def tool_gram(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False) -> Floats:

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from truearm.checks.alternatives import Robots, tiers
+from truearm.checks.alternatives import Robots, other_interpretations
 from truearm.checks.examination import GROSS
 from truearm.checks.labels import relabelled
 from truearm.checks.trial import (
@@ -41,7 +41,6 @@ from truearm.units import UNITS
 
 STEPS_TO_RANK = 2  # to place base, tool and rig
 MOST_PLACED, MOST_FITTED = 8, 4  # the best alternatives that go on
-MOST_NAMED = 3
 RIVALS = math.log(100.0)  # nats, of explanations that are reported with the best
 MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search
 TENFOLD = 0.1  # of χ²
@@ -99,21 +98,16 @@ def explanations_of(
         if explains(original, freed, 1, 1.0):
             return (_explanation(original, freed, 1),), 1
         original = freed
-    tried = 1
-    trials: list[Trial] = []
-    for tier in tiers(inputs, robots, allowed):
-        tried += len(tier)
-        trials = explaining(original, tier, tried)
-        if trials:
-            break
-    trials.sort(key=lambda trial: -evidence(original, trial))
+    alternatives = other_interpretations(inputs, robots, allowed)
+    tried = 1 + len(alternatives)
+    trials = explaining(original, alternatives, tried)
     rivals = [
         _explanation(original, trial, tried)
         for trial in trials
         if evidence(original, trial) > evidence(original, trials[0]) - RIVALS
     ]
     distinct = {(rival.code, str(rival.values)): rival for rival in reversed(rivals)}
-    return tuple(reversed(distinct.values()))[:MOST_NAMED], tried
+    return tuple(reversed(distinct.values())), tried
 
 
 def other_set_up(original: Trial) -> tuple[tuple[Explanation, ...], int]:
@@ -129,13 +123,13 @@ def other_set_up(original: Trial) -> tuple[tuple[Explanation, ...], int]:
     return ((_explanation(original, after, 1),) if after.reduced <= by_noise else ()), 1
 
 
-def explaining(original: Trial, tier: Sequence[Alternative], count: int) -> list[Trial]:
-    """Return the trials of alternatives that explain the rows, of those with the greatest evidence in quick fits."""
+def explaining(original: Trial, alternatives: Sequence[Alternative], count: int) -> list[Trial]:
+    """Return the trials of alternatives that explain the rows, the most probable first, of those best in quick fits."""
     goal = (AS_WELL if original.displacement > FAR else HUNDREDFOLD) * original.reduced
-    quick = _ranked(original, [placed(alternative, STEPS_TO_RANK) for alternative in tier])[:MOST_PLACED]
+    quick = _ranked(original, [placed(alternative, STEPS_TO_RANK) for alternative in alternatives])[:MOST_PLACED]
     best = _ranked(original, [placed(trial.alternative, start=trial.parameters) for trial in quick])[:MOST_FITTED]
-    trials = [fitted(trial.alternative, goal, trial.parameters) for trial in best]
-    return [trial for trial in trials if trial is not None and explains(original, trial, count)]
+    trials = _ranked(original, [fitted(trial.alternative, goal, trial.parameters) for trial in best])
+    return [trial for trial in trials if explains(original, trial, count)]
 
 
 def _ranked(original: Trial, trials: Sequence[Trial | None]) -> list[Trial]:

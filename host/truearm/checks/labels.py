@@ -9,6 +9,7 @@ fits without each mount, and without each half, compete with that of all rows.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -87,7 +88,8 @@ def relabelled(inputs: Alternative) -> tuple[Alternative, tuple[WrongLabels, ...
         "others": int((changed == original).sum()),
     }
     code = "rows-apart" if only_apart else "wrong-labels"
-    return replace(inputs, code=code, values=values, table=restored, rows=inputs.rows[fits]), out
+    price = len(runs) * math.log(len(table) * (len(possible) + 1))
+    return replace(inputs, code=code, values=values, table=restored, rows=inputs.rows[fits], price=price), out
 
 
 def _named(table: ObservationTable, run: WrongLabels) -> str:

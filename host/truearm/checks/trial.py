@@ -49,6 +49,7 @@ class Alternative:
     """An interpretation of the inputs, and the finding if it explains the observations.
 
     ``rows`` (m,) of the table are those that it explains. It multiplies the numbers of ``rescaled`` columns by factors.
+    ``price`` [nats] is the logarithm of the number of ways from which the rows have chosen it.
     """
 
     chain: Chain
@@ -60,6 +61,7 @@ class Alternative:
     values: Mapping[str, Any] = field(default_factory=dict)
     effects: tuple[Effect, ...] = ()
     rescaled: Mapping[str, float] = field(default_factory=dict)
+    price: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ def evidence(before: Trial, after: Trial) -> float:
     """Return the logarithm of the evidence for an alternative, up to a constant; rows that it leaves out gain nothing."""
     share = after.alternative.rows.size / before.alternative.rows.size
     gain = math.log(before.reduced / max(after.reduced, 1e-300))
-    return 0.5 * (share * after.freedom * gain - after.displacement**2)
+    return 0.5 * (share * after.freedom * gain - after.displacement**2) - after.alternative.price
 
 
 def log_chance(ratio: float, freedom: float) -> float:

@@ -1,8 +1,11 @@
-"""The rows of a finished fit, whitened by the declared noise, and their derivatives by everything that can be off."""
+"""The rows of a finished fit, whitened by their noise, and their derivatives by everything that can be off."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,45 +18,105 @@ from truearm.estimate.systematic_effects import Cause, Errors, error_columns
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.group import Group, KindFault
 from truearm.model.chain import forward
-from truearm.types import Floats, Indices, Mask
+from truearm.types import Floats, Indices
 from truearm.units import UNITS
 
 MOST_ROWS = 1000  # of a longer table, an evenly spaced selection is examined
 
 
+class ArmParameter(NamedTuple):
+    """A free parameter of the robot: its column of the derivatives, its SI unit, and its value."""
+
+    column: int
+    unit: str
+    value: float
+
+
 @dataclass(frozen=True)
 class WhitenedFit:
-    """m scalar residuals of n rows in the order of measurement, and k free parameters.
+    """m scalar residuals of n rows in the order of measurement, whitened by the declared noise, and k free parameters.
 
-    To first order, residual = jac δ + (columns of whatever is off) β + noise of unit variance. ``known_*`` are further
-    rows: what the rig says of its numbers, and distances between sockets. The robot's prior stands apart, because a
-    false one would be reported as a fault of the rig.
+    To first order, residual = jac δ + (columns of whatever is off) β + noise of unit variance. ``prior`` and
+    ``wide_prior`` (·, k + 1) are further rows of derivatives and residuals: what the rig says of its numbers, distances
+    between sockets, and the robot's prior. ``wide_prior`` has a wide one about the fit instead, because a false one
+    would be reported as a fault of the rig.
     """
 
     row: Indices  # (m,) from 0 to n − 1
     component: Indices  # (m,) numbers: scalar residuals of one kind and unit
     jac: Floats  # (m, k)
     residual: Floats  # (m,)
-    knowledge_jac: Floats  # (κ, k)
-    knowledge_residual: Floats  # (κ,)
-    prior_jac: Floats  # (π, k) of the robot
-    prior_residual: Floats  # (π,)
-    leeway: Floats  # (l, k) how far an arm can be from the fit: a wide prior of the robot about it
+    prior: Floats
+    wide_prior: Floats
     fault_jac: Floats  # (m, c) by everything in ``errors``
     errors: Errors  # names and SI units of these c columns
     causes: tuple[Cause, ...]  # items with the numbers that are off together
     fitted: frozenset[str]  # numbers that the fit estimates about a wide prior or none: no offset of theirs is a fault
     kind_faults: tuple[KindFault, ...]  # of the kinds, with whitened columns (m, d)
     axes: Floats  # (n, 3, 3) of the end in the base frame
-    robot: Mask  # (k,) its own parameters, without those of joint laws
-    names: tuple[str, ...]  # k
-    units: tuple[str, ...]  # k
-    values: Floats  # (k,)
+    arm: Mapping[str, ArmParameter]  # by name, without those of joint laws
     how: Measured  # the circumstances of the n rows
 
     @property
     def n(self) -> int:
         return int(self.how.row.size)
+
+
+class SharedNoise(NamedTuple):
+    """What components that the same n' rows have share: their residuals (c, n'); eigenvalues and vectors of K (n', n')."""
+
+    residuals: Indices
+    values: Floats
+    vectors: Floats
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The noise of the rows in units of the declared one: V = (1 − share) I + share K = U v Uᵀ = L Lᵀ, with L = U v^½."""
+
+    name: str = "declared"
+    scale: float = 1.0  # ratio of its standard deviation to the declared one
+    share: float = 0.0  # of the variance that rows share
+    gain: float = 0.0  # nats over the declared noise, less the price
+    shared: tuple[SharedNoise, ...] = field(default=(), repr=False)
+
+    @property
+    def declared(self) -> bool:
+        return self.name == "declared"
+
+    @property
+    def log_determinant(self) -> float:
+        """Return log det V."""
+        return sum(len(part.residuals) * float(np.log(self._variances(part)).sum()) for part in self.shared)
+
+    @cached_property
+    def inverses(self) -> list[Floats]:
+        """Return L⁻¹ (n', n') of each part."""
+        return [part.vectors.T / np.sqrt(self._variances(part))[:, None] for part in self.shared]
+
+    def whiten(self, columns: Floats) -> Floats:
+        """Return columns (m, d) divided by the root of the noise's covariance."""
+        return self._product(self.inverses, columns / self.scale)
+
+    def dual(self, vectors: Floats) -> Floats:
+        """Return L⁻ᵀ vectors (m, x): the product of whitened columns with vectors is that of the columns with these."""
+        return self._product([inverse.T for inverse in self.inverses], vectors / self.scale)
+
+    def spread(self, columns: Floats) -> Floats:
+        """Return Lᵀ columns (m, d): their Gram matrix is columnsᵀ V columns."""
+        roots = [np.sqrt(self._variances(part))[:, None] * part.vectors.T for part in self.shared]
+        return self._product(roots, columns * self.scale)
+
+    def _variances(self, part: SharedNoise) -> Floats:
+        return 1.0 - self.share + self.share * np.maximum(part.values, 1e-9)
+
+    def _product(self, matrices: Sequence[Floats], vectors: Floats) -> Floats:
+        for part, matrix in zip(self.shared, matrices, strict=True):
+            vectors[part.residuals] = matrix @ vectors[part.residuals]
+        return vectors
+
+
+DECLARED = Kernel()
 
 
 def whitened_fit(
@@ -66,95 +129,75 @@ def whitened_fit(
     """
     rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
     kept = rows_used[:: -(-rows_used.size // MOST_ROWS)]
-    problem = only(problem, np.isin(np.arange(problem.n_rows), kept))
-    how = how.take(kept)
-    place = np.zeros(problem.n_rows, dtype=np.intp)
-    place[kept] = np.arange(kept.size)
-    pieces: list[tuple[Indices, Indices, Floats]] = []
-    faults: list[tuple[int, KindFault]] = []
-    knowledge_parts: list[Floats] = []
-    start = components = 0
-    for group in problem.groups:
-        stacked, kind_faults = _whitened_group(group, problem, x, columns)
-        width = len(group.COMPONENTS)
+    problem, how = only(problem, np.isin(np.arange(problem.n_rows), kept)), how.take(kept)
+    p, k = problem.n_robot, int(columns.sum())
+    faults = [{(f.item, f.form): f for f in group.faults(problem.chain, x)} for group in problem.groups]
+    forms = {key: fault for of_group in faults for key, fault in of_group.items()}
+    pieces, knowledge, components = [], [np.zeros((0, k + 1))], 0
+    for group, of_group in zip(problem.groups, faults, strict=True):
+        by_faults = [
+            of_group.get(
+                key, fault._replace(columns=np.zeros((*group.sensor_cov.shape[1::-1], fault.columns.shape[2])))
+            )
+            for key, fault in forms.items()
+        ]
+        whole = _whitened_group(group, [fault.columns for fault in by_faults], problem, x, columns)
         if group.row is None:
-            knowledge_parts.append(stacked[:, [*range(int(columns.sum())), -1]])
+            knowledge.append(whole[:, [*range(k), -1]])
             continue
-        row = np.repeat(place[group.row], width)
-        pieces.append((row, np.tile(np.arange(components, components + width), len(group.row)), stacked))
-        faults += [(start, fault) for fault in kind_faults]
-        start, components = start + row.size, components + width
+        width = len(group.COMPONENTS)
+        numbers = np.tile(np.arange(components, components + width), len(group.row))
+        pieces.append((np.repeat(group.row, width), numbers, whole))
+        components += width
     row, component, whole = (np.concatenate(piece) for piece in zip(*pieces, strict=True))
     order = np.argsort(row, kind="stable")
-    k, sigma = int(columns.sum()), problem.prior_sigma[columns]
-    robot = ~problem.of_rig
-    robot[laws] = False
-    robot = robot[columns]
-    error = (problem.start - x)[columns]
-    rig, of_robot = (np.flatnonzero(np.isfinite(sigma) & mask) for mask in (~robot, robot))
-    wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
-    vague = np.array([UNITS[unit].vague_sigma for unit in problem.units])
-    is_mounting = np.zeros(wide.size, dtype=bool)
-    is_mounting[: problem.n_robot] = mounting(problem.chain, x[: problem.n_robot]).either
-    leeway = np.where(is_mounting, vague, wide)[columns]
-    knowledge = np.concatenate([*knowledge_parts, np.zeros((0, k + 1))])
+    whole = whole[order]
+    ends = np.cumsum([k, len(problem.errors.names), *(fault.columns.shape[2] for fault in forms.values())])
+    jac, fault_jac, *by_forms, residual = np.split(whole, ends, axis=1)
+
+    of_robot = ~problem.of_rig
+    of_robot[laws] = False
+    wide, vague = (np.array([getattr(UNITS[u], size) for u in problem.units]) for size in ("wide_sigma", "vague_sigma"))
+    mounted = np.pad(mounting(problem.chain, x[:p]).either, (0, wide.size - p))
+    leeway, error = np.where(mounted, vague, wide), problem.start - x
+    apart = np.concatenate(knowledge)
+
+    def with_prior(sigma: Floats, error: Floats) -> Floats:
+        sigma, error = sigma[columns], error[columns]
+        return np.concatenate([apart, np.column_stack([np.diag(1.0 / sigma), error / sigma])])
+
+    free = np.flatnonzero(columns).tolist()
     return WhitenedFit(
-        row=row[order],
+        row=np.searchsorted(kept, row[order]),
         component=component[order],
-        jac=whole[order, :k],
-        residual=whole[order, -1],
-        knowledge_jac=np.concatenate([knowledge[:, :-1], np.eye(k)[rig] / sigma[rig, None]]),
-        knowledge_residual=np.concatenate([knowledge[:, -1], error[rig] / sigma[rig]]),
-        prior_jac=np.eye(k)[of_robot] / sigma[of_robot, None],
-        prior_residual=error[of_robot] / sigma[of_robot],
-        leeway=np.eye(k)[robot] / leeway[robot, None],
-        fault_jac=whole[order, k:-1],
+        jac=jac,
+        residual=residual[:, 0],
+        prior=with_prior(problem.prior_sigma, error),
+        wide_prior=with_prior(np.where(of_robot, leeway, problem.prior_sigma), np.where(of_robot, 0.0, error)),
+        fault_jac=fault_jac,
         errors=problem.errors,
         causes=problem.causes,
         fitted=frozenset(np.array(problem.names)[problem.prior_sigma >= wide].tolist()),
-        kind_faults=_merged(faults, row.size, order),
-        axes=forward(problem.chain, x[: problem.n_robot], how.table.q[how.row])[:, :3, :3],
-        robot=robot,
-        names=tuple(problem.names_of(columns)),
-        units=tuple(unit for unit, is_free in zip(problem.units, columns, strict=True) if is_free),
-        values=x[columns],
+        kind_faults=tuple(f._replace(columns=by) for f, by in zip(forms.values(), by_forms, strict=True)),
+        axes=forward(problem.chain, x[:p], how.table.q[how.row])[:, :3, :3],
+        arm={
+            problem.names[i]: ArmParameter(column, problem.units[i], float(x[i]))
+            for column, i in enumerate(free)
+            if of_robot[i]
+        },
         how=how,
     )
 
 
 def _whitened_group(
-    group: Group, problem: Problem, x: Floats, columns: NDArray[np.bool_]
-) -> tuple[Floats, list[KindFault]]:
-    """Return (n·w, k + c + 1) derivatives by x[columns] and by ``problem.errors``, and residuals; all whitened.
-
-    Also the faults that the kind declares, whitened.
-    """
+    group: Group, by_faults: Sequence[Floats], problem: Problem, x: Floats, columns: NDArray[np.bool_]
+) -> Floats:
+    """Return (n·w, k + c + f + 1) derivatives by x[columns], ``problem.errors`` and faults, and residuals; all whitened."""
     p = problem.n_robot
     lin = group.opened(problem.chain, x)
     by_robot, by_rig = lin.wrenches @ lin.twists[:, columns[:p]], lin.jac_rig[:, :, : x.size - p][:, :, columns[p:]]
     residual = lin.residual.reshape(len(group.sensor_cov), -1).T[:, :, None]
-    faults = group.faults(problem.chain, x)
-    derivatives = [
-        by_robot,
-        by_rig,
-        error_columns(lin, problem.errors.bodies),
-        *(fault.columns for fault in faults),
-        residual,
-    ]
+    derivatives = [by_robot, by_rig, error_columns(lin, problem.errors.bodies), *by_faults, residual]
     stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in derivatives])
     whiten(stacked, residual_cov(group.sensor_cov, lin.jac_joints, problem.joint_cov))
-    whole = stacked.transpose(2, 1, 0).reshape(-1, len(stacked))
-    first = sum(part.shape[2] for part in derivatives[:3])
-    ends = np.cumsum([first, *(fault.columns.shape[2] for fault in faults)])
-    kind_faults = [fault._replace(columns=whole[:, a:b]) for fault, a, b in zip(faults, ends, ends[1:], strict=False)]
-    return np.concatenate([whole[:, :first], whole[:, -1:]], axis=1), kind_faults
-
-
-def _merged(faults: list[tuple[int, KindFault]], m: int, order: Indices) -> tuple[KindFault, ...]:
-    """Return the kinds' faults with columns (m, d) over all rows; a fault of several groups is one."""
-    out: dict[tuple[str, str], KindFault] = {}
-    for start, fault in faults:
-        whole = out.get((fault.item, fault.form), fault._replace(columns=np.zeros((m, fault.columns.shape[1]))))
-        whole.columns[start : start + len(fault.columns)] = fault.columns
-        out[fault.item, fault.form] = whole
-    return tuple(fault._replace(columns=fault.columns[order]) for fault in out.values())
+    return stacked.transpose(2, 1, 0).reshape(-1, len(stacked))

@@ -21,6 +21,7 @@ class Measured(NamedTuple):
     table: Circumstances  # of all rows of that table
     session: Indices  # (n,) numbers; a drift extends over one session
     run: Indices  # (n,) numbers; the same items are mounted during a run
+    place: Indices | None  # (n,) numbers; None if not every row has a place
 
     @property
     def total(self) -> int:
@@ -29,7 +30,8 @@ class Measured(NamedTuple):
 
     def take(self, kept: Indices) -> Measured:
         """Return the circumstances of some of the rows."""
-        return self._replace(row=self.row[kept], session=self.session[kept], run=self.run[kept])
+        place = None if self.place is None else self.place[kept]
+        return Measured(self.row[kept], self.table, self.session[kept], self.run[kept], place)
 
     def in_table(self, first: int, last: int) -> tuple[int, int]:
         """Return the first row and the one after the last in the user's table, from those among these rows."""
@@ -39,7 +41,8 @@ class Measured(NamedTuple):
 def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_]) -> Measured:
     """Return how the ``rows`` (n,) of a robot's table were measured; rows of a table are in the order of measurement."""
     some = table.select(rows)
-    return Measured(np.flatnonzero(rows), Circumstances.of(table, chain), sessions(some), mountings(some))
+    place = np.unique(some.place, return_inverse=True)[1] if (some.place != "").all() else None
+    return Measured(np.flatnonzero(rows), Circumstances.of(table, chain), sessions(some), mountings(some), place)
 
 
 def poses(table: ObservationTable) -> Indices:
