@@ -1,4 +1,4 @@
-"""Measure the cost of reading a session, stage by stage, compared with unpacking alone and with the tests' reader of single messages.
+"""Measure the cost of reading a session, stage by stage, compared with unpacking alone.
 
     .venv/bin/python bench/session.py             # 73 and 292 minutes, two seeds, and one with faults
     .venv/bin/python bench/session.py --quick     # 10 minutes
@@ -6,9 +6,8 @@
 
 The sessions are made here: a box at 1017 samples a second with four channels, a robot that says its joints 50 times a second, a dwell every 2.7 s.
 Faulty ones have 1 % of the box's frames lost, doubled, flipped or swapped, and restarts. Seconds are of the processor, on one
-thread; all ratios are of stages that ran in turn in one process. The peer of samples and observations is the oracle,
-that of the joint readings is json.loads on each of their lines. The oracle's observations are its two readings of the file, as they were before
-there were columns, and everything behind them as it is now.
+thread; all ratios are of stages that ran in turn in one process. The peer of the joint readings is json.loads on each of
+their lines.
 """
 
 from __future__ import annotations
@@ -34,18 +33,16 @@ import cbor2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "host"))
-import oracle_box_reader as oracle
 import session_stream
 
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_reader import BoxReader
 from truearm.session.joint_format import COLUMNS, JOINTS, format_reading
-from truearm.session.joint_readings import CHUNK, JointReader, ReadingOrder
-from truearm.session.message_columns import Messages, columns_of
+from truearm.session.joint_readings import ReadingOrder
+from truearm.session.message_columns import Messages
 from truearm.session.observations import observations
-from truearm.session.plan_matching import Marks
 from truearm.session.session_file import Session, open_session
+from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
@@ -223,12 +220,10 @@ def show(name: str, path: Path) -> None:
         "open and check the file": lambda: open_session(path),
         "columns of messages": lambda: sum(map(len, session.batches())),
         "samples": lambda: samples(session),
-        "oracle: samples": lambda: oracle_samples(session),
         "joints": lambda: joints(batches),
         "joints without columns": lambda: joints(without_columns),
         "joints: the library's json": lambda: sum(len(json.loads(line)) for line in lines),
         "observations": lambda: observations(open_session(path).batches, session_stream.RIG),
-        "oracle: its two readings": lambda: oracle_readings(session),
     }
     seconds = {stage: [] for stage in stages}
     for _ in range(RUNS):
@@ -239,13 +234,11 @@ def show(name: str, path: Path) -> None:
             seconds[stage].append(time.process_time() - begin)
     least = {stage: min(times) for stage, times in seconds.items()}
     floor = least["unpacking alone"]
-    least["oracle: observations"] = least["observations"] - shared_reading(session) + least["oracle: its two readings"]
     plain = least["joints: the library's json"]
-    ratio = {"samples": least["oracle: samples"], "observations": least["oracle: observations"]}
-    ratio |= {"joints": plain, "joints without columns": plain}
+    ratio = {"joints": plain, "joints without columns": plain}
     for stage, value in least.items():
-        of_oracle = f"{value / ratio[stage]:15.2f}" if stage in ratio else ""
-        print(f"{name:28}{stage:28}{value:9.3f}{value / floor:14.1f}{of_oracle}", flush=True)
+        of_peer = f"{value / ratio[stage]:15.2f}" if stage in ratio else ""
+        print(f"{name:28}{stage:28}{value:9.3f}{value / floor:14.1f}{of_peer}", flush=True)
 
 
 def joints(batches: Sequence[Messages]) -> int:
@@ -259,48 +252,6 @@ def samples(session: Session) -> int:
     for messages in session.batches():
         total += sum(len(some.counts()) for some in reader.feed(messages))
     return total + sum(len(some.counts()) for some in reader.finish())
-
-
-def oracle_samples(session: Session) -> int:
-    reader, total = oracle.BoxReader(), 0
-    for message in session.messages():
-        total += sum(len(block.counts) for block in reader.feed(message))
-    return total + sum(len(block.counts) for block in reader.finish())
-
-
-def oracle_readings(session: Session) -> None:
-    """Read single messages as earlier versions did: everything once, and the box's messages a second time for the samples."""
-    box, robot, marks, lines = oracle.BoxReader(), JointReader(), Marks(), list[Message]()
-    for message in session.messages():
-        if message.topic == "/robot/joints":
-            lines.append(message)
-            if len(lines) == CHUNK:
-                robot.take(columns_of(lines))
-                lines = []
-        elif message.topic.startswith("/box/") or message.topic == "/sync":
-            box.feed(message)
-        else:
-            marks.feed(message.topic, message.t_host_ns, message.data)
-    robot.take(columns_of(lines))
-    again = oracle.BoxReader(keep_exchanges=False)
-    for message in session.messages({"/box/adc", "/box/ident", "/box/heartbeat", "/box/sync"}):
-        again.feed(message)
-
-
-def shared_reading(session: Session) -> float:
-    """Return the CPU seconds of the part of ``observations`` that replaces the oracle's two passes."""
-    times = []
-    for _ in range(RUNS):
-        begin = time.process_time()
-        box, robot, marks = BoxReader(), JointReader(), Marks()
-        for messages in session.batches():
-            robot.take(messages)
-            for message in messages.of(messages.rows(lambda topic: topic in ("/plan", "/events"))):
-                marks.feed(message.topic, message.t_host_ns, message.data)
-            for some in box.feed(messages):
-                some.counts()
-        times.append(time.process_time() - begin)
-    return min(times)
 
 
 def observing(path: Path) -> tuple[float, float]:

@@ -16,9 +16,9 @@ from truearm.record.ports import BoxPort
 from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.reopening import Reopening
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_reader import BoxReader
 from truearm.session.device_clock import fit_clock
 from truearm.session.session_file import open_session
+from truearm.session.streams import BoxReader
 
 OSR = 1024  # 4069 Hz, four channels: 313 blocks a second, 77 kB
 BUSY_S = 2.0
@@ -88,11 +88,11 @@ def test_two_seconds_of_python_lose_nothing(device, tmp_path):
     assert (losses.frames_lost, losses.samples_lost, losses.samples_overrun, losses.console_bytes) == (0, 0, 0, 0)
     assert sum(map(len, blocks)) == pytest.approx(6.0 * 1e9 / (240 * OSR * 13), rel=0.03)
     assert waiting[0] > 10  # it did pile up, in as many pieces as the system let the reader run
-    fitted = fit_clock(0, reader.segment.exchanges)
+    fitted = fit_clock(0, reader.exchanges(reader.segment))
     assert fitted is not None
     # a block is sent after its last sample; the one that the stop cuts short holds fewer than the others
-    sent_us = np.concatenate([some.t0_us + (some.n - 1) * some.period_ns // 1000 for some in blocks])
-    arrived_ns = np.concatenate([some.t_host_ns for some in blocks])
+    sent_us = np.concatenate([some.frames["t_us"] + (some.n - 1) * some.frames["period_ns"] // 1000 for some in blocks])
+    arrived_ns = np.concatenate([some.frames["t_host_ns"] for some in blocks])
     host_ns, bound_ns = fitted[0].to_host_ns(sent_us)
     late_ns = arrived_ns - host_ns
     toiled = (arrived_ns >= busy[0]) & (arrived_ns <= busy[1])

@@ -48,7 +48,7 @@ def faulty(request, tmp_path_factory):
     )
 
 
-EXPECTED = {  # frames lost, duplicated, console runs with text, console runs, restarts
+EXPECTED = {  # frames lost, malformed, console runs with text, console runs, restarts
     "flip": (1, 0, 0, 1, 0),
     "lose": (1, 0, 0, 0, 0),
     "double": (0, 1, 0, 0, 0),
@@ -69,7 +69,7 @@ def test_inspect_counts_exactly_what_was_injected(faulty):
     kind, session = faulty
     losses = inspect(session.path)["losses"]
     counted = tuple(
-        losses[key] for key in ("frames_lost", "frames_duplicated", "console_text_runs", "console_runs", "restarts")
+        losses[key] for key in ("frames_lost", "frames_malformed", "console_text_runs", "console_runs", "restarts")
     )
     assert counted == EXPECTED[kind]
     lost_samples = losses["samples_lost"] + losses["samples_overrun"]

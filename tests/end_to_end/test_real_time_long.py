@@ -9,8 +9,8 @@ from tests.end_to_end.conftest import truearm_process
 from tests.end_to_end.test_real_time import Simulator
 
 from truearm.session.box_ident import recorded_ident
-from truearm.session.box_reader import BoxReader
 from truearm.session.session_file import open_session
+from truearm.session.streams import BoxReader
 
 pytestmark = pytest.mark.soak
 LOAD = "while True: sum(k * k for k in range(100_000))"
@@ -42,8 +42,9 @@ def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
     reader, taken, begin_us = BoxReader(recorded_ident(session)), 0, None
     for blocks in (*(reader.feed(messages) for messages in session.batches()), reader.finish()):
         for some in blocks:
-            taken, end_us = some.n0[-1] + some.n[-1], some.t0_us[-1] + some.n[-1] * some.period_ns[-1] / 1000
-            begin_us = some.t0_us[0] if begin_us is None else begin_us
+            last, n = some.frames[-1], some.n[-1]
+            taken, end_us = last["n0"] + n, last["t_us"] + n * last["period_ns"] / 1000
+            begin_us = some.frames["t_us"][0] if begin_us is None else begin_us
     losses = reader.losses()
     print(f"{rate} Hz, {seconds} s: {losses}")
     assert losses.samples + losses.samples_lost + losses.samples_overrun == taken

@@ -15,9 +15,9 @@ from truearm.cli.main import main
 from truearm.files.rig_file import format_rig
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_reader import BoxReader
 from truearm.session.joint_readings import JointReader
 from truearm.session.session_file import open_session
+from truearm.session.streams import BoxReader
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import observations_of_session
@@ -140,7 +140,7 @@ def test_cable_and_network(tmp_path, monkeypatch):
     assert {block.segment for block in blocks} == {0, 1}
     assert (reader.losses().samples_overrun, reader.losses().restarts) == (0, 1)
     for segment in (0, 1):  # each life of the box is whole: n0 counts on from block to block
-        n0 = np.concatenate([some.n0 for some in blocks if some.segment == segment])
+        n0 = np.concatenate([some.frames["n0"] for some in blocks if some.segment == segment])
         n = np.concatenate([some.n for some in blocks if some.segment == segment])
         assert n0[0] == 0
         assert np.array_equal(n0[1:], n0[:-1] + n[:-1])

@@ -8,8 +8,8 @@ from session_stream import CHANNELS, PERIOD_NS, Box
 
 from truearm.session.box_frames import Data
 from truearm.session.box_ident import Ident
-from truearm.session.box_reader import BoxReader
 from truearm.session.message_columns import columns_of
+from truearm.session.streams import BoxReader
 
 BLOCK_NS = 13 * PERIOD_NS
 COUNTS = np.arange(13 * CHANNELS).reshape(13, CHANNELS)
@@ -44,8 +44,13 @@ class Block(NamedTuple):
 def singly(blocks):
     """Yield the rows of the blocks of one stream."""
     counts = np.split(blocks.counts(), blocks.first[1:])
-    columns = (blocks.run, blocks.gap, blocks.n, blocks.t_host_ns, blocks.n0, blocks.t0_us, blocks.period_ns)
-    rows = zip(*(column.tolist() for column in columns), blocks.flags.tolist(), counts, strict=True)
+    columns = (
+        blocks.run,
+        blocks.gap,
+        blocks.n,
+        *(blocks.frames[key] for key in ("t_host_ns", "n0", "t_us", "period_ns", "flags")),
+    )
+    rows = zip(*(column.tolist() for column in columns), counts, strict=True)
     for k, (run, gap, n, t_host_ns, n0, t0_us, period_ns, flags, samples) in enumerate(rows):
         offsets = blocks.offsets_us.get(k, b"")
         data = Data(-1, blocks.stream.id, n0, t0_us, period_ns, offsets, samples.tobytes(), flags)

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.clocks import SLEWED_WANDER, WANDER
-from truearm.session.box_reader import BoxReader
 from truearm.session.device_clock import ClockReport, fit_clock
 from truearm.session.message_columns import columns_of
 from truearm.session.robot_clock import Arrivals, fit_robot_clock
+from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire.messages import HEARTBEAT, SYNC_REPLY, encode_payload, names
 
@@ -155,7 +155,7 @@ def box_scenario(seed, seconds=240.0, nominal=False):
 def _judged_box(reader, lives, ends):
     errors, bounds = [], []
     for segment, life, begin, end in zip(reader.segments, lives, ends, ends[1:], strict=False):
-        clock, _ = fit_clock(segment.index, segment.exchanges)
+        clock, _ = fit_clock(segment.index, reader.exchanges(segment))
         device_us = np.floor(1e6 * life.reading(np.linspace(begin, end, 2000))).astype(np.int64)
         host, bound = clock.to_host_ns(device_us)
         errors.append(1e-3 * (host - HOST_NS - 1e9 * life.true(1e-6 * device_us)))

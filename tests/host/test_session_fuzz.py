@@ -36,7 +36,6 @@ from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.box_frames import usual_data
 from truearm.session.box_ident import parse_ident
-from truearm.session.frame_order import BEFORE_FIRST
 from truearm.session.joint_format import COLUMNS
 from truearm.session.session_file import open_session
 from truearm.types import Message
@@ -127,10 +126,8 @@ def judge_stream(rng, raw):
     if not seen or losses.restarts or losses.starts:  # what is out of order may look like a restart
         return
     assert losses.samples == BLOCK * len(set(seen))
-    # What was lost before the first frame that arrived nobody can know, but by a later loss that n0 shows it with. A frame
-    # that overtook more than BEFORE_FIRST others begins the session, and those count as late.
-    ours = [message.data for message in stored if message.data in PAYLOADS]
-    begun = PAYLOADS[0] in ours and PAYLOADS.index(ours[0]) <= BEFORE_FIRST
+    # What was lost before the first frame that arrived nobody can know, but by a later loss that n0 shows it with.
+    begun = next(message.data for message in stored if message.data in PAYLOADS) == PAYLOADS[0]
     counted = losses.samples + losses.samples_lost + losses.samples_overrun
     assert counted == max(seen) + BLOCK or (not begun and counted == max(seen) + BLOCK - min(seen))
 

@@ -15,9 +15,9 @@ import numpy as np
 from truearm.errors import SessionError
 from truearm.record.session_writer import SessionWriter, media_type
 from truearm.session.box_ident import Ident, recorded_ident
-from truearm.session.box_reader import BoxReader
 from truearm.session.message_columns import CHANNELS
 from truearm.session.session_file import Damage, Session
+from truearm.session.streams import BoxReader
 from truearm.types import Ints
 from truearm.units import NS
 
@@ -76,7 +76,7 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     topics: dict[str, TopicAccount] = {}
     first_ns, last_ns = 2**63 - 1, 0
     ident = _ident(session)
-    box = BoxReader(ident, keep_exchanges=False)
+    box = BoxReader(ident)
     with SessionWriter(out, None) as writer:
         for name, entries in session.metadata.items():
             if name not in _WRITERS_OWN:

@@ -1,6 +1,6 @@
 """Decode and check single frames of a box (protocol/SPEC.md §4, §5).
 
-Data, clock exchanges, and documents joined from their pages; ``frame_columns`` decodes the usual frames of a batch at
+Data, clock exchanges, and documents joined from their pages; ``frames`` decodes the usual frames of a batch at
 once. The recorder uses this file too. Files are untrusted: each function returns None if its input is invalid.
 """
 
@@ -21,7 +21,6 @@ TAG_UINT16 = 69
 MAX_PAYLOAD = 250
 MAX_DEVICE_US = 2**53  # 285 years: a later time comes from a damaged or hostile file, and ns still fit 63 bits
 MAX_N0 = 2**62
-MAX_STREAM = 2**62
 _FRAMES_PER_NS = 20_000e-9  # fifty times what the fastest box sends
 _FRAMES_AT_ONCE = 1000  # on a link that delivers late
 
@@ -84,7 +83,7 @@ def data_of(frame: list[Any]) -> Data | None:
     _, seq, stream, n0, t0_us, timing, samples, flags = frame[:8]
     if not (type(stream) is type(n0) is type(t0_us) is type(flags) is int and min(stream, n0, flags) >= 0):
         return None
-    if not (0 <= t0_us < MAX_DEVICE_US and n0 < MAX_N0 and _is_array(samples, TAG_INT32)):
+    if not (0 <= t0_us < MAX_DEVICE_US and max(stream, n0, flags) < MAX_N0 and _is_array(samples, TAG_INT32)):
         return None
     if type(timing) is int and 0 < timing < 2**32:
         return Data(seq, stream, n0, t0_us, timing, b"", samples.value, flags)
@@ -110,7 +109,16 @@ MAX_HOST_NS = 2**62
 # The key "boot_id" and its unsigned integer in an ident, of which the first page has only a part.
 _BOOT_ID = re.compile(rb"\x67boot_id(?:([\x00-\x17])|\x18(.)|\x19(..)|\x1a(....))", re.DOTALL)
 
-_TIME_AT = {wire.DATA: 4, wire.HEARTBEAT: 3, wire.SYNC_REPLY: 3}  # index of the device time in a frame
+_TYPES: dict[str, type] = {"data": bytes, "text": str}  # of elements; all others are integers
+_BOUNDS = dict.fromkeys(("t_us", "t1_us", "t2_us"), MAX_DEVICE_US) | {"boot_id": 2**32}
+# By type of a frame: the types of its elements, and the index and limit of those that have one.
+_ELEMENTS = {
+    kind: (
+        [_TYPES.get(name, int) for name in wire.names(kind)],
+        [(k, _BOUNDS[name]) for k, name in enumerate(wire.names(kind), start=1) if name in _BOUNDS],
+    )
+    for kind in wire.LAYOUT
+}
 
 
 class Exchange(NamedTuple):
@@ -163,20 +171,19 @@ def is_echo(frame: list[Any]) -> bool:
     return bool(frame[0] == wire.SYNC_REQUEST or 48 <= frame[0] < 64)
 
 
-def device_time(frame: list[Any]) -> tuple[int, int] | None:
-    """Return the kind of device time in a frame (a stream id, or a negative number) and its value.
+def conforms(frame: list[Any]) -> bool:
+    """Return whether a frame of a known type has the elements that the specification demands, within bounds.
 
-    None if the frame has no device time.
+    Frames of other types conform. A box with a newer minor version may append elements.
     """
     kind = frame[0]
-    if kind not in _TIME_AT or len(frame) <= _TIME_AT[kind]:
-        return None
-    stream, value = frame[2], frame[_TIME_AT[kind]]
-    if type(value) is not int or not 0 <= value < MAX_DEVICE_US:
-        return None
     if kind == wire.DATA:
-        return (stream, value) if type(stream) is int and 0 <= stream < MAX_STREAM else None
-    return -kind, value
+        return data_of(frame) is not None
+    if kind not in wire.LAYOUT:
+        return True
+    types, limits = _ELEMENTS[kind]
+    whole = len(frame) > wire.needed(kind) and list(map(type, frame[1 : len(types) + 1])) == types[: len(frame) - 1]
+    return whole and all(0 <= frame[k] < limit for k, limit in limits)
 
 
 def is_boot(frame: list[Any]) -> bool:

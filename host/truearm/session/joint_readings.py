@@ -12,6 +12,7 @@ the old level and the first with the new one: two controller times, one cycle ap
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -22,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.joint_format import COLUMNS, JOINTS, UNNUMBERED, JointBatch, concatenate, parse_lines, unpack
-from truearm.session.losses import MissingNumbers
 from truearm.session.message_columns import Messages
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.types import Floats, Ints
@@ -138,6 +138,45 @@ _BACK = b'"kind":"robot-back"'
 OVERTAKEN_NS = (
     5_000_000_000  # readings that are this far behind later ones in the file are put in order: swapped chunks
 )
+
+
+REMEMBERED = 256
+
+
+class MissingNumbers:
+    """Counts skipped numbers that did not arrive late.
+
+    A number that was never missing, or arrives late twice, fills nothing.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._open: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)  # the numbers around each hole
+        self._spare: deque[int] = deque(maxlen=REMEMBERED)  # late numbers with a hole that may still appear
+
+    def skip(self, before: int, after: int) -> None:
+        """Record that ``after`` followed ``before``."""
+        if after - before > 1:
+            self.lost += after - before - 1
+            self._open.append((before, after))
+            for number in [n for n in self._spare if before < n < after]:
+                self._spare.remove(number)
+                self.fill(number)
+
+    def fill(self, number: int) -> None:
+        """Record a number that arrived late, or before the next one showed that it had been skipped."""
+        for k, (before, after) in enumerate(self._open):
+            if before < number < after:
+                del self._open[k]
+                self._open.extend((a, b) for a, b in ((before, number), (number, after)) if b - a > 1)
+                self.lost -= 1
+                return
+        self._spare.append(number)
+
+    def forget(self) -> None:
+        """Restart the numbering; losses so far are kept."""
+        self._open.clear()
+        self._spare.clear()
 
 
 class ReadingOrder:

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.box_ident import Channel
-from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
 from truearm.session.joint_format import JOINTS, UNNUMBERED, parse_lines
 from truearm.session.joint_readings import JointStream
 from truearm.session.line_legs import Leg
 from truearm.session.message_columns import LATEST_NS, Messages
 from truearm.session.samples import ChannelBlocks, columns_in, of_channels
+from truearm.session.streams import Blocks
 from truearm.types import Floats, Ints
 
 LATE_NS = 10_000_000_000  # a message is older than its arrival by less than this
@@ -84,33 +84,20 @@ class LegListener:
     def take(self, messages: Messages, blocks: Sequence[Blocks]) -> list[LegSamples]:
         """Process a batch of messages and the blocks released with it."""
         lines = messages.rows(lambda topic: topic == JOINTS)
-        of = (lines, *(one.at for one in blocks))
-        turn = _ranks(np.concatenate(of))
-        arrival = np.concatenate([messages.t_host_ns[lines], *(one.t_host_ns for one in blocks)])
-        now = np.empty_like(arrival)
-        now[turn] = arrival
-        now = np.maximum.accumulate(np.concatenate([[self._now_ns], now]))
-        self._now_ns, now = int(now[-1]), now[1:]
-        line_turn, *block_turns = np.split(turn, np.cumsum([len(part) for part in of])[:-1])
-        pieces = [
-            (k, piece, turns)
-            for one, turns in zip(blocks, block_turns, strict=True)
-            for k, piece in self._wanted_of(one)
-        ]
-        begins = dict.fromkeys(self._open, 0)
+        arrival_ns = messages.t_host_ns[lines]
+        pieces = [wanted for some in blocks for wanted in self._wanted_of(some)]
+        self._now_ns = max([self._now_ns, *arrival_ns[-1:].tolist(), *(int(ns[-1]) for _, _, ns in pieces)])
         while self._waiting and self._waiting[0].leg.start_host_ns < self._now_ns + EARLY_NS:
-            heard = self._waiting.popleft()
-            begins[heard] = int(np.searchsorted(now, heard.leg.start_host_ns - EARLY_NS, side="right"))
-        over: list[LegSamples] = []
-        self._open = []
-        for heard, begin in begins.items():
-            end = int(np.searchsorted(now, heard.leg.end_host_ns + LATE_NS, side="right"))
-            self._parse(heard, messages, lines[(line_turn >= begin) & (line_turn < end)])
-            for k, piece, turns in pieces:
-                during = (turns >= begin) & (turns < end) & ~piece.blocks.fault
+            self._open.append(self._waiting.popleft())
+        for heard in self._open:
+            begin_ns, end_ns = heard.leg.start_host_ns - EARLY_NS, heard.leg.end_host_ns + LATE_NS
+            self._parse(heard, messages, lines[(arrival_ns > begin_ns) & (arrival_ns <= end_ns)])
+            for k, piece, block_ns in pieces:
+                during = (block_ns > begin_ns) & (block_ns <= end_ns) & ~piece.blocks.fault
                 if during.any():
                     heard.pieces.setdefault(k, []).append(_Piece(piece.blocks.some(during), piece.whole[during]))
-            (over if end < len(now) else self._open).append(heard)
+        over = [heard for heard in self._open if heard.leg.end_host_ns + LATE_NS < self._now_ns]
+        self._open = [heard for heard in self._open if heard not in over]
         return over
 
     def rest(self) -> list[LegSamples]:
@@ -119,8 +106,8 @@ class LegListener:
         self._open, self._waiting = [], deque()
         return over
 
-    def _wanted_of(self, blocks: Blocks) -> Iterator[tuple[int, _Piece]]:
-        """Return the blocks for each wanted stream."""
+    def _wanted_of(self, blocks: Blocks) -> Iterator[tuple[int, _Piece, Ints]]:
+        """Return the blocks for each wanted stream, and their arrivals [ns]."""
         for k, names in enumerate(self._wanted):
             place = columns_in(blocks.ident, names)
             if place is None or place[0].id != blocks.stream.id or not len(blocks):
@@ -129,7 +116,7 @@ class LegListener:
             well = ~piece.fault
             before = np.concatenate([[self._goes_on.get(k, False)], well[:-1]])
             self._goes_on[k] = bool(well[-1])
-            yield k, _Piece(piece, before & ~piece.gap)
+            yield k, _Piece(piece, before & ~piece.gap), blocks.frames["t_host_ns"]
 
     def _parse(self, heard: LegSamples, messages: Messages, rows: NDArray[np.intp]) -> None:
         """Keep the readings within the leg's own segment and time."""
@@ -174,10 +161,3 @@ def readings_of(heard: LegSamples, joints: JointStream) -> LegReadings:
     broken = broken | (numbered & (np.diff(seq) != 1))
     piece = np.concatenate([[0], np.cumsum(broken)]) if t.size else np.empty(0, np.int64)
     return LegReadings(joints.clocks[heard.leg.segment].to_host_ns(t), q, piece)
-
-
-def _ranks(keys: Ints) -> NDArray[np.intp]:
-    """Return the rank of each of several keys (n,); equal keys keep their order."""
-    ranks = np.empty(len(keys), np.intp)
-    ranks[np.argsort(keys, kind="stable")] = np.arange(len(keys))
-    return ranks

@@ -1,6 +1,4 @@
-"""Count exactly what did not arrive: frames, samples of each stream, and times when the box sent nothing.
-
-**Frames** are counted by their ``seq`` in ``frame_order``.
+"""Count exactly what did not arrive: samples of each stream, times when the box sent nothing, and the box's own counters.
 
 **Samples** are counted by the ``n0`` of each stream (``StreamTrack``). If ``n0`` jumps and frames were lost since the
 stream's last block, the samples were lost with them; if no frames were lost, the box overran. If ``n0`` falls back
@@ -16,60 +14,17 @@ summed; for ``largest`` or ``smallest`` the extreme is kept. A box with an older
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.box_frames import MAX_DEVICE_US
 from truearm.session.box_ident import Stream
 from truearm.session.message_columns import Messages
 from truearm.types import Ints
 from truearm_wire import messages as wire
-
-REMEMBERED = 256  # holes, and late numbers that fill none; a number that arrives later than that is not looked up
-
-
-class MissingNumbers:
-    """Counts skipped numbers that did not arrive late.
-
-    A number that was never missing, or arrives late twice, fills nothing.
-    """
-
-    def __init__(self) -> None:
-        self.lost = 0
-        self._open: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)  # the numbers around each hole
-        self._spare: deque[int] = deque(maxlen=REMEMBERED)  # late numbers with a hole that may still appear
-
-    def skip(self, before: int, after: int) -> None:
-        """Record that ``after`` followed ``before``."""
-        if after - before > 1:
-            self.lost += after - before - 1
-            self._open.append((before, after))
-            for number in [n for n in self._spare if before < n < after]:
-                self._spare.remove(number)
-                self.fill(number)
-
-    def fill(self, number: int) -> None:
-        """Record a number that arrived late, or before the next one showed that it had been skipped."""
-        for k, (before, after) in enumerate(self._open):
-            if before < number < after:
-                del self._open[k]
-                self._open.extend((a, b) for a, b in ((before, number), (number, after)) if b - a > 1)
-                self.lost -= 1
-                return
-        self._spare.append(number)
-
-    def forget(self) -> None:
-        """Restart the numbering; losses so far are kept."""
-        self._open.clear()
-        self._spare.clear()
-
-
-# ----------------------------------------------------------------------------------------------- the box's own counters
 
 WRAP = 2**30
 _ELEMENTS = [entry.partition(":")[::2] for entry in wire.LAYOUT[wire.HEARTBEAT][1:]]  # name and type, after seq
@@ -88,56 +43,43 @@ NO_HEARTBEAT: Summary = {
 }
 
 
-@dataclass
-class _Boot:
-    """The heartbeats of one boot: first, last, and the sums between them."""
-
-    segment: int
-    first: Mapping[str, int]
-    last: Mapping[str, int]
-    since: Counter[str] = field(default_factory=Counter)
-
-
 class Heartbeats:
-    """Processes the values of heartbeats (boot_id, t_us, counters …) in order."""
+    """Adds up the counters of one boot from its heartbeats, in order."""
 
     def __init__(self) -> None:
-        self._boots: dict[int, _Boot] = {}
-        self._worst: dict[str, int | None] = {key: None for _, key in EXTREMES.values()}
-        self._n = 0
-        self.temperatures: dict[int, list[tuple[int, int]]] = {}  # of each segment: device time [µs], m°C
+        self.boot: dict[str, int] = {}  # the counters of the first heartbeat: what they had counted since the boot
+        self.since: Counter[str] = Counter()
+        self.worst: dict[str, int] = {}
+        self._last: dict[str, int] = {}
 
-    def take(self, segment: int, values: Sequence[int]) -> None:
-        """Take one heartbeat of a segment.
-
-        Segments with the same boot id are one boot, because a late frame can look like a restart.
-        """
-        beat = {name: value for (name, _), value in zip(_ELEMENTS, values, strict=False)}
-        boot = self._boots.setdefault(beat["boot_id"], _Boot(segment, beat, beat))
-        if beat["t_us"] >= boot.last["t_us"]:  # else it is late and contains nothing new
-            for name in COUNTERS:
-                boot.since[name] += (beat.get(name, 0) - boot.last.get(name, 0)) % WRAP
-            boot.last = beat
-        self._n += 1
-        if "temperature_mdegc" in beat and 0 <= beat["t_us"] < MAX_DEVICE_US:
-            self.temperatures.setdefault(segment, []).append((beat["t_us"], beat["temperature_mdegc"]))
+    def take(self, elements: Sequence[int]) -> None:
+        """Take the elements of a heartbeat: boot id, time, counters."""
+        beat = {name: value for (name, _), value in zip(_ELEMENTS, elements, strict=False)}
+        self._last = self._last or beat
+        self.boot = self.boot or {name: beat.get(name, 0) for name in COUNTERS}
+        for name in COUNTERS:
+            self.since[name] += (beat.get(name, 0) - self._last.get(name, 0)) % WRAP
+        self.since["heartbeats"] += 1
+        self._last = beat
         for name, (extreme, key) in EXTREMES.items():
             if name in beat:
-                before = self._worst[key]
-                self._worst[key] = beat[name] if before is None else extreme(before, beat[name])
+                self.worst[key] = extreme(self.worst.get(key, beat[name]), beat[name])
 
-    def summary(self, booted: Collection[int]) -> Summary:
-        """Return the number of heartbeats, the sum of every counter and the worst of every extreme; None without
-        heartbeats.
 
-        ``booted``: the segments that began with a boot in the session.
-        """
-        total = Counter[str]()
-        for boot in self._boots.values():
-            total.update(boot.since)
-            if boot.segment in booted:
-                total.update({name: boot.first.get(name, 0) for name in COUNTERS})
-        return {"heartbeats": self._n, **{name: total[name] for name in COUNTERS}, **self._worst}
+def summary_of(boots: Sequence[tuple[Heartbeats, bool]]) -> Summary:
+    """Return the number of heartbeats, the sum of every counter and the worst of every extreme; None without heartbeats.
+
+    ``boots``: the heartbeats of each boot, and whether it began in the session.
+    """
+    total: Counter[str] = Counter()
+    worst: dict[str, int | None] = {key: None for _, key in EXTREMES.values()}
+    for boot, booted in boots:
+        total.update(boot.since)
+        total.update(boot.boot if booted else {})
+        for extreme, key in EXTREMES.values():
+            before, value = worst[key], boot.worst.get(key)
+            worst[key] = value if before is None else before if value is None else extreme(before, value)
+    return {"heartbeats": total["heartbeats"], **{name: total[name] for name in COUNTERS}, **worst}
 
 
 # ------------------------------------------------------------------------------------------------------------- accounts
@@ -150,17 +92,14 @@ _GONE = (b'"link-lost"', b'"box-gone"')  # counted however short the silence was
 class Losses:
     """Exact accounting of a session.
 
-    A flipped bit causes one console run and one lost frame, a traceback in the stream one console run, and a doubled
-    frame one duplicate. Frames before the first one seen cannot be counted, except after a restart, where ``seq``
-    begins at 0.
+    A flipped bit causes one console run and one lost frame, a traceback in the stream one console run. Frames before
+    the first one seen cannot be counted, except after a restart, where ``seq`` begins at 0.
     """
 
     frames: int = 0  # frames of any type received, each counted once
     frames_lost: int = 0  # gaps of seq
     loss_events: int = 0  # places where seq has a gap
-    frames_duplicated: int = 0
-    frames_late: int = 0  # frames that arrived too late to be used; also counted as lost
-    frames_malformed: int = 0  # frames with a valid CRC that violate the specification
+    frames_malformed: int = 0  # frames with a valid CRC that violate the specification, or are behind the count
     frames_unknown: int = 0  # of types unknown to this version
     blocks: int = 0
     samples: int = 0
@@ -188,51 +127,29 @@ class Silences:
 
     def __init__(self) -> None:
         self.gaps: list[tuple[int, int]] = []
-        self._box_ns: int | None = None
         self.last_ns = 0
-        self._gone = False  # the recorder reported that it lost the box
+        self._box_ns: Ints = np.empty(0, np.int64)  # of the box's last message
+        self._gone_ns: list[int] = []  # the recorder reported that it lost the box
 
     def take(self, messages: Messages) -> None:
         """Take a batch of messages of the session, on any topics."""
-        box = messages.rows(lambda topic: topic.startswith("/box/"))
-        events = messages.rows(lambda topic: topic == "/events")
-        gone = [row for row in events.tolist() if any(kind in messages.payload(row) for kind in _GONE)]
-        t_ns = messages.t_host_ns[box]
-        newest = np.maximum.accumulate(np.append(t_ns[:1] if self._box_ns is None else self._box_ns, t_ns))
-        silent = t_ns - newest[:-1] > SILENT_NS
-        silent[:1] = True
-        silent[[k for k in np.searchsorted(box, gone).tolist() if k < len(box)]] = True
-        for k in np.flatnonzero(silent).tolist():  # no silence between the others
-            if k:
-                self._box_ns = int(newest[k])
-                self._gone = any(box[k - 1] < row < box[k] for row in gone)
-            else:
-                self._gone |= any(row < box[0] for row in gone)
-            self._close(int(t_ns[k]))
-        if len(box):
-            self._box_ns, self._gone = int(newest[-1]), any(row > box[-1] for row in gone)
-            self._divide(t_ns[t_ns < newest[:-1]])
-        else:
-            self._gone |= bool(gone)
+        events = messages.rows(lambda topic: topic == "/events").tolist()
+        gone = [row for row in events if any(kind in messages.payload(row) for kind in _GONE)]
+        self._gone_ns += messages.t_host_ns[gone].tolist()
+        self._close(messages.t_host_ns[messages.rows(lambda topic: topic.startswith("/box/"))])
         self.last_ns = max(self.last_ns, int(messages.t_host_ns.max(initial=0)))
 
     def finish(self) -> list[tuple[int, int]]:
         """Return all gaps at the end of the session."""
-        self._close(self.last_ns)
+        self._close(np.array([self.last_ns]))
         return self.gaps
 
-    def _divide(self, late_ns: Ints) -> None:
-        """Divide the gaps at messages that stand later in the session than newer ones."""
-        found = []
-        for begin, end in self.gaps:
-            inside = np.unique(late_ns[(late_ns > begin) & (late_ns < end)])
-            parts = pairwise([begin, *inside.tolist(), end])
-            found += [(a, b) for a, b in parts if b - a > SILENT_NS or not len(inside)]
-        self.gaps = found
-
-    def _close(self, now_ns: int) -> None:
-        if self._box_ns is not None and now_ns - self._box_ns > (0 if self._gone else SILENT_NS):
-            self.gaps.append((self._box_ns, now_ns))
+    def _close(self, t_ns: Ints) -> None:
+        t_ns = np.append(self._box_ns, t_ns)
+        gone = np.searchsorted(self._gone_ns, t_ns)
+        silent = np.flatnonzero((np.diff(t_ns) > SILENT_NS) | ((np.diff(gone) > 0) & (np.diff(t_ns) > 0)))
+        self.gaps += zip(t_ns[silent].tolist(), t_ns[silent + 1].tolist(), strict=True)
+        self._box_ns = t_ns[-1:]
 
 
 COUNTED = ("blocks", "samples", "samples_lost", "samples_overrun", "converter_faults", "starts")  # see Losses
@@ -277,57 +194,41 @@ class StreamTrack:
     whole_samples: int = 0
 
     def take(self, n0: Ints, n: Ints, t0_us: Ints, flags: Ints, frames_lost: Ints) -> tuple[NDArray[np.bool_], Ints]:
-        """Account for blocks (b,); return before which of them samples are missing, and the run of each."""
-        expected = np.concatenate([[-1 if self.next_n0 is None else self.next_n0], (n0 + n)[:-1]])
-        lost_before = np.concatenate([[self.frames_lost], frames_lost[:-1]])
-        unusual = np.flatnonzero((n0 != expected) | (frames_lost != lost_before) | (flags != 0))
-        gap, run = np.zeros(len(n0), bool), np.full(len(n0), self.run)
-        for k in unusual.tolist():
-            if k:
-                self.next_n0 = int(expected[k])
-            before = self.run
-            gap[k] = self._unusual(int(n0[k]), int(flags[k]), int(frames_lost[k]), seen=bool(self.blocks or k))
-            self.pieces += bool(gap[k])
-            if self.run != before:
-                run[k:] = self.run
-        last_t0 = np.concatenate([[self.last_t0_us], t0_us[:-1]])
-        last_n = np.concatenate([[self.last_n], n[:-1]])
-        self.whole_us += int(np.sum((t0_us - last_t0)[~gap]))
-        self.whole_samples += int(np.sum(last_n[~gap]))
+        """Account for blocks (b,) of one boot; return before which of them samples are missing, and the run of each.
+
+        ``frames_lost``: of the session, before each block.
+        """
+        joins = self.next_n0 is None  # a running box, or one that restarted: then it counts from 0
+        with_frames = np.diff(frames_lost, prepend=self.frames_lost) > 0
+        expected = np.append(n0[0] * (not with_frames[0]) if self.next_n0 is None else self.next_n0, (n0 + n)[:-1])
+        begins = n0 < expected
+        missing = np.where(begins, n0, n0 - expected)
+        gap = (n0 != expected) | ((flags & wire.FLAG_OVERRUN) != 0)
+        gap[0] |= joins
+        run = self.run + np.cumsum(begins)
+        if joins:
+            self.joined = not (self.blocks or with_frames[0]) and n0[0] > 0
+        of_session = np.ones(len(n0), bool)
+        if self.joined and begins.any():  # what a box lost before it was started is not the session's
+            of_session[: np.argmax(begins)] = False
+            self.joined, self.samples_overrun, self.pieces = False, 0, 0
+        self.samples_lost += int(missing[with_frames].sum())
+        self.samples_overrun += int(missing[~with_frames & of_session].sum())
+        self.pieces += int(np.count_nonzero(gap & of_session))
+        whole = ~gap
+        self.whole_us += int(np.diff(t0_us, prepend=self.last_t0_us)[whole].sum())
+        self.whole_samples += int(np.append(self.last_n, n[:-1])[whole].sum())
+        self.converter_faults += int(np.count_nonzero(flags & wire.FLAG_CONVERTER))
+        self.starts += int(np.count_nonzero(begins))
         self.blocks += len(n0)
-        self.samples += int(np.sum(n))
-        self.next_n0, self.last_t0_us, self.last_n = int(n0[-1] + n[-1]), int(t0_us[-1]), int(n[-1])
+        self.samples += int(n.sum())
+        self.next_n0, self.frames_lost, self.run = int(n0[-1] + n[-1]), int(frames_lost[-1]), int(run[-1])
+        self.last_t0_us, self.last_n = int(t0_us[-1]), int(n[-1])
         return gap, run
 
     def restart(self, frames_lost: int) -> None:
         """Note a restart of the box; ``n0`` counts from 0 again."""
         self.next_n0, self.frames_lost = None, frames_lost
-
-    def _unusual(self, n0: int, flags: int, frames_lost: int, seen: bool) -> bool:
-        """Account for what is missing before a block and return whether anything is.
-
-        ``seen``: the block is not the first of the stream.
-        """
-        with_frames, self.frames_lost = frames_lost != self.frames_lost, frames_lost
-        self.converter_faults += bool(flags & wire.FLAG_CONVERTER)
-        expected = self.next_n0
-        if expected is None:
-            # Joined or restarted. If no frame is lost, the box had been sampling before the session began.
-            missing = n0 if with_frames else 0
-            self.joined = not (seen or with_frames) and n0 > 0
-        elif n0 < expected:
-            self.starts += 1
-            self.run += 1
-            if self.joined:
-                self.joined, self.samples_overrun, self.pieces = False, 0, 0
-            missing = n0
-        else:
-            missing = n0 - expected
-        if with_frames:
-            self.samples_lost += missing
-        else:
-            self.samples_overrun += missing
-        return n0 != expected or bool(flags & wire.FLAG_OVERRUN)
 
     def report(self, stream_id: int, described: Stream) -> StreamReport:
         """Return the account, under the name that an ident gives the stream."""

@@ -18,7 +18,6 @@ import numpy as np
 from truearm.clocks import WANDER
 from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
-from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.box_temperature import BoxTemperature, box_temperature
 from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
 from truearm.session.dwell_labels import labelled, with_mountings
@@ -41,6 +40,7 @@ from truearm.session.plan_matching import (
     passes_of,
 )
 from truearm.session.samples import ChannelSamples
+from truearm.session.streams import Blocks, BoxReader, Segment
 from truearm.session.trigger_edges import Output, with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig
 
@@ -51,12 +51,11 @@ MOST_KEPT_BYTES = 64 << 20  # of messages, if legs are to be processed
 
 @dataclass(frozen=True)
 class Survey:
-    """Results of the first pass. ``idents``: of each segment that has one; ``clocks``: of each segment with exchanges."""
+    """Results of the first pass. ``clocks``: of each segment with exchanges."""
 
     losses: Losses
     streams: tuple[StreamReport, ...]
-    idents: dict[int, Ident]
-    boot_ids: tuple[int | None, ...]
+    segments: tuple[Segment, ...]
     clocks: dict[int, DeviceClock]
     clock_reports: tuple[ClockReport, ...]
     temperature: BoxTemperature
@@ -67,6 +66,11 @@ class Survey:
     marks: Marks
     samples: ChannelSamples  # of the ball-bar
     batches: Batches
+
+    @property
+    def idents(self) -> dict[int, Ident]:
+        """The description of the box in each segment that has one."""
+        return {segment.index: segment.ident for segment in self.segments if segment.ident is not None}
 
 
 @dataclass(frozen=True)
@@ -144,7 +148,7 @@ class Batches:
     def __iter__(self) -> Iterator[tuple[Messages, list[Blocks]]]:
         if self._kept is not None:
             return iter(self._kept)
-        return self.read(BoxReader(self.ident, keep_exchanges=False))
+        return self.read(BoxReader(self.ident))
 
 
 def survey(
@@ -171,10 +175,14 @@ def survey(
             batches.keep(messages, blocks)
         else:  # if a line is named later, the session is read again
             batches.drop()
-    fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges, wander)) is not None}
+    fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, box.exchanges(s), wander)) is not None}
     clocks = {index: clock for index, (clock, _) in fits.items()}
     outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
     joints = with_edges(robot.finish(), outputs, clocks)
+    temperatures = {
+        name: box_temperature({s.index: s.temperatures.get(name, []) for s in box.segments}, clocks)
+        for name in dict.fromkeys([None, *(name for s in box.segments for name in s.temperatures)])
+    }
     rules = rules or DwellRules()
     if has_manual_joints(joints):
         dwells = manual_dwells(joints, samples, clocks, rules)
@@ -183,15 +191,11 @@ def survey(
     return Survey(
         losses=box.losses(),
         streams=box.streams(),
-        idents={s.index: s.ident for s in box.segments if s.ident is not None},
-        boot_ids=tuple(s.boot_id for s in box.segments),
+        segments=tuple(box.segments),
         clocks=clocks,
         clock_reports=tuple(report for _, report in fits.values()),
-        temperature=box_temperature(box.temperatures(), clocks),
-        thermometers={
-            name: box_temperature({s.index: s.temperatures.get(name, []) for s in box.segments}, clocks)
-            for name in dict.fromkeys(name for s in box.segments for name in s.temperatures)
-        },
+        temperature=temperatures.pop(None),
+        thermometers={name: readings for name, readings in temperatures.items() if name is not None},
         joints=joints,
         dwells=tuple(dwells),
         legs=tuple(find_legs(joints)) if marks.names_lines else (),

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from truearm.errors import SessionError
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channel
-from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
+from truearm.session.streams import Blocks
 from truearm.text import box_command, one_line
 from truearm.types import BallBar, Floats, Ints
 from truearm_wire import messages as wire
@@ -171,11 +171,11 @@ def of_channels(blocks: Blocks, columns: tuple[int, ...]) -> ChannelBlocks:
         segment=blocks.segment,
         stream=blocks.stream,
         columns=columns,
-        period_ns=blocks.period_ns.astype(np.uint32),
+        period_ns=blocks.frames["period_ns"].astype(np.uint32),
         n=blocks.n.astype(np.int32),
-        t0_us=blocks.t0_us,
+        t0_us=blocks.frames["t_us"].copy(),
         gap=blocks.gap,
-        fault=(blocks.flags & wire.FLAG_CONVERTER) != 0,
+        fault=(blocks.frames["flags"] & wire.FLAG_CONVERTER) != 0,
         counts=with_ratios(blocks.counts(), blocks.stream.channels)[:, columns],
         within_ns=blocks.within_ns() if blocks.offsets_us else None,
     )

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from truearm.errors import SessionError
 from truearm.session.box_frames import decode, parse_exchanges
 from truearm.session.box_ident import Channel
-from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.dwells import Dwell
 from truearm.session.joint_format import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, concatenate
 from truearm.session.joint_readings import ReadingOrder
@@ -33,6 +32,7 @@ from truearm.session.line_passes import LinePass
 from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey
 from truearm.session.samples import extension, volts, with_ratios
+from truearm.session.streams import Blocks, BoxReader, segment_at
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Message
 from truearm_wire import messages as wire
 
@@ -61,8 +61,8 @@ def tabulate(found: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
     keeps changing.
     """
     names = _Names()
-    reader = BoxReader(found.batches.ident, keep_exchanges=False)
-    box, robot, rest = _Box(found, reader), _Robot(found, joint_units), _Rest()
+    reader = BoxReader(found.batches.ident)
+    box, robot, rest = _Box(found), _Robot(found, joint_units), _Rest()
     for messages, blocks in found.batches.read(reader):
         tables = [*box.take(messages, blocks), *robot.take(messages), *rest.take(messages)]
         for _, name, columns in sorted(tables, key=itemgetter(0)):
@@ -127,17 +127,18 @@ class _Small:
 class _Box(_Small):
     """Streams of samples, heartbeats, edges and clock exchanges."""
 
-    def __init__(self, found: Survey, reader: BoxReader) -> None:
+    def __init__(self, found: Survey) -> None:
         super().__init__()
         self._found = found
-        self._reader = reader
+        self._messages = 0  # so far
         self._blocks: dict[int, list[Blocks]] = {}  # by stream: all of one segment, ident and timing
 
     def take(self, messages: Messages, blocks: Sequence[Blocks]) -> Iterator[Ready]:
         for one in blocks:
-            yield from self._stream(one)
+            yield from self._stream(one, len(messages))
         rows = messages.rows(lambda topic: topic in ("/box/heartbeat", "/box/event", "/box/temperature", "/sync"))
-        segments = self._reader.segment_at(rows).tolist()
+        segments = segment_at(self._found.segments, rows + self._messages).tolist()
+        self._messages += len(messages)
         said = list(messages.of(rows))
         exchanges = iter(parse_exchanges([message.data for message in said if message.topic == "/sync"]))
         for at, segment, message in zip(rows.tolist(), segments, said, strict=True):
@@ -163,17 +164,17 @@ class _Box(_Small):
             yield self._gathered(stream_id)
         yield from super().flush()
 
-    def _stream(self, blocks: Blocks) -> Iterator[Ready]:
+    def _stream(self, blocks: Blocks, at: int) -> Iterator[Ready]:
         """Collect blocks of one stream into tables of BLOCKS of one segment, ident and timing."""
-        key, begin = blocks.stream.id, 0
-        changes = [*(np.flatnonzero(np.diff(blocks.period_ns)) + 1).tolist(), len(blocks)]
+        key, begin, period_ns = blocks.stream.id, 0, blocks.frames["period_ns"]
+        changes = [*(np.flatnonzero(np.diff(period_ns)) + 1).tolist(), len(blocks)]
         while begin < len(blocks):
             waiting = self._blocks.setdefault(key, [])
             n = sum(map(len, waiting))
             last = waiting[-1] if waiting else blocks
             alike = last.segment == blocks.segment and last.stream is blocks.stream
-            if waiting and not (alike and last.period_ns[-1] == blocks.period_ns[begin] and n < BLOCKS):
-                yield int(blocks.at[begin]), *self._gathered(key)
+            if waiting and not (alike and last.frames["period_ns"][-1] == period_ns[begin] and n < BLOCKS):
+                yield at, *self._gathered(key)
                 continue
             end = min(changes[bisect_right(changes, begin)], begin + BLOCKS - n)
             waiting.append(blocks.part(begin, end))
@@ -220,7 +221,7 @@ def samples(blocks: Blocks, found: Survey) -> Columns:
     if clock is None:
         host, bounds = np.full(total, UNKNOWN, np.int64), np.full(total, np.nan)
     else:
-        block_host, block_bounds = clock.to_host_ns(blocks.t0_us)
+        block_host, block_bounds = clock.to_host_ns(blocks.frames["t_us"])
         host = np.repeat(block_host, n) + within_ns - stream.group_delay_ns
         bounds = np.repeat(block_bounds, n)
     gap = np.zeros(total, np.int8)
@@ -228,12 +229,12 @@ def samples(blocks: Blocks, found: Survey) -> Columns:
     columns: Columns = {
         "segment": np.full(total, blocks.segment),
         "run": np.repeat(blocks.run, n),
-        "index": np.arange(total) + np.repeat(blocks.n0 - blocks.first, n),
+        "index": np.arange(total) + np.repeat(blocks.frames["n0"] - blocks.first, n),
         "gap": gap,
-        "device_time_ns": np.repeat(1000 * blocks.t0_us, n) + within_ns,
+        "device_time_ns": np.repeat(1000 * blocks.frames["t_us"], n) + within_ns,
         "host_time_ns": host,
         "host_bound_ns": bounds,
-        "flags": np.repeat(blocks.flags, n),
+        "flags": np.repeat(blocks.frames["flags"], n),
     }
     for k, channel in enumerate(stream.channels):
         for title, values in _channel(counts[:, k], channel, f"channel{k + 1}"):

@@ -1,0 +1,242 @@
+"""Losses, restarts and frames that are out of place: told apart by the count and the boot id, wherever batches end."""
+
+import json
+
+import cbor2
+import numpy as np
+import pytest
+from blocks_bench import BLOCK_NS, COUNTS, account, box_with, read
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from session_stream import CHANNELS, PERIOD_NS, Box, ident_document
+
+from truearm.session import streams
+from truearm.session.box_ident import parse_ident
+from truearm.session.losses import Silences
+from truearm.session.message_columns import columns_of
+from truearm.session.streams import BoxReader
+from truearm.types import Message
+from truearm_wire import messages as wire
+
+SECOND = 80  # frames of a box at 1 kHz
+IDENT = parse_ident(ident_document())
+
+
+def stream(box, frames, begin_ns=0):
+    """Let a box stream, with a heartbeat a second."""
+    for k in range(frames):
+        box.data(begin_ns + (k + 1) * BLOCK_NS, COUNTS + k)
+        if k % SECOND == SECOND - 1:
+            box.heartbeat(begin_ns + (k + 1) * BLOCK_NS + 10**6)
+
+
+def long_box(frames, seq=0):
+    box = Box(seq=seq)
+    box.ident(0)
+    stream(box, frames)
+    return box
+
+
+def restarted(before, after, down_s=2.0):
+    """The messages of a box that streams, is without power for a while and streams again; the place of its second boot."""
+    box = long_box(before)
+    at = len(box.messages)
+    boot_ns = int((before + 1) * BLOCK_NS + 1e9 * down_s)
+    box.reboot(boot_ns)
+    box.ident(boot_ns)
+    stream(box, after, boot_ns + 7_000)
+    return box.messages, at
+
+
+def boots_and(messages):
+    """Return the number of segments, and the account without what a missing frame costs in samples."""
+    found = account(messages)
+    return len(read(messages)[1].segments), {k: n for k, n in found.items() if k not in ("samples_lost", "loss_events")}
+
+
+def in_batches(messages, cuts, ident=IDENT):
+    """Return all that a reader says of messages that arrive in batches."""
+    reader, blocks = BoxReader(ident), []
+    for a, b in zip([0, *cuts], [*cuts, len(messages)], strict=True):
+        blocks += reader.feed(columns_of(messages[a:b]))
+    blocks += reader.finish()
+    rows = [
+        (b.segment, *row)
+        for b in blocks
+        for row in zip(b.run, b.gap, b.n, *(b.frames[k] for k in ("n0", "t_us")), strict=True)
+    ]
+    segments = [
+        (s.booted, s.boot_id, s.ident, s.output, s.temperatures, reader.exchanges(s).tolist()) for s in reader.segments
+    ]
+    return rows, np.concatenate([b.counts() for b in blocks] or [COUNTS[:0]]).tolist(), reader.losses(), segments
+
+
+@pytest.mark.parametrize("gone", [0, 3, 8, 70])
+def test_a_restart_is_known_by_its_boot_id(gone):
+    """However much of its beginning is lost; frames before the heartbeat that says it belong to the new boot."""
+    messages, at = restarted(200, 300)
+    del messages[at : at + gone]
+    blocks, reader = read(messages)
+    assert (reader.losses().restarts, reader.losses().frames_lost) == (1, gone)
+    assert [segment.boot_id for segment in reader.segments] == [7, 8]
+    assert sum(block.segment for block in blocks) == sum(m.topic == "/box/adc" for m in messages[at:])
+
+
+@pytest.mark.parametrize(("before", "gone", "down_s"), [(90, 120, 2.5), (90, 120, 60.0), (200, 300, 5.0)])
+def test_a_hole_over_a_restart_is_charged_to_the_new_boot_alone(before, gone, down_s):
+    """The first frames received of the new boot have higher numbers than the last of the old one, and later times."""
+    messages, at = restarted(before, 1000, down_s)
+    del messages[at : at + gone]
+    assert boots_and(messages) == (2, {"restarts": 1, "frames_lost": gone})
+
+
+def test_frames_of_a_new_boot_that_fit_behind_the_old_ones_belong_to_the_new_boot():
+    """The first of them are behind the old count, the others continue it: in number, and nearly in time."""
+    messages, at = restarted(60, 300, down_s=0.001)
+    first = len(long_box(60).messages) - 20
+    del messages[at : at + first]
+    assert boots_and(messages) == (2, {"restarts": 1, "frames_lost": first})
+    assert in_batches(messages, [at + 20]) == in_batches(messages, [])
+
+
+def test_losses_before_a_restart_are_those_of_the_old_boot():
+    messages, at = restarted(200, 300)
+    del messages[at - 20 : at - 10]
+    assert boots_and(messages) == (2, {"restarts": 1, "frames_lost": 10})
+    assert [block.segment for block in read(messages)[0]].count(0) == 190
+
+
+@pytest.mark.parametrize("seconds", [3, 40])
+def test_frames_that_a_link_held_up_are_of_the_same_boot(seconds):
+    """Some were lost when the link's buffer was full; the others arrive all at once."""
+    messages = long_box(40 * SECOND).messages
+    at = 10 * SECOND
+    held = [m._replace(t_host_ns=m.t_host_ns + seconds * 10**9) for m in messages[at + 20 :]]
+    assert boots_and([*messages[:at], *held]) == (1, {"frames_lost": 20})
+
+
+def test_a_hole_larger_than_the_link_is_a_hole_if_the_boot_id_says_so():
+    """A host that sleeps does not see the time in which the link lost the frames."""
+    messages = long_box(200 * SECOND).messages
+    at, gone = 20 * SECOND, 150 * SECOND
+    asleep_ns = messages[at + gone].t_host_ns - messages[at].t_host_ns
+    received = [*messages[:at], *(m._replace(t_host_ns=m.t_host_ns - asleep_ns) for m in messages[at + gone :])]
+    assert boots_and(received) == (1, {"frames_lost": gone})
+
+
+@pytest.mark.parametrize("seq", [0, 700, 12_512_235, 2**31 + 500, 2**32 - 1])
+def test_a_single_frame_that_is_out_of_place_changes_nothing(seq):
+    """Behind the count or far ahead of it, and with the box's own boot id: the count continues."""
+    messages = long_box(20 * SECOND).messages
+    beat = next(m for m in messages if m.topic == "/box/heartbeat")
+    _, _, *rest = cbor2.loads(beat.data)
+    messages.insert(10 * SECOND, beat._replace(data=bytes(wire.encode_payload([wire.HEARTBEAT, seq, *rest]))))
+    assert account(messages) == {"frames_malformed": 1}
+    assert [block.gap for block in read(messages)[0]].count(True) == 1
+
+
+@pytest.mark.parametrize("n", [1, SECOND, 5 * SECOND])
+def test_a_piece_that_stands_twice_in_a_file_is_malformed(n):
+    messages = long_box(40 * SECOND).messages
+    messages[30 * SECOND : 30 * SECOND] = messages[SECOND : SECOND + n]
+    assert boots_and(messages) == (1, {"frames_malformed": n})
+
+
+def test_a_frame_that_another_one_overtook_is_used():
+    """The overtaking one is out of place."""
+    messages = long_box(4 * SECOND).messages
+    messages[100], messages[101] = messages[101], messages[100]
+    assert boots_and(messages) == (1, {"frames_malformed": 1, "frames_lost": 1})
+
+
+def test_frames_without_a_boot_id_are_not_held_for_ever(monkeypatch):
+    """Of a file that no recorder has written: the count continues behind the hole."""
+    monkeypatch.setattr(streams, "MOST_HELD", 100)
+    messages = box_with(blocks=400).messages[:-199]  # behind its only heartbeat
+    del messages[60:65]
+    messages += box_with(blocks=400).messages[-190:]
+    beat = max(k for k, m in enumerate(messages) if m.topic == "/box/heartbeat")
+    (blocks,) = BoxReader(IDENT).feed(columns_of(messages[beat + 1 :]))
+    assert len(blocks) == sum(m.topic == "/box/adc" for m in messages[beat + 1 :])
+
+
+def test_a_clock_exchange_beside_a_restart_is_of_the_boot_that_answered():
+    box = box_with()
+    box.reboot(2 * 10**9)
+    box.data(2 * 10**9 + BLOCK_NS, COUNTS)  # its ident is lost
+    box.sync(2 * 10**9 + 3 * BLOCK_NS, 1e5, 1e5)
+    box.heartbeat(3 * 10**9)
+    _, reader = read(box.messages)
+    assert [len(reader.exchanges(segment)) for segment in reader.segments] == [1, 1]
+
+
+def recording(rng, frames, reboots):
+    """Return the messages of a streaming box with all kinds of occasional frames; some are lost, doubled or flipped."""
+    box, t = Box(), 0
+    box.ident(0)
+    for k in range(frames):
+        t += BLOCK_NS
+        if k in reboots:
+            box.reboot(t := t + 10**8)
+            box.ident(t)
+        box.data(t, COUNTS[: int(rng.integers(1, 14))], int(rng.random() < 0.02), int(rng.random() < 0.02) * 5)
+        if rng.random() < 0.05:
+            box.heartbeat(t)
+        if rng.random() < 0.1:
+            box.sync(t, 1e5, 1e5)
+        if rng.random() < 0.06:
+            box.frame("event", t, wire.EVENT, int(rng.integers(0, 3)), box.device_us(t), 1)
+        if rng.random() < 0.02:
+            box.n0 = 0  # started again
+    received = []
+    for message in box.messages:
+        fate = rng.random() if message.topic != "/sync" else 1.0
+        if fate > 0.02:
+            received.append(message)
+        if fate < 0.01:
+            received += [message, message]
+        elif fate < 0.015:
+            data = bytearray(message.data)
+            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+            received.append(message._replace(data=bytes(data)))
+    return received
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.lists(st.integers(1, 400), max_size=8))
+def test_where_batches_end_changes_nothing(seed, cuts):
+    messages = recording(np.random.default_rng(seed), 200, {60, 61, 150})
+    cuts = sorted({min(cut, len(messages)) for cut in cuts})
+    assert in_batches(messages, cuts) == in_batches(messages, [])
+
+
+def test_exchanges_of_odd_text():
+    lines = [b"{}", b"1],[2", b'{"t0_ns":1', json.dumps({"t0_ns": 1, "t1_us": 2, "t2_us": True, "t3_ns": 4}).encode()]
+    good = json.dumps({"t0_ns": 1, "t1_us": 2, "t2_us": 3, "t3_ns": 4}).encode()
+    _, reader = read([Message("/sync", k, line) for k, line in enumerate([good, *lines, good])])
+    assert reader.exchanges(reader.segment).tolist() == 2 * [[1, 2, 3, 4]]
+    assert (reader.losses().sync_requests, reader.losses().sync_unanswered) == (6, 4)
+
+
+def test_counts_of_frames_of_several_lengths():
+    box = Box()
+    box.ident(0)
+    sent = [np.arange(n * CHANNELS).reshape(n, CHANNELS) - 7 * n for n in (13, 13, 4, 1, 13, 2)]
+    for k, counts in enumerate(sent):
+        box.data((k + 1) * BLOCK_NS, counts)
+    (blocks,) = BoxReader().feed(columns_of(box.messages))
+    np.testing.assert_array_equal(blocks.counts(), np.concatenate(sent))
+    assert blocks.within_ns().tolist() == [k * PERIOD_NS for counts in sent for k in range(len(counts))]
+
+
+@pytest.mark.parametrize("batch", [1, 3, 1000])
+def test_silences_of_the_box(batch):
+    """Longer than two seconds, or however short if the recorder lost the box."""
+    times = [t for k in range(400) if not 20.05e9 < (t := k * 10**8) < 25.95e9]
+    rows = [Message("/box/adc", t, b"") for t in times] + [Message("/events", 35_050_000_000, b'{"kind":"link-lost"}')]
+    rows = [*sorted(rows, key=lambda m: m.t_host_ns), Message("/events", 41_950_000_000, b"{}")]
+    silences = Silences()
+    for at in range(0, len(rows), batch):
+        silences.take(columns_of(rows[at : at + batch]))
+    expected = [(20_000_000_000, 26_000_000_000), (35_000_000_000, 35_100_000_000), (39_900_000_000, 41_950_000_000)]
+    assert silences.finish() == expected
