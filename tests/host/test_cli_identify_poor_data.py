@@ -72,12 +72,18 @@ def unseen_and_advised(result, text, rank, advice, promised=None):
     assert all(np.isfinite(p["value"]) for p in result["parameters"])
     shown = stated(result)["identified"].values
     assert (shown["rank"], shown["n_free"], shown["unseen"]) == (rank, result["n_free"], lost)
-    advised = {of["values"]["what"]: of["values"] for of in result["findings"] if of["code"] == "measure-next"}
-    assert advised[advice]["n"] == (promised or lost)
-    assert not advised[advice]["full_rank"]
+    advised = advised_by_kind(result)[advice]
+    assert (advised["n"], advised["full_rank"]) == (promised or lost, False)
 
 
-POSES = "measure more varied poses with the same chucks and spheres"
+def advised_by_kind(result):
+    """The values of the advice what to measure, by the kind of the proposal."""
+    kinds = {addition["text"]: addition["kind"] for addition in result["additions"]}
+    values = [of["values"] for of in result["findings"] if of["code"] == "measure-next"]
+    return {kinds[advice["what"]]: advice for advice in values}
+
+
+POSES = "poses"
 
 
 def with_chucks(coordinates):
@@ -182,7 +188,7 @@ def test_a_tool_orientation_that_a_real_arm_keeps_nearly(identified, n):
     parts = {name.partition(".")[0] for direction in result["hardly_seen"] for name in direction["names"]}
     assert {"link1", "link7"} <= parts
     assert stated(result)["identified"].values["weak"] == 3
-    (advised,) = [of["values"] for of in result["findings"] if of["values"].get("what") == POSES]
+    advised = advised_by_kind(result)[POSES]
     assert (advised["n"], advised["full_rank"]) == (3, True)
     varied, _ = identified(random_table(200, np.random.default_rng(9), SIGMA))
     assert (varied["hardly_seen"], varied["additions"]) == ([], [])

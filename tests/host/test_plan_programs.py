@@ -74,10 +74,7 @@ def test_the_bar_is_off_on_every_way_that_was_planned_without_it(name, suffix):
     route = planned(name)
     controller = driven(name, route.stops, suffix, Task("plan"))
     assert len(controller.said) == 2 * route.n_mounts
-    assert [text.split(". Next")[0] for _, text in controller.said[:3:2]] == [
-        "Check that no bar is mounted",
-        "Remove the bar",
-    ]
+    assert not any(text.startswith("Mount") for _, text in controller.said[:3:2])
     on = None
     asked = list(controller.said)
     for i in range(len(controller.moves)):

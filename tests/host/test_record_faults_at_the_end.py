@@ -74,14 +74,14 @@ def mute_robot(lab, box, robot, path):
 
 
 FAULTS = {
-    "overwritten": (to_the_file(overwrite), "parts of it were overwritten"),
+    "overwritten": (to_the_file(overwrite), "overwritten"),
     "truncated": (to_the_file(lambda path: os.truncate(path, 100)), "was truncated"),
-    "truncated and regrown": (to_the_file(regrow), "its earlier content is lost, and everything since then is in"),
+    "truncated and regrown": (to_the_file(regrow), "its earlier content"),
     "deleted": (to_the_file(lambda path: path.unlink()), "was deleted"),
     "renamed": (to_the_file(lambda path: path.rename(path.with_name("other.mcap"))), "was renamed"),
     "full disk": (to_the_file(fill_disk), "cannot be written any more"),
-    "box mute": (mute_box, "the box was gone at the end, and silent for the last 2."),
-    "robot mute": (mute_robot, "the robot sent nothing in the last "),
+    "box mute": (mute_box, "the box was gone"),
+    "robot mute": (mute_robot, "the robot sent nothing"),
 }
 
 

@@ -65,7 +65,9 @@ def test_nothing_is_lost_of_a_file_that_is_gone(lab, path, what):
 
     summary = lost(lab, path, happens)
     rescued = path.with_name(f"{path.stem}-rescued{path.suffix}")
-    assert summary.file_losses == (f"{path}: was {what} while it was written; all of it is in {rescued}",)
+    (loss,) = summary.file_losses
+    assert loss.startswith(f"{path}: was {what}")
+    assert loss.endswith(str(rescued))
     assert events(rescued, "file-lost")[0]["text"] == summary.file_losses[0]
     first = samples(rescued)
     assert first == list(range(0, 10 * len(first), 10))
@@ -89,7 +91,9 @@ def test_nothing_is_lost_of_a_folder_that_is_removed(lab, tmp_path, monkeypatch,
 
     summary = lost(lab, folder / "s.mcap", happens)
     rescued = (folder if again else other) / "s-rescued.mcap"
-    assert summary.file_losses == (f"{folder / 's.mcap'}: was deleted while it was written; all of it is in {rescued}",)
+    (loss,) = summary.file_losses
+    assert loss.startswith(f"{folder / 's.mcap'}: was deleted")
+    assert loss.endswith(str(rescued))
     assert 10 * len(samples(rescued)) == summary.counters.samples
     assert is_head_whole(rescued)
 

@@ -163,7 +163,7 @@ class TestBox:
             box.boot(0x3333)
 
         lab.at(HOST_0 + int(2.5 * SECOND), exchange)
-        with pytest.raises(ProtocolError, match=r"another box answers \(0909; the recording began with 01020304\)"):
+        with pytest.raises(ProtocolError, match=r"another box answers \(0909.*01020304\)"):
             run(lab, box, path, 6.0)
         assert open_session(path).metadata["session-end"]["reason"] == "failed"
         assert topics(path)["/box/adc"][-1].t_host_ns < HOST_0 + 2 * SECOND + 50 * MS

@@ -259,7 +259,7 @@ def test_parameters_of_the_rig_stand_apart():
     text = render(replace(page, estimate=replace(page.estimate, n_robot_parameters=48)))
     robot, rig = re.findall(r"<tbody>(.*?)</tbody>", text.split("<h2>Parameters</h2>")[1])[:2]
     assert (robot.count("<tr"), rig.count("<tr")) == (48, 6)
-    assert "<summary>6 parameters of the rig</summary>" in text
+    assert "<summary>6 parameters" in text
 
 
 def test_steps_and_facts_are_shown():

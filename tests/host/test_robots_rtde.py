@@ -276,7 +276,7 @@ class TestClient:
     @pytest.mark.parametrize(("controller", "hz", "full"), [(CONTROLLER_5_8, 200, 500), (CONTROLLER_3_15, 500, 125)])
     def test_a_rate_that_does_not_divide_the_full_one(self, controller, hz, full):
         player = Controller([(VERSION_2, VERSION_ACCEPTED), (CONTROLLER, controller)])
-        with pytest.raises(InputError, match=f"divides the controller's {full} Hz"):
+        with pytest.raises(InputError, match=f"divides .* controller's {full} Hz"):
             RtdeLink(f"{player.url}?hz={hz}", HostClock())
         player.finish()
 
@@ -368,9 +368,9 @@ REFUSALS = {
     "no controller": ([(VERSION_2, VERSION_ACCEPTED), (CONTROLLER, h("00 04 76 01"))], "report its version"),
     "fields": (
         [*GREETING, (setup(NAMES, 500.0), answer(0, b"DOUBLE,NOT_FOUND" + ALL_TYPES[15:]))],
-        "refuses the fields",
+        "refuses .*fields",
     ),
-    "rubbish": ([*GREETING, (setup(NAMES, 500.0), answer(1, b"\xff\xfe"))], "refuses the fields"),
+    "rubbish": ([*GREETING, (setup(NAMES, 500.0), answer(1, b"\xff\xfe"))], "refuses .*fields"),
     "start": ([*WHOLE[:-1], (START, NOT_STARTED)], "refuses to send"),
     "another protocol": ([(VERSION_2, b"HTTP/1.1 400 Bad Request\r\n\r\n")], "no answer to RTDE's 'V'"),
     "sizes": ([(VERSION_2, b"\0\0\0\0")], "RTDE"),
