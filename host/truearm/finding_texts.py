@@ -345,7 +345,7 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     ),
     "in-use": ("{place}: is still being written", "end that recording first, or give another name"),
     # names and options
-    "wrong-value": ("{place}[: {value!r} is not one of {names}|| {value}: needs {form}]", "[did you mean {meant}?]"),
+    "wrong-value": ("{place}[: {value!r}] [needs {form}||is not one of {names}]", "[did you mean {meant}?]"),
     "not-in-rig": (
         "{place}: {what} {name!r} is not in the rig[, which has {names}]",
         "correct the name, or give a rig that has it",

@@ -128,6 +128,12 @@ def test_an_error_keeps_its_code_within_a_file():
     assert RobotError("no ", Argument("tip")).within("a.urdf").text("--{}".format) == "a.urdf: no --tip"
 
 
+@pytest.mark.parametrize("values", [{"names": ["a"]}, {"form": "two numbers"}])
+@pytest.mark.parametrize("value", ["", "b"])
+def test_an_empty_value_is_refused_too(values, value):
+    assert str(InputError("wrong-value", place="x", value=value, **values)).startswith("x")
+
+
 def test_a_missing_file_is_a_file_not_found_and_every_input_error_a_value_error(tmp_path):
     with pytest.raises(FileNotFoundError) as caught:
         truearm.read_rig(tmp_path / "rig.toml")

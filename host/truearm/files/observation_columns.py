@@ -79,7 +79,7 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
         raise TableError("unknown-column", place=where, remedy=_suggestion(title))
     quantity, unit, known = match[1] + match[2], match[3] or "", units[match[1]]
     if unit not in known:
-        raise TableError("wrong-value", place=where, value=title[:40], names=[named(quantity, u) for u in known])
+        raise TableError("wrong-value", place=where, names=[named(quantity, u) for u in known])
     return sigma_column(SUFFIXES[unit].si) if quantity == "sigma" else quantity, unit
 
 

@@ -94,7 +94,7 @@ def _columns(header: list[str], name: str, joints: Sequence[Key]) -> dict[str, C
         spellings = [spelled for spelled, key in keys.items() if key.name == quantity]
         if title not in keys:
             if spellings and unit in SUFFIXES:
-                raise TargetError("wrong-value", place=where, value=title[:40], names=spellings)
+                raise TargetError("wrong-value", place=where, names=spellings)
             if title == "note" or RESULTS.fullmatch(title):
                 continue
             raise TargetError("unknown-column", place=where, remedy=hint(title, list(keys)))
