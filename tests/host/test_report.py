@@ -68,6 +68,7 @@ def test_every_kind_has_its_words_and_units(kind):
     assert all(html.escape(residual) in text for residual in of.residual.values())
     assert ("Gaussian" in text, "Maxwell" in text) == (signed, not signed)
     assert f"By {of.groups}" in titles(text)
+    assert not re.search(r"</h2>(<div[^>]*></div>)?</section>", text)  # no section is empty
     head, row = cells_of(text, "residuals mm")
     assert row[0] == name
     for title in head[1:]:

@@ -102,5 +102,6 @@ def picture(figure: Figure, kind: str = "") -> str:
 
 
 def pictures(shown: Iterable[str]) -> str:
-    """Return several pictures side by side where there is space."""
-    return f'<div class="pictures">{"".join(shown)}</div>'
+    """Return several pictures side by side where there is space; "" if there are none."""
+    content = "".join(shown)
+    return f'<div class="pictures">{content}</div>' if content else ""
