@@ -2,6 +2,7 @@
 
 import base64
 import json
+import zlib
 from typing import Any
 
 import numpy as np
@@ -105,7 +106,7 @@ def check_schema(result: dict[str, Any]) -> None:
         assert (parameter["sigma"] is None) == (not parameter["seen"])
     free = [p["name"] for p in result["parameters"] if p["free"]]
     assert result["free"] == result["covariance"]["names"] == free
-    upper = np.frombuffer(base64.b64decode(result["covariance"]["upper"]), "<f8")
+    upper = np.frombuffer(zlib.decompress(base64.b64decode(result["covariance"]["upper"])), "<i4")
     assert len(upper) == len(free) * (len(free) + 1) // 2
     assert parse_result(json.dumps(result), "r.json").document == result
     unseen = {name for direction in result["null_space"] for name in direction["names"]}

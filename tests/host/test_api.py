@@ -147,10 +147,10 @@ def test_an_exported_robot_says_what_it_costs(result):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"q": np.nan}, "q[0] is not a finite number"),
-        ({"value": -0.46}, "length is -0.46 m, not between"),
+        ({"q": np.nan}, "finite number"),
+        ({"value": -0.46}, "-0.46 m"),
         ({"chuck": ""}, "needs a chuck"),
-        ({"kind": "bar"}, "is not an observation kind"),
+        ({"kind": "bar"}, "observation kind"),
     ],
 )
 def test_a_table_that_could_not_be_read_again_is_not_written(change, complaint, tmp_path, robot, table):
@@ -298,7 +298,7 @@ def test_poses_that_cannot_be_corrected_have_a_status_if_the_others_are_wanted(r
         truearm.correct_poses(result, poses, home=q[0])
     corrected = truearm.correct_poses(result, poses, home=q[0], partial=True)
     assert corrected.status[0] == "corrected"
-    assert corrected.status[1].startswith("no joint values within the limits")
+    assert corrected.status[1].startswith("no joint values")
     assert np.isfinite(corrected.commanded[0]).all()
     assert np.isnan(corrected.commanded[1]).all()
     assert np.isnan(corrected.q[1]).all()
@@ -713,7 +713,7 @@ def test_files_that_are_not_there(folder, tmp_path, result):
             call("")
     with pytest.raises(InputError, match=r"^robot: ''"):
         truearm.load_robot("")
-    with pytest.raises(InputError, match=r"^path: 'x+'… is too long"):
+    with pytest.raises(InputError, match=r"^path: 'x+'… .*too long"):
         truearm.write_result("x" * 300, result)
 
 
@@ -747,7 +747,7 @@ def test_arrays_of_other_programs_become_float64_and_text(table):
         given = replace(table, chuck=table.chuck.astype(dtype))
         assert given.chuck.dtype.kind == "U"
         assert given.chuck.tolist() == table.chuck.tolist()
-    with pytest.raises(TypeError, match="chuck: must be an array of text"):
+    with pytest.raises(TypeError, match="chuck: must be an array"):
         replace(table, chuck=np.where(table.chuck == "c0", table.chuck.astype(object), np.nan))
 
 
@@ -756,7 +756,7 @@ def test_masked_values_are_not_taken_for_values(table, result):
     with pytest.raises(TypeError, match="NaN, or leave out their rows"):
         replace(table, value=hidden)
     np.testing.assert_array_equal(replace(table, value=np.ma.masked_array(table.value)).value, table.value)
-    with pytest.raises(TypeError, match="home: has masked values"):
+    with pytest.raises(TypeError, match=r"home: .*masked values"):
         truearm.correct_poses(result, np.eye(4), home=np.ma.masked_array(np.zeros(6), mask=np.arange(6) == 3))
 
 

@@ -314,7 +314,7 @@ CHANGES = {
 @pytest.mark.parametrize("what", CHANGES)
 def test_bad_results_are_one_line(bench, tmp_path, capsys, what):
     change, says = CHANGES[what]
-    covariance_free = lambda d: (change(d), d["covariance"].update(names=[], units=[], upper=""))  # noqa: E731
+    covariance_free = lambda d: (change(d), d["covariance"].update(names=[], units=[], sigma=[], upper=""))  # noqa: E731
     result = damage(bench, tmp_path, covariance_free)
     code, _, err = run(capsys, "correct", result, bench.folder / "targets.csv", "--out", tmp_path / "out.csv")
     assert code == 2

@@ -318,7 +318,7 @@ def test_gravity_in_the_table_is_that_of_an_arm_that_stands_askew():
     turned = np.where(np.arange(160)[:, None] % 2, 9.81 * leaning, (0.0, 0.0, -9.81))
     both = identified_with(table.replace(gravity=turned), np.zeros(160, dtype=bool), "sag").estimate
     assert both.joint_laws.kept == ()
-    assert "gravity is up to 20.1 deg from its mean direction" in both.joint_laws.reasons[0]
+    assert "20.1 deg" in both.joint_laws.reasons[0]
 
 
 HELD = np.array([0.0, 0.06, 0.12])  # m, centre of the payloads in the end frame
@@ -450,7 +450,7 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     with pytest.raises(InputError, match="payload acts"):
         again.carrying(2.0)
     bad = table.replace(payload=-1.0)
-    with pytest.raises(ProblemError, match="world row 1: a payload of -1 kg"):
+    with pytest.raises(ProblemError, match=r"world row 1: .*-1 kg"):
         identified_with(bad, none, "sag")
 
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from truearm import __version__
 from truearm.estimate.gain import gain_of
-from truearm.files.result_file import Covariance, Parameter, Result, RobotFrames
+from truearm.files.result_covariance import Covariance
+from truearm.files.result_file import Parameter, Result, RobotFrames
 from truearm.files.strict_json import without_nan
 from truearm.kinds import registry
 from truearm.kinds.table import ObservationTable

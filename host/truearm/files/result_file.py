@@ -10,20 +10,22 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import msgspec
 import numpy as np
-from msgspec import UNSET, Meta, Struct, UnsetType, field
+from msgspec import UNSET, Meta, Struct, UnsetType
 from numpy.typing import NDArray
 
 from truearm.errors import InputError
 from truearm.estimate.solvers import Loss, Prior
 from truearm.files.disk import read_text, sha256, write_atomic
+from truearm.files.earlier_results import converted
+from truearm.files.result_covariance import Covariance, Name, Names, Size
 from truearm.results import Addition, Defaults, NullDirection, Unusable
-from truearm.types import Floats, Law, Payload
+from truearm.types import Law, Payload
 from truearm.units import MM, UNITS
 
 if TYPE_CHECKING:
@@ -35,10 +37,7 @@ SINCE_CHECKSUM = 3  # version
 CHECKSUM = "checksum"
 MAX_BYTES = 64 * 2**20
 
-Name = Annotated[str, Meta(max_length=500)]
-Names = Annotated[tuple[Name, ...], Meta(max_length=20_000)]
 Count = Annotated[int, Meta(ge=0, le=10**12)]
-Size = Annotated[float, Meta(ge=0.0)]
 Residual = Size | None | UnsetType  # in the unit at the end of its name, absent if no residual has it
 Figures = dict[Name, Count | Size | None]  # by key; those of residuals end in a unit
 Scalar = str | bool | int | float | None
@@ -120,32 +119,6 @@ class Parameter(Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
             raise ValueError("its unit is not known")
-
-
-class Covariance(Struct, frozen=True):
-    """The covariance of the free parameters: ``upper`` is its upper triangle, by rows, as little-endian float64."""
-
-    names: Names
-    units: Names
-    upper: bytes  # in base64 in the file
-
-    def __post_init__(self) -> None:
-        n = len(self.names)
-        if len(self.upper) != 4 * n * (n + 1):
-            raise ValueError(f"upper needs {n * (n + 1) // 2} numbers for {n} names")
-
-    @classmethod
-    def of(cls, names: Collection[str], units: Collection[str], matrix: Floats) -> Covariance:
-        """Return that of a matrix (n, n)."""
-        upper = matrix[np.triu_indices(len(matrix))]
-        return cls(tuple(names), tuple(units), np.where(np.isfinite(upper), upper, np.nan).astype("<f8").tobytes())
-
-    @property
-    def matrix(self) -> Floats:
-        """Return the matrix (n, n)."""
-        matrix = np.zeros((len(self.names), len(self.names)))
-        matrix[np.triu_indices(len(matrix))] = np.frombuffer(self.upper, "<f8")
-        return matrix + np.triu(matrix, 1).T
 
 
 class Result(Struct, frozen=True, kw_only=True):
@@ -250,90 +223,6 @@ class Result(Struct, frozen=True, kw_only=True):
         return {**content, CHECKSUM: checksum(content)}
 
 
-class _Matrix(Struct, frozen=True):
-    names: Names
-    units: Names
-    matrix: tuple[tuple[float | None, ...], ...]
-
-
-class _EarlierResult(Struct, frozen=True):
-    covariance: _Matrix
-
-
-def _of_version_4(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a result of version 1 to 3 in the form of version 4; absent fields take their defaults."""
-    covariance = msgspec.convert(document, _EarlierResult).covariance
-    n = len(covariance.names)
-    if [len(row) for row in covariance.matrix] != [n] * n:
-        raise msgspec.ValidationError(f"needs {n} rows of {n} numbers, one per name - at `$.covariance.matrix`")
-    packed = Covariance.of(covariance.names, covariance.units, np.array(covariance.matrix, dtype=float).reshape(n, n))
-    converged, made_with = document.get("status") == "converged", document.get("made_with")
-    verdict = {"usable": converged, "unusable_because": None if converged else Unusable.NOT_CONVERGED}
-    if document.get("prior") == "default":
-        document["prior"] = Prior.WHERE_NEEDED
-    if isinstance(made_with, dict) and made_with.get("prior") == "default":
-        made_with["prior"] = Prior.WHERE_NEEDED
-    document = {**verdict, "residual_units": ["mm"], **document}
-    return {**document, "format_version": FORMAT_VERSION, "covariance": msgspec.to_builtins(packed)}
-
-
-def _with_faults(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of an earlier truearm, with its systematic errors as faults; what was not stored is null."""
-    earlier = msgspec.convert(document, _EarlierFaults)
-    moves = (earlier.without_systematic or {}).get("tool_moves_mm")
-    unknown = dict.fromkeys(("weight", "moves_mm", "error_mm", "gain", "gain_t"))
-    faults = []
-    for entry in earlier.systematic:
-        first, last = entry.rows
-        rows = {"first": first, "last": last, "from": entry.source, "to": entry.to}
-        what = f"{entry.what or 'rows'}.{entry.form}"
-        names = [(what, (entry.apply or {}).get("allow", "")), *((name, "") for name in entry.rivals)]
-        rivals = [{"name": name, "apply": apply, **unknown, **rows, "moves_mm": moves} for name, apply in names]
-        size = {"unit": entry.unit, "value": entry.size, "sigma": entry.sigma}
-        mean = {"name": "mean", "apply": "", **unknown, **dict.fromkeys(rows), "moves_mm": moves}
-        faults.append(
-            {
-                "aliases": [],
-                "sizes": [size] if entry.unit else [],
-                "rivals": rivals,
-                "mean": mean,
-                "chi2_drop": entry.chi2_drop,
-                "freedom": entry.freedom,
-                "log_evidence": None,
-                "deciding": [],
-            }
-        )
-    explanations = [
-        {**entry, "apply": {"apply": entry["apply"]["allow"]}} if "allow" in (entry.get("apply") or {}) else entry
-        for entry in earlier.explanations
-    ]
-    made_with = document.get("made_with")
-    if isinstance(made_with, dict) and "allow" in made_with:
-        made_with = {"apply" if name == "allow" else name: value for name, value in made_with.items()}
-    return {**document, "faults": faults, "explanations": explanations, "made_with": made_with}
-
-
-class _EarlierFault(Struct, frozen=True):
-    rows: tuple[Count, Count]
-    form: Name = "offset"
-    what: Name | None = None
-    to: Name = ""
-    source: Name = field(default="", name="from")
-    unit: Name | None = None
-    size: Size | None = None
-    sigma: Size | None = None
-    chi2_drop: Size | None = None
-    freedom: Count = 0
-    rivals: Names = ()
-    apply: dict[Name, Name] | None = None
-
-
-class _EarlierFaults(Struct, frozen=True):
-    systematic: Annotated[tuple[_EarlierFault, ...], Meta(max_length=1000)] = ()
-    without_systematic: Figures | None = None
-    explanations: tuple[dict[Name, Any], ...] = ()
-
-
 def checksum(document: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a result's content, independent of its layout. Raises ValueError for non-finite numbers."""
     content = {name: value for name, value in document.items() if name != CHECKSUM}
@@ -373,8 +262,7 @@ def _checked(document: Any, name: str) -> Result:
     if (version >= SINCE_CHECKSUM or CHECKSUM in document) and document.get(CHECKSUM) != checksum(document):
         text = "was changed or damaged: its checksum does not match; copy it again or identify again"
         raise InputError(f"{name}: {text}")
-    document = document if "faults" in document else _with_faults(document)
-    return msgspec.convert(document if version == FORMAT_VERSION else _of_version_4(document), Result)
+    return msgspec.convert(converted(document), Result)
 
 
 def format_document(value: Any, indent: int = 0) -> str:
