@@ -14,7 +14,7 @@ from truearm.findings import Finding
 from truearm.kinds.registry import NAMES, kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.calibration_page import CalibrationPage
-from truearm.report.certificate import MOST, Certificate, Recording, Sensor, facts_of, more, sensor_facts
+from truearm.report.certificate import MOST, Certificate, Recording, facts_of, more, sensor_facts
 from truearm.results import Estimate, Figures, HeldOut, NullDirection, Observability, PredictedError
 from truearm.workflows.certificates import ALWAYS_EXCLUDED
 
@@ -204,17 +204,24 @@ RECORDINGS = tuple(
     Recording(
         f"monday{i}.mcap",
         "2026-01-01 12:00 UTC",
-        "e6614103e7452b2f",
-        "0.4.0",
-        (Sensor("lvdt", f"serial{i}", "2026-01-01", "at 23.4 °C", 1.2e-6),),
-        400,
-        24,
-        (("no plan match", 13), ("moved", 2)),
-        4,
-        1_234_567,
+        (
+            ("begun", "2026-01-01 12:00 UTC"),
+            ("box", "e6614103e7452b2f, firmware 0.4.0"),
+            ("dwells", "400, of these rejected: 13 no plan match, 2 moved"),
+            ("stops for mounting", "24"),
+            ("passes along lines", "4"),
+            ("samples", "1,234,567 received, 12 lost; 3 frames lost"),
+            ("error of the box's clock, at most", "304 µs"),
+            ("temperature of the box", "20.0 to 23.0 °C"),
+            ("temperature of the bar", "20.0 to 21.0 °C"),
+        ),
+        (
+            (
+                "sensor lvdt",
+                f"serial serial{i}, calibrated 2026-01-01, at 23.4 °C, residuals of 1.2 µm, against a reference",
+            ),
+        ),
         12,
-        3,
-        304e-6,
         (("box", 20.0, 23.0), ("bar", 20.0, 21.0)),
     )
     for i in range(9)

@@ -8,54 +8,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from truearm.report.page_parts import sentences
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import escape
 from truearm.text import counted
-from truearm.units import DEGC, UM, US
+from truearm.units import DEGC
 
 MOST = 4  # sensors, parts of the rig and files listed on page one
 Facts = tuple[tuple[str, str], ...]  # labels and values
 SIGNATURE = "".join(f"<p>{field}</p>" for field in ("place, date", "name", "signature"))
 
 
-@dataclass(frozen=True)
-class Sensor:
-    """A calibrated channel of a box, as reported by the box.
-
-    ``sigma`` [m] of its residuals and ``reference_sigma`` [m] of the ``reference`` instrument are None if not reported.
-    """
-
-    name: str
-    serial: str
-    date: str
-    temperature: str
-    sigma: float | None = None
-    reference: str = ""
-    reference_sigma: float | None = None
-
-
-@dataclass(frozen=True)
-class Recording:
-    """How a session was recorded: times are UTC texts, ``bound`` [s] is of the box's clock, None where unknown.
+class Recording(NamedTuple):
+    """How a session was recorded: its file, when in UTC, "" if unknown, and the facts about it and about the sensors of its box.
 
     ``temperatures``: name, lowest and highest reading [°C] of each thermometer.
     """
 
     name: str
     begun: str
-    uid: str
-    firmware: str
-    sensors: tuple[Sensor, ...]
-    dwells: int  # at poses; stops between lines do not count
-    mountings: int  # stops for mounting, which are not dwells
-    rejected: tuple[tuple[str, int], ...]  # number by reason
-    passes: int
-    samples: int
+    facts: Facts
+    sensors: Facts
     samples_lost: int
-    frames_lost: int
-    bound: float | None
     temperatures: tuple[tuple[str, float, float], ...] = ()
 
 
@@ -71,25 +47,10 @@ class Certificate:
 
 def facts_of(recordings: Sequence[Recording]) -> Facts:
     """Return labels and values of how sessions were recorded; of several, labels start with the session's name."""
-    facts = []
-    for one in recordings:
-        of = f"{one.name}: " if len(recordings) > 1 else ""
-        rejected = ", ".join(f"{n} {reason}" for reason, n in one.rejected) or "none"
-        facts += [
-            (f"{of}begun", one.begun or "not known"),
-            (f"{of}box", f"{one.uid or 'without a uid'}, firmware {one.firmware or 'not known'}"),
-            *(
-                [(f"{of}dwells", f"{one.dwells}, of these rejected: {rejected}")]
-                if one.dwells or not one.passes
-                else []
-            ),
-            *([(f"{of}stops for mounting", str(one.mountings))] if one.mountings else []),
-            *([(f"{of}passes along lines", str(one.passes))] if one.passes else []),
-            (f"{of}samples", f"{one.samples:,} received, {one.samples_lost:,} lost; {one.frames_lost:,} frames lost"),
-            (f"{of}error of the box's clock, at most", "not known" if one.bound is None else US.text(one.bound, ".0f")),
-            *((f"{of}temperature of the {name}", _between(*degc)) for name, *degc in one.temperatures),
-        ]
-    return tuple(facts)
+    several = len(recordings) > 1
+    return tuple(
+        (f"{one.name}: {label}" if several else label, value) for one in recordings for label, value in one.facts
+    )
 
 
 def conditions(recordings: Sequence[Recording]) -> Facts:
@@ -104,27 +65,14 @@ def conditions(recordings: Sequence[Recording]) -> Facts:
     return (
         ("sessions", f"{len(recordings)}, listed under The recording"),
         ("samples lost", f"{sum(one.samples_lost for one in recordings):,}"),
-        *((f"temperature of the {name}", _between(min(degc), max(degc))) for name, degc in readings.items()),
+        *((f"temperature of the {name}", between(min(degc), max(degc))) for name, degc in readings.items()),
     )
 
 
 def sensor_facts(recordings: Sequence[Recording]) -> Facts:
     """Return the sensors of the boxes with their calibrations."""
-    sensors = list(dict.fromkeys(sensor for one in recordings for sensor in one.sensors))
-    facts = []
-    for sensor in sensors[:MOST]:
-        words = (
-            f"serial {sensor.serial}" * bool(sensor.serial),
-            f"calibrated {sensor.date or 'on an unknown date'}",
-            sensor.temperature,
-            "" if sensor.sigma is None else f"residuals of {UM.text(sensor.sigma, '.1f')}",
-            f"against {sensor.reference or 'a reference that is not named'}",
-            "of unknown uncertainty"
-            if sensor.reference_sigma is None
-            else f"± {UM.text(2.0 * sensor.reference_sigma, '.1f')} (k = 2)",
-        )
-        facts.append((f"sensor {sensor.name}", ", ".join(filter(None, words))))
-    return tuple(facts) + more(len(sensors))
+    sensors = tuple(dict.fromkeys(sensor for one in recordings for sensor in one.sensors))
+    return sensors[:MOST] + more(len(sensors))
 
 
 def more(count: int) -> Facts:
@@ -149,5 +97,6 @@ def certificate_section(certificate: Certificate) -> str:
     )
 
 
-def _between(least: float, most: float) -> str:
+def between(least: float, most: float) -> str:
+    """Return a range of temperatures."""
     return f"{DEGC.of(least):.1f} to {DEGC.text(most, '.1f')}"
