@@ -115,8 +115,7 @@ def make_page(n=1600, kind="ball_bar", seed=0, **changes):
         table=table,
         longitude=rng.uniform(-np.pi, np.pi, n) if kind == "ball_bar" else np.full(n, np.nan),
         facts=(("dwells", str(n)), ("samples lost", "0")),
-        steps=(("simulate", 12.0), ("identify", 0.5)),
-        command="truearm demo --seed 1",
+        command="truearm identify session.mcap",
     )
     return replace(page, **changes)
 

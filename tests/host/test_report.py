@@ -263,11 +263,10 @@ def test_parameters_of_the_rig_stand_apart():
     assert "<summary>6 parameters" in text
 
 
-def test_steps_and_facts_are_shown():
+def test_facts_and_the_command_are_shown():
     text = render(make_page(50))
     assert "<dt>dwells</dt><dd>50</dd>" in text
-    assert '<th scope="row">total</th><td>12.5 s</td>' in text
-    assert "<code>truearm demo --seed 1</code>" in text
+    assert "<code>truearm identify session.mcap</code>" in text
 
 
 def test_tiles_are_of_this_estimate():

@@ -38,7 +38,6 @@ def test_names_from_files_stay_text():
         estimate=estimate,
         table=replace(page.table, **columns),
         facts=((HOSTILE, HOSTILE),),
-        steps=((HOSTILE, 1.0),),
         command=HOSTILE,
         findings=(Finding("not-converged", {"message": HOSTILE}),),
     )

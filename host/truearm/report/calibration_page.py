@@ -19,8 +19,17 @@ from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.correlation import correlation
 from truearm.report.figures import convergences, figures_of
 from truearm.report.law_figures import law_figures
-from truearm.report.page_parts import command_block, finding_parts, html_page, picture, pictures, section, table_of
-from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
+from truearm.report.page_parts import (
+    command_block,
+    finding_parts,
+    html_page,
+    picture,
+    pictures,
+    section,
+    table_of,
+    tiles,
+)
+from truearm.report.page_tables import fact_list, parameter_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
 from truearm.report.result_words import before_words
@@ -36,7 +45,7 @@ class CalibrationPage:
 
     ``estimate`` was made from ``table``, whose n rows include fitted and held-out ones. ``longitude`` (n,) [rad] is
     that of the sphere about its chuck, NaN for rows without one. ``facts`` are labels and values about the recording,
-    ``steps`` names and seconds, ``command`` the command that makes the page again. ``prior`` is
+    ``command`` the command that makes the page again. ``prior`` is
     the name of the robot's prior, ``predicted`` the predicted error of the tool from the parameters' covariance.
 
     Raises ValueError if table, longitude and estimate have different numbers of rows.
@@ -48,7 +57,6 @@ class CalibrationPage:
     table: ObservationTable
     longitude: Floats  # (n,) rad
     facts: tuple[tuple[str, str], ...] = ()
-    steps: tuple[tuple[str, float], ...] = ()
     command: str = ""
     prior: str = "none"
     predicted: PredictedError | None = None
@@ -85,39 +93,29 @@ def render(page: CalibrationPage) -> str:
 
 def _verdict(page: CalibrationPage) -> str:
     e, judged = page.estimate, page.estimate.held_out
-    tiles = [
-        _tile(
-            "before",
-            e.rms_before,
-            f"{counted(int(e.used.sum()), 'fitted observation')}, the nominal robot{before_words(e)}",
-            "old",
-        ),
-    ]
+    n_used = counted(int(e.used.sum()), "fitted observation")
+    entries = [("old", "RMS before", _sizes(e.rms_before), f"{n_used}, the nominal robot{before_words(e)}")]
     if not e.has_little_freedom:
-        tiles.append(_tile("after", e.rms_after, "the same observations, identified parameters", "fit"))
+        entries.append(("fit", "RMS after", _sizes(e.rms_after), "the same observations, identified parameters"))
     if judged:
         of_units = judged.figures.items()
         more = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in of_units)
-        rms = {si: error.rms for si, error in of_units}
-        tiles.append(_tile("held out", rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val"))
+        held_out = _sizes({si: error.rms for si, error in of_units})
+        entries.append(("val", "RMS held out", held_out, f"{counted(judged.n, 'observation')} not used to fit; {more}"))
     if page.predicted:
         more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
-        tiles.append(_tile("of the tool, predicted", {"m": page.predicted.rms}, more, "old"))
+        entries.append(("old", "RMS of the tool, predicted", _sizes({"m": page.predicted.rms}), more))
     verdict, doubts, _ = finding_parts(page.findings) if page.findings else ("", "", "")
-    return f'<section>{verdict}<div class="tiles">{"".join(tiles)}</div>{doubts}</section>\n'
+    return f"<section>{verdict}{tiles(entries)}{doubts}</section>\n"
+
+
+def _sizes(errors: Mapping[str, float]) -> list[tuple[str, str]]:
+    return [(size(value, si, ""), symbol(si)) for si, value in errors.items()]
 
 
 def _notes(page: CalibrationPage) -> str:
     notes = finding_parts(page.findings)[2] if page.findings else ""
     return section("Notes", notes) if notes else ""
-
-
-def _tile(name: str, rms: Mapping[str, float], note: str, css: str) -> str:
-    """Return a tile with one figure per SI unit."""
-    sizes = "".join(
-        f'<p class="figure">{size(value, si, "")}<span> {symbol(si)}</span></p>' for si, value in rms.items()
-    )
-    return f'<div class="tile {css}"><p class="name">RMS {name}</p>{sizes}<p class="small">{escape(note)}</p></div>'
 
 
 def _pictures(page: CalibrationPage) -> str:
@@ -179,5 +177,4 @@ def _making(page: CalibrationPage) -> str:
         ("χ² per degree of freedom", figures(e.chi2_reduced)),
         ("solver's time", f"{figures(e.seconds, 2)} s"),
     ]
-    steps = step_table(page.steps) if page.steps else ""
-    return section("How it was made", command_block(page.command) + fact_list(facts) + steps)
+    return section("How it was made", command_block(page.command) + fact_list(facts))

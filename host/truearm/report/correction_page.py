@@ -15,7 +15,7 @@ import numpy as np
 from truearm.findings import findings_of
 from truearm.report import svg
 from truearm.report.figures import Figure, drawn
-from truearm.report.page_parts import finding_parts, html_page, picture, pictures, section, table_of
+from truearm.report.page_parts import finding_parts, html_page, picture, pictures, section, table_of, tiles
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.text import counted, one_line
@@ -99,18 +99,14 @@ def _summary(document: Document) -> str:
     point, due = document["error_point"], _column(document, "expected_mm")
     before, shift = _column(document, "error_before_mm"), _column(document, "shift_mm")
     largest = float(due.max()) if np.isfinite(due).all() else float("nan")
-    tiles = [
-        ("shift, median", float(np.median(shift)), "of the commanded position", "old"),
-        ("error without correction, RMS", rms(before), f"of {point}, by the model", "val"),
-        ("expected error, largest (k = 2)", largest, f"of {point}, {_EXPECTED}", "fit"),
+    entries = [
+        ("old", "shift, median", float(np.median(shift)), "of the commanded position"),
+        ("val", "error without correction, RMS", rms(before), f"of {point}, by the model"),
+        ("fit", "expected error, largest (k = 2)", largest, f"of {point}, {_EXPECTED}"),
     ]
-    shown = "".join(
-        f'<div class="tile {css}"><p class="name">{name}</p><p class="figure">{figures(value)}<span> mm</span></p>'
-        f'<p class="small">{escape(note)}</p></div>'
-        for name, value, note, css in tiles
-    )
+    shown = tiles((css, name, [(figures(value), "mm")], note) for css, name, value, note in entries)
     verdict, doubts, notes = finding_parts(findings_of(document))
-    return f'<section>{verdict}<div class="tiles">{shown}</div>{doubts}{notes}</section>\n'
+    return f"<section>{verdict}{shown}{doubts}{notes}</section>\n"
 
 
 def _targets(document: Document) -> str:

@@ -61,6 +61,16 @@ def finding_parts(findings: Sequence[Finding]) -> tuple[str, str, str]:
     return heading, doubts, listed("remarks", Severity.RESULT, Severity.NOTE)
 
 
+def tiles(entries: Iterable[tuple[str, str, Iterable[tuple[str, str]], str]]) -> str:
+    """Return figures in large type: class, name, value and unit of each figure, and a note."""
+    return f'<div class="tiles">{"".join(_tile(*entry) for entry in entries)}</div>'
+
+
+def _tile(css: str, name: str, sizes: Iterable[tuple[str, str]], note: str) -> str:
+    shown = "".join(f'<p class="figure">{value}<span> {unit}</span></p>' for value, unit in sizes)
+    return f'<div class="tile {css}"><p class="name">{name}</p>{shown}<p class="small">{escape(note)}</p></div>'
+
+
 def command_block(command: str) -> str:
     """Return the command that makes a page again; "" if there is none."""
     return f'<pre tabindex="0"><code>{escape(command, 2000)}</code></pre>' if command else ""

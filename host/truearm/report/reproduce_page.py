@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from truearm.report.figures import Figure
-from truearm.report.page_parts import command_block, html_page, picture, pictures, section, table, table_of
+from truearm.report.page_parts import command_block, html_page, picture, pictures, section, table, table_of, tiles
 from truearm.report.page_tables import step_table
 from truearm.report.page_text import ABSENT, escape, figures
 
@@ -128,14 +128,12 @@ def _summary(page: ReproducePage) -> str:
         NOT_JUDGED: ("old", "too few experiments: a quick run"),
         TRUEARM_ONLY: ("old", "the paper does not give this number"),
     }
-    tiles = "".join(
-        f'<div class="tile {notes[verdict][0]}"><p class="name">{verdict}</p><p class="figure">{number}</p>'
-        f'<p class="small">{notes[verdict][1]}</p></div>'
-        for verdict, number in counts(page).items()
+    shown = tiles(
+        (css, name, [(str(number), "")], note) for name, number in counts(page).items() for css, note in [notes[name]]
     )
     return (
         '<section><h2 class="verdict">The numbers in the column “truearm” were computed when this page was made; those in the '
-        f'column “paper” are quoted.</h2><div class="tiles">{tiles}</div></section>\n'
+        f"column “paper” are quoted.</h2>{shown}</section>\n"
     )
 
 
