@@ -151,7 +151,7 @@ HOSTILE = {
     ),
     "other": ('<robot name="x"><link name="a"/></robot>', "no link 'chuck_fixture'"),
     "huge": (" " * 8_000_001, "MiB"),
-    "text": ("hello", "not valid XML"),
+    "text": ("hello", "valid XML"),
 }
 
 

