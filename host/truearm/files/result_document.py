@@ -120,14 +120,11 @@ def _entry(source: object, *names: str, units: Sequence[str] = (), **fields: Any
 
 
 def _by_unit(records: Mapping[str, Any], prefix: str, *names: str) -> dict[str, Any]:
-    """Return attributes of a record for each SI unit, in its display unit, which ends their names."""
+    """Return attributes of a record for each SI unit, in its display unit, which ends their names, and its count."""
+    counts = {key("n", si): record.n for si, record in records.items() if hasattr(record, "n")}
     return {
         key(prefix + name, si): shown(getattr(record, name), si) for si, record in records.items() for name in names
-    }
-
-
-def _counts_by_unit(records: Mapping[str, Any]) -> dict[str, int]:
-    return {key("n", si): record.n for si, record in records.items()}
+    } | counts
 
 
 def _json(value: Any) -> Any:
@@ -223,15 +220,14 @@ def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
     """Return the mean error where nothing was fitted, by unit; None if the declared noise explains the residuals."""
     errors = estimate.unexplained
     by = "held out" if any(error.held_out for error in errors.values()) else "cross-validation"
-    return {"by": by, **_by_unit(errors, "", "mean", "low", "high"), **_counts_by_unit(errors)} if errors else None
+    return {"by": by, **_by_unit(errors, "", "mean", "low", "high")} if errors else None
 
 
 def _mean_change(estimate: Estimate) -> dict[str, Any] | None:
     """Return the mean errors where nothing was fitted, before and after, by unit; None if they are not compared."""
     changes, gain = estimate.mean_change, gain_of(estimate.mean_change)
     by = "cross-validation" if estimate.held_out is None else "held out"
-    figures = {**_by_unit(changes, "mean_", "before", "after"), **_counts_by_unit(changes)}
-    return {"gain": gain, "by": by, **figures} if gain else None
+    return {"gain": gain, "by": by, **_by_unit(changes, "mean_", "before", "after")} if gain else None
 
 
 def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:
@@ -249,7 +245,7 @@ def _held_out(held_out: HeldOut | None, units: Sequence[str]) -> dict[str, Any] 
         return None
     figures = {si: held_out.figures.get(si, Figures.of(np.zeros(0))) for si in units}
     counts = _entry(held_out, "n", "n_settled", "n_left_out")
-    return {**_by_unit(figures, "", "rms", "mean", "max"), **_counts_by_unit(figures), **counts}
+    return {**_by_unit(figures, "", "rms", "mean", "max"), **counts}
 
 
 def _predicted(predicted: PredictedError) -> Any:
