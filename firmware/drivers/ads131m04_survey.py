@@ -11,31 +11,44 @@ a period more than n0 indicates. If the loop stops for longer than the rings hol
 is skipped; a stop of more than 17 minutes would not be detected correctly.
 """
 
-from truearm_wire.fast import micropython, ptr8, ptr16, ptr32
+from truearm_wire.fast import const, micropython, ptr8, ptr16, ptr32
 
-RECORD = 24  # bytes of a frame in the ring: six words, the 24 bits in the lower three bytes
-FRAMES = 1 << 14  # bytes of the ring
-STAMPS = 1 << 10  # stamps, more than frames fit
-HOLDS = FRAMES // RECORD - 1  # conversions before LATEST that are complete
-FAR = HOLDS - 41  # a reader that lags by more skips half a ring: 32.55 kHz continues for 1.2 ms while `survey` runs
+RECORD = const(24)  # bytes of a frame in the ring: six words, the 24 bits in the lower three bytes
+FRAMES = const(1 << 14)  # bytes of the ring
+STAMPS = const(1 << 10)  # stamps, more than frames fit
+HOLDS = const(FRAMES // RECORD - 1)  # conversions before LATEST that are complete
+# A reader that lags by more skips half a ring: 32.55 kHz continues for 1.2 ms while `survey` runs.
+FAR = const(HOLDS - 41)
+
+_WORDS = const(RECORD // 4)
+_IN_RING = const(FRAMES // 4 - 1)  # mask of the place of a word
+_IN_STAMPS = const(STAMPS - 1)
+_MASK = const(0x3FFFFFFF)  # of counts and times
+_HALF = const(0x20000000)  # set in the difference of two counts: the first one is behind
+
+# how a frame is examined
+_GOOD = const(0)
+_WRONG_CRC = const(1)
+_RESET = const(2)  # the converter is not configured
+_OLD = const(3)  # no new data
 
 # words of the survey; counts and times modulo 2^30, to be small integers on the chip
-LATEST = 0  # number of the newest conversion, from 1 on, written by DMA: all before it are complete in the ring
-READ = 1  # number of the oldest frame not handed out
-SEEN = 2  # good, consecutive frames from READ on
-BROKEN = 3  # 1: followed by a frame that is not consecutive
-STAMP = 4  # time of the last sample handed out
-FIRST = 5  # 1: none yet
-JUMP = 6  # periods without a sample before the one at READ
-LOST_CONVERTER = 7  # 1: it must be configured again
-EVENTS = 8  # frames dropped since FLAG_CONVERTER was last read, including those of a converter that was reset
-CRC_ERRORS = 9
-OSR6 = 10  # 25 periods in µs: a period is 0.24 µs · oversampling
-SHORTEST = 11  # interval of stamps, µs: a period less the fraction and 1 µs of lateness of the previous one
-LONGEST = 12
-SILENCE = 13  # µs without a sample before the converter is configured again
-ALIVE = 14  # time of the last good conversion, or of the last attempt to get one
-SURVEY = 15
+LATEST = const(0)  # number of the newest conversion, from 1 on, written by DMA: all before it are complete in the ring
+READ = const(1)  # number of the oldest frame not handed out
+SEEN = const(2)  # good, consecutive frames from READ on
+BROKEN = const(3)  # 1: followed by a frame that is not consecutive
+STAMP = const(4)  # time of the last sample handed out
+FIRST = const(5)  # 1: none yet
+JUMP = const(6)  # periods without a sample before the one at READ
+LOST_CONVERTER = const(7)  # 1: it must be configured again
+EVENTS = const(8)  # frames dropped since FLAG_CONVERTER was last read, including those of a converter that was reset
+CRC_ERRORS = const(9)
+OSR6 = const(10)  # 25 periods in µs: a period is 0.24 µs · oversampling
+SHORTEST = const(11)  # interval of stamps, µs: a period less the fraction and 1 µs of lateness of the previous one
+LONGEST = const(12)
+SILENCE = const(13)  # µs without a sample before the converter is configured again
+ALIVE = const(14)  # time of the last good conversion, or of the last attempt to get one
+SURVEY = const(15)
 
 
 @micropython.viper
@@ -44,81 +57,81 @@ def survey(s: ptr32, ring: ptr32, stamps: ptr32, timer: ptr32, table: ptr16, wan
 
     Stops at LOST_CONVERTER. 31 µs and 10 µs per frame on the emulated chip; `take` of 13 needs 0.4 ms in total.
     """
-    latest = s[0] & 0x3FFFFFFF
-    if (latest - s[1]) & 0x3FFFFFFF > 640 and (latest - s[1]) & 0x20000000 == 0:
-        s[1] = (latest - 340) & 0x3FFFFFFF
-        s[2] = 0
-        s[3] = 0
-    while s[2] < want and s[3] == 0 and s[7] == 0:
-        number = (s[1] + s[2]) & 0x3FFFFFFF
-        ahead = (latest - number) & 0x3FFFFFFF
-        if ahead == 0 or ahead & 0x20000000:
+    latest = s[LATEST] & _MASK
+    if (latest - s[READ]) & _MASK > FAR and (latest - s[READ]) & _HALF == 0:
+        s[READ] = (latest - HOLDS // 2) & _MASK
+        s[SEEN] = 0
+        s[BROKEN] = 0
+    while s[SEEN] < want and s[BROKEN] == 0 and s[LOST_CONVERTER] == 0:
+        number = (s[READ] + s[SEEN]) & _MASK
+        ahead = (latest - number) & _MASK
+        if ahead == 0 or ahead & _HALF:
             break
-        at = number * 6 & 4095
+        at = number * _WORDS & _IN_RING
         crc = 0xFFFF
         i = 0
-        while i < 5:
+        while i < _WORDS - 1:
             word = ring[at]
             crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word >> 16 & 255)]
             crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word >> 8 & 255)]
             crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word & 255)]
-            at = (at + 1) & 4095
+            at = (at + 1) & _IN_RING
             i += 1
-        status = ring[number * 6 & 4095] >> 8 & 0xFFFF
-        worth = 0
+        status = ring[number * _WORDS & _IN_RING] >> 8 & 0xFFFF
+        worth = _GOOD
         if crc != ring[at] >> 8 & 0xFFFF:
-            worth = 1
+            worth = _WRONG_CRC
         elif status & 0xBF00 != 0x0100:
-            worth = 2
+            worth = _RESET
         elif status & 15 != 15:
-            worth = 3
-        stamp = stamps[number & 1023] & 0x3FFFFFFF
+            worth = _OLD
+        stamp = stamps[number & _IN_STAMPS] & _MASK
         jump = 0
-        if worth == 0 and s[2]:
-            interval = (stamp - stamps[(number - 1) & 1023]) & 0x3FFFFFFF
-            if interval < s[11] or interval > s[12]:
+        if worth == _GOOD and s[SEEN]:
+            interval = (stamp - stamps[(number - 1) & _IN_STAMPS]) & _MASK
+            if interval < s[SHORTEST] or interval > s[LONGEST]:
                 jump = 1
-        elif worth == 0 and s[5] == 0:
-            interval = (stamp - s[4]) & 0x3FFFFFFF
-            jump = interval // s[10] * 25 + (interval % s[10] * 25 + s[10] // 2) // s[10] - 1
+        elif worth == _GOOD and s[FIRST] == 0:
+            interval = (stamp - s[STAMP]) & _MASK
+            jump = interval // s[OSR6] * 25 + (interval % s[OSR6] * 25 + s[OSR6] // 2) // s[OSR6] - 1
             if jump < 0:
-                worth = 3
-        if s[2]:
+                worth = _OLD
+        if s[SEEN]:
             if worth or jump:
-                s[3] = 1
+                s[BROKEN] = 1
             else:
-                s[2] = s[2] + 1
+                s[SEEN] = s[SEEN] + 1
         elif worth:
-            s[1] = (number + 1) & 0x3FFFFFFF
-            s[8] = (s[8] + 1) & 0x3FFFFFFF
-            if worth == 2:
-                s[7] = 1
+            s[READ] = (number + 1) & _MASK
+            s[EVENTS] = (s[EVENTS] + 1) & _MASK
+            if worth == _RESET:
+                s[LOST_CONVERTER] = 1
             else:
-                s[9] = (s[9] + 1) & 0x3FFFFFFF
+                s[CRC_ERRORS] = (s[CRC_ERRORS] + 1) & _MASK
         else:
-            s[6] = jump
-            s[2] = 1
-        if worth == 0:
-            s[14] = stamp
-    if s[2] < want and (timer[0] - s[14]) & 0x3FFFFFFF > s[13]:
-        if s[2]:
-            s[3] = 1
+            s[JUMP] = jump
+            s[SEEN] = 1
+        if worth == _GOOD:
+            s[ALIVE] = stamp
+    if s[SEEN] < want and (timer[0] - s[ALIVE]) & _MASK > s[SILENCE]:
+        if s[SEEN]:
+            s[BROKEN] = 1
         else:
-            s[7] = 1
-    return s[2]
+            s[LOST_CONVERTER] = 1
+    return s[SEEN]
 
 
 @micropython.viper
 def unload(s: ptr32, ring: ptr32, stamps: ptr32, n: int, dst: ptr8, at: int, stamp: ptr8) -> int:
     """Move n frames from READ on to dst[at:], the time of the first to stamp. Returns 0 if the ring was lapped."""
-    first = stamps[s[1] & 1023]
-    last = stamps[(s[1] + n - 1) & 1023]
+    first = stamps[s[READ] & _IN_STAMPS]
+    last = stamps[(s[READ] + n - 1) & _IN_STAMPS]
     i = 0
     while i < n:
-        k = (s[1] + i) * 6 + 1
-        end = k + 4
+        k = (s[READ] + i) * _WORDS + 1
+        end = k + _WORDS - 2
         while k < end:
-            word = ring[k & 4095]
+            word = ring[k & _IN_RING]
             dst[at] = word & 255
             dst[at + 1] = word >> 8 & 255
             dst[at + 2] = word >> 16 & 255
@@ -126,21 +139,21 @@ def unload(s: ptr32, ring: ptr32, stamps: ptr32, n: int, dst: ptr8, at: int, sta
             at += 4
             k += 1
         i += 1
-    if (s[0] - s[1]) & 0x3FFFFFFF > 681:
+    if (s[LATEST] - s[READ]) & _MASK > HOLDS:
         return 0
     stamp[0] = first >> 24 & 255
     stamp[1] = first >> 16 & 255
     stamp[2] = first >> 8 & 255
     stamp[3] = first & 255
-    s[1] = (s[1] + n) & 0x3FFFFFFF
-    s[2] = s[2] - n
-    s[4] = last & 0x3FFFFFFF
-    s[5] = 0
-    s[6] = 0
+    s[READ] = (s[READ] + n) & _MASK
+    s[SEEN] = s[SEEN] - n
+    s[STAMP] = last & _MASK
+    s[FIRST] = 0
+    s[JUMP] = 0
     return 1
 
 
 @micropython.viper
 def number_now(s: ptr32) -> int:
     """Return the number of the newest conversion."""
-    return s[0] & 0x3FFFFFFF
+    return s[LATEST] & _MASK

@@ -23,7 +23,7 @@ and 2.4 nF of cable and protection. A slot takes 70 µs.
 
 from array import array
 
-from truearm_wire.fast import copy, micropython, ptr8, ptr32
+from truearm_wire.fast import const, copy, micropython, ptr8, ptr32
 
 from .registers import peek, poke
 
@@ -47,9 +47,9 @@ ADDRESSED = 10  # bytes before them: MATCH, address, READ
 POWER_ON = 85000  # m°C of a thermometer that has not converted since its power-on
 
 # state words
-GOT = 0  # bits received
-FED = 1  # bits written
-END = 2  # bits of the message
+GOT = const(0)  # bits received
+FED = const(1)  # bits written
+END = const(2)  # bits of the message
 
 
 def program(rp2):
@@ -89,8 +89,8 @@ def exchange(s: ptr32, levels: ptr32, shift: int, fifos: ptr32, out: ptr8, back:
     tx = ptr32(fifos[1])
     one = 1 | 10 << 10 | 53 << 20  # ONE, ZERO
     zero = 64 | 1 << 20
-    got = s[0]
-    fed = s[1]
+    got = s[GOT]
+    fed = s[FED]
     while got < fed and (levels[0] >> shift) & 15:
         bit = 1 << (got & 7)
         if rx[0] == 0:
@@ -98,12 +98,12 @@ def exchange(s: ptr32, levels: ptr32, shift: int, fifos: ptr32, out: ptr8, back:
         else:
             back[got >> 3] = back[got >> 3] | bit
         got += 1
-    while fed < s[2] and fed - got < 4:
+    while fed < s[END] and fed - got < 4:
         tx[0] = one if (out[fed >> 3] >> (fed & 7)) & 1 else zero
         fed += 1
-    s[0] = got
-    s[1] = fed
-    return 1 if got == s[2] else 0
+    s[GOT] = got
+    s[FED] = fed
+    return 1 if got == s[END] else 0
 
 
 @micropython.viper

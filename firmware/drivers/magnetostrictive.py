@@ -83,13 +83,13 @@ are lost, and counted.
 
 from array import array
 
-from truearm_wire.fast import add, copy, micropython, ptr8, ptr32
+from truearm_wire.fast import add, const, copy, micropython, ptr8, ptr32
 from truearm_wire.messages import COUNTER, FLAG_MISSING_STOP
 
 from .registers import address, aligned, arm, drain, halt, poke
 
 TICK_NS = 8
-SHOTS = 256  # of the rings
+SHOTS = const(256)  # of the rings
 STAMP_BITS = 10  # a ring of 2^10 bytes: one stamp per shot
 COUNT_BITS = 11  # and two counts per shot
 SPARE = 64  # shots of space for the DMA while Python copies
@@ -100,27 +100,31 @@ GATE = 0  # begin and end of one pulse
 FIRST = 1  # first edges of the start pulse and of the stop pulse
 SECOND = 2  # their second edges
 
+_WRITE_ADDR = const(1)  # register of a DMA channel
+_IN_RING = const(SHOTS - 1)
+_MASK = const(0x3FFFFFFF)  # of the shots' numbers
+
 # state words
-NUMBER = 0  # of the last shot begun, negative: written by DMA
-READ = 1  # shots handed out or lost, modulo 2^30
+NUMBER = const(0)  # of the last shot begun, negative: written by DMA
+READ = const(1)  # shots handed out or lost, modulo 2^30
 
 
 @micropython.viper
 def whole(state: ptr32, channel: ptr32, ring: int) -> int:
     """Return the shots whose counts are in the ring and were not handed out. channel: registers of the last channel."""
-    place = (channel[1] - ring) >> 3  # read before NUMBER, which is then never older
-    begun = 0 - state[0]
-    return (begun - ((begun - place) & 255) - state[1]) & 0x3FFFFFFF
+    place = (channel[_WRITE_ADDR] - ring) >> 3  # read before NUMBER, which is then never older
+    begun = 0 - state[NUMBER]
+    return (begun - ((begun - place) & _IN_RING) - state[READ]) & _MASK
 
 
 @micropython.viper
 def unload(state: ptr32, counts0: ptr32, counts1: ptr32, n: int, top: int, dst: ptr8, at: int) -> int:
     """Move the times of flight of n shots to dst[at:]. top: from `timing`. Returns how many had no start or no stop."""
     missing = 0
-    i = state[1]
+    i = state[READ]
     end = i + n
     while i < end:
-        k = (i & 255) << 1
+        k = (i & _IN_RING) << 1
         x0 = counts0[k]
         x1 = counts1[k]
         ticks = top + x0 + x1
@@ -137,14 +141,14 @@ def unload(state: ptr32, counts0: ptr32, counts1: ptr32, n: int, top: int, dst: 
         dst[at + 3] = ticks >> 24
         at += 4
         i += 1
-    state[1] = end & 0x3FFFFFFF
+    state[READ] = end & _MASK
     return missing
 
 
 @micropython.viper
 def read_stamp(state: ptr32, stamps: ptr32, stamp: ptr8):
     """The stamp of the oldest shot, big endian."""
-    time = stamps[state[1] & 255]
+    time = stamps[state[READ] & _IN_RING]
     stamp[0] = time >> 24
     stamp[1] = time >> 16
     stamp[2] = time >> 8

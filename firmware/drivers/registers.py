@@ -1,6 +1,13 @@
 """Single registers and addresses, for drivers that work by DMA and PIO. Only `aligned` allocates."""
 
-from truearm_wire.fast import micropython, ptr8, ptr32
+from truearm_wire.fast import const, micropython, ptr8, ptr32
+
+# registers of a DMA channel; AL1_CTRL starts nothing
+_READ_ADDR = const(0)
+_WRITE_ADDR = const(1)
+_TRANS_COUNT = const(2)
+_AL1_CTRL = const(4)
+_CONTROL = const(3)  # of a setup, whose first words are in the registers' order
 
 
 @micropython.viper
@@ -28,10 +35,10 @@ def peek(register: ptr32, bits: int) -> int:
 @micropython.viper
 def arm(channel: ptr32, setup: ptr32):
     """Set read address, write address, count and control of a DMA channel, without starting it."""
-    channel[0] = setup[0]
-    channel[1] = setup[1]
-    channel[2] = setup[2]
-    channel[4] = setup[3]
+    channel[_READ_ADDR] = setup[_READ_ADDR]
+    channel[_WRITE_ADDR] = setup[_WRITE_ADDR]
+    channel[_TRANS_COUNT] = setup[_TRANS_COUNT]
+    channel[_AL1_CTRL] = setup[_CONTROL]
 
 
 def halt(chip, bases, setups, channels):
@@ -49,7 +56,7 @@ def halt(chip, bases, setups, channels):
 
 @micropython.viper
 def disable(channel: ptr32, setup: ptr32):
-    channel[4] = setup[3] & -2
+    channel[_AL1_CTRL] = setup[_CONTROL] & -2
 
 
 def drain(fifo, levels, bits):

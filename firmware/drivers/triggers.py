@@ -34,48 +34,52 @@ The box debounces (truearm_box/ring.py), by stamps: here every edge counts.
 
 from array import array
 
-from truearm_wire.fast import micropython, ptr8, ptr32
+from truearm_wire.fast import const, micropython, ptr8, ptr32
 
 from .registers import aligned, arm, drain, halt, poke
 
 OUTPUT = 2  # line of the box's own output
-EDGES = 256  # capacity of the ring in changes
+EDGES = const(256)  # capacity of the ring in changes
 RING_BITS = 10  # 2^10 bytes
 
+_WRITE_ADDR = const(1)  # register of a DMA channel
+_NUMBERS = const(0x1FFFFFFF)  # mask of a change's number
+_IN_RING = const(255)
+
 # state words
-READ = 0  # number of the last change read, modulo 2^29
-PLACE = 1  # in the ring of the next one
-LEVELS = 2  # after the last change read
-PENDING = 3  # its lines whose edges are not yet handed out
-TIME = 4  # its stamp
-DROPPED = 5  # changes that were lost, modulo 2^30
-STATE = 6
+READ = const(0)  # number of the last change read, modulo 2^29
+PLACE = const(1)  # in the ring of the next one
+LEVELS = const(2)  # after the last change read
+PENDING = const(3)  # its lines whose edges are not yet handed out
+TIME = const(4)  # its stamp
+DROPPED = const(5)  # changes that were lost, modulo 2^30
+STATE = const(6)
 
 
 @micropython.viper
 def next_change(s: ptr32, channel: ptr32, words: ptr32, stamps: ptr32) -> int:
     """Read the next change: its lines to PENDING. Returns 0 if there is none. channel: registers of the stamps."""
-    place = (channel[1] - int(stamps)) >> 2 & 255
-    newest = (0 - (words[(place - 1) & 255] >> 3)) & 0x1FFFFFFF
-    behind = (newest - s[0]) & 0x1FFFFFFF
+    place = (channel[_WRITE_ADDR] - int(stamps)) >> 2 & _IN_RING
+    newest = (0 - (words[(place - 1) & _IN_RING] >> 3)) & _NUMBERS
+    behind = (newest - s[READ]) & _NUMBERS
     if behind == 0:
         return 0
-    if behind > 240:  # the next ones are, or soon will be, overwritten: continue in the newer half
-        s[1] = (place + 128) & 255
-    i = s[1]
-    s[1] = (i + 1) & 255
-    number = (0 - (words[i] >> 3)) & 0x1FFFFFFF
-    gap = (number - s[0] - 1) & 0x1FFFFFFF
+    if behind > EDGES - 16:  # the next ones are, or soon will be, overwritten: continue in the newer half
+        s[PLACE] = (place + EDGES // 2) & _IN_RING
+    i = s[PLACE]
+    s[PLACE] = (i + 1) & _IN_RING
+    number = (0 - (words[i] >> 3)) & _NUMBERS
+    gap = (number - s[READ] - 1) & _NUMBERS
     if gap & 0x10000000:  # older than what was read: the ring was not full
         return 1
     levels = words[i] & 7
     if gap:
-        s[5] = (s[5] + gap + 1) & 0x3FFFFFFF
+        s[DROPPED] = (s[DROPPED] + gap + 1) & 0x3FFFFFFF
     else:
-        s[3] = levels ^ s[2]
-    s[0] = number
-    s[2] = levels
-    s[4] = stamps[i]
+        s[PENDING] = levels ^ s[LEVELS]
+    s[READ] = number
+    s[LEVELS] = levels
+    s[TIME] = stamps[i]
     return 1
 
 
@@ -83,13 +87,13 @@ def next_change(s: ptr32, channel: ptr32, words: ptr32, stamps: ptr32) -> int:
 def hand_out(s: ptr32, edge: ptr8):
     """Copy one of the PENDING edges to `edge`."""
     line = 0
-    while s[3] & (1 << line) == 0:
+    while s[PENDING] & (1 << line) == 0:
         line += 1
     bit = 1 << line
-    s[3] = s[3] & (7 - bit)
-    time = s[4]
+    s[PENDING] = s[PENDING] & (7 - bit)
+    time = s[TIME]
     edge[0] = line
-    edge[1] = s[2] >> line & 1
+    edge[1] = s[LEVELS] >> line & 1
     edge[2] = time >> 24
     edge[3] = time >> 16
     edge[4] = time >> 8

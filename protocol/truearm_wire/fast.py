@@ -12,6 +12,7 @@ from array import array
 
 if sys.implementation.name == "micropython":
     import micropython
+    from micropython import const
 
     # The compiler recognises these and the decorators by name alone: they are here so that they can be imported.
     ptr8 = ptr16 = ptr32 = uint = None
@@ -28,6 +29,9 @@ else:
 
     def ptr8(buffer):
         return buffer
+
+    def const(value):
+        return value
 
     ptr16 = ptr32 = ptr8
     uint = int
