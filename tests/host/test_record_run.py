@@ -63,11 +63,11 @@ class TestCleanRun:
             assert message.t_host_ns == pytest.approx(box.born + 1000 * t0_us + LATENCY, abs=1000)
 
     def test_clock_exchanges(self, lab, path):
-        """Four a second; the bounds hold: the box's time lies between t0 and t3."""
+        """Ten a second; the bounds hold: the box's time lies between t0 and t3."""
         box = Box(lab)
         summary = run(lab, box, path, 5.0)
         rows = [json.loads(m.data) for m in topics(path)["/sync"]]
-        assert len(rows) == summary.counters.probes == pytest.approx(20, abs=1)
+        assert len(rows) == summary.counters.probes == pytest.approx(50, abs=1)
         assert len({row["id"] for row in rows}) == len(rows)
         for row in rows:
             assert row["t3_ns"] - row["t0_ns"] == 2 * LATENCY

@@ -28,7 +28,7 @@ from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
 
 SECOND = 1_000_000_000
 CHORES_NS = SECOND // 20  # interval for clock exchanges, chunks and progress
-PROBE_NS = SECOND // 4
+PROBE_NS = SECOND // 10
 PROGRESS_NS = SECOND // 4
 RETRY_NS = SECOND // 2
 RETRIES = 10  # 5 s: a newly connected box waits 2 s before it runs
