@@ -235,5 +235,5 @@ def test_an_exception_is_told_at_the_next_connect_and_kept_until_reset(level, tm
         record_lab(lab, tmp_path / "a.mcap", 4.5)  # until it has booted again
         again = record_lab(lab, tmp_path / "b.mcap", 1)
     (fault,) = again.summary.faults
-    assert "the box's firmware stopped with an error earlier" in fault
+    assert "the box's firmware stopped" in fault
     assert "injected by the simulator" in fault

