@@ -99,7 +99,7 @@ def converted(name: str, value: Any, hint: Any) -> Any:
         wanted = " or ".join(dict.fromkeys(_words(one) for one in alternatives))
         raise TypeError(f"{name}: must be {wanted}, is {_shown(value)}")
     frozen = _frozen(name, value, fitting[0])
-    for rule in getattr(fitting[0], "__metadata__", ()):
+    for rule in () if frozen is None else getattr(fitting[0], "__metadata__", ()):
         if isinstance(rule, Within | OneOf | FileName):
             rule.check(name, frozen)
         elif not isinstance(rule, str):

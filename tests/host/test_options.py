@@ -15,8 +15,7 @@ from truearm.cli.main import command_tree, main
 from truearm.cli.names import EARLIER, MEANINGS
 from truearm.errors import RobotError
 from truearm.files.robot_file import RobotChoice, load_robot
-from truearm.workflows.plan import BallBarOptions
-from truearm.workflows.requests import SimulateOptions
+from truearm.workflows.requests import PoseOptions, SimulateOptions
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "options.md").read_text()
 ROWS = {
@@ -174,8 +173,8 @@ def test_a_docstring_describes_parameters_that_exist():
 
 def test_options_become_a_record_in_si():
     given = {"dwell_s": 3.0, "spread_mm": 2.0, "bars": ["b1"], "visits": None, "json": True}
-    made = declaration.fill(BallBarOptions, given, candidates=9)
-    assert made == BallBarOptions(dwell=3.0, spread=2e-3, bars=("b1",), candidates=9)
+    made = declaration.fill(PoseOptions, given, candidates=9)
+    assert made == PoseOptions(dwell=3.0, spread=2e-3, bars=("b1",), candidates=9)
 
 
 def test_the_described_fields_of_a_record_are_options():

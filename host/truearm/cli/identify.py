@@ -8,17 +8,17 @@ from typing import Annotated
 
 import typer
 
-from truearm import option_defaults
-from truearm.bounds import ITERATIONS, LINE_POINTS, SEED, OneOf
-from truearm.cli.command import command, fill
+from truearm.bounds import LINE_POINTS
+from truearm.cli.command import command
 from truearm.cli.options import rigs_of
 from truearm.cli.output import warn
 from truearm.cli.project import typed
 from truearm.errors import InputError
-from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
+from truearm.estimate.solvers import SOLVERS, with_loss
 from truearm.exit_codes import ExitCode
 from truearm.files.robot_file import RobotChoice
 from truearm.units import tolerances
+from truearm.workflows.requests import FitOptions
 
 
 @command(
@@ -35,18 +35,7 @@ def identify(
     rig: list[str] | None = None,
     noise: Path | None = None,
     hold_out: list[str] | None = None,
-    fit_only: list[str] | None = None,
-    seed: Annotated[int, SEED] = option_defaults.SEED,
-    free: list[str] | None = None,
-    also_free: list[str] | None = None,
-    freeze: list[str] | None = None,
-    prior: Annotated[str | None, OneOf(tuple(Prior))] = None,
-    solver: Annotated[str, OneOf(SOLVERS)] = option_defaults.SOLVER,
-    loss: Annotated[str, OneOf(tuple(Loss))] = option_defaults.LOSS,
-    joint_laws: Annotated[str, OneOf(tuple(LawMode))] = option_defaults.JOINT_LAWS,
-    apply: list[str] | None = None,
-    leave_out: list[str] | None = None,
-    max_iterations: Annotated[int, ITERATIONS] = option_defaults.MAX_ITERATIONS,
+    options: FitOptions,
     out: Path | None = None,
     force: bool = False,
     json: bool = False,
@@ -131,8 +120,7 @@ def identify(
     if out and kept and typed(context, "out") and Path(kept).resolve().parent != out.resolve().parent:
         results.append(Path(kept))
     files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line, force)
-    options = fill(IdentifyOptions, locals())
-    document = identify_files(files, hold_out or [], options).document
+    document = identify_files(files, hold_out or [], IdentifyOptions(**vars(options))).document
     if json:
         typer.echo(format_document(document))
     else:

@@ -7,25 +7,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from truearm import option_defaults
 from truearm.bounds import (
-    CANDIDATES,
-    CHECK_POSES,
     DWELL,
     MINUTES,
     POSES,
     SEED,
     TRAVEL,
-    VISITS,
     OneOf,
     Within,
 )
-from truearm.cli.command import command, fill
+from truearm.cli.command import command
 from truearm.cli.options import spans_of
 from truearm.cli.output import command_group, print_json
 from truearm.cli.project import ProjectCommand
 from truearm.findings import findings_of
 from truearm.plan.criteria import Criterion
 from truearm.units import MM, MM_S
-from truearm.workflows.requests import PlanFiles
+from truearm.workflows.requests import PlanFiles, PoseOptions
 
 if TYPE_CHECKING:
     from truearm.plan.region import Region
@@ -67,17 +64,8 @@ def ballbar(
     *,
     poses: Annotated[int | None, POSES] = None,
     minutes: Annotated[float | None, MINUTES] = None,
-    criterion: Annotated[str, OneOf(tuple(Criterion))] = option_defaults.CRITERION,
+    chosen: PoseOptions,
     region: str | None = None,
-    bar: list[str] | None = None,
-    candidates: Annotated[int, CANDIDATES] = option_defaults.BAR_CANDIDATES,
-    reserve_mm: Annotated[float | None, TRAVEL, MM] = None,
-    spread_mm: Annotated[float, TRAVEL, MM] = MM.of(option_defaults.SPREAD),
-    dwell_s: Annotated[float, DWELL] = option_defaults.DWELL,
-    visits: Annotated[int, VISITS] = option_defaults.VISITS,
-    check_poses: Annotated[int, CHECK_POSES] = option_defaults.CHECK_POSES,
-    joint_laws: bool = False,
-    seed: Annotated[int, SEED] = option_defaults.SEED,
     details: bool = False,
     json: bool = False,
 ) -> None:
@@ -120,7 +108,7 @@ def ballbar(
     """
     from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
 
-    options = fill(BallBarOptions, locals(), region=_region_of(region), bars=tuple(bar or ()))
+    options = BallBarOptions(**vars(chosen), region=_region_of(region))
     document = plan_ball_bar_files(files, Budget(poses, minutes), options)
     _print(document, details, json)
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
 import msgspec
 import numpy as np
 
-from truearm import option_defaults
 from truearm.arguments import Checked, with_choices
-from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.checks.alternatives import Robots
 from truearm.checks.examination import MEAN, Examination, examined
 from truearm.checks.inputs import checked_inputs
@@ -46,6 +43,7 @@ from truearm.workflows.calibration_report import write_page
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.informative_rows import check_rows
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
+from truearm.workflows.requests import FitOptions
 from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
 
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
@@ -53,7 +51,7 @@ Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the r
 
 @with_choices
 @dataclass(frozen=True)
-class IdentifyOptions(Checked):
+class IdentifyOptions(FitOptions, Checked):
     """Which parameters an identification estimates, and how.
 
     Parameters
@@ -103,19 +101,6 @@ class IdentifyOptions(Checked):
     >>> truearm.IdentifyOptions(solver="map", freeze=("joint1.*",)).solver
     'map'
     """
-
-    free: tuple[str, ...] = ()
-    also_free: tuple[str, ...] = ()
-    freeze: tuple[str, ...] = ()
-    prior: Annotated[str, OneOf(tuple(Prior))] | None = None
-    solver: Annotated[str, OneOf(SOLVERS)] = option_defaults.SOLVER
-    loss: Annotated[str, OneOf(tuple(Loss))] = option_defaults.LOSS
-    max_iterations: Annotated[int, ITERATIONS] = option_defaults.MAX_ITERATIONS
-    seed: Annotated[int, SEED] = option_defaults.SEED
-    apply: tuple[str, ...] = ()
-    leave_out: tuple[str, ...] = ()
-    fit_only: tuple[str, ...] = ()
-    joint_laws: Annotated[str, OneOf(tuple(LawMode))] = option_defaults.JOINT_LAWS
 
     def __post_init__(self) -> None:
         super().__post_init__()

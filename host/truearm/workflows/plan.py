@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from truearm import option_defaults
 from truearm.arguments import Checked
-from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, SEED, TRAVEL, VISITS, OneOf
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_outputs, write_atomic
 from truearm.files.plan_file import write_plan
@@ -25,7 +24,6 @@ from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, 
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
-from truearm.plan.criteria import Criterion
 from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_first, with_rig_values
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
@@ -42,7 +40,7 @@ from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.identify import DEFAULTS, default_prior
 from truearm.workflows.inputs import Sources, read_sources
-from truearm.workflows.requests import PlanFiles
+from truearm.workflows.requests import PlanFiles, PoseOptions
 from truearm.workflows.selection import held_out_rows
 from truearm.workflows.session_parts import with_parts
 
@@ -59,7 +57,7 @@ class Budget(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BallBarOptions(Checked):
+class BallBarOptions(PoseOptions, Checked):
     """How ball-bar poses are chosen.
 
     Parameters
@@ -102,17 +100,7 @@ class BallBarOptions(Checked):
     5000
     """
 
-    criterion: Annotated[str, OneOf(tuple(Criterion))] = option_defaults.CRITERION
     region: Region | None = None
-    candidates: Annotated[int, CANDIDATES] = option_defaults.BAR_CANDIDATES
-    bars: tuple[str, ...] = ()
-    reserve: Annotated[float, TRAVEL] | None = None
-    spread: Annotated[float, TRAVEL] = option_defaults.SPREAD
-    dwell: Annotated[float, DWELL] = option_defaults.DWELL
-    seed: Annotated[int, SEED] = option_defaults.SEED
-    visits: Annotated[int, VISITS] = option_defaults.VISITS
-    check_poses: Annotated[int, CHECK_POSES] = option_defaults.CHECK_POSES
-    joint_laws: bool = False
 
 
 @step("planning")

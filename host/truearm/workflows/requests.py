@@ -11,9 +11,23 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from truearm.bounds import REPEATABILITY, SEED, OneOf, Within
+from truearm import option_defaults
+from truearm.bounds import (
+    CANDIDATES,
+    CHECK_POSES,
+    DWELL,
+    ITERATIONS,
+    REPEATABILITY,
+    SEED,
+    TRAVEL,
+    VISITS,
+    OneOf,
+    Within,
+)
+from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
 from truearm.files.robot_file import NO_ROBOT, RobotChoice
+from truearm.plan.criteria import Criterion
 
 if TYPE_CHECKING:
     from truearm.model.workspace import Branch
@@ -21,6 +35,40 @@ if TYPE_CHECKING:
 
 PUMA = RobotChoice("puma560")
 FAST_RATE_HZ = 500.0  # of what simulate records in virtual time
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What ``truearm.IdentifyOptions`` describes."""
+
+    free: tuple[str, ...] = ()
+    also_free: tuple[str, ...] = ()
+    freeze: tuple[str, ...] = ()
+    prior: Annotated[str | None, OneOf(tuple(Prior))] = None
+    solver: Annotated[str, OneOf(SOLVERS)] = option_defaults.SOLVER
+    loss: Annotated[str, OneOf(tuple(Loss))] = option_defaults.LOSS
+    max_iterations: Annotated[int, ITERATIONS] = option_defaults.MAX_ITERATIONS
+    seed: Annotated[int, SEED] = option_defaults.SEED
+    apply: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
+    fit_only: tuple[str, ...] = ()
+    joint_laws: Annotated[str, OneOf(tuple(LawMode))] = option_defaults.JOINT_LAWS
+
+
+@dataclass(frozen=True)
+class PoseOptions:
+    """What ``truearm.BallBarOptions`` describes, but for the region."""
+
+    criterion: Annotated[str, OneOf(tuple(Criterion))] = option_defaults.CRITERION
+    candidates: Annotated[int, CANDIDATES] = option_defaults.BAR_CANDIDATES
+    bars: tuple[str, ...] = ()
+    reserve: Annotated[float | None, TRAVEL] = None
+    spread: Annotated[float, TRAVEL] = option_defaults.SPREAD
+    dwell: Annotated[float, DWELL] = option_defaults.DWELL
+    seed: Annotated[int, SEED] = option_defaults.SEED
+    visits: Annotated[int, VISITS] = option_defaults.VISITS
+    check_poses: Annotated[int, CHECK_POSES] = option_defaults.CHECK_POSES
+    joint_laws: bool = False
 
 
 @dataclass(frozen=True)
