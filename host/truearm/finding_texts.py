@@ -550,7 +550,7 @@ SESSION: Mapping[str, Statement] = {
     ),
     "robot-clock": Statement(
         NOTE,
-        "Clock of the robot: the host counts {rate}[; neighbouring windows differ by {spread:.1f} (RMS)]; readings arrive {jitter:.0f} later than the fastest one (mean); a constant latency cannot be determined.",
+        "Clock of the robot: the host counts {rate}; readings arrive {jitter:.0f} later than the fastest one (mean); a constant latency cannot be determined.",
     ),
     "trigger": Statement(
         NOTE,

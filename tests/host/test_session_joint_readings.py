@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 
 from truearm.session import joint_readings as joints_module
 from truearm.session.dwells import DwellRules, find_dwells
 from truearm.session.joint_format import parse_lines
-from truearm.session.joint_readings import JointReader
-from truearm.session.losses import MissingNumbers
+from truearm.session.joint_readings import JointReader, MissingNumbers
 from truearm.session.message_columns import columns_of
-from truearm.session.robot_clock import line_under, lower_hulls
 from truearm.types import Message
 
 
@@ -240,43 +237,8 @@ def test_quantisation_is_seen_although_the_robot_moves_fast():
     assert stream.step[0] == pytest.approx(step, rel=1e-9)
 
 
-@given(st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=1, max_size=60))
-def test_lower_hull_supports_all_points(points):
-    x, y = np.array(points, dtype=float).T
-    corners = lower_hulls(x, y, np.zeros(x.size, int))
-    assert np.all(np.diff(x[corners]) > 0)
-    assert x[corners[0]] == x.min()
-    assert x[corners[-1]] == x.max()
-    assert np.all(np.interp(x, x[corners], y[corners]) <= y + 1e-9)
-    slopes = np.diff(y[corners]) / np.diff(x[corners])
-    assert np.all(np.diff(slopes) > 0)
-
-
-@given(st.lists(st.tuples(st.integers(0, 4), st.integers(-50, 50), st.integers(-50, 50)), min_size=1, max_size=60))
-def test_hulls_found_together_are_those_found_alone(points):
-    group, x, y = np.array(points, dtype=float).T
-    alone = [
-        rows[lower_hulls(x[rows], y[rows], np.zeros(rows.size, int))]
-        for k in np.unique(group)
-        if len(rows := np.flatnonzero(group == k))
-    ]
-    assert lower_hulls(x, y, group.astype(int)).tolist() == np.concatenate(alone).tolist()
-
-
-def test_line_under_touches_and_is_the_best():
-    rng = np.random.default_rng(3)
-    x, y = np.sort(rng.uniform(0, 10, 200)), rng.exponential(1.0, 200)
-    corners = lower_hulls(x, y + 0.3 * x, np.zeros(200, int))
-    offset, rate = line_under(x[corners], (y + 0.3 * x)[corners], float(np.mean(x)))
-    best = linprog(
-        [-1.0, -np.mean(x)], A_ub=np.stack([np.ones(200), x], 1), b_ub=y + 0.3 * x, bounds=[(None, None)] * 2
-    )
-    assert offset + rate * np.mean(x) == pytest.approx(-best.fun, abs=1e-9)
-    assert np.all(offset + rate * x <= y + 0.3 * x + 1e-12)
-
-
 def test_robot_clock_follows_the_fastest_packets():
-    """Mean-square distance to truth: n packets a window with an exponential tail leave tail·(a few)/n; latency floor apart."""
+    """The fastest of 250 packets a second are tail/250 late on average, and the rate is followed to 1 ppm: 2 µs in all."""
     rng = np.random.default_rng(4)
     floor, tail, hz, rate = 350e3, 400e3, 250.0, 45e-6
     t = 7000.0 + np.arange(int(200 * hz)) / hz
@@ -286,14 +248,11 @@ def test_robot_clock_follows_the_fastest_packets():
     stream = read([message(a, k, (0.0,), int(b)) for k, (a, b) in enumerate(zip(t, arrival, strict=True))])
     (report,) = stream.reports
     error = stream.clocks[0].to_host_ns(t[::50]) - (sent[::50] + floor)
-    # 15000 packets a window; the line stands on two or three corners, so tail/n times ten is ample: 0.3 µs
-    assert np.sqrt(np.mean(np.square(error))) < 10 * tail / 15_000
+    assert np.sqrt(np.mean(np.square(error))) < tail / hz + 1000.0
     assert report.rate_ppm == pytest.approx(45.0, abs=0.1)
-    assert report.spread_ns < 10 * tail / 15_000
-    assert report.windows == 6
     half = np.floor((t - 7000.0) / 30.0)
     means = [np.mean((arrival - sent - floor)[half == k]) for k in np.unique(half)]
-    assert report.jitter_ns == pytest.approx(np.median(means), abs=10 * tail / 15_000)
+    assert report.jitter_ns == pytest.approx(np.median(means), abs=tail / hz + 1000.0)
 
 
 def test_robot_clock_of_one_reading():

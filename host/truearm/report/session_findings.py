@@ -155,8 +155,7 @@ def _robot(document: Document) -> Iterator[Finding]:
     for report in () if document["metadata"]["joints-added"] else robot["clock"]:
         if report["edges"] is not None:
             yield from _edges(report["edges"])
-        values = {"rate": faster(report["rate_ppm"], 3), "jitter": _us(report["jitter_ns"])}
-        yield Finding("robot-clock", values | {"spread": _us(report["spread_ns"])})
+        yield Finding("robot-clock", {"rate": faster(report["rate_ppm"], 3), "jitter": _us(report["jitter_ns"])})
 
 
 def _edges(edges: Document) -> Iterator[Finding]:

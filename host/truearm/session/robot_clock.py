@@ -1,28 +1,22 @@
 """Relate robot controller time to host time from arrivals alone.
 
-A reading stamped t by the controller arrives at h(t) + latency, and latency is never negative. The line under all
-arrivals that is nearest to them on average (the lower hull's edge at their middle) follows the fastest packets; queues
-and a busy host only delay arrivals. Windows of 60 s overlap by half. Between
-the centres of two neighbours, their lines are blended linearly.
-
-A line lies under all points exactly if it lies under the corners of their lower hull: a dozen of thousands.
+A reading stamped t by the controller arrives at h(t) + latency, and latency is never negative. The fastest reading of each
+second is a row of ``truearm.clocks``, whose estimate lies under all of them. Queues and a busy host only delay arrivals.
 
 **The shortest latency cannot be observed**: a constant latency is part of the offset. It is not removed here; the
 parameter τ of the identification absorbs it. It does not matter for a robot at rest. Edges of a trigger wire
-(``edges``) do reveal it.
+(``trigger_edges``) do reveal it.
 
-The **bound** covers the rest: how far the line may be from that of the shortest latency. It is not a hard bound,
-because a link may hold up every packet for a minute without any sign. It is twice the mean height above the line of the
-fastest packet of each second. Of 60 such packets, the very fastest lies above the shortest latency by a fraction of
+The **bound** covers the rest: how far the estimate may be from the shortest latency. It is not a hard bound, because a
+link may hold up every packet for a minute without any sign. It is twice the mean height of the fastest packets of the
+minute around above the estimate. The very fastest of 60 such packets lies above the shortest latency by a fraction of
 that height: about a sixtieth if latencies near the shortest are as likely as elsewhere, a seventh if their density
-vanishes linearly there, a quarter if quadratically. At the ends of a window the line may be off by a few times as much.
-Two terms are added: the deviation from a line for a rate drift of 1 ppm per minute (DRIFT), and the disagreement of
-neighbouring windows.
+vanishes linearly there, a quarter if quadratically. A rate drift of 1 ppm per minute (DRIFT) is added.
 
-**Where a clock steps or is slewed**, the line follows the lowest arrivals and the rest of the window lies above it. The
-bound is therefore also at least 1.75 times the height above the line that all packets of any eight consecutive seconds
-keep. This holds if every eight seconds contain a packet that is nearly as fast as possible, and if the clocks change in
-only one direction within any eight seconds. The windows around a step are as wide as the step.
+**Where a clock steps or is slewed**, the estimate follows the lowest arrivals and the others lie above it. The bound is
+therefore also at least 1.75 times the height that all packets of any eight consecutive seconds keep. This holds if every
+eight seconds contain a packet that is nearly as fast as possible, and if the clocks change in only one direction within
+any eight seconds.
 
 If controller time runs backward, the controller restarted: another segment with its own clock begins.
 """
@@ -30,41 +24,38 @@ If controller time runs backward, the controller restarted: another segment with
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from truearm import clocks
+from truearm.clocks import SLEWED_WANDER
 from truearm.types import Floats, Ints
 from truearm.units import PPM
 
-HALF_WINDOW_S = 30.0
-BLOCK_S = 1.0  # the fastest packet of each such interval counts for the bound
+NODE_S = 10.0  # between the nodes of a clock: a drift of 1 ppm a minute bends it by less than 1 µs in between
+AROUND_S = 30.0  # before and after a node, for its bound
 RUN = 8  # seconds that contain a packet nearly as fast as possible
-TILTED = 1.75  # factor on a run's height: a change tilts the line, by less than 3/7 of the height that it leaves within a run (slews and steps of 10 ms: 0.88 of this bound)
-LEAST_BLOCKS = 16  # with fewer, the bound grows in proportion
+TILTED = 1.75  # factor on a run's height: a change tilts the estimate
+LEAST_SECONDS = 16  # with fewer, the bound grows in proportion
 ROUNDING_NS = 1000.0  # stamps are printed to the microsecond
 DRIFT = 1e-6 / 60.0  # 1/s: a rate changes by no more than 1 ppm a minute
-MAX_RATE = 0.01  # a controller's clock may be poor, but 1 % off means another unit of time
 
 
 @dataclass(frozen=True)
 class RobotClock:
-    """For each of k windows: host = host_ref_ns + dt + offset_ns + rate · dt with dt = 1e9 · (t − t_ref_s)."""
+    """host = host_ref_ns + dt + offset with dt = 1e9 · (t − t_ref_s); offset and bound at k nodes, straight in between."""
 
     t_ref_s: float
     host_ref_ns: int
-    centre_s: Floats  # (k,) ascending
+    node_s: Floats  # (k,) ascending
     offset_ns: Floats  # (k,)
-    rate: Floats  # (k,)
-    bound_ns: Floats  # (k,) of the error near each centre; for "arrivals" excluding the link's shortest latency, which is unknown
+    bound_ns: Floats  # (k,) of the error; for "arrivals" excluding the link's shortest latency, which is unknown
     source: str = "arrivals"  # or "edges", of a trigger wire
 
     def bound_at(self, t_robot_s: Floats) -> Floats:
-        """Return bounds (n,) [ns] at controller times: the larger one of the two windows around each."""
-        right = np.clip(np.searchsorted(self.centre_s, t_robot_s), 0, len(self.centre_s) - 1)
+        """Return bounds (n,) [ns] at controller times: the larger one of the two nodes around each."""
+        right = np.clip(np.searchsorted(self.node_s, t_robot_s), 0, len(self.node_s) - 1)
         return np.asarray(np.maximum(self.bound_ns[np.maximum(right - 1, 0)], self.bound_ns[right]))
 
     def to_robot_s(self, t_host_ns: Ints) -> Floats:
@@ -77,13 +68,18 @@ class RobotClock:
 
     def to_host_ns(self, t_robot_s: Floats) -> Ints:
         """Return host times [ns] of controller times (n,) [s], late by the shortest latency of the link."""
-        dt = 1e9 * (np.asarray(t_robot_s, dtype=np.float64) - self.t_ref_s)
-        place = np.interp(t_robot_s, self.centre_s, np.arange(len(self.centre_s)))
-        left = np.minimum(place.astype(int), max(0, len(self.centre_s) - 2))
-        right = np.minimum(left + 1, len(self.centre_s) - 1)
-        here, there = (self.offset_ns[k] + self.rate[k] * dt for k in (left, right))
-        correction = here + (place - left) * (there - here)
-        return np.asarray(self.host_ref_ns + np.rint(dt).astype(np.int64) + np.rint(correction).astype(np.int64))
+        t = np.asarray(t_robot_s, dtype=np.float64)
+        rates = self.rates
+        beyond = rates[0] * np.minimum(t - self.node_s[0], 0.0) + rates[-1] * np.maximum(t - self.node_s[-1], 0.0)
+        offset = np.interp(t, self.node_s, self.offset_ns) + 1e9 * beyond
+        dt = np.rint(1e9 * (t - self.t_ref_s)).astype(np.int64)
+        return np.asarray(self.host_ref_ns + dt + np.rint(offset).astype(np.int64))
+
+    @property
+    def rates(self) -> Floats:
+        """How much faster the host counts than the controller, from each node to the next; [0] for a single node."""
+        apart = np.diff(self.node_s)
+        return np.diff(self.offset_ns) / (1e9 * apart) if len(apart) and apart.min() > 0.0 else np.zeros(1)
 
 
 @dataclass(frozen=True)
@@ -123,181 +119,81 @@ class RobotClockReport:
     t_robot_s: tuple[float, float]  # first and last
     rate_ppm: float  # how much faster the host counts than the controller, mean
     rate_range_ppm: float
-    spread_ns: float  # disagreement of neighbouring windows half-way, RMS over √2; NaN for one window
-    jitter_ns: float  # mean height of the arrivals above the line; median over the half windows
-    windows: int
+    jitter_ns: float  # mean latency above the shortest; median over the minutes' halves
     bound_ns: float  # largest of the clock in use; for arrivals excluding the shortest latency
     edges: EdgeReport | None = None  # of a trigger wire, if the box toggled one
 
 
 @dataclass
 class Arrivals:
-    """Collects (controller time, arrival) of one segment; keeps the hull of each second instead of the readings."""
+    """Collects (controller time, arrival) of one segment; keeps the fastest reading of each second, and sums."""
 
     t_ref_s: float
     host_ref_ns: int
     readings: int = 0
     first_s: float = float("inf")
     last_s: float = float("-inf")
-    hulls: dict[int, Floats] = field(default_factory=dict)  # block → corners (c, 2): dt [s], latency + const [ns]
-    sums: dict[int, Floats] = field(default_factory=dict)  # half window → (3,): sums of 1, dt, latency
+    _parts: list[Floats] = field(default_factory=list)  # (n, 6) each, see ``seconds``
 
     def add(self, t_robot_s: Floats, t_host_ns: Ints) -> None:
         """Take readings (n,) in order of arrival."""
         dt = t_robot_s - self.t_ref_s
         latency = (t_host_ns - self.host_ref_ns - np.rint(1e9 * dt).astype(np.int64)).astype(np.float64)
-        block = np.floor(dt / BLOCK_S).astype(np.int64)
-        starts = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
-        for key, (a, b) in zip(block[starts].tolist(), pairwise([*starts.tolist(), dt.size]), strict=True):
-            half = int(key * BLOCK_S // HALF_WINDOW_S)
-            of_run = np.array([b - a, np.add.reduce(dt[a:b]), np.add.reduce(latency[a:b])])
-            self.sums[half] = self.sums.get(half, np.zeros(3)) + of_run
-        keys = np.unique(block[starts]).tolist()
-        known = [self.hulls[key] for key in keys if key in self.hulls]
-        x, y = (np.concatenate([*(old[:, k] for old in known), column]) for k, column in enumerate((dt, latency)))
-        of = np.concatenate([np.floor(old[:, 0] / BLOCK_S) for old in known] + [block]).astype(np.int64)
-        corners = lower_hulls(x, y, of)
-        edges = np.searchsorted(of[corners], [*keys, keys[-1] + 1]).tolist()
-        points = np.stack([x[corners], y[corners]], axis=1)
-        self.hulls.update((key, points[a:b].copy()) for key, (a, b) in zip(keys, pairwise(edges), strict=True))
+        rows = np.stack([np.floor(dt), dt, latency, np.ones(dt.size), dt, latency])
+        self._parts.append(_merged(rows))
         self.readings += dt.size
         self.first_s = min(self.first_s, float(t_robot_s[0]))
         self.last_s = max(self.last_s, float(t_robot_s[-1]))
 
+    def seconds(self) -> Floats:
+        """Return rows (6, k) by second: its number; dt [s] and latency [ns] of the fastest reading; number of readings,
+        sums of dt and latency.
+        """
+        return _merged(np.concatenate(self._parts, axis=1))
+
+
+def _merged(rows: Floats) -> Floats:
+    """Return the rows (6, k) with one column for each second."""
+    rows = rows[:, np.lexsort((rows[2], rows[0]))]
+    first = np.flatnonzero(np.diff(rows[0], prepend=-np.inf))
+    return np.concatenate([rows[:3, first], np.add.reduceat(rows[3:], first, axis=1)])
+
 
 def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, RobotClockReport]:
     """Return the clock of one segment of controller time and its report. ``arrivals`` must hold a reading."""
-    keys = sorted(arrivals.sums)
-    blocks: dict[int, list[Floats]] = {key: [] for key in keys}
-    for block, corners in arrivals.hulls.items():
-        blocks[int(block * BLOCK_S // HALF_WINDOW_S)].append(corners)
-    pairs = [(a, b) for a, b in pairwise(keys) if b == a + 1] or [(keys[0], keys[0])]
-    alone = [(k, k) for k in keys if not any(k in pair for pair in pairs)]
-    windows = sorted(pairs + alone)
-    seconds = [[second for key in sorted(set(pair)) for second in blocks[key]] for pair in windows]
-    points = np.concatenate([second for each in seconds for second in each])
-    sizes = [sum(map(len, each)) for each in seconds]
-    window = np.repeat(np.arange(len(windows)), sizes)
-    hull = lower_hulls(points[:, 0], points[:, 1], window)
-    hulls = np.split(points[hull], np.searchsorted(window[hull], np.arange(1, len(windows))))
-    lines = np.array([_line(arrivals, *of) for of in zip(windows, seconds, hulls, strict=True)])
-    centre, offset, rate, bound = lines.T
-    bound = _with_disagreement(lines)
-    clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, arrivals.t_ref_s + centre, offset, rate, bound)
-    return clock, _report(segment, arrivals, lines, float(np.max(bound)))
+    second, dt, latency, n, dt_sum, latency_sum = arrivals.seconds()
+    stamps = np.rint(1e9 * dt).astype(np.int64)
+    fitted = clocks.fit(stamps, stamps + latency.astype(np.int64), wander=SLEWED_WANDER)
+    assert fitted is not None  # there is a row
 
+    def offset_at(dt_s: Floats) -> Floats:
+        t_ns = np.rint(1e9 * dt_s).astype(np.int64)
+        return (fitted.to_time(t_ns)[0] - t_ns).astype(np.float64)
 
-def _line(
-    arrivals: Arrivals, pair: tuple[int, int], each: list[Floats], hull: Floats
-) -> tuple[float, float, float, float]:
-    """Return centre [s], offset [ns], rate and bound [ns] of the line under two half windows.
-
-    ``each``: the corners (c, 2) of their seconds, dt [s] and latency [ns]; ``hull``: the lower hull of all of these.
-    """
-    corners = np.concatenate(each)
-    count, dt_sum, latency_sum = np.sum([arrivals.sums[key] for key in sorted(set(pair))], axis=0)
-    dt, latency = corners[:, 0], corners[:, 1]
-    offset, per_second = line_under(hull[:, 0], hull[:, 1], dt_sum / count)
-    if abs(per_second) > 1e9 * MAX_RATE:
-        offset, per_second = float(np.min(latency)), 0.0
-    # The height of the fastest packet of each second above the line; if there are too few seconds, all packets count.
-    fastest = [float(np.min(block[:, 1] - offset - per_second * block[:, 0])) for block in each]
-    height = float(np.mean(fastest)) * max(1.0, LEAST_BLOCKS / len(each))
-    if len(each) < 3:
-        height = (latency_sum - count * offset - per_second * dt_sum) / count
-    reach_ns = 0.5e9 * (dt.max() - dt.min())
-    runs = np.min(sliding_window_view(np.array(fastest), min(RUN, len(fastest))), axis=1)
-    bound = max(2.0 * height, TILTED * float(np.max(runs))) + 0.5e-9 * DRIFT * reach_ns**2 + ROUNDING_NS
-    return float(0.5 * (dt.min() + dt.max())), offset, 1e-9 * per_second, bound
-
-
-def _with_disagreement(lines: Floats) -> Floats:
-    """Return the bounds (k,) of the windows, each at least the disagreement with a neighbour half-way beyond both
-    bounds.
-    """
-    own, apart = lines[:, 3], np.abs(_steps(lines))
-    torn = np.where(apart > own[1:] + own[:-1], apart, 0.0)
-    return np.asarray(own + np.maximum(np.concatenate([[0.0], torn]), np.concatenate([torn, [0.0]])))
-
-
-def _steps(lines: Floats) -> Floats:
-    """Return the differences (k − 1,) [ns] of neighbouring windows' lines half-way between their centres."""
-    centre, offset, rate, _ = lines.T
-    halfway = 0.5 * (centre[1:] + centre[:-1])
-    here, there = (offset[k] + 1e9 * rate[k] * halfway for k in (slice(None, -1), slice(1, None)))
-    return np.asarray(there - here)
-
-
-def _report(segment: int, arrivals: Arrivals, lines: Floats, bound_ns: float) -> RobotClockReport:
-    rate = lines[:, 2]
-    spread = float(np.sqrt(np.mean(np.square(_steps(lines))) / 2.0)) if len(lines) > 1 else float("nan")
-    return RobotClockReport(
+    height, mean_height = latency - offset_at(dt), latency_sum / n - offset_at(dt_sum / n)
+    span = arrivals.last_s - arrivals.first_s
+    nodes = np.linspace(arrivals.first_s, arrivals.last_s, round(span / NODE_S) + 1 + (span > 0.0))
+    around = np.searchsorted(dt, nodes[:, None] - arrivals.t_ref_s + [-AROUND_S, AROUND_S])
+    around = np.stack([np.minimum(around[:, 0], around[:, 1] - 1), around[:, 1] + (around[:, 0] >= around[:, 1])], 1)
+    bound = np.array([_bound(height[max(a, 0) : b], mean_height[max(a, 0) : b]) for a, b in around])
+    clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, nodes, offset_at(nodes - arrivals.t_ref_s), bound)
+    half = np.flatnonzero(np.diff(np.floor(second / AROUND_S), prepend=-np.inf))
+    report = RobotClockReport(
         segment=segment,
         readings=arrivals.readings,
         t_robot_s=(arrivals.first_s, arrivals.last_s),
-        rate_ppm=float(PPM.of(np.mean(rate))),
-        rate_range_ppm=float(PPM.of(np.ptp(rate))),
-        spread_ns=spread,
-        jitter_ns=float(np.median(_mean_heights(arrivals, lines))),
-        windows=len(lines),
-        bound_ns=bound_ns,
+        rate_ppm=float(PPM.of(np.mean(clock.rates))),
+        rate_range_ppm=float(PPM.of(np.ptp(clock.rates))),
+        jitter_ns=float(np.median(np.add.reduceat(mean_height * n, half) / np.add.reduceat(n, half))),
+        bound_ns=float(np.max(bound)),
     )
+    return clock, report
 
 
-def _mean_heights(arrivals: Arrivals, lines: Floats) -> Floats:
-    """Return the mean latency [ns] above the nearest window's line, for each half window."""
-    count, dt, latency = np.array(list(arrivals.sums.values())).T
-    nearest = lines[np.argmin(np.abs(lines[:, :1] - dt / count), axis=0)]
-    return np.asarray(latency / count - nearest[:, 1] - 1e9 * nearest[:, 2] * dt / count)
-
-
-def lower_hulls(x: Floats, y: Floats, group: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Return the indices, by ascending group and x, of the corners of the lower hull of each group of n ≥ 1 points.
-
-    Quickhull on points sorted by x: the lowest point below a chord is a corner and splits the rest into two slices
-    (Barber, Dobkin, Huhdanpaa, "The quickhull algorithm", 1996). All chords of one level are processed together.
-    """
-    order = np.lexsort((y, x, group))
-    xs, groups = x[order], group[order]
-    other = np.flatnonzero((np.diff(groups) != 0) | (np.diff(xs) > 0)) + 1  # for equal x, the lowest y
-    order = order[np.concatenate([[0], other])]
-    xs, ys, groups = x[order], y[order], group[order]
-    begins = np.concatenate([[0], np.flatnonzero(np.diff(groups)) + 1])
-    left, right = begins, np.append(begins[1:], len(order)) - 1
-    is_corner = np.zeros(len(order), dtype=bool)
-    is_corner[left] = is_corner[right] = True
-    while True:
-        long = right - left > 1
-        left, right = left[long], right[long]
-        if not left.size:
-            return np.asarray(order[is_corner])
-        slope = (ys[right] - ys[left]) / (xs[right] - xs[left])
-        inner = right - left - 1
-        first = np.cumsum(inner) - inner
-        chord = np.repeat(np.arange(left.size), inner)
-        point = np.arange(chord.size) - first[chord] + left[chord] + 1
-        below = ys[point] - ys[left][chord] - slope[chord] * (xs[point] - xs[left][chord])
-        least = np.minimum.reduceat(below, first)
-        lowest = np.flatnonzero(below == least[chord])
-        split = np.flatnonzero(least < 0.0)
-        corner = point[lowest[np.searchsorted(chord[lowest], split)]]
-        is_corner[corner] = True
-        left, right = np.concatenate([left[split], corner]), np.concatenate([corner, right[split]])
-
-
-def line_under(x: Floats, y: Floats, middle: float) -> tuple[float, float]:
-    """Return (offset, rate) of the line under all points that is nearest to them on average.
-
-    ``x``, ``y`` (c,): the corners of the points' lower hull by ascending x. ``middle``: the mean x of the points. The
-    mean distance of a line under the points is its distance there, so the best line is the edge of the hull there. The
-    rate is 0 for a single point.
-    """
-    if x.size == 1:
-        return float(y[0]), 0.0
-    edge = int(np.clip(np.searchsorted(x, middle) - 1, 0, x.size - 2))
-    (x0, x1), (y0, y1) = x[edge : edge + 2], y[edge : edge + 2]
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # times may differ by almost nothing; the rate is then not finite
-        rate = float((y1 - y0) / (x1 - x0))
-        return float(y0 - rate * x0), rate
+def _bound(height: Floats, mean_height: Floats) -> float:
+    """Return the bound [ns] from the heights of the fastest readings of some seconds, and of all of their readings."""
+    typical = float(np.mean(height)) * max(1.0, LEAST_SECONDS / height.size)
+    if height.size < 3:
+        typical = float(np.mean(mean_height))
+    lasting = float(np.max(np.min(sliding_window_view(height, min(RUN, height.size)), axis=1)))
+    return max(2.0 * typical, TILTED * lasting) + 0.5e9 * DRIFT * AROUND_S**2 + ROUNDING_NS

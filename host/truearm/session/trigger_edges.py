@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from truearm.clocks import Clock, fit
 from truearm.session.device_clock import DeviceClock
 from truearm.session.joint_readings import Changes, InputTrack, JointStream
-from truearm.session.robot_clock import EdgeReport, RobotClock
+from truearm.session.robot_clock import NODE_S, EdgeReport, RobotClock
 from truearm.types import Floats, Ints
 
 SHORTEST_DELAY_NS = 15_000.0  # upper limit for the shorter delay of an input: an optocoupler without a filter
@@ -51,7 +51,6 @@ LEAST_SHARE = 0.5  # of the edges: an input that matches fewer serves another pu
 COURSE_WANDER = 1e-6  # of the rate, from its mean over two minutes: two crystals that drift by less than 1 ppm a minute
 ROUNDS = 4  # of the difference of the delays and the clock, each of which narrows the other
 STAMP_NS = 1000  # edge stamps are at most 0.3 µs late; readings are printed to the microsecond
-NODE_S = 10.0  # between the points at which the host time is computed
 LATENCY_NS = 1e6  # shortest latency of a fast link: if the bounds are wider, arrivals are more accurate
 
 
@@ -356,10 +355,7 @@ def _through_nodes(
         best[here], host[here], to_box_ns[here] = bound[here], at[here], of_robot[here]
     dt = 1e9 * (nodes - arrivals.t_ref_s)
     correction = (host - arrivals.host_ref_ns - np.rint(dt).astype(np.int64)).astype(np.float64)
-    slope = np.gradient(correction, dt) if nodes.size > 1 and dt[-1] > dt[0] else np.zeros(nodes.size)
-    clock = RobotClock(
-        arrivals.t_ref_s, arrivals.host_ref_ns, nodes, correction - slope * dt, slope, best, source="edges"
-    )
+    clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, nodes, correction, best, source="edges")
     return clock, to_box_ns
 
 
