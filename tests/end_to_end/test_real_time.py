@@ -45,20 +45,20 @@ def simulator(request, tmp_path):
 
 
 def test_recorded_over_a_real_port(simulator, tmp_path):
-    """Eleven seconds: the box's samples, the robot's lines, clocks, and at least one dwell with the right length."""
+    """Seven seconds: the box's samples, the robot's lines, clocks, and at least one dwell with the right length."""
     assert "MicroPython" in simulator.head
     session = tmp_path / "session.mcap"
-    done = truearm_process(*simulator.record, "--duration-s", 12, timeout_s=60)
-    assert done.returncode == 0, done.stderr
+    done = truearm_process(*simulator.record, "--duration-s", 8, timeout_s=60)
+    assert done.returncode in (0, 4), done.stderr  # 4: it ended within the next dwell, which gave no observation
     report = truearm("inspect", session)
     assert report.returncode == 0, report.stderr
     with session.open("rb") as f:
         summary = make_reader(f).get_summary()
         counts = {summary.channels[i].topic: n for i, n in summary.statistics.channel_message_counts.items()}
-    assert counts["/box/adc"] >= 11 * 1017.25 / 13 - 20
-    assert counts["/robot/joints"] >= 500
+    assert counts["/box/adc"] >= 7 * 1017.25 / 13 - 20
+    assert counts["/robot/joints"] >= 330
     assert counts["/sync"] >= 40
-    assert counts["/box/heartbeat"] >= 10
+    assert counts["/box/heartbeat"] >= 6
     assert "/box/console" not in counts
     result = observations_of_session(session)
     assert result.losses.frames_lost == result.losses.samples_lost == result.losses.samples_overrun == 0
@@ -82,21 +82,21 @@ def test_interrupt_completes_the_file(simulator, tmp_path):
     """Ctrl-C in the middle: exit 130, a line that says what is kept, and a file with its summary."""
     command = [sys.executable, "-m", "truearm", *simulator.record]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    wait_for_recording(tmp_path / "session.mcap", 3)
+    wait_for_recording(tmp_path / "session.mcap", 1.5)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=20)
     assert process.returncode == 130, stderr
     assert "Traceback" not in stderr
     assert "session.mcap" in stdout + stderr
     with (tmp_path / "session.mcap").open("rb") as f:
-        assert make_reader(f).get_summary().statistics.message_count > 200
+        assert make_reader(f).get_summary().statistics.message_count > 100
 
 
 def test_kill_loses_a_second_at_most(simulator, tmp_path):
     """SIGKILL: what was synced to disk is read back, and the tools say that the end is missing."""
     command = [sys.executable, "-m", "truearm", *simulator.record]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    wait_for_recording(tmp_path / "session.mcap", 4)
+    wait_for_recording(tmp_path / "session.mcap", 2.5)
     process.kill()
     process.wait()
     session = tmp_path / "session.mcap"

@@ -107,7 +107,7 @@ def test_cable_and_network(tmp_path, monkeypatch):
     """In real time over a pseudo-terminal and TCP. What is lost is said; what is not lost is whole, and read back."""
     world = World(5, standard_plan(9, 5))
     box, robot = SimulatedBox(world, interpreter(), seed=5), Port.listen("127.0.0.1", 0)
-    cable = Cable(box, robot, [(4.0, "unplug"), (5.0, "plug"), (9.0, "reset")])
+    cable = Cable(box, robot, [(2.0, "unplug"), (2.5, "plug"), (5.5, "reset")])
     stop = threading.Event()
     thread = threading.Thread(
         target=serve, args=(world, cable, cable, robot), kwargs={"stop": stop.is_set}, daemon=True
@@ -117,7 +117,7 @@ def test_cable_and_network(tmp_path, monkeypatch):
     out = tmp_path / "s.mcap"
     try:
         address = f"tcp://127.0.0.1:{robot.number}"
-        assert main(["record", "--address", address, "--duration-s", "12", "--out", str(out)]) == 0
+        assert main(["record", "--address", address, "--duration-s", "8", "--out", str(out)]) == 0
     finally:
         stop.set()
         thread.join(20)

@@ -24,7 +24,7 @@ from test_record_command import RIG
 
 from truearm.errors import SessionError, WriteError
 from truearm.record.joint_lines import MAX_RUBBISH
-from truearm.record.recorder import WAITING_NS, RecordOptions
+from truearm.record.recorder import RecordOptions
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 
@@ -256,6 +256,16 @@ def test_the_command_says_it_within_two_seconds(tmp_path, how, number):
     assert not open_session(rescued).truncated
 
 
+# of what was received and not stored, five seconds are stored at the end
+SHORT_WAITING = """
+import sys
+from truearm.cli.main import main
+from truearm.record import recorder
+recorder.WAITING_NS = 10**9
+sys.exit(main())
+"""
+
+
 def flood(lines=None):
     """Return the address of a robot that sends as fast as it can: one reading, and then readings or other ``lines``."""
     listener = socket.create_server(("127.0.0.1", 0))
@@ -275,23 +285,19 @@ def flood(lines=None):
 def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device):
-        options = ["--unchecked", "--box", device, "--address", flood(), "--duration-s", "4", "--out", out]
-        command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
+        options = ["--unchecked", "--box", device, "--address", flood(), "--duration-s", "2", "--out", out]
+        command = [sys.executable, "-c", SHORT_WAITING, "record", *map(str, options)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 4, done.stderr
     assert "robot sent more than could be stored, so readings may be missing" in done.stderr.splitlines()[-1]
     assert "robot sends more than can be stored" in done.stderr
     assert "silent" not in done.stdout + done.stderr
-    end = open_session(out).metadata["session-end"]
-    exchanges = [json.loads(m.data) for m in open_session(out).messages("/sync")]
-    answered = [row for row in exchanges if "t3_ns" in row]
-    assert len(answered) >= 8  # of 16, on a machine that does other things too
-    start, stop = (
-        next(row for row in topics(out)["/events"] if json.loads(row.data)["kind"] == k).t_host_ns
-        for k in ("start", "stop")
-    )
-    assert 4.0 <= (stop - start) / SECOND < 6.0 + WAITING_NS / SECOND
-    assert int(end["samples"]) > 3 * 1017 * 10 // 10
+    session = open_session(out)
+    rows = [(m.topic, m.t_host_ns, json.loads(m.data)) for m in session.messages({"/sync", "/events"})]
+    assert sum("t3_ns" in row for _, _, row in rows) >= 8  # of 20, on a machine that does other things too
+    start, stop = (next(t for _, t, row in rows if row.get("kind") == kind) for kind in ("start", "stop"))
+    assert 2.0 <= (stop - start) / SECOND < 4.0 + 1.0
+    assert int(session.metadata["session-end"]["samples"]) > 1.5 * 1017
 
 
 @pytest.mark.soak

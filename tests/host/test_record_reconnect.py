@@ -1,6 +1,8 @@
 """Links that are lost and return: what is reopened, reported and counted, and how long the recorder waits."""
 
 import json
+import os
+import signal
 import threading
 import time
 
@@ -185,11 +187,14 @@ class TestBox:
                 held.append(OnTerminals(*reversed(real_time_box())))
             box.boot(0x4444)
             usb.plug()
+            blocks = box.blocks
+            wait_for(lambda: box.blocks >= blocks + 30)
+            os.kill(os.getpid(), signal.SIGINT)  # however long it took
 
         thread = threading.Thread(target=handle)
         thread.start()
         out = tmp_path / "s.mcap"
-        assert main(["record", "--box", first, "--duration-s", "3", "--out", str(out)]) == 0
+        assert main(["record", "--box", first, "--duration-s", "60", "--out", str(out)]) == 130
         thread.join(PATIENCE_S)
         assert usb.device != first
         assert events(out) == ["start", "link-lost", "link-back", "box-restarted", "start", "stop"]
