@@ -290,7 +290,9 @@ def test_rows_that_cannot_decide_give_one_name_with_or(slipped):
     mixed = one.columns @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
     named = [one, Hypothesis(fit, "other", "other", "step", mixed, one.sizes, one.units, one.candidates)]
     every = [*named, hypothesis_of(fit, "sphere.s1.step")]
-    detections = searched(build_design(fit, DECLARED, fit.wide_prior), every).detections[0]
+    detections = searched(
+        build_design(fit, DECLARED, fit.wide_prior), every, build_design(fit, DECLARED, fit.prior)
+    ).detections[0]
     assert {detections.best.name, *detections.aliases} == {one.name, "other.step"}
 
 
@@ -328,7 +330,11 @@ def test_left_out_blocks_are_those_of_refits(slipped):
 def test_the_step_is_that_of_a_refit(slipped):
     """The parameters after applying a finding, against the fit with its columns; its prior takes under 2 %."""
     fit, estimate = fitted(slipped)
-    result = searched(build_design(fit, DECLARED, fit.wide_prior), [hypothesis_of(fit, slipped.names[0])])
+    result = searched(
+        build_design(fit, DECLARED, fit.wide_prior),
+        [hypothesis_of(fit, slipped.names[0])],
+        build_design(fit, DECLARED, fit.prior),
+    )
     gram = tool_gram(slipped.site.chain, slipped.site.rig, slipped.table, estimate)
     average = averaged(result, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)])
     (step,) = average.means()

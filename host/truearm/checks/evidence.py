@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +50,6 @@ class Design:
     root: Floats  # (k, ·) S with Q = jac S for the parameters alone, so that S Sᵀ is their covariance
     remainder: Floats  # (m + κ,) (I − QQᵀ) residual
     freedom: float  # residuals minus what they determine
-    log_determinant: float  # of the parameters' information
     before: Design | None = None  # without the last of the further columns
     sums: dict[Hypothesis, Sums] = field(default_factory=dict)  # of hypotheses beside this design
 
@@ -112,8 +112,7 @@ def build_design(fit: WhitenedFit, kernel: Kernel, prior: Floats) -> Design:
     least = RANK_TOLERANCE * singular.max(initial=0.0)
     basis, root = u[:, singular > least], vt[singular > least].T / singular[singular > least] / scale[:, None]
     remainder, freedom = residual - basis @ (basis.T @ residual), m - float((basis[:m] ** 2).sum())
-    log_determinant = 2.0 * float(np.log(scale).sum() + np.log(np.maximum(singular, least)).sum())
-    return Design(fit, kernel, basis, root, remainder, freedom, log_determinant)
+    return Design(fit, kernel, basis, root, remainder, freedom)
 
 
 class Moments(NamedTuple):
@@ -182,8 +181,13 @@ def sums_of(hypothesis: Hypothesis, design: Design) -> Sums:
 
 def products(hypothesis: Hypothesis, vectors: Floats, power: int = 1) -> Floats:
     """Return Cᵀ times ``vectors`` (m, x) for each candidate, (c, d, x); its profile to a ``power``."""
-    profiles = hypothesis.candidates.profiles[:, hypothesis.fit.row, None] ** power
-    return hypothesis.candidates.of_profiles((profiles * hypothesis.columns).swapaxes(1, 2) @ vectors)
+    candidates, columns, row = hypothesis.candidates, hypothesis.columns, hypothesis.fit.row
+    if candidates.pairs is None:
+        by_profile = np.stack([(columns * profile[row, None] ** power).T @ vectors for profile in candidates.profiles])
+    else:  # sums before each edge
+        edges = [0, *np.searchsorted(row, np.unique(np.asarray(candidates.spans))).tolist()]
+        by_profile = np.cumsum([columns[a:b].T @ vectors[a:b] for a, b in pairwise(edges)], axis=0)
+    return candidates.of_profiles(by_profile)
 
 
 def squares(hypothesis: Hypothesis, kernel: Kernel) -> Floats:

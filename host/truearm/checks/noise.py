@@ -11,8 +11,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
-from truearm.checks.evidence import build_design
 from truearm.checks.whitened import DECLARED, Kernel, SharedNoise, WhitenedFit
 from truearm.estimate.ties import first_within
 from truearm.types import Floats, Indices
@@ -52,10 +52,18 @@ def likelihood(fit: WhitenedFit, kernel: Kernel) -> tuple[float, float]:
 
     −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless the kernel is the declared one.
     """
-    design = build_design(fit, kernel, fit.prior)
-    variance = design.variance
-    cost = design.freedom * math.log(variance) + design.chi2 / variance + kernel.log_determinant
-    return -0.5 * (cost + design.log_determinant), math.sqrt(variance)
+    m, k = fit.jac.shape
+    white = kernel.whiten(np.column_stack([fit.jac, fit.residual]))
+    length = np.maximum(np.linalg.norm(np.concatenate([fit.jac, fit.prior[:, :-1]]), axis=0), 1e-300)
+    white, prior = white / np.append(length, 1.0), fit.prior / np.append(length, 1.0)
+    data = white.T @ white
+    lower = np.linalg.cholesky(data + prior.T @ prior + 1e-12 * np.eye(k + 1))
+    half = linalg.solve_triangular(lower[:k, :k], data[:k, :k], lower=True)
+    chi2 = float(lower[k, k] ** 2)
+    freedom = m - float(np.trace(linalg.solve_triangular(lower[:k, :k], half.T, lower=True)))
+    variance = 1.0 if kernel.declared else max(chi2 / max(freedom, 1.0), 1e-12)
+    cost = freedom * math.log(variance) + chi2 / variance + kernel.log_determinant
+    return -0.5 * cost - float(np.log(np.diag(lower)[:k]).sum()), math.sqrt(variance)
 
 
 def judged_rows(n: int) -> Indices:

@@ -65,7 +65,8 @@ def checked(fit: WhitenedFit, hypotheses: Sequence[Hypothesis]) -> Search:
     """Return the findings under the declared noise; where that does not describe the rows, under a noise learned from them."""
     bare = build_design(fit, DECLARED, fit.wide_prior)
     is_small = bare.chi2 < special.chdtri(bare.freedom, 1.0 - ODD / 2.0)  # which no finding explains
-    plain = None if is_small else searched(bare, hypotheses)
+    fitted = build_design(fit, DECLARED, fit.prior)
+    plain = None if is_small else searched(bare, hypotheses, fitted)
     still_odd = plain is None or is_odd(plain.design)
     if plain is not None and not (still_odd or is_odd(bare)):
         return plain
@@ -74,7 +75,7 @@ def checked(fit: WhitenedFit, hypotheses: Sequence[Hypothesis]) -> Search:
         explained = sum(detection.best.log_evidence - math.log(len(hypotheses)) for detection in plain.detections)
         if kernel.declared or (not still_odd and explained > kernel.gain):
             return plain
-    return searched(build_design(fit, kernel, fit.wide_prior), hypotheses)
+    return searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted)
 
 
 def is_odd(design: Design) -> bool:
@@ -88,14 +89,16 @@ def is_odd(design: Design) -> bool:
     return bool(chi2 > high) or abs(product) / max(chi2, 1e-300) * math.sqrt(residual.size) > ODD_ORDER
 
 
-def searched(bare: Design, hypotheses: Sequence[Hypothesis]) -> Search:
+def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> Search:
     """Return the findings, each the most probable given those before it; ``bare`` is the design without any.
+
+    ``fitted`` is that of the parameters as they were fitted.
 
     If the noise was learned, a finding must predict each block of rows from the others, or it is refused with its
     rivals and the search ends: what is less probable explains the same residuals.
     """
     fit, log_count = bare.fit, math.log(max(len(hypotheses), 1))
-    fitted, block = build_design(fit, DECLARED, fit.prior), left_out_blocks(fit.n, fit.how.place)[fit.row]
+    block = left_out_blocks(fit.n, fit.how.place)[fit.row]
     detections: list[Detection] = []
     refused: tuple[str, ...] = ()
     while True:
