@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from truearm.checks.alternatives import units
 from truearm.checks.examination import examined, tool_gram
-from truearm.checks.inputs import explanations_of
+from truearm.checks.inputs import explaining
 from truearm.checks.trial import Alternative, fitted
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior
@@ -15,7 +16,9 @@ from truearm.files.observation_table import read_table
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
 from truearm.model.urdf import free_without_gains
+from truearm.report.result_findings import fault_findings
 from truearm.units import DEG
+from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 
@@ -127,10 +130,22 @@ def test_an_encoder_that_jumps_between_places_is_named(panda):
     assert first.rivals[0].gain_t > 3.0
 
 
+def test_one_place_offers_nothing_to_apply(panda):
+    """Its finding is an error of the model, which the mean of its causes would carry to other places: 0.251 mm instead of 0.216."""
+    robot = load_robot(str(MUKCA / "panda.urdf"), None, "ball_link")
+    table = read_table(MUKCA / "panda_3.csv", robot.chain.joint_units)
+    choice = Selection(robot.free, table.place != "backleft")
+    result = identified(robot, panda[1], table, choice, IdentifyOptions(joint_laws="none"))
+    assert [fault.rivals[0].name for fault in result.estimate.faults] == ["panda_joint2.step"]
+    (finding,) = (finding for finding in fault_findings(result.document) if finding.code == "fault-choice")
+    assert finding.values["few"]
+    assert "first" not in finding.values
+
+
 def test_radians_in_columns_of_degrees_are_named_where_only_sockets_were_seated(panda):
     chain, rig, free, _ = panda
     table = read_table(MUKCA / "panda_1.csv", chain.joint_units)
     tiny = replace(table, q=DEG.scale * table.q)
-    before = fitted(Alternative(chain, rig, tiny, free, np.arange(len(tiny))))
-    (found,), _ = explanations_of(before, free, {})
-    assert (found.code, found.values["are"]) == ("wrong-unit", "radians")
+    given = Alternative(chain, rig, tiny, free, np.arange(len(tiny)))
+    (trial,) = explaining(fitted(given), list(units(given)), 20)
+    assert (trial.alternative.code, trial.alternative.values["are"]) == ("wrong-unit", "radians")

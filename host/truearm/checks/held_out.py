@@ -11,22 +11,23 @@ from truearm.checks.evidence import Design
 from truearm.types import Floats, Indices
 
 BLOCKS = 12  # contiguous stretches of the order of measurement
-FEWEST_PLACES = 3
+FEWEST_BLOCKS = 3
 LEAST = 1e-9  # share of a direction that other rows determine: less is rounding
 
 
 class Gain(NamedTuple):
-    """The share of the squares of left-out rows that a finding removes, and its size in standard errors over the blocks."""
+    """The share of the squares of left-out rows that a finding removes, and its size in standard errors over the blocks.
+
+    NaN with fewer than FEWEST_BLOCKS: one place says nothing about others.
+    """
 
     share: float
     t: float
 
 
 def left_out_blocks(n: int, places: Indices | None) -> Indices:
-    """Return the block (n,) of each row: its place, or one of BLOCKS stretches."""
-    if places is not None and np.unique(places).size >= FEWEST_PLACES:
-        return places
-    return np.arange(n) * BLOCKS // n
+    """Return the block (n,) of each row: its place, or one of BLOCKS stretches if the rows have none."""
+    return np.arange(n) * BLOCKS // n if places is None else places
 
 
 def left_out(design: Design, block: Indices) -> Floats:
@@ -38,8 +39,8 @@ def left_out(design: Design, block: Indices) -> Floats:
     out = np.empty(block.size)
     for number in np.unique(block):
         inside = np.flatnonzero(block == number)
-        u, singular, _ = np.linalg.svd(design.basis[inside], full_matrices=False)
-        share = np.maximum(1.0 - singular**2, 0.0)
+        values, u = np.linalg.eigh(design.basis[inside] @ design.basis[inside].T)
+        share = 1.0 - values
         factor = np.where(share > LEAST, 1.0 / np.maximum(share, LEAST), 0.0)
         residual = design.remainder[inside]
         out[inside] = residual + u @ ((factor - 1.0) * (u.T @ residual))
@@ -49,5 +50,7 @@ def left_out(design: Design, block: Indices) -> Floats:
 def gain(before: Floats, after: Floats, block: Indices) -> Gain:
     """Return the gain of the residuals (m,) of left-out blocks after something was added to the fit."""
     squares, less = (np.bincount(block, weights)[np.unique(block)] for weights in (before**2, before**2 - after**2))
-    error = float(less.std(ddof=1)) / math.sqrt(less.size) if less.size > 1 else math.inf
+    if less.size < FEWEST_BLOCKS:
+        return Gain(math.nan, math.nan)
+    error = float(less.std(ddof=1)) / math.sqrt(less.size)
     return Gain(float(less.sum() / squares.sum()), float(less.mean() / max(error, 1e-12)))

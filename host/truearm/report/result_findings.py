@@ -326,7 +326,8 @@ def _choice(fault: Document) -> Finding:
         size = next((size for size in fault["sizes"] if every and size["value"] is not None), None)
         numbers = math.sqrt(fault["freedom"])
         values = {
-            "worse": not (every or lasting),
+            "few": not (every or lasting) and rivals[0]["gain"] is None,
+            "worse": not (every or lasting or rivals[0]["gain"] is None),
             "lasting": lasting,
             "every": [name.rpartition(".")[0].removesuffix(EVERY) for name in every[:1]],
             "sigma": size and UNITS[size["unit"]].scale.text(size["value"] / numbers, ".2g"),
