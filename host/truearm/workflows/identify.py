@@ -238,22 +238,26 @@ def examine(
     estimate: Estimate,
     effects: tuple[Effect, ...] = (),
     any_base: bool = False,
-) -> tuple[Estimate, Examination | None]:
-    """Return the estimate with its faults and the parts of its error, and their examination.
+) -> Examination | None:
+    """Return the examination of an estimate.
 
     It is None for a fit that did not converge, or that an analysis of first order does not suit.
     """
     if estimate.status != "converged" and not SOLVERS[estimate.solver].ends_by_recipe:
-        return estimate, None
+        return None
     with step("testing for faults"):
-        examination = examined(chain, rig, table, estimate, effects, any_base)
+        return examined(chain, rig, table, estimate, effects, any_base)
+
+
+def with_faults(estimate: Estimate, examination: Examination | None) -> Estimate:
+    """Return the estimate with the faults of its examination and the parts of its error."""
     if examination is None:
-        return estimate, None
+        return estimate
     estimate = replace(estimate, faults=examination.faults, claim=examination.claim)
     if estimate.without_bad_rows is not None and estimate.faults and estimate.covariance_explains:
         left_out = np.isin(estimate.weight, 0.0)  # faults explain all rows, so none is bad
         estimate = replace(estimate, without_bad_rows=None, suspect=estimate.fitted & left_out)
-    return estimate, examination
+    return estimate
 
 
 def with_average(
@@ -361,10 +365,18 @@ def identified(
             prefer=robot.free,
         )
 
+    examinations: dict[bytes, Examination | None] = {}  # by values and weights of a fit
+
+    def examine_once(chain: Chain, estimate: Estimate) -> Examination | None:
+        fit = estimate.value.tobytes() + estimate.weight.tobytes()
+        if fit not in examinations:
+            examinations[fit] = examine(chain, rig, table, estimate, effects, bool(chosen.base))
+        return examinations[fit]
+
     def examine_misfit(estimate: Estimate) -> Estimate:
         if estimate.chi2_reduced <= estimate.chi2_band[1]:
             return estimate
-        return examine(chain, rig, table, estimate, effects, bool(chosen.base))[0]
+        return with_faults(estimate, examine_once(chain, estimate))
 
     def checked(estimate: Estimate) -> Estimate:
         offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
@@ -388,7 +400,8 @@ def identified(
     else:
         chain, estimate = fitted_without_outliers(estimate, geometry, with_laws)
     if not estimate.unusable:
-        estimate, examination = examine(chain, rig, table, estimate, effects, bool(chosen.base))
+        examination = examine_once(chain, estimate)
+        estimate = with_faults(estimate, examination)
         estimate = with_average(chain, rig, table, estimate, examination, causes)
     estimate = with_gain(table, estimate)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
