@@ -149,8 +149,10 @@ def lengths(visits: list[Visit], plan: Plan, rig: Rig, chain: Chain, params: np.
     return np.where(np.abs(extension) <= [0.5 * bar.travel for bar in bars], extension, np.nan)
 
 
-def write_session(path: Path, visits: list[Visit], plan: Plan, rig: Rig, extension: np.ndarray, seed: int = 0) -> None:
-    """Write the session that a recorder would have written, without a box, a robot and real time."""
+def write_session(
+    path: Path, visits: list[Visit], plan: Plan, rig: Rig, extension: np.ndarray, seed: int = 0, of: str = ""
+) -> None:
+    """Write the session that a recorder would have written, without a box, a robot and real time; or a further part ``of`` one."""
     rng = np.random.default_rng([seed, 0x5E55])
     q, start_s, q_path = _motion(plan, visits)
     start_ns = 1e9 * start_s
@@ -177,6 +179,7 @@ def write_session(path: Path, visits: list[Visit], plan: Plan, rig: Rig, extensi
         for words in visit.typed
     ]
     with SessionWriter(path, None, overwrite=True) as writer:
+        writer.metadata("setup", {"of": of} if of else {})
         writer.attach("rig.toml", "application/toml", format_rig(rig).encode())
         for row in plan_rows(plan):
             writer.add_json("/plan", 0, row)

@@ -30,10 +30,10 @@ def plan():
     return standard_plan(20, 1, RIG)
 
 
-def recorded(path, plan, visits, seed=0):
+def recorded(path, plan, visits, seed=0, of=""):
     """Write a session of these visits; return what the sensor shows at each."""
     extension = lengths(visits, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], seed)
-    write_session(path, visits, plan, RIG, extension, seed)
+    write_session(path, visits, plan, RIG, extension, seed, of)
     return extension
 
 
@@ -207,6 +207,15 @@ class TestOneMissedEnter:
         relabel(path, None, "plan", ["14=bar61,c3,s1"])
         assert used(path) == {k: pairing_at(plan, k) for k in used(path)} | {13: ("bar61", "c3", "s1")}
         assert read_labels(path).decisions[0].trust == "plan"
+
+    def test_dwells_of_a_further_part_are_named_by_its_file(self, path, plan):
+        second = path.parent / "s.2.mcap"
+        recorded(second, plan, [replace(visit, typed=()) for visit in right(plan)], of="s.mcap")
+        assert main(["session", "relabel", str(path), "--mounted", "s.2.mcap 14:15=bar61,c3,s1"]) == 0
+        first, further = ([dwell.mounted for dwell in read_labels(of).decisions[0].dwells] for of in (path, second))
+        named = dict(zip(BAR_MOUNTED, ("bar61", "c3", "s1"), strict=True))
+        assert further[13:15] == [named, named]
+        assert named not in first[13:15]
 
     def test_the_table_of_another_session_is_refused(self, path, tmp_path, plan, capsys):
         assert main(["session", "relabel", str(path), "--trust", "plan"]) == 0
