@@ -32,6 +32,7 @@ from truearm.files.result_file import (
     write_result,
 )
 from truearm.kinds.registry import ORIGINS, identifiers
+from truearm.report.result_findings import result_findings
 from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Unusable
 
 RESULTS = Path(__file__).parents[1] / "data" / "results"
@@ -333,6 +334,7 @@ def test_results_of_earlier_versions_are_read_and_written_anew(version: int, tmp
         "explanations",
     }:
         assert found.document[name] == earlier[name], name
+    assert all(finding.text() for finding in result_findings(found.document))
     write_result(tmp_path / "r.json", found)
     assert read_result(tmp_path / "r.json") == found
     assert json.loads((tmp_path / "r.json").read_text())["format_version"] == 4
