@@ -70,7 +70,7 @@ class TestProtocol:
         short = ident(1)
         short["streams"][0]["channels"] = [{"name": "a", "scale": [1, 0]}]
         with SessionWriter(path, lab) as writer:
-            storage = BoxStorage(writer, Counters(), ClockExchanges(writer), awaited=5)
+            storage = BoxStorage(writer, Counters(), ClockExchanges(writer, Counters()), awaited=5)
             for kind in (64, 65, 19):
                 more = [3, "refused"] if kind == 65 else [0, 1, cbor2.dumps(cbor2.dumps(short))]
                 storage.take(HOST_0, frame(array(kind, u32(1), 4, *more)))

@@ -134,7 +134,7 @@ class _Recorder:
         self._patience_ns = int(options.patience_s * SECOND)
 
         self._counters = Counters()
-        self._exchanges = ClockExchanges(writer)
+        self._exchanges = ClockExchanges(writer, self._counters)
         self._box = BoxStorage(writer, self._counters, self._exchanges, operator)
         self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters, operator)
         now_ns = clock.now_ns()
@@ -315,7 +315,7 @@ class _Recorder:
                 waiting = len(self._behind) + self._robot.waiting
                 self._counters.robot_unstored = waiting if waiting > USUAL_WAITING else 0
             self._exchanges.expire(now_ns, 0)
-            self._count_probes()
+            self._count_backlogs()
             for wish in self._operator.last_wishes():
                 self._writer.event(wish.kind, now_ns, **wish.fields)
             self._writer.event("stop", now_ns, reason=end.reason, text=end.text)
@@ -407,7 +407,7 @@ class _Recorder:
             self._probe(now_ns)
         if now_ns >= self._next_progress_ns:
             self._next_progress_ns = now_ns + PROGRESS_NS
-            self._count_probes()
+            self._count_backlogs()
             status = self._status(now_ns)
             self._operator.status(status)
             if self._progress is not None:
@@ -436,9 +436,7 @@ class _Recorder:
             return 0.0
         return max(0.0, (self._box.spoke_ns - self._started_ns) / SECOND)
 
-    def _count_probes(self) -> None:
-        self._counters.probes = self._exchanges.sent
-        self._counters.unanswered_probes = self._exchanges.unanswered
+    def _count_backlogs(self) -> None:
         self._counters.held_up = backlog_of(self._link).held_up
         self._counters.robot_held_up = 0 if self._robot is None else self._robot.held_up
 
