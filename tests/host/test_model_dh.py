@@ -177,7 +177,7 @@ def test_the_last_row_and_the_tool_stand_for_each_other():
     ("rows", "more", "says"),
     [
         (np.full((2, 4), np.nan), {}, r"joint1\.\w+"),
-        (np.zeros((2, 4)), {"tool": (np.inf,) * 6}, r"tool\.x is not finite"),
+        (np.zeros((2, 4)), {"tool": (np.inf,) * 6}, r"tool\.x .*finite"),
     ],
 )
 def test_numbers_that_are_not_finite_are_refused(build, rows, more, says):

@@ -281,5 +281,5 @@ def test_the_tool_turns_evenly():
 
 def test_a_workspace_too_small_is_said():
     nowhere = Region(np.array([0.3, 0.0, 0.3]), np.array([0.3001, 0.0001, 0.3001]))
-    with pytest.raises(PlanError, match="lines of 350 mm fit"):
+    with pytest.raises(PlanError, match="350 mm fit"):
         candidate_lines(bench.site(NAME), SHAPE, 4, POINT, PACE.joint_speed, nowhere, least=4)
