@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.problem import Problem
-from truearm.estimate.whitened_rows import ALONE, whitened_blocks
+from truearm.estimate.whitened_rows import ALONE, by_pose, whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.results import MeanError
 from truearm.types import Floats, Indices, Residuals
@@ -51,33 +51,40 @@ def left_out_errors(
 
     NaN if leaving out the pose makes something undetermined.
     """
-    # J S takes the place of J block by block: with many rows, both of all blocks would be tens of megabytes each.
-    blocks = [
-        block._replace(jac=block.jac @ covariance_root)
-        for block in whitened_blocks(problem, x, columns)
-        if block.row is not None
-    ]
     errors = problem.no_residuals()
-    if not blocks:  # no parameter is free
-        return errors
-    numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in blocks])
-    jac = np.concatenate([block.jac.reshape(block.residual.size, covariance_root.shape[1]) for block in blocks])
-    residual = np.concatenate([block.residual.ravel() for block in blocks])
-    order = np.argsort(numbers, kind="stable")
-    for rows in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
-        pose_jac = jac[rows]
-        if rows.size <= pose_jac.shape[1]:
-            matrix, error = np.eye(rows.size) - pose_jac @ pose_jac.T, residual[rows]
-        else:  # (I − SSᵀ)⁻¹e = e + S(I − SᵀS)⁻¹Sᵀe, with S = pose_jac
-            matrix, error = np.eye(pose_jac.shape[1]) - pose_jac.T @ pose_jac, pose_jac.T @ residual[rows]
-        determined = not matrix.size or np.linalg.eigvalsh(matrix)[0] > ALONE
-        error = np.linalg.solve(matrix, error) if determined else np.full(error.shape, np.nan)
-        residual[rows] = error if rows.size <= pose_jac.shape[1] else residual[rows] + pose_jac @ error
-    first = 0
-    for block in blocks:
-        n, width = block.residual.shape
-        error = (block.noise_root @ residual[first : first + n * width].reshape(n, width, 1))[..., 0]
-        for unit, columns_of_unit in unit_columns(block.components).items():
-            errors[unit][block.row] = np.linalg.norm(error[:, columns_of_unit], axis=1)
-        first += n * width
+    for part in by_pose(problem, pose):
+        blocks = list(whitened_blocks(part, x, columns))
+        if not blocks:
+            continue
+        numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in blocks])
+        seen = np.concatenate([(block.jac @ covariance_root).reshape(block.residual.size, -1) for block in blocks])
+        residual = np.concatenate([block.residual.ravel() for block in blocks])
+        residual = _without_each_pose(numbers, seen, residual)
+        of_blocks = np.split(residual, np.cumsum([block.residual.size for block in blocks])[:-1])
+        for block, own in zip(blocks, of_blocks, strict=True):
+            error = (block.noise_root @ own.reshape(*block.residual.shape, 1))[..., 0]
+            for unit, of_unit in unit_columns(block.components).items():
+                errors[unit][block.row] = np.linalg.norm(error[:, of_unit], axis=1)
     return errors
+
+
+def _without_each_pose(pose: Indices, seen: Floats, residual: Floats) -> Floats:
+    """Return (I − SSᵀ)⁻¹e pose by pose for S = ``seen`` (m, r) and e = ``residual`` (m,); NaN where it is undetermined.
+
+    With more residuals than columns, e + S(I − SᵀS)⁻¹Sᵀe. Poses with equally many residuals are computed together.
+    """
+    order = np.argsort(pose, kind="stable")
+    _, first, count = np.unique(pose[order], return_index=True, return_counts=True)
+    out = np.empty_like(residual)
+    for size in np.unique(count):
+        rows = order[first[count == size][:, None] + np.arange(size)]
+        own, e = seen[rows], residual[rows][..., None]
+        turned = own.swapaxes(1, 2)
+        few = size <= own.shape[2]
+        inner = own @ turned if few else turned @ own
+        values, vectors = np.linalg.eigh(np.eye(inner.shape[1]) - inner)
+        determined = values.min(axis=1, initial=1.0)[:, None, None] > ALONE
+        values = np.where(values > ALONE, values, np.nan)[..., None]
+        solved = vectors @ ((vectors.swapaxes(1, 2) @ (e if few else turned @ e)) / values)
+        out[rows] = np.where(determined, solved if few else e + own @ solved, np.nan)[..., 0]
+    return out
