@@ -438,8 +438,8 @@ class JointLaws:
 
     ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` explain, in sentences,
     why other laws, or all of them, were not tried. The noise per pose is estimated from the residuals by evidence: a
-    factor on the declared variances, and the standard deviations of a displacement shared by the rows of a pose [m] and
-    of an error of each joint [rad].
+    factor on the declared variances, and the standard deviations of a displacement [m] and a rotation [rad] shared by the
+    rows of a pose, and of an error of each revolute joint [rad].
     """
 
     mode: str  # one of ``estimate.solvers.LawMode``
@@ -452,7 +452,8 @@ class JointLaws:
     payloads: tuple[Payload, ...]  # the different ones of the fitted rows
     noise_factor: float = math.nan
     noise_shared: float = math.nan
-    noise_joint: float = math.nan
+    noise_turned: float = math.nan
+    noise_joint: Mapping[str, float] = field(default_factory=dict)
 
 
 class PredictedError(NamedTuple):

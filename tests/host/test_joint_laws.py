@@ -416,7 +416,7 @@ def test_sag_of_poses_with_alike_torques_is_said_to_be_extrapolated():
         "reasons": [],
         "gravity_known": True,
         "tried": [law, {**law, "joint": "joint3", "range_share": 0.9}],
-        "noise": {"factor": 1.0, "shared_mm": 0.0, "joint_mrad": 0.0},
+        "noise": {"factor": 1.0, "shared_mm": 0.0, "turned_mrad": 0.0},
     }
     (shown,) = [of for of in law_findings({"joint_laws": found}) if of.code == "sag-extrapolated"]
     assert shown.values == {"joints": ["joint2 18%"]}
@@ -727,12 +727,12 @@ def test_noise_of_the_sensor_may_take_the_place_of_the_poses_where_rows_do_not_s
     def poses(directions):
         n, w = 20, len(directions)
         t = np.broadcast_to(np.array(directions), (n, w, 3))
-        return PoseSample(np.zeros((n, w)), np.zeros((n, w, w)), t, np.zeros((n, w, 6)))
+        return PoseSample(np.zeros((n, w)), np.zeros((n, w, w)), np.concatenate([t, np.zeros((n, w, 9))], axis=2))
 
-    before, after = PoseNoise(1.0, 0.5, 0.0), PoseNoise(0.8, 0.7, 0.0)
+    before, after = (PoseNoise.of(own, 6)._replace(shared=shared) for own, shared in ((1.0, 0.5), (0.8, 0.7)))
     alone, together = poses([[1.0, 0.0, 0.0]]), poses([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
     assert noise_change([alone], before, after) == pytest.approx(0.0, abs=1e-15)
     old, new = (p.sensor * np.eye(2) + p.shared * np.array([[1.0, 0.6], [0.6, 1.0]]) for p in (before, after))
     change = np.linalg.solve(new, new - old)
     assert noise_change([together], before, after) == pytest.approx(np.sqrt(np.trace(change @ change) / 2.0))
-    assert noise_change([alone], before, PoseNoise(1.015, 0.5, 0.0)) == pytest.approx(0.015 / 1.515)
+    assert noise_change([alone], before, before._replace(sensor=1.015)) == pytest.approx(0.015 / 1.515)

@@ -136,8 +136,13 @@ def with_joint_laws(
     if best is None:
         return chain, replace(estimate, joint_laws=report)
     noise = best.learned.noise
+    joints = zip(chain.joints, np.sqrt(noise.joint).tolist(), strict=True)
     report = replace(
-        report, noise_factor=noise.sensor, noise_shared=math.sqrt(noise.shared), noise_joint=math.sqrt(noise.joint)
+        report,
+        noise_factor=noise.sensor,
+        noise_shared=math.sqrt(noise.shared),
+        noise_turned=math.sqrt(noise.turned),
+        noise_joint={joint.name: sigma for joint, sigma in joints if joint.kind == "revolute"},
     )
     return with_laws(chain, kept), replace(found, joint_laws=report)
 
@@ -210,7 +215,7 @@ class _Work:
 
     def carried(self, laws: Sequence[Law]) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
         """Return those of some laws that the evidence supports, what was learned with them, and the nats of the others."""
-        start = PoseNoise(max(self.before.chi2_reduced / 2.0, 1e-3), 0.0, JOINT_NOISE**2)
+        start = PoseNoise.of(max(self.before.chi2_reduced / 2.0, 1e-3), len(self.chain.joints), JOINT_NOISE)
         return gated(self.problem, laws, learn(self.problem(laws), start))
 
     def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
@@ -373,7 +378,9 @@ def _like_offset(of: LawProblem, x: Floats, offset: int) -> Floats:
     columns = of.columns.copy()
     columns[np.flatnonzero(of.columns)[of.is_law]] = False
     columns[offset] = True
-    rows = pose_information(of.problem, x, columns, of.pose, PoseNoise()).rows[:, :-1]
+    rows = pose_information(of.problem, x, columns, of.pose, PoseNoise.of(1.0, len(of.problem.chain.joints))).rows[
+        :, :-1
+    ]
     at = np.count_nonzero(columns[:offset])
     scale, wanted = of.sigma[~of.is_law], rows[:, at]
     others = np.delete(rows, at, axis=1) * scale

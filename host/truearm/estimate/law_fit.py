@@ -49,7 +49,7 @@ LEAST_ROUNDS = 3  # without anything learned before
 ROUNDS = 12  # of linearising, learning the variances and learning the noise
 STEPS = 20  # of the variances in a round
 NOISE_END = 0.01  # the last round changes the variance of the rows by less
-SHARED_START = 1e-10  # m²
+SHARED_START = 1e-10  # m² and rad²
 RIG_SIGMA = 10.0  # m, rad: keeps unknowns without a prior finite along null directions
 
 
@@ -148,7 +148,7 @@ def learn(of: LawProblem, start: PoseNoise | Learned) -> Learned:
         noise, x, least = start, of.start, LEAST_ROUNDS
     shared = of.shares_poses
     if shared and not noise.shared:
-        noise = noise._replace(shared=SHARED_START)
+        noise = noise._replace(shared=SHARED_START, turned=SHARED_START)
     every = max(1, int(part.times(FOR_NOISE)))
     for i in steps_of(range(ROUNDS), "learning the sizes of joint laws and noise"):
         marginal, rest = _marginal(part, x, noise)

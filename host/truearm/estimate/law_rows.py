@@ -46,7 +46,7 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = 
         group = poses.group
         if group.row is None:
             continue
-        poses = poses.projected(np.concatenate([poses.rows, poses.by_joints], axis=2))
+        poses = poses.projected(np.concatenate([poses.rows, poses.moved], axis=2))
         w, width = poses.rows.shape[1], group.sensor_cov.shape[1]
         cov, residual = poses.covariances(noise), poses.rows[..., -1]
         spread = spread_of(poses.rows, posterior)

@@ -1,12 +1,13 @@
-"""Noise per pose in addition to the declared noise: R = m·I + p·T Tᵀ + q·C Cᵀ for whitened rows.
+"""Noise per pose in addition to the declared noise: R = m·I + p·T Tᵀ + w·W Wᵀ + C Q Cᵀ for whitened rows.
 
 Rows are first whitened by their declared covariance, so m is a factor on it: 1 where the sensors are as declared. With
-T = ∂(rows)/∂(a translation of the end) and C = ∂(rows)/∂(joint readings), p [m²] is the variance of a displacement of
-the end shared by all rows of a pose, and q [rad²] that of an independent error of each joint. The three are learned by
-their evidence (``learned_noise``). Without them, a model error shared by the rows of a pose would count as information,
-and noise of the arm would be fitted by joint laws.
+T and W = ∂(rows)/∂(a translation, and a rotation, of the last link) and C = ∂(rows)/∂(joint readings), p [m²] and w
+[rad²] are the variances of an error of the pose that all of its rows share, and Q = diag(q_1 … q_j) [rad² or m²] those
+of errors of the joints. All are learned by their evidence (``learned_noise``). Without them, a model error shared by
+the rows of a pose would count as information, and noise of the arm would be fitted by joint laws. With one variance for
+all joints and no rotation, the joint that errs most would take the weight from rows that the others place well.
 
-R differs from m·I only in the k columns of [T|C]. With an orthonormal basis B (N, k) of these, a pose of N > k residuals
+R differs from m·I only in the k columns of [T|W|C]. With an orthonormal basis B (N, k) of these, a pose of N > k residuals
 has Bᵀ R B as its only matrix to invert; the other N − k directions have the noise m alone.
 """
 
@@ -29,18 +30,29 @@ from truearm.types import Floats, Indices
 
 CHUNK = 400_000  # numbers per chunk of rows: 3 MB
 SMALLEST_SHARE = 0.01  # of the rows kept for a part of the noise, however much the unknowns absorb
-SETTLED = 1e-3  # relative change of the variances from step to step
+SETTLED = 1e-3  # change of a part of the noise from step to step, relative to all of it
 MAX_STEPS = 30
 LEAST_FACTOR = 1e-6  # on the declared variances
-FORCE = (0, 2, 4)  # of a wrench's first six numbers, those that depend on a translation of the end
+MOTIONS = 3  # columns of a translation, and of a rotation, of the end
 
 
 class PoseNoise(NamedTuple):
-    """Variances: a factor ``sensor`` on the declared ones, ``shared`` [m²], ``joint`` [rad²]."""
+    """Variances: a factor ``sensor`` on the declared ones, ``shared`` [m²], ``turned`` [rad²], ``joint`` (j,) [rad² or m²]."""
 
-    sensor: float = 1.0
-    shared: float = 0.0
-    joint: float = 0.0
+    sensor: float
+    shared: float
+    turned: float
+    joint: Floats
+
+    @classmethod
+    def of(cls, sensor: float, joints: int, sigma: float = 0.0) -> PoseNoise:
+        """Return the noise of sensors, and of joints that all have one ``sigma``."""
+        return cls(sensor, 0.0, 0.0, np.full(joints, sigma**2))
+
+    @property
+    def by_column(self) -> Floats:
+        """Return the variances (6 + j,) of the columns of [T|W|C]."""
+        return np.concatenate([np.repeat([self.shared, self.turned], MOTIONS), self.joint])
 
 
 class RowsByPose(NamedTuple):
@@ -49,7 +61,7 @@ class RowsByPose(NamedTuple):
     group: Group  # pose by pose; for knowledge (``row`` None) the noise is as declared
     declared: Floats  # (n·rows a pose, …) the rows' covariances, as ``residual_noise`` has them
     rows: Floats  # (n, w, b + r + 1) wrenches, by the rig's unknowns, residual
-    by_joints: Floats  # (n, w, j)
+    moved: Floats  # (n, w, 6 + j) [T|W|C]
     basis: Floats | None = None  # (n, N, w), of w of N residuals, if the poses are projected
 
     def projected(self, columns: Floats) -> RowsByPose:
@@ -58,11 +70,11 @@ class RowsByPose(NamedTuple):
             return self
         basis = np.linalg.qr(columns)[0]
         turn = basis.swapaxes(1, 2)
-        return self._replace(rows=turn @ self.rows, by_joints=turn @ self.by_joints, basis=basis)
+        return self._replace(rows=turn @ self.rows, moved=turn @ self.moved, basis=basis)
 
     def split(self) -> tuple[RowsByPose, Floats]:
-        """Return the poses on a basis of [T|C], and their rows beyond it (n, N, b + r + 1); N is 0 if none are."""
-        shared = self.projected(np.concatenate([self.translation, self.by_joints], axis=2))
+        """Return the poses on a basis of [T|W|C], and their rows beyond it (n, N, b + r + 1); N is 0 if none are."""
+        shared = self.projected(self.moved)
         beyond = self.rows[:, :0] if shared.basis is None else self.rows - shared.basis @ shared.rows
         return shared, beyond
 
@@ -81,21 +93,12 @@ class RowsByPose(NamedTuple):
             return np.diagonal(matrices, axis1=1, axis2=2)
         return np.asarray(((self.basis @ matrices) * self.basis).sum(axis=2))
 
-    @property
-    def translation(self) -> Floats:
-        """(n, w, 3) T"""
-        return self.rows[..., FORCE]
-
     def covariances(self, noise: PoseNoise) -> Floats:
         """(n, w, w) R"""
         n, w = self.rows.shape[:2]
         if self.group.row is None:
             return np.broadcast_to(np.eye(w), (n, w, w))
-        out = noise.joint * (self.by_joints @ self.by_joints.swapaxes(1, 2))
-        if noise.shared:
-            out += noise.shared * (self.translation @ self.translation.swapaxes(1, 2))
-        out[:, range(w), range(w)] += noise.sensor
-        return np.asarray(out)
+        return _covariances(self.moved, noise)
 
 
 class PoseInformation(NamedTuple):
@@ -137,13 +140,15 @@ def _pieces(group: Group, pose: Indices, width: int, every: int) -> Iterator[tup
 def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> RowsByPose:
     lin = piece.evaluate(problem.chain, x)
     w, n, _ = lin.wrenches.shape
-    parts = (lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None], lin.by_joints)
+    end = folded(problem.chain, x[: problem.n_robot]).end
+    moved = lin.wrenches @ np.concatenate([end[:, ::2], end[:, 1::2]], axis=1)
+    parts = (lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None], moved, lin.by_joints)
     stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in parts])
     declared = residual_cov(piece.sensor_cov, lin.jac_joints, problem.joint_cov)
     whiten(stacked, declared)
     rows = np.ascontiguousarray(stacked.transpose(2, 1, 0)).reshape(n // count, count * w, -1)
-    j = lin.by_joints.shape[2]
-    return RowsByPose(piece, declared, rows[..., :-j], rows[..., -j:])
+    k = moved.shape[2] + lin.by_joints.shape[2]
+    return RowsByPose(piece, declared, rows[..., :-k], rows[..., -k:])
 
 
 def pose_information(
@@ -188,15 +193,14 @@ def spread_of(rows: Floats, posterior: Floats) -> Floats:
 
 
 class PoseSample(NamedTuple):
-    """Poses with equal numbers of rows, in the form that the evidence of their noise needs: on a basis of [T|C].
+    """Poses with equal numbers of rows, in the form that the evidence of their noise needs: on a basis of [T|W|C].
 
     ``beyond`` are the number of the other directions, and the sums of e² and of J P Jᵀ over them.
     """
 
     residual: Floats  # (n, w) at the estimate
     spread: Floats  # (n, w, w) J P Jᵀ
-    translation: Floats  # (n, w, 3)
-    by_joints: Floats  # (n, w, j)
+    moved: Floats  # (n, w, 6 + j) [T|W|C]
     beyond: tuple[int, float, float] = (0, 0.0, 0.0)
 
 
@@ -211,28 +215,29 @@ def pose_samples(
     for poses in pose_rows(problem, x, pose, every):
         if poses.group.row is not None:
             shared, beyond = poses.split()
-            own = (shared.rows @ step, spread_of(shared.rows, posterior), shared.translation.copy())
             square, spread = ((beyond @ step) ** 2).sum(), ((beyond @ posterior) * beyond).sum()
             sums = len(beyond) * shared.spare, float(square), float(spread)
-            out.append(PoseSample(*own, shared.by_joints.copy(), sums))
+            out.append(PoseSample(shared.rows @ step, spread_of(shared.rows, posterior), shared.moved, sums))
     return out
 
 
 def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool) -> PoseNoise:
-    """Return the noise at which the gradient of the evidence vanishes for a fixed posterior; without ``shared`` p stays 0.
+    """Return the noise at which the gradient of the evidence vanishes for a fixed posterior; without ``shared`` p and w stay 0.
 
     With e = R⁻¹ r the gradient by the variance of a part R_k is ½ (Σ eᵀ R_k e − Σ tr R⁻¹R_k + Σ tr R⁻¹ J P Jᵀ R⁻¹ R_k).
     The last term is the share of the part's rows absorbed by the unknowns. It is kept constant while the variances are
     found (MacKay's γ): if the posterior were kept instead, a smaller R would make it exceed the number of rows.
     """
-    spent = _parts(samples, noise).spent
+    here = _parts(samples, noise)
+    spent = np.divide(here.spent, here.rows, out=np.zeros(here.rows.size), where=here.rows > 0.0)
     for _ in range(MAX_STEPS):
-        here = _parts(samples, noise)
-        old = np.array(noise)
-        new = old * here.gain / np.maximum((1.0 - spent) * here.rows, SMALLEST_SHARE * here.rows)
-        noise = PoseNoise(max(float(new[0]), LEAST_FACTOR), float(new[1]) * shared, float(new[2]))
-        if np.all(np.abs(np.array(noise) - old) <= SETTLED * old):
+        old = np.array([*noise[:3], *noise.joint])
+        left = np.maximum((1.0 - spent) * here.rows, SMALLEST_SHARE * here.rows)
+        new = old * np.divide(here.gain, left, out=np.zeros(old.size), where=left > 0.0)
+        noise = PoseNoise(max(float(new[0]), LEAST_FACTOR), float(new[1]) * shared, float(new[2]) * shared, new[3:])
+        if np.all(np.abs(new - old) * here.rows <= SETTLED * (old @ here.rows)):
             break
+        here = _parts(samples, noise)
     return noise
 
 
@@ -243,21 +248,24 @@ def noise_change(samples: Sequence[PoseSample], old: PoseNoise, new: PoseNoise) 
     """
     square, count = 0.0, 0
     for sample in samples:
-        change = np.linalg.solve(_covariances(sample, new), _covariances(sample, PoseNoise(*np.subtract(new, old))))
+        before, after = (_covariances(sample.moved, noise) for noise in (old, new))
+        change = np.linalg.solve(after, after - before)
         square += float((change * change.swapaxes(1, 2)).sum())
         square += sample.beyond[0] * (new.sensor / old.sensor - 1.0) ** 2
         count += sample.residual.size + sample.beyond[0]
     return math.sqrt(square / max(count, 1))
 
 
-def _covariances(sample: PoseSample, noise: PoseNoise) -> Floats:
-    """Return R (n, w, w) of some poses."""
-    own = noise.sensor * np.eye(sample.residual.shape[1])
-    return np.asarray(own + noise.shared * _square(sample.translation) + noise.joint * _square(sample.by_joints))
+def _covariances(moved: Floats, noise: PoseNoise) -> Floats:
+    """Return R (n, w, w) of some poses with [T|C] (n, w, 3 + j)."""
+    out = (moved * noise.by_column) @ moved.swapaxes(1, 2)
+    w = moved.shape[1]
+    out[:, range(w), range(w)] += noise.sensor
+    return np.asarray(out)
 
 
 class _Parts(NamedTuple):
-    """Of m, p and q: Σ eᵀ R_k e, Σ tr R⁻¹R_k, and the share of the latter absorbed by the unknowns."""
+    """Of m, p, w and each q: Σ eᵀ R_k e, Σ tr R⁻¹R_k, and that of the latter absorbed by the unknowns."""
 
     gain: Floats
     rows: Floats
@@ -265,22 +273,20 @@ class _Parts(NamedTuple):
 
 
 def _parts(samples: Sequence[PoseSample], noise: PoseNoise) -> _Parts:
-    gain, rows, spent = np.zeros(3), np.zeros(3), np.zeros(3)
+    out = np.zeros((3, 3 + noise.joint.size))
     for sample in samples:
-        parts = (np.eye(sample.residual.shape[1])[None], _square(sample.translation), _square(sample.by_joints))
-        inverse = np.linalg.inv(noise.sensor * parts[0] + noise.shared * parts[1] + noise.joint * parts[2])
+        inverse = np.linalg.inv(_covariances(sample.moved, noise))
         e = (inverse @ sample.residual[..., None])[..., 0]
-        used = inverse @ sample.spread @ inverse
-        for k, part in enumerate(parts):
-            gain[k] += float((e * (part @ e[..., None])[..., 0]).sum())
-            rows[k] += float((inverse * part).sum())
-            spent[k] += float((used * part).sum())
+        by = inverse @ sample.moved
+        along = (sample.moved * e[..., None]).sum(axis=1)
+        columns = np.array(
+            [(along**2).sum(axis=0), (sample.moved * by).sum(axis=(0, 1)), (by * (sample.spread @ by)).sum(axis=(0, 1))]
+        )
         n, square, spread = sample.beyond
-        gain[0] += square / noise.sensor**2
-        rows[0] += n / noise.sensor
-        spent[0] += spread / noise.sensor**2
-    return _Parts(gain, rows, np.divide(spent, rows, out=np.zeros(3), where=rows > 0.0))
-
-
-def _square(factor: Floats) -> Floats:
-    return np.asarray(factor @ factor.swapaxes(1, 2))
+        own = np.array(
+            [(e**2).sum(), inverse.trace(axis1=1, axis2=2).sum(), (inverse * (sample.spread @ inverse)).sum()]
+        )
+        own += np.array([square / noise.sensor**2, n / noise.sensor, spread / noise.sensor**2])
+        pose, joints = np.split(columns, [2 * MOTIONS], axis=1)
+        out += np.column_stack([own, pose[:, :MOTIONS].sum(axis=1), pose[:, MOTIONS:].sum(axis=1), joints])
+    return _Parts(*out)

@@ -257,7 +257,12 @@ def _joint_laws(laws: JointLaws | None, units: Sequence[str]) -> dict[str, Any] 
     if laws is None:
         return None
     tried = ("joint", "term", "nats", "kept", "rms_mrad", "range_share", "covered_deg")
-    noise = laws.noise_factor, MM.of(laws.noise_shared), MRAD.of(laws.noise_joint)
+    noise = {
+        "factor": laws.noise_factor,
+        "shared_mm": MM.of(laws.noise_shared),
+        "turned_mrad": MRAD.of(laws.noise_turned),
+    }
+    noise |= {f"{joint}_mrad": MRAD.of(sigma) for joint, sigma in laws.noise_joint.items()}
     return {
         **_entry(laws, "mode", "reasons", "gravity", "gravity_known"),
         "payloads": [_entry(payload, "mass_kg", "centre_mm") for payload in laws.payloads],
@@ -271,5 +276,5 @@ def _joint_laws(laws: JointLaws | None, units: Sequence[str]) -> dict[str, Any] 
             _entry(step, "name", "rms_after", units=units, held_out=_held_out(step.held_out, units))
             for step in laws.steps
         ],
-        "noise": dict(zip(("factor", "shared_mm", "joint_mrad"), noise, strict=True)),
+        "noise": noise,
     }

@@ -336,7 +336,7 @@ def about(trace: PointTrace, direction: Floats) -> PointDerivatives:
 
 def _carried(trace: PointTrace, force: Floats, moment: Floats) -> PointDerivatives:
     """Carry wrenches at the base's origin, (3, …), outwards through the chain."""
-    law, (_, carries, twists) = trace.law, trace.folded
+    law, carries, twists = trace.law, trace.folded.carries, trace.folded.twists
     near = np.stack([force, moment], axis=1)  # (3, 2, …): on each axis, force and moment
     lead = near.shape[2:]
     wrenches = np.empty((len(twists), *lead), np.result_type(near, law.angles, twists))

@@ -50,6 +50,7 @@ class Folded(NamedTuple):
     transforms: Floats  # (j + 1, 4, 4) the links
     carries: Floats  # (j + 1, 6, 6) a wrench from a link's near frame to its far frame
     twists: Floats  # (b, p)
+    end: Floats  # (b, 6) ``wrenches`` @ end is the wrench in the frame of the last link
 
 
 def constants_of(elements: Sequence[Element]) -> Constants:
@@ -110,10 +111,10 @@ def _folded(chain: Chain, params: bytes, dtype: str) -> Folded:
     constants = chain.constants
     transforms, beyond = _multiplied(constants, _amounts(constants, np.frombuffer(params, dtype)))
     carries = _carries(transforms)
-    twists = _combined(chain, _twists_beyond(constants, beyond), carries)
-    for array in (transforms, carries, twists):
+    twists, end = _combined(chain, _twists_beyond(constants, beyond), carries)
+    for array in (transforms, carries, twists, end):
         array.setflags(write=False)
-    return Folded(transforms, carries, twists)
+    return Folded(transforms, carries, twists, end)
 
 
 def _amounts(constants: Constants, params: Floats) -> Floats:
@@ -159,8 +160,8 @@ def _carries(transforms: Floats) -> Floats:
     return out.reshape(-1, 6, 6)
 
 
-def _combined(chain: Chain, twists_beyond: Floats, carries: Floats) -> Floats:
-    """Return ``twists`` (b, p): each parameter's twist times the wrench in its frame, by the b columns of ``wrenches``."""
+def _combined(chain: Chain, twists_beyond: Floats, carries: Floats) -> tuple[Floats, Floats]:
+    """Return ``twists`` (b, p), each parameter's twist times the wrench in its frame by the b columns of ``wrenches``, and ``end``."""
     columns, constants = chain.columns, chain.constants
     far = np.zeros((len(carries), 6, columns.own.shape[1]), dtype=twists_beyond.dtype)
     far[0, :, :6] = carries[0]
@@ -173,7 +174,7 @@ def _combined(chain: Chain, twists_beyond: Floats, carries: Floats) -> Floats:
     twists[parameters] = far[joints, axes]
     for which, wrench in zip(constants.named, far, strict=True):
         twists[constants.parameter[which]] = twists_beyond[which] @ wrench
-    return np.ascontiguousarray(twists.T)
+    return np.ascontiguousarray(twists.T), np.ascontiguousarray(far[-1].T)
 
 
 def on_axis(motion: str) -> int:

@@ -74,7 +74,10 @@ def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForec
     start[:n] = known.params[:n]
     of = law_problem(problem, columns, start, laws, poses(table))
     prior = np.where(np.isin(LENGTHS, TYPICAL_LENGTHS), TYPICAL**2, 0.0)
-    found = posterior(of, Learned(dict.fromkeys(laws, prior), PoseNoise(), {}, math.nan, of.start))
+    found = posterior(
+        of,
+        Learned(dict.fromkeys(laws, prior), PoseNoise.of(1.0, len(chain.joints)), {}, math.nan, of.start),
+    )
     covariance = np.zeros((n + added, n + added))
     free = np.flatnonzero(columns[: n + added])
     covariance[np.ix_(free, free)] = found.covariance[: free.size, : free.size]
