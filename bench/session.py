@@ -38,7 +38,7 @@ import session_stream
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_format import COLUMNS, JOINTS, format_reading
-from truearm.session.joint_readings import ReadingOrder
+from truearm.session.joint_readings import SegmentedReadings
 from truearm.session.message_columns import Messages
 from truearm.session.observations import observations
 from truearm.session.session_file import Session, open_session
@@ -242,7 +242,7 @@ def show(name: str, path: Path) -> None:
 
 
 def joints(batches: Sequence[Messages]) -> int:
-    order = ReadingOrder()
+    order = SegmentedReadings()
     due = [*chain.from_iterable(map(order.take, batches)), *order.finish()]
     return sum(len(batch) for _, batch in due)
 

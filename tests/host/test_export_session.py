@@ -221,16 +221,15 @@ def test_optional_keys_of_readings():
 
 def test_keys_that_come_later_begin_another_table(monkeypatch):
     monkeypatch.setattr("truearm.session.joint_readings.CHUNK", 4)
-    monkeypatch.setattr("truearm.session.joint_readings.OVERTAKEN_NS", 1)  # only the last reading waits for others
     rows = [{"t": 0.1 * k, "q": [0.1], **({"effort": [2.0]} if k >= 5 else {})} for k in range(12)]
     messages = stream_of(joint_lines(rows), size=4)
     batches = list(tabulate(survey(messages)))
     assert [(name, len(columns["q1_rad"])) for name, columns in batches] == [
-        ("joints", 3),
-        ("joints-2", 8),
-        ("joints-2", 1),
+        ("joints", 4),
+        ("joints-2", 4),
+        ("joints-2", 4),
     ]
-    np.testing.assert_array_equal(batches[1][1]["effort1_Nm"], [np.nan] * 2 + [2.0] * 6)
+    np.testing.assert_array_equal(batches[1][1]["effort1_Nm"], [np.nan] + [2.0] * 3)
 
 
 def test_a_box_that_is_ever_another():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from truearm.session import joint_readings as joints_module
 from truearm.session.dwells import DwellRules, find_dwells
 from truearm.session.joint_format import parse_lines
-from truearm.session.joint_readings import JointReader, MissingNumbers
+from truearm.session.joint_readings import JointReader
 from truearm.session.message_columns import columns_of
 from truearm.types import Message
 
@@ -60,7 +60,7 @@ def test_readings_without_numbers_are_as_good(stranger):
     lines.insert(202, late)
     lines = arrived(lines)
     numbered, plain = read(lines), read(unnumbered(lines) + stranger)
-    assert (numbered.lost, plain.lost) == (0, None)
+    assert (numbered.lost, plain.lost) == (1, None)
     for name in ("readings", "duplicated", "late", "gaps", "rate_hz"):
         assert getattr(plain, name) == getattr(numbered, name)
     assert np.array_equal(plain.bins.mean, numbered.bins.mean)
@@ -116,50 +116,16 @@ def test_losses_of_the_robot_are_counted_apart():
     del lines[400:403]  # lost
     lines += [Message("/robot/joints", 0, b"{}"), Message("/robot/joints", 0, b"nonsense")]
     stream = read(arrived(lines))
-    assert (stream.late, stream.duplicated, stream.lost, stream.malformed) == (1, 1, 3, 2)
+    assert (stream.late, stream.duplicated, stream.lost, stream.malformed) == (1, 1, 4, 2)
     assert stream.readings == 496
 
 
-def test_a_late_reading_that_was_never_missed_is_no_gain():
-    """Time steps back by half a second; seq stands still, or runs on: the number is not missing, it came."""
+def test_a_late_reading_is_lost_too():
+    """It is not used. Time steps back by half a second; seq runs on."""
     lines = still()
     lines[100] = message(10.0 + 100 / 125.0 - 0.5, 100, (0.1, -0.2))
     stream = read(arrived(lines))
-    assert (stream.late, stream.lost) == (1, 0)
-    lines = [message(10.0 + k / 125.0 - 0.5 * (k == 100), 0, (0.1, -0.2)) for k in range(200)]
-    stream = read(arrived(lines))
-    assert (stream.late, stream.lost) == (1, 0)
-
-
-def test_a_late_reading_fills_its_hole_once():
-    lines = still()
-    late = lines[200]
-    del lines[199:203]
-    lines[210:210] = [late, late]
-    stream = read(arrived(lines))
-    assert (stream.late, stream.lost) == (2, 3)
-
-
-def test_holes_of_another_life_are_not_filled():
-    lines = still(t0=500.0)
-    del lines[490]
-    after = [m._replace(t_host_ns=m.t_host_ns + 510 * 10**9) for m in still(t0=1.0)]
-    after.insert(495, message(1.0 + 480 / 125.0, 490, (0.1, -0.2)))
-    stream = read(arrived(lines + after))
-    assert (stream.restarts, stream.late, stream.lost) == (1, 1, 1)
-
-
-@given(st.lists(st.integers(-6, 6).map(lambda k: k**9), max_size=40))
-def test_what_is_lost_is_never_negative(numbers):
-    holes, last = MissingNumbers(), 0
-    for number in numbers:
-        if number > last:
-            holes.skip(last, number)
-            last = number
-        else:
-            holes.fill(number)
-        assert holes.lost >= 0
-    assert holes.lost == last - len({n for n in numbers if n > 0})
+    assert (stream.late, stream.lost, stream.readings) == (1, 1, 499)
 
 
 def test_controller_restart_is_another_segment():
@@ -238,7 +204,7 @@ def test_quantisation_is_seen_although_the_robot_moves_fast():
 
 
 def test_robot_clock_follows_the_fastest_packets():
-    """The fastest of 250 packets a second are tail/250 late on average, and the rate is followed to 1 ppm: 2 µs in all."""
+    """The fastest of 250 packets a second is late by 1.6 µs on average; in a queue of seconds, 1 µs a second is added."""
     rng = np.random.default_rng(4)
     floor, tail, hz, rate = 350e3, 400e3, 250.0, 45e-6
     t = 7000.0 + np.arange(int(200 * hz)) / hz
@@ -248,11 +214,12 @@ def test_robot_clock_follows_the_fastest_packets():
     stream = read([message(a, k, (0.0,), int(b)) for k, (a, b) in enumerate(zip(t, arrival, strict=True))])
     (report,) = stream.reports
     error = stream.clocks[0].to_host_ns(t[::50]) - (sent[::50] + floor)
-    assert np.sqrt(np.mean(np.square(error))) < tail / hz + 1000.0
+    assert np.all(np.abs(error) <= stream.clocks[0].bound_at(t[::50]))
+    assert np.median(np.abs(error)) < 5000.0
     assert report.rate_ppm == pytest.approx(45.0, abs=0.1)
     half = np.floor((t - 7000.0) / 30.0)
     means = [np.mean((arrival - sent - floor)[half == k]) for k in np.unique(half)]
-    assert report.jitter_ns == pytest.approx(np.median(means), abs=tail / hz + 1000.0)
+    assert report.jitter_ns == pytest.approx(np.median(means), abs=5000.0)
 
 
 def test_robot_clock_of_one_reading():

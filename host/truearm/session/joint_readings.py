@@ -1,7 +1,8 @@
 """Read the robot's joint readings: their order, the controller's clock and inputs, and bins for finding dwells.
 
-The columns of ``/robot/columns`` (``joint_format``) are used if their arrival times are those of the preceding lines;
-otherwise messages were lost, doubled or moved, and the lines are parsed.
+The columns of ``/robot/columns`` (``joint_format``) are used if their arrival times are those of the lines; otherwise
+messages were lost or doubled, and the lines are parsed. A reading that is late (its controller time lies before that of
+an earlier one) is counted and not used; it counts as lost too.
 
 A session may hold ten million readings. For each 50 ms only count, mean, extremes and scatter are kept
 (``JointReader``). That is 0.25 kB per bin for six joints, 110 MB for six hours.
@@ -12,11 +13,9 @@ the old level and the first with the new one: two controller times, one cycle ap
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -135,55 +134,13 @@ class JointStream:
 
 
 _BACK = b'"kind":"robot-back"'
-OVERTAKEN_NS = (
-    5_000_000_000  # readings that are this far behind later ones in the file are put in order: swapped chunks
-)
 
 
-REMEMBERED = 256
+class SegmentedReadings:
+    """Divides the robot's readings into segments: the robot came back, or its controller restarted.
 
-
-class MissingNumbers:
-    """Counts skipped numbers that did not arrive late.
-
-    A number that was never missing, or arrives late twice, fills nothing.
-    """
-
-    def __init__(self) -> None:
-        self.lost = 0
-        self._open: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)  # the numbers around each hole
-        self._spare: deque[int] = deque(maxlen=REMEMBERED)  # late numbers with a hole that may still appear
-
-    def skip(self, before: int, after: int) -> None:
-        """Record that ``after`` followed ``before``."""
-        if after - before > 1:
-            self.lost += after - before - 1
-            self._open.append((before, after))
-            for number in [n for n in self._spare if before < n < after]:
-                self._spare.remove(number)
-                self.fill(number)
-
-    def fill(self, number: int) -> None:
-        """Record a number that arrived late, or before the next one showed that it had been skipped."""
-        for k, (before, after) in enumerate(self._open):
-            if before < number < after:
-                del self._open[k]
-                self._open.extend((a, b) for a, b in ((before, number), (number, after)) if b - a > 1)
-                self.lost -= 1
-                return
-        self._spare.append(number)
-
-    def forget(self) -> None:
-        """Restart the numbering; losses so far are kept."""
-        self._open.clear()
-        self._spare.clear()
-
-
-class ReadingOrder:
-    """Restores the order of arrival of the robot's readings, whatever the order of the file's chunks.
-
-    Each call returns the batches that are due, and for each whether it begins a segment: the robot came back, or its
-    controller restarted.
+    Each call returns the batches that are due, and for each whether it begins a segment. The columns of a batch of
+    messages are used if they are those of its lines; else the lines are parsed.
     """
 
     def __init__(self, joints: int | None = None) -> None:
@@ -191,73 +148,19 @@ class ReadingOrder:
         self.malformed = 0
         self.period_s: float | None = None  # median interval between the first readings; None before there are any
         self._joints = joints
-        self._lines: list[bytes] = []  # after the last batch
-        self._arrival_ns: list[int] = []
-        self._batches: list[JointBatch] = []
-        self._waiting = self._held = 0  # number of readings in them; number held back for earlier ones
+        self._batches: list[JointBatch] = []  # too few yet
         self._returns_ns: list[int] = []  # when the link was back: the next reading begins a segment
         self._latest_s = -np.inf  # of the segment
 
     def take(self, messages: Messages) -> list[tuple[bool, JointBatch]]:
         """Take a batch of messages; those of other topics are ignored."""
-        lines = messages.rows(lambda topic: topic == JOINTS)
-        begin = 0
-        due: list[tuple[bool, JointBatch]] = []
-        others = messages.rows(lambda topic: topic in (COLUMNS, "/events")).tolist()
-        for is_columns, rows in groupby(others, lambda row: messages.topics[messages.topic[row]] == COLUMNS):
-            several = list(rows)
-            ends = np.searchsorted(lines, several).tolist()
-            # Nearly always all of them hold; together they take less than half the time (bench/session.py: joints).
-            if is_columns and (said := self._of_columns(messages, several, lines[begin : ends[-1]])) is not None:
-                due += self._wait(said)
-                begin = ends[-1]
-                continue
-            for row, end in zip(several, ends, strict=True):
-                if len(self._lines) + end - begin >= CHUNK:
-                    due += self._add(messages, lines[begin:end])
-                    begin = end
-                if not is_columns:
-                    if _BACK in messages.payload(row):
-                        self._returns_ns.append(int(messages.t_host_ns[row]))
-                elif (said := self._of_columns(messages, [row], lines[begin:end])) is not None:
-                    due += self._wait(said)
-                    begin = end
-        return due + self._add(messages, lines[begin:])
-
-    def finish(self) -> list[tuple[bool, JointBatch]]:
-        """Return the remaining readings at the end of the session."""
-        return self._parsed() + self._due(0)
-
-    def _of_columns(self, messages: Messages, rows: Sequence[int], lines: NDArray[np.intp]) -> JointBatch | None:
-        """Return columns in place of the waiting lines and of ``lines``; None if they are not those of these lines."""
-        said = unpack(*messages.payloads(np.array(rows)))
-        arrival_ns = np.concatenate([np.array(self._arrival_ns, np.int64), messages.t_host_ns[lines]])
-        if said is None or not np.array_equal(said.arrival_ns, arrival_ns):
-            return None
-        self._lines, self._arrival_ns = [], []
-        return said
-
-    def _add(self, messages: Messages, rows: NDArray[np.intp]) -> list[tuple[bool, JointBatch]]:
-        at = 0
-        due: list[tuple[bool, JointBatch]] = []
-        while at < len(rows):
-            some = rows[at : at + CHUNK - len(self._lines)]
-            self._lines += messages.payloads(some)
-            self._arrival_ns += messages.t_host_ns[some].tolist()
-            at += len(some)
-            if len(self._lines) >= CHUNK:
-                due += self._parsed()
-        return due
-
-    def _parsed(self) -> list[tuple[bool, JointBatch]]:
-        """Make columns of lines that have none."""
-        batch = parse_lines(self._lines, self._arrival_ns, self._joints)
-        self.malformed += len(self._lines) - len(batch)
-        self._lines, self._arrival_ns = [], []
-        return self._wait(batch)
-
-    def _wait(self, batch: JointBatch) -> list[tuple[bool, JointBatch]]:
-        """Hold a batch until more follow: the first must be long enough to show the period of the readings."""
+        lines, columns, events = (messages.rows(topic.__eq__) for topic in (JOINTS, COLUMNS, "/events"))
+        self._returns_ns += [int(messages.t_host_ns[k]) for k in events.tolist() if _BACK in messages.payload(k)]
+        arrival_ns = messages.t_host_ns[lines]
+        batch = unpack(*messages.payloads(columns)) if len(columns) else None
+        if batch is None or not np.array_equal(batch.arrival_ns, arrival_ns):
+            batch = parse_lines(messages.payloads(lines), arrival_ns, self._joints)
+            self.malformed += len(lines) - len(batch)
         if not len(batch):
             return []
         self._joints = self._joints or batch.q.shape[1]
@@ -265,37 +168,27 @@ class ReadingOrder:
             self.malformed += len(batch)
             return []
         self._batches.append(batch)
-        self._waiting += len(batch)
-        # The held readings are copied each time: never more of them than there are new ones.
-        return self._due(OVERTAKEN_NS) if self._waiting >= CHUNK + 2 * self._held else []
+        # The first must be long enough to show the period of the readings.
+        return self.finish() if sum(map(len, self._batches)) >= CHUNK else []
 
-    def _due(self, hold_ns: int) -> list[tuple[bool, JointBatch]]:
-        """Return the waiting readings in order, except the latest ``hold_ns``."""
+    def finish(self) -> list[tuple[bool, JointBatch]]:
+        """Return the remaining readings at the end of the session."""
         if not self._batches:
             return []
-        batch = concatenate(self._batches)
+        batch, self._batches = concatenate(self._batches), []
         if self.period_s is None:
             self.period_s = float(np.median(np.abs(np.diff(batch.t)))) if len(batch) > 1 else 0.0
-        latest = np.maximum.accumulate(batch.arrival_ns)
-        place = np.where(latest - batch.arrival_ns > OVERTAKEN_NS, latest, batch.arrival_ns)
-        if np.any(np.diff(place) < 0):
-            order = np.argsort(place, kind="stable")
-            batch, place = batch[order], place[order]
-        end = int(np.searchsorted(place, place[-1] - hold_ns)) if hold_ns else len(batch)
-        self._batches, self._held = ([batch[end:]] if end < len(batch) else []), len(batch) - end
-        self._waiting = self._held
-        return self._segments(batch[:end], place[:end]) if end else []
-
-    def _segments(self, batch: JointBatch, place: Ints) -> list[tuple[bool, JointBatch]]:
-        """Split the batch into pieces of one segment each."""
-        back = [t_ns for t_ns in self._returns_ns if t_ns <= place[-1]]
-        self._returns_ns = [t_ns for t_ns in self._returns_ns if t_ns > place[-1]]
+        back = [t_ns for t_ns in self._returns_ns if t_ns <= batch.arrival_ns[-1]]
+        self._returns_ns = self._returns_ns[len(back) :]
         first = [0] if self._latest_s == -np.inf else []
-        starts = {*first, *np.searchsorted(place, back).tolist(), *restarts(batch.t, self._latest_s).tolist()}
-        pieces = [(begin in starts, batch[begin:end]) for begin, end in pairwise(sorted({0, *starts, len(batch)}))]
-        begins, last = pieces[-1]
-        goes_on = -np.inf if begins or len(pieces) > 1 else self._latest_s
-        self._latest_s = max(float(last.t.max()), goes_on)
+        begins = {
+            *first,
+            *np.searchsorted(batch.arrival_ns, back).tolist(),
+            *restarts(batch.t, self._latest_s).tolist(),
+        }
+        pieces = [(begin in begins, batch[begin:end]) for begin, end in pairwise(sorted({0, *begins, len(batch)}))]
+        begun, last = pieces[-1]
+        self._latest_s = max(float(last.t.max()), -np.inf if begun or len(pieces) > 1 else self._latest_s)
         return pieces
 
 
@@ -303,7 +196,7 @@ class JointReader:
     """Processes the robot's messages batch by batch in log order."""
 
     def __init__(self) -> None:
-        self._order = ReadingOrder()
+        self._order = SegmentedReadings()
         self._arrivals: list[Arrivals] = []
         self._inputs: list[InputTrack] = []
         # Columns of all bins as bytes: joining arrays at the end would need twice the memory.
@@ -316,8 +209,7 @@ class JointReader:
         self._step: Floats = np.empty(0)  # smallest change between readings
         self._fast_step: Floats = np.empty(0)  # smallest change of a change
         self._numbered = True
-        self._holes = MissingNumbers()
-        self.duplicated = self.late = self.gaps = 0
+        self.lost = self.duplicated = self.late = self.gaps = 0
 
     def take(self, messages: Messages) -> None:
         """Take a batch of messages; those of other topics are ignored."""
@@ -337,7 +229,7 @@ class JointReader:
             malformed=self._order.malformed,
             duplicated=self.duplicated,
             late=self.late,
-            lost=self._holes.lost if self._numbered else None,
+            lost=self.lost if self._numbered else None,
             gaps=self.gaps,
             restarts=max(0, len(self._arrivals) - 1),
             rate_hz=(readings - len(self._arrivals)) / spans if spans > 0.0 else float("nan"),
@@ -373,12 +265,11 @@ class JointReader:
         t, seq = batch.t, batch.seq
         if begins:
             if self._last is not None and t[0] > self._latest_s and seq[0] > self._last[1]:
-                self._holes.skip(self._last[1], int(seq[0]))  # the robot continued counting while nobody listened
+                self.lost += int(seq[0]) - self._last[1] - 1  # the robot continued counting while nobody listened
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(batch.arrival_ns[0])))
             self._inputs.append(InputTrack())
             self._latest_s, self._previous_bin_s, self._last = -np.inf, -np.inf, None
-            self._holes.forget()
         highest = np.maximum.accumulate(np.concatenate([[self._latest_s], t]))
         before = np.concatenate([[self._last[1] if self._last else int(seq[0]) - 1], seq[:-1]])
         late, doubled = t < highest[:-1], (t == highest[:-1]) & (seq == before)
@@ -386,25 +277,13 @@ class JointReader:
         self.late += int(np.sum(late))
         self.duplicated += int(np.sum(doubled))
         kept = seq[keep]
-        self._account(seq, np.concatenate([before[:1], kept[:-1]]), late, keep)
+        self.lost += int(np.maximum(np.diff(kept, prepend=before[0]) - 1, 0).sum())
         self._latest_s = float(highest[-1])
         if kept.size:
             self._last = (self._latest_s, int(kept[-1]))
             self._arrivals[-1].add(t[keep], batch.arrival_ns[keep])
             self._inputs[-1].add(t[keep], batch.inputs[keep])
             self._bin(t[keep], batch.q[keep])
-
-    def _account(
-        self, seq: NDArray[np.int64], previous: NDArray[np.int64], late: NDArray[np.bool_], keep: NDArray[np.bool_]
-    ) -> None:
-        """Count what is missing, in order of arrival; ``previous`` (k,): the number before each reading that is kept."""
-        before = seq.copy()
-        before[keep] = previous[: int(np.sum(keep))]
-        for i in np.flatnonzero(late | (keep & (seq - 1 > before))):
-            if late[i]:
-                self._holes.fill(int(seq[i]))
-            else:
-                self._holes.skip(int(before[i]), int(seq[i]))
 
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:

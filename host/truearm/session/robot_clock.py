@@ -171,8 +171,10 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
         return (fitted.to_time(t_ns)[0] - t_ns).astype(np.float64)
 
     height, mean_height = latency - offset_at(dt), latency_sum / n - offset_at(dt_sum / n)
-    span = arrivals.last_s - arrivals.first_s
-    nodes = np.linspace(arrivals.first_s, arrivals.last_s, round(span / NODE_S) + 1 + (span > 0.0))
+    nodes = arrivals.t_ref_s + dt[np.flatnonzero(np.diff(np.floor(dt / NODE_S), prepend=-np.inf))]
+    nodes = np.concatenate([[arrivals.first_s], nodes[1:], [arrivals.last_s]])
+    nodes = nodes[np.append(np.diff(nodes) > 0.5 * NODE_S, True)]  # where readings are missing, nodes may be close
+    nodes[0] = arrivals.first_s
     around = np.searchsorted(dt, nodes[:, None] - arrivals.t_ref_s + [-AROUND_S, AROUND_S])
     around = np.stack([np.minimum(around[:, 0], around[:, 1] - 1), around[:, 1] + (around[:, 0] >= around[:, 1])], 1)
     bound = np.array([_bound(height[max(a, 0) : b], mean_height[max(a, 0) : b]) for a, b in around])

@@ -27,7 +27,7 @@ from truearm.session.box_frames import decode, parse_exchanges
 from truearm.session.box_ident import Channel
 from truearm.session.dwells import Dwell
 from truearm.session.joint_format import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, concatenate
-from truearm.session.joint_readings import ReadingOrder
+from truearm.session.joint_readings import SegmentedReadings
 from truearm.session.line_passes import LinePass
 from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey
@@ -268,7 +268,7 @@ class _Robot:
         self._units = tuple(units) or ("rad",) * n
         if n and len(self._units) != n:
             raise SessionError("other-robot", place="session", joints=n, expected=len(self._units))
-        self._order = ReadingOrder(len(self._units) or None)
+        self._order = SegmentedReadings(len(self._units) or None)
         self._segment = -1
         self._keys: set[str] = set()  # optional keys seen so far
 
