@@ -153,7 +153,7 @@ MISTAKES = {
 }
 
 
-ALWAYS = ("the list of", "the fixture stood", "the encoder of joint 4")  # the others in make soak
+ALWAYS = ("the fixture stood", "the encoder of joint 4")  # the others in make soak
 
 
 @pytest.mark.parametrize(
@@ -316,7 +316,7 @@ def test_a_clean_session_is_not_doubted():
     assert (estimate.alternatives_tried, estimate.explanations, estimate.unusable) == (0, (), None)
 
 
-@pytest.mark.parametrize("pattern", ["offset", "gain"])
+@pytest.mark.parametrize("pattern", ["offset", pytest.param("gain", marks=pytest.mark.soak)])
 def test_few_free_parameters_are_no_mistake(pattern):
     """Only joint offsets, or gains: what the others would explain is said, and the fit is what was asked for. Degrees as radians are still named."""
     free = np.array([name.endswith(f".{pattern}") for name in PUMA.chain.parameter_names])
