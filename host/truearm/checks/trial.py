@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from truearm.checks.evidence import log_beta
 from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
@@ -102,16 +103,8 @@ def evidence(before: Trial, after: Trial) -> float:
 
 def log_chance(ratio: float, freedom: float) -> float:
     """Return the log probability that two mean squares with equal degrees of freedom have a ratio of at most ``ratio``."""
-    share, half_freedom = ratio / (1.0 + ratio), max(freedom, 1.0) / 2.0
-    chance = special.betainc(half_freedom, half_freedom, share)
-    if chance > 1e-280:
-        return math.log(chance)
-    # First term of the incomplete beta function; the next is smaller by the share.
-    return (
-        half_freedom * math.log(max(share, 1e-300))
-        - math.log(half_freedom)
-        - float(special.betaln(half_freedom, half_freedom))
-    )
+    half_freedom = np.array(max(freedom, 1.0) / 2.0)
+    return float(log_beta(half_freedom, half_freedom, np.array(ratio / (1.0 + ratio))))
 
 
 def log_chance_of_place(before: Trial, after: Trial) -> float:
