@@ -105,7 +105,6 @@ PHYSICAL = {
     "session/trigger_edges.py": "s as whole µs of the box's timer",
     "correct/inverse.py": "a penalty that makes one solution worse than another",
     "correct/error_map.py": "a share of a cell's width",
-    "checks/evidence.py": "a share of the largest singular value",
     "report/figures.py": "a share of the largest residual",
     "box/gauge_polynomial.py": "a share of the readings' span",
 }
