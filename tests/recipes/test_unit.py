@@ -43,8 +43,8 @@ def test_a_unit_is_in_tables_keys_and_titles(tmp_path):
     assert json.loads(copy.python("-c", PROGRAM).out) == {
         "read": [12.5],
         "written": "kind,q1_rad,force_n,place,socket",
-        "no unit": "t.csv column 5 ('force'): has no unit; use one of force_n",
-        "other unit": "t.csv column 5 ('force_kg'): unit 'kg' does not fit; use one of force_n",
+        "no unit": "t.csv column 5 ('force') is not one of force_n",
+        "other unit": "t.csv column 5 ('force_kg') is not one of force_n",
         "too large": "t.csv row 2 column force_n: '1000000.0' is too large for n; is the column in another unit?",
         "key": [12.5, ["force_n"]],
         "key too large": "force_n: 1e+06 N is not between -100000 and 100000 N; is the unit right?",

@@ -199,7 +199,7 @@ def add_joints(out: Catalogue) -> None:
                 size = np.array([MOVED_SHARE if drift is DriftWith.MOVE else TYPICAL[units[0]]])
                 by_move = columns * course[fit.how.row][fit.row, None]
                 out.add(name, form, by_move, units, out.always, size, nuisance=[polynomial])
-        if units == ["rad"]:
+        if units == ["rad"] and name not in fit.curved:
             wheel = columns * np.stack([np.cos(reading), np.sin(reading)], axis=1)
             out.add(name, "eccentricity", wheel, units * 2, out.always)
 

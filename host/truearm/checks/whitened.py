@@ -18,6 +18,7 @@ from truearm.estimate.systematic_effects import Cause, Errors, error_columns
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.group import Group, KindFault
 from truearm.model.chain import forward
+from truearm.model.joint_terms.curve import Curve
 from truearm.types import Floats, Indices
 from truearm.units import UNITS
 
@@ -52,6 +53,7 @@ class WhitenedFit:
     errors: Errors  # names and SI units of these c columns
     causes: tuple[Cause, ...]  # items with the numbers that are off together
     fitted: frozenset[str]  # numbers that the fit estimates about a wide prior or none: no offset of theirs is a fault
+    curved: frozenset[str]  # joints with an error curve, which has the once-a-turn error of a code wheel
     kind_faults: tuple[KindFault, ...]  # of the kinds, with whitened columns (m, d)
     axes: Floats  # (n, 3, 3) of the end in the base frame
     arm: Mapping[str, ArmParameter]  # by name, without those of joint laws
@@ -178,6 +180,7 @@ def whitened_fit(
         errors=problem.errors,
         causes=problem.causes,
         fitted=frozenset(np.array(problem.names)[problem.prior_sigma >= wide].tolist()),
+        curved=frozenset(problem.chain.joints[i].name for i in Curve.of_chain(problem.chain).joints.tolist()),
         kind_faults=tuple(f._replace(columns=by) for f, by in zip(forms.values(), by_forms, strict=True)),
         axes=forward(problem.chain, x[:p], how.table.q[how.row])[:, :3, :3],
         arm={
