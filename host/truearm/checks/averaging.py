@@ -148,7 +148,7 @@ def explanations(detection: Detection, result: Search) -> tuple[Part, ...]:
     design = result.design.without_extensions.extended(result.beside(detection))
     before = (detection.best, *detection.rivals)
     options = [weigh(weighed.hypothesis, design) for weighed in before]
-    # The evidence of a refined step is that of the search, over all candidates.
+    # The evidence of a refined step is a mean over all of its ends.
     refined = [weighed.log_evidence - log_mean(weighed.by_scale) for weighed in before]
     log = np.array([weighed.log_evidence for weighed in options]) + refined
     weights = np.exp(log - special.logsumexp(log)).tolist()
