@@ -73,6 +73,8 @@ def test_the_mean_of_the_causes_is_applied_on_request(run: Run, tmp_path) -> Non
     assert errors[0] < 2.0 * predicted[0]
     assert errors[1] < 2.0 * predicted[1]
     assert (plain["applied"], applied["applied"], one["applied"]) == ([], ["mean"], ["bar.sag"])
+    offered = ["fault-choice" in {finding["code"] for finding in each["findings"]} for each in (plain, applied, one)]
+    assert offered == [True, False, False]
 
 
 def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> None:

@@ -78,6 +78,19 @@ def test_the_columns_are_those_of_a_world_with_the_fault(fault, monkeypatch):
     assert min(unexplained) < 2e-3
 
 
+@pytest.mark.parametrize("amount", [1e-3, 3e-3])
+def test_a_bar_that_is_wrong_by_millimetres_for_a_while_is_not_taken_for_noise(amount):
+    """Between the knots of the search, such an error has less evidence than noise that is learned from it."""
+    site, rng = worlds.site("ur5e", 1, True), np.random.default_rng(3)
+    truth = worlds.true_arm(site, rng)
+    length = np.linalg.norm(worlds.points(site, truth, site.q) - worlds.chucks(site), axis=1)
+    row = np.arange(length.size)
+    length += amount * ((row >= 0.3 * length.size) & (row < 0.7 * length.size))
+    result, error, _ = judged(worlds.measured(site, truth, length, rng))
+    assert "run" in [rival.name.rpartition(".")[2] for fault in result.faults for rival in fault.rivals]
+    assert error < 2.0 * result.claim.total
+
+
 def test_columns_do_not_follow_the_noise():
     """The same poses with other readings have the same columns at the same parameters: otherwise noise is a fault."""
     world = worlds.world("puma560", "clean", 1)

@@ -147,7 +147,7 @@ def is_same(first: Weighed, second: Weighed, design: Design) -> bool:
 def refined(best: Weighed, design: Design) -> Weighed:
     """Return a step or run with its ends moved row by row between the knots.
 
-    Its evidence is a mean over all rows at which its ends may lie, (11): at least that of the best ends over their
+    Its evidence is a mean over all rows at which its ends may lie: at least that of the best ends over their
     number. A large error has its ends at certain rows, and between two knots far less evidence.
     """
     hypothesis, n = best.hypothesis, design.fit.n
@@ -167,6 +167,6 @@ def refined(best: Weighed, design: Design) -> Weighed:
         tried = tried[np.diff(tried)[:, 0] >= LEAST_ROWS]
         span = tried[weigh(replace(hypothesis, candidates=spans_of(tried, n)), design).best]
     fine = weigh(replace(hypothesis, candidates=spans_of(span[None], n)), design)
-    ends = np.count_nonzero((span > 0) & (span < n))
-    apart = fine.log_evidence - math.log(rows.size**ends / max(ends, 1))
+    moved = int(np.count_nonzero((span > 0) & (span < n)))
+    apart = fine.log_evidence - math.log(rows.size**moved / max(moved, 1))
     return fine._replace(log_evidence=max(best.log_evidence, apart), log_chance=best.log_chance)

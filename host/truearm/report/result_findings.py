@@ -253,13 +253,15 @@ def fault_findings(document: Document, judging: bool = False) -> list[Finding]:
     ``judging``: the rows judge a calibration, so nothing can be applied.
     """
     faults, claim = document["faults"], document.get("claim")
+    applied = set(document.get("applied") or ())
     findings = []
     for fault in faults:
         findings.append(_fault(fault))
-        findings += [] if judging else [_choice(fault)]
+        contained = applied & {"mean", *(rival["apply"] for rival in fault["rivals"])}
+        findings += [] if judging or contained else [_choice(fault)]
     if judging and faults:
         findings.append(Finding("faults-here", {"n": len(faults)}))
-    if document.get("applied"):
+    if applied:
         findings.append(Finding("faults-applied", {"names": document["applied"]}))
     if claim and claim["noise"] != "declared":
         refused = [cause(name) for name in claim["refused"][:MAX_CHOICES]]
@@ -398,7 +400,9 @@ def tool_error(document: Document) -> list[Finding]:
     bad, tool = document["without_bad_rows"], predicted["rms_mm"] if predicted else None
     faults = "The fit has faults that it does not contain"
     values = {
-        "because": faults if document["faults"] else "The declared noise does not explain the residuals",
+        "because": faults
+        if document["faults"] and not document.get("applied")
+        else "The declared noise does not explain the residuals",
         "error": {name[5:]: shown[name] for name in shown if name.startswith("mean_")},
         "range": listed(
             [
