@@ -61,8 +61,8 @@ def test_the_reduction_of_a_pose_is_exact(monkeypatch):
         monkeypatch.setattr(RowsByPose, "projected", lambda poses, columns: poses)
     (learned, rows), (dense, dense_rows) = results
     assert learned.evidence == pytest.approx(dense.evidence, rel=1e-7)
-    assert learned.noise[:3] == pytest.approx(dense.noise[:3], rel=1e-3)
-    np.testing.assert_allclose(learned.noise.joint, dense.noise.joint, rtol=1e-3, atol=1e-12)
+    assert learned.noise[:3] == pytest.approx(dense.noise[:3], rel=1e-4)
+    np.testing.assert_allclose(learned.noise.joint, dense.noise.joint, rtol=1e-4)
     assert list(learned.nats.values()) == pytest.approx(list(dense.nats.values()), rel=1e-3, abs=1e-3)
     np.testing.assert_allclose(rows.left_out["m"], dense_rows.left_out["m"], rtol=1e-3, atol=1e-9)
     np.testing.assert_allclose(rows.distance, dense_rows.distance, rtol=1e-3, atol=1e-6)
@@ -79,7 +79,7 @@ def test_repeats_of_few_poses_are_no_evidence_of_curves(repeats):
 
 
 def test_each_joint_has_the_error_that_it_has():
-    """Two targets that are 0.1 m apart see a wrist that errs; one variance for all joints would put it into all of them."""
+    """Three targets apart see a wrist that errs; one variance for all joints would put its error into all of them."""
     error = np.array([0.05, 0.1, 0.2, 0.1, 0.3, 0.4]) * 1e-3
     noise = learn(curves_of(repeated(1, n_poses=300, joint_error=error)), PoseNoise.of(1.0, 6, 1e-4)).noise
     np.testing.assert_allclose(np.sqrt(noise.joint), error, rtol=0.2, atol=3e-5)
