@@ -1,5 +1,7 @@
 """What an identification finds: the Estimate and its parts. All are in SI units and frozen.
 
+The unit in an annotation is that of the number in result.json (``files.result_document``).
+
 Shapes: ``n`` rows, ``p`` parameters of the problem.
 """
 
@@ -9,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, NamedTuple, assert_never
+from typing import Annotated, Any, NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from truearm.arguments import converted
 from truearm.display import Displayed
 from truearm.types import Floats, Law, Payload, Residuals, as_column, not_left_out, rms
+from truearm.units import DEG, MM, MRAD
 
 
 class Figures(NamedTuple):
@@ -239,8 +242,8 @@ class Rival(NamedTuple):
     apply: str
     rows: tuple[int, int] | None
     weight: float  # its probability among the causes
-    moves: float  # m, RMS motion of the tool if it is applied
-    error: float  # m, RMS error of the tool that is then left
+    moves: Annotated[float, MM]  # m, RMS motion of the tool if it is applied
+    error: Annotated[float, MM]  # m, RMS error of the tool that is then left
     gain: float  # share of the squares of left-out rows that it removes
     gain_t: float  # in standard errors
 
@@ -266,7 +269,7 @@ class Diagnosis:
     mean: Rival
     aliases: tuple[str, ...]
     sizes: tuple[Size, ...]
-    drop: float  # of χ², with the first as a parameter
+    chi2_drop: float  # with the first as a parameter
     freedom: int
     log_evidence: float  # nats, beside no fault
     deciding: tuple[str, ...] = ()
@@ -278,17 +281,17 @@ class ToolClaim:
 
     ``parameters``: by the noise of the rows. ``unnamed``: by faults that the rows neither show nor exclude. ``rivals``:
     by not knowing which cause a fault has. ``shift``: by not applying the mean of the causes. ``noise`` is the
-    declared one or a kernel that was learned, of which the standard deviation is ``noise_scale`` times the declared one.
+    declared one or a kernel that was learned, of which the standard deviation is ``noise_factor`` times the declared one.
     ``chi2_reduced`` is that with the faults as parameters, ``unseen`` what cannot show in these rows,
     and ``refused`` what is beyond chance but does not predict rows that were left out.
     """
 
-    parameters: float
-    unnamed: float
-    rivals: float
-    shift: float
+    parameters: Annotated[float, MM]
+    unnamed: Annotated[float, MM]
+    rivals: Annotated[float, MM]
+    shift: Annotated[float, MM]
     noise: str
-    noise_scale: float
+    noise_factor: float
     chi2_reduced: float
     unseen: tuple[str, ...]
     refused: tuple[str, ...] = ()
@@ -380,8 +383,8 @@ class ResidualParts(NamedTuple):
 class PoseError(NamedTuple):
     """Errors that the rows of one pose share, in addition to each row's own noise (``estimate.pose_effect``)."""
 
-    sigma: float  # m, of each component of a translation of the end
-    row: float  # variance of a row's own noise relative to the declared one, at least 1
+    sigma: Annotated[float, MM]  # m, of each component of a translation of the end
+    row_variance: float  # of a row's own noise relative to the declared one, at least 1
     n: int  # poses with several rows
 
 
@@ -392,14 +395,16 @@ class OtherFit(NamedTuple):
     value: Floats  # (p,) of all parameters
     rms_after: Mapping[str, float]  # by SI unit
     chi2_reduced: float
-    moves: float = math.nan  # m, RMS distance of the end from where the estimate has it, over the fitted poses
+    tool_moves: Annotated[float, MM] = (
+        math.nan
+    )  # m, RMS distance of the end from where the estimate has it, over the fitted poses
 
 
 class Period(NamedTuple):
     """A sinusoidal component of an error curve: cycles per turn and amplitude [rad]."""
 
     cycles: float
-    amplitude: float
+    amplitude: Annotated[float, MRAD]
 
 
 @dataclass(frozen=True)
@@ -408,7 +413,7 @@ class TriedLaw:
 
     ``rms`` [rad] is the RMS, about its mean, of its contribution to the joint angle over the fitted poses; NaN unless
     the law is kept. Of a curve that is kept, ``covered`` are the intervals of readings [rad] that it is known in,
-    ``periods`` its strongest components, and ``resolution`` [cycles per turn] how far apart components must be to be
+    ``periods`` its strongest components, and ``resolution_cycles`` [per turn] how far apart components must be to be
     distinguished. The resolution is NaN if the intervals are too short for any component. Of sag that is kept,
     ``range_share`` is the part of its range over random poses that it has over the fitted ones.
     """
@@ -417,10 +422,10 @@ class TriedLaw:
     term: str  # "curve" | "sag"
     nats: float
     kept: bool
-    rms: float = math.nan
-    covered: tuple[tuple[float, float], ...] = ()
+    rms: Annotated[float, MRAD] = math.nan
+    covered: Annotated[tuple[tuple[float, float], ...], DEG] = ()
     periods: tuple[Period, ...] = ()
-    resolution: float = math.nan
+    resolution_cycles: float = math.nan
     range_share: float = math.nan
 
 

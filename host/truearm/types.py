@@ -20,6 +20,7 @@ from truearm.arguments import Checked
 from truearm.display import Displayed
 from truearm.errors import PlanError
 from truearm.schema import Choice, Covariance, Direction, List, Matrix, Number, sigma
+from truearm.units import KG, MM
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
@@ -420,8 +421,8 @@ class CurveKnots(Struct, frozen=True, tag_field="term", tag="curve"):
 class Payload(NamedTuple):
     """A known mass [kg] on the end, beyond what always belongs to the tool, and its centre [m] in the end frame."""
 
-    mass: float
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass: Annotated[float, KG]
+    centre: Annotated[tuple[float, float, float], MM] = (0.0, 0.0, 0.0)
 
     def is_like(self, other: Payload) -> bool:
         """Return whether masses and centres are equal to a gram and to a tenth of a millimetre; without mass, any centre is."""

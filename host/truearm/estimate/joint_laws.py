@@ -416,5 +416,5 @@ def _tried(
         found = replace(found, range_share=float(np.ptp(added) / np.ptp(every)))
     for curve in sampled_curves(whole, [law], params, np.zeros((params.size, params.size))):
         periods, resolution = strongest_periods(curve), spectrum(curve).resolution
-        found = replace(found, covered=curve.intervals, periods=periods, resolution=resolution)
+        found = replace(found, covered=curve.intervals, periods=periods, resolution_cycles=resolution)
     return found

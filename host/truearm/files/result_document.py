@@ -1,6 +1,7 @@
 """The content of result.json of an estimate: see ``result_file`` and docs/reference/result-format.md.
 
-Fields have the names of the estimate's attributes. Where a name ends in a unit, the value is converted to this unit.
+Fields have the names of the estimate's attributes, and its records those of their own fields, in the unit that ``results``
+declares, which ends the name. ``Result`` leaves out what it does not declare.
 """
 
 from __future__ import annotations
@@ -8,7 +9,8 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import is_dataclass
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
@@ -18,14 +20,12 @@ from truearm import __version__
 from truearm.estimate.gain import gain_of
 from truearm.files.result_covariance import Covariance
 from truearm.files.result_file import Parameter, Result, RobotFrames
-from truearm.files.strict_json import without_nan
 from truearm.kinds import registry
 from truearm.kinds.table import ObservationTable
 from truearm.results import (
     Diagnosis,
     Estimate,
     Figures,
-    HeldOut,
     JointLaws,
     PredictedError,
     ResidualParts,
@@ -33,7 +33,7 @@ from truearm.results import (
     ToolClaim,
 )
 from truearm.types import Residuals
-from truearm.units import MM, MRAD, SUFFIXES, UNITS, key, shown
+from truearm.units import MM, MRAD, UNITS, key, named, shown
 
 
 def result_of(
@@ -43,24 +43,23 @@ def result_of(
     predicted: PredictedError | None = None,
     **fields: Any,
 ) -> Result:
-    """Return the content of result.json for an estimate from ``table``.
+    """Return the content of result.json for an estimate from ``table``: its attributes that are fields, and what follows.
 
     ``predicted`` is the predicted error of the tool. ``fields`` are those that do not follow from an estimate, such as ``inputs`` and ``prior``.
     """
     names, free, units = np.array(estimate.parameter_names), estimate.free, residual_units(estimate)
-    q, other_fit = table.q[estimate.fitted], ("n", "rms_after", "chi2_reduced", "value")
-    pose, bad = estimate.pose_error, estimate.without_bad_rows
+    q = table.q[estimate.fitted]
     parts = {si: estimate.parts.get(si, ResidualParts(math.nan, math.nan)) for si in units}
+    attributes = [name for name in Result.__struct_fields__ if hasattr(estimate, name)]
+    other_fits = {name: getattr(estimate, name) for name in ("with_outliers", "without_bad_rows")}
     content = {
-        **_entry(estimate, "status", "message", "solver", "loss", "iterations", "n_observations", "rank", "rank_gap"),
-        **_entry(estimate, "null_space", "hardly_seen", "additions", "alternatives_tried"),
-        **_entry(estimate, "chi2_reduced", "chi2_band", "chi2_freedom"),
-        **_entry(estimate, "rms_before", "rms_raw", "rms_after", units=units),
+        **{name: _entry(getattr(estimate, name), units) for name in attributes},
+        **{name: fit and {**_entry(fit, units), "names": names} for name, fit in other_fits.items()},
+        **_entries(units, rms_before=estimate.rms_before, rms_raw=estimate.rms_raw, rms_after=estimate.rms_after),
         **{key("rms_history", si): [shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
         **_by_unit(parts, "rms_", "declared", "unexplained"),
         "faults": fault_entries(estimate.faults, table),
         "claim": _claim(estimate.claim, predicted is not None),
-        "applied": estimate.applied,
         "truearm_version": __version__,
         "simulated": table.simulated,
         "robot": robot,
@@ -72,22 +71,11 @@ def result_of(
         "suggested_free": names[np.flatnonzero(estimate.suggested_free)],
         "usable": not estimate.unusable,
         "unusable_because": estimate.unusable,
-        "explanations": [
-            _entry(explanation, "code", "n", "rms_given", "rms", "chance", units=list(explanation.rms_given))
-            | {"values": dict(explanation.values)}
-            for explanation in estimate.explanations
-        ],
+        "explanations": [_entry(explanation, list(explanation.rms_given)) for explanation in estimate.explanations],
         "residual_units": [UNITS[si].scale.suffix for si in units],
-        "observability": _entry(estimate.observability, "o1", "o2", "o3", "o4"),
-        "scale": _entry(estimate.scale, "factor", "sigma", "n", "chance"),
-        "pose_error": pose and _entry(pose, "sigma_mm", "n", row_variance=pose.row),
         "suspect": _suspects(estimate, table),
         "unexplained": _unexplained(estimate),
         "mean_change": _mean_change(estimate),
-        "with_outliers": _entry(estimate.with_outliers, *other_fit, units=units, names=names),
-        "without_bad_rows": bad and _entry(bad, *other_fit, units=units, names=names, tool_moves_mm=MM.of(bad.moves)),
-        "held_out": _held_out(estimate.held_out, units),
-        "held_out_before": _held_out(estimate.held_out_before, units),
         "predicted_error": predicted and _predicted(predicted),
         "joint_laws": _joint_laws(estimate.joint_laws, units),
         "parameters": _parameters(estimate),
@@ -95,28 +83,36 @@ def result_of(
             names[free], np.array(estimate.units)[free], estimate.covariance[np.ix_(free, free)]
         ),
     }
-    return msgspec.convert(_json({**content, **fields}), Result)
+    return msgspec.json.decode(_json({**content, **fields}), type=Result)
 
 
-def _entry(source: object, *names: str, units: Sequence[str] = (), **fields: Any) -> Any:
-    """Return attributes by name, in the unit that the name ends in, and further ``fields``; None of None.
+def _entry(record: Any, units: Sequence[str] = ()) -> Any:
+    """Return a record of ``results`` by the annotations of its fields, and anything else as it is.
 
-    A value by SI unit gives an entry for each of ``units``, in its display unit.
+    A number with a unit, or one for each of ``units``, has a key that ends in the unit of the file.
     """
-    if source is None:
-        return None
+    if isinstance(record, tuple) and not hasattr(record, "_fields"):
+        return [_entry(item, units) for item in record]
+    if not isinstance(record, tuple) and not is_dataclass(record):
+        return record
     entry: dict[str, Any] = {}
-    for name in names:
-        attribute, _, suffix = name.rpartition("_")
-        value = getattr(source, name, None)
-        if isinstance(value, Mapping):
-            entry |= {key(name, si): shown(value.get(si, math.nan), si) for si in units}
-        elif hasattr(source, name):
-            entry[name] = value
+    for name, hint in get_type_hints(type(record), include_extras=True).items():
+        value = getattr(record, name)
+        if get_origin(hint) is Annotated:
+            (scale,) = hint.__metadata__
+            entry[named(name, scale.suffix)] = scale.of(np.array(value))
+        elif hint == Mapping[str, float]:
+            entry |= _entries(units, **{name: value})
+        elif hint == Mapping[str, Figures]:
+            entry |= _by_unit({si: value.get(si, Figures.of(np.zeros(0))) for si in units}, "", "rms", "mean", "max")
         else:
-            value = getattr(source, attribute)
-            entry[name] = SUFFIXES[suffix].of(value if isinstance(value, float) else np.array(value))
-    return entry | fields
+            entry[name] = _entry(value, units)
+    return entry
+
+
+def _entries(units: Sequence[str], **values: Mapping[str, float]) -> dict[str, Any]:
+    """Return a number for each of ``units``, in its display unit, by a key that ends in it; NaN if there is none."""
+    return {key(name, si): shown(value.get(si, math.nan), si) for name, value in values.items() for si in units}
 
 
 def _by_unit(records: Mapping[str, Any], prefix: str, *names: str) -> dict[str, Any]:
@@ -127,23 +123,22 @@ def _by_unit(records: Mapping[str, Any], prefix: str, *names: str) -> dict[str, 
     } | counts
 
 
-def _json(value: Any) -> Any:
-    """Return a value as JSON has it: null for a number that does not exist."""
-    return without_nan(msgspec.to_builtins(value, enc_hook=lambda array: array.tolist()))
+def _json(value: Any) -> bytes:
+    """Return a value as JSON, with null for a number that does not exist."""
+    return msgspec.json.encode(value, enc_hook=lambda array: array.tolist())
 
 
 def fault_entries(faults: Sequence[Diagnosis], table: ObservationTable) -> list[dict[str, Any]]:
     """Return the field ``faults`` for faults in the table's rows, with rows counted from 1, the last one included."""
     entries = [
-        _entry(fault, "aliases", "freedom", "log_evidence", "deciding", chi2_drop=fault.drop)
-        | {
-            "sizes": [_entry(size, "unit", "value", "sigma") for size in fault.sizes],
+        {
+            **_entry(fault),
             "rivals": [_rival(rival, table) for rival in fault.rivals],
             "mean": _rival(fault.mean, table),
         }
         for fault in faults
     ]
-    return list(_json(entries))
+    return list(msgspec.json.decode(_json(entries)))
 
 
 def _rival(rival: Rival, table: ObservationTable) -> dict[str, Any]:
@@ -154,16 +149,14 @@ def _rival(rival: Rival, table: ObservationTable) -> dict[str, Any]:
         "from": source_name(table, first),
         "to": source_name(table, last - 1),
     }
-    entry = _entry(rival, "name", "apply", "weight", "moves_mm", "error_mm", "gain", "gain_t")
-    return {**entry, **(rows if rival.rows else dict.fromkeys(rows))}
+    entry = _entry(rival) | (rows if rival.rows else dict.fromkeys(rows))
+    del entry["rows"]
+    return dict(entry)
 
 
 def _claim(claim: ToolClaim | None, predicted: bool) -> Any:
     """Return the parts of the tool's error, if it is ``predicted`` at all, and what was assumed."""
-    sizes = ("parameters_mm", "unnamed_mm", "rivals_mm", "shift_mm") if predicted else ()
-    return claim and dict(
-        _entry(claim, *sizes, "noise", "chi2_reduced", "unseen", "refused", noise_factor=claim.noise_scale)
-    )
+    return claim and {name: value for name, value in _entry(claim).items() if predicted or not name.endswith(MM.suffix)}
 
 
 def copies_of(copied: NDArray[np.intp], table: ObservationTable) -> list[dict[str, str]]:
@@ -240,41 +233,18 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
     ]
 
 
-def _held_out(held_out: HeldOut | None, units: Sequence[str]) -> dict[str, Any] | None:
-    if held_out is None:
-        return None
-    figures = {si: held_out.figures.get(si, Figures.of(np.zeros(0))) for si in units}
-    counts = _entry(held_out, "n", "n_settled", "n_left_out")
-    return {**_by_unit(figures, "", "rms", "mean", "max"), **counts}
-
-
-def _predicted(predicted: PredictedError) -> Any:
-    row, largest = os.path.basename(predicted.source), MM.of(predicted.largest)
-    return _entry(predicted, "rms_mm", "n", "relative", max_mm=largest, at=row)
+def _predicted(predicted: PredictedError) -> dict[str, Any]:
+    worst = {"max_mm": MM.of(predicted.largest), "at": os.path.basename(predicted.source)}
+    return {"rms_mm": MM.of(predicted.rms), **worst, "n": predicted.n, "relative": predicted.relative}
 
 
 def _joint_laws(laws: JointLaws | None, units: Sequence[str]) -> dict[str, Any] | None:
     if laws is None:
         return None
-    tried = ("joint", "term", "nats", "kept", "rms_mrad", "range_share", "covered_deg")
     noise = {
         "factor": laws.noise_factor,
         "shared_mm": MM.of(laws.noise_shared),
         "turned_mrad": MRAD.of(laws.noise_turned),
     }
     noise |= {f"{joint}_mrad": MRAD.of(sigma) for joint, sigma in laws.noise_joint.items()}
-    return {
-        **_entry(laws, "mode", "reasons", "gravity", "gravity_known"),
-        "payloads": [_entry(payload, "mass_kg", "centre_mm") for payload in laws.payloads],
-        "laws": laws.kept,
-        "tried": [
-            _entry(law, *tried, resolution_cycles=law.resolution)
-            | {"periods": [_entry(period, "cycles", "amplitude_mrad") for period in law.periods]}
-            for law in laws.tried
-        ],
-        "steps": [
-            _entry(step, "name", "rms_after", units=units, held_out=_held_out(step.held_out, units))
-            for step in laws.steps
-        ],
-        "noise": noise,
-    }
+    return {**_entry(laws, units), "laws": laws.kept, "noise": noise}
