@@ -57,13 +57,16 @@ class Finding:
         return {"code": self.code, "severity": self.severity.value, "text": self.text(), "values": dict(self.values)}
 
 
-class Reason(Finding):
-    """Why a move of a program is not corrected: a value of the findings about programs."""
+@dataclass(frozen=True)
+class Reason:
+    """Why a move of a program is not corrected, such as "shared-use": a value of the findings about programs."""
 
-    @property
-    def statement(self) -> Statement:
-        """The clause of the reason, about the move's tool or the like if the values have a subject."""
-        return Statement(Severity.REFUSAL, f"[its {{subject}}: ]{REASONS[self.code]}")
+    name: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def text(self, argument: Callable[[str], str] = str) -> str:
+        """Return the clause of the reason, about the move's tool or the like if the values have a subject."""
+        return worded(f"[its {{subject}}: ]{REASONS[self.name]}", self.values, argument)
 
 
 def ordered(findings: Sequence[Finding], simulated: bool = False) -> list[Finding]:

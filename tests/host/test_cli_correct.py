@@ -164,7 +164,7 @@ def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, cap
     assert "--home" in err
     if kind in ("script", "module"):
         refused = json.loads(said)["error"]["values"]["refused"]
-        assert {one["code"] for one in refused} == {"configuration"}
+        assert {one["reason"] for one in refused} == {"configuration"}
     near = ",".join(map(repr, np.rad2deg(q[0]).tolist()))
     code, said, err = run(capsys, *arguments, "--home", near)
     assert code == 0, err
@@ -398,7 +398,7 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ca
     assert not (tmp_path / "o.script").exists()
     code, said, _ = run(capsys, *given, tmp_path / "o.script", "--json")
     error = json.loads(said)["error"]
-    refused = [(move["file"], move["line"], move["code"]) for move in error["values"]["refused"]]
+    refused = [(move["file"], move["line"], move["reason"]) for move in error["values"]["refused"]]
     assert (code, error["code"], refused) == (2, "uncertain-moves", [("p.script", line, "run-time")])
     code, said, err = run(capsys, *given, tmp_path / "o.script", "--partial", "--mark")
     assert code == 4, err

@@ -230,7 +230,7 @@ def test_a_move_that_is_not_certain_is_refused(form):
     text = program(*lines, f"movej({written(Q[3])})", f"movel({six(POSES[4])})")
     with pytest.raises(ProgramRefused) as caught:
         corrected(text)
-    assert {move.line: move.reason.code for move in caught.value.refused} == codes
+    assert {move.line: move.reason.name for move in caught.value.refused} == codes
     assert all(move.reason.text() for move in caught.value.refused)
     after = corrected(text, partial=True).splitlines()
     before = text.splitlines()
@@ -246,7 +246,7 @@ def test_a_configuration_that_nothing_determines_needs_home(program_kind):
     text = program(f"movej({six(POSES[1])})") if program_kind == "script" else module_text
     with pytest.raises(ProgramRefused) as caught:
         outcome(text, home=None)
-    assert [move.reason.code for move in caught.value.refused] == ["configuration"]
+    assert [move.reason.name for move in caught.value.refused] == ["configuration"]
     done = outcome(text, home=Q[1])
     assert "home-decides" in [note.code for note in done.notes]
     assert done.others.n_targets == 1
@@ -474,7 +474,7 @@ def test_a_name_that_would_not_be_used_is_refused(text, options):
 def test_the_place_of_a_value_that_is_computed_is_named():
     with pytest.raises(InputError) as caught:
         corrected(program("W = get_actual_tcp_pose()", "V = pose_trans(W, p[0,0,0.1,0,0,0])", "movel(V)"))
-    (reason,) = [move.reason for move in caught.value.refused if move.reason.code == "run-time"]
+    (reason,) = [move.reason for move in caught.value.refused if move.reason.name == "run-time"]
     assert reason.values["where"].endswith("line 2")
 
 

@@ -339,14 +339,14 @@ def _solution(visits: Sequence[Visit], how: HowCorrected, frames: tuple[Frame, F
 def _settle(censuses: Sequence[Census], solution: Solution, how: HowCorrected) -> None:
     """Refuse moves to goals that cannot be corrected, and settle which numbers change."""
     for row, visit in enumerate(solution.visits):
-        finding = _finding(row, visit, censuses[visit.program].program.language, solution, how.home is not None)
-        if finding is not None:
-            censuses[visit.program].refuse(visit.move, finding)
+        reason = _reason(row, visit, censuses[visit.program].program.language, solution, how.home is not None)
+        if reason is not None:
+            censuses[visit.program].refuse(visit.move, reason)
     for census in censuses:
         census.settle(solution.wanted)
 
 
-def _finding(row: int, visit: Visit, language: str, solution: Solution, has_home: bool) -> Finding | None:
+def _reason(row: int, visit: Visit, language: str, solution: Solution, has_home: bool) -> Reason | None:
     """Return why a goal cannot be corrected: it has no correction, or another one than on its first visit."""
     first, problem = solution.rows[visit.goal], solution.correction.problem[row]
     if visit.goal.is_joints and not visit.goal.target.literal.spans:

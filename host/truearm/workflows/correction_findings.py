@@ -18,7 +18,7 @@ from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.files.strict_json import number_or_null
-from truearm.findings import Finding, entries
+from truearm.findings import Finding, Reason, entries
 from truearm.model.poses import apart, inverted, position_and_rotation
 from truearm.report.correction_page import STRAIGHT
 from truearm.text import listed
@@ -39,11 +39,12 @@ class Refused(NamedTuple):
     file: str
     line: int
     statement: str
-    reason: Finding
+    reason: Reason
 
     def entry(self) -> dict[str, Any]:
         """Return it as JSON."""
-        return {"file": self.file, "line": self.line, "statement": self.statement, **self.reason.entry()}
+        reason = {"reason": self.reason.name, "text": self.reason.text(), "values": dict(self.reason.values)}
+        return {"file": self.file, "line": self.line, "statement": self.statement, **reason}
 
 
 class CorrectedTargets(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 
 from truearm.correct.programs.data import Datum, Place
 from truearm.correct.programs.program import Goal, Move, Program
-from truearm.findings import Finding, Reason
+from truearm.findings import Reason
 from truearm.model.poses import apart, inverted
 from truearm.types import Floats
 
@@ -49,7 +49,7 @@ class Census:
             if others:
                 self._keep(datum, min(others))
 
-    def refuse(self, move: Move, reason: Finding) -> None:
+    def refuse(self, move: Move, reason: Reason) -> None:
         """Refuse a move. Its names then have another use, so moves by these names lose their literals."""
         if move.reason is None:
             move.reason = reason

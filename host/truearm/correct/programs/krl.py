@@ -284,7 +284,7 @@ class _Reader(Reading):
         try:
             components = self.components(tokens, line)
         except Uncertain as uncertain:
-            if uncertain.finding.code != "undeclared":
+            if uncertain.reason.name != "undeclared":
                 raise uncertain.about(subject) from None
             name = key.replace("[", "").replace("]", "")
             return self.given(name, Uncertain("undeclared", name=name.upper(), subject=subject))

@@ -13,7 +13,7 @@ import numpy as np
 
 from truearm.correct.programs.data import Literal, Place, Uses
 from truearm.correct.programs.tokens import Source
-from truearm.findings import Finding
+from truearm.findings import Reason
 from truearm.types import Floats
 
 IDENTITY: Floats = np.eye(4)
@@ -62,7 +62,7 @@ class Move:
     end: int
     straight: bool = False
     goals: list[Goal] = field(default_factory=list)
-    reason: Finding | None = None
+    reason: Reason | None = None
 
 
 class Step(StrEnum):

@@ -18,25 +18,25 @@ T = TypeVar("T")
 
 
 class Uncertain(Exception):
-    """Why something has no certain value, by the code of a finding with its values."""
+    """Why something has no certain value, by the name of a reason with its values."""
 
-    def __init__(self, code: str, **values: object) -> None:
-        super().__init__(code)
-        self.finding = Reason(code, values)
+    def __init__(self, name: str, /, **values: object) -> None:
+        super().__init__(name)
+        self.reason = Reason(name, values)
 
     def again(self) -> Uncertain:
         """Return the same reason for another move: an exception that is raised again keeps all its tracebacks."""
-        return Uncertain(self.finding.code, **self.finding.values)
+        return Uncertain(self.reason.name, **self.reason.values)
 
     def within(self, program: Program, place: Place) -> Uncertain:
         """Return the same reason with the place of the value that is computed at run time, if it has none."""
-        code, values = self.finding.code, self.finding.values
-        where = {"where": program.where(place)} if code == "run-time" else {}
-        return Uncertain(code, **{**where, **values})
+        name, values = self.reason.name, self.reason.values
+        where = {"where": program.where(place)} if name == "run-time" else {}
+        return Uncertain(name, **{**where, **values})
 
     def about(self, subject: str) -> Uncertain:
         """Return the same reason as one about a tool, work object or offset."""
-        return Uncertain(self.finding.code, **{**self.finding.values, "subject": subject})
+        return Uncertain(self.reason.name, **{**self.reason.values, "subject": subject})
 
 
 @dataclass(eq=False)
@@ -124,6 +124,6 @@ class Reading:
             if self.n_goals > MOST_GOALS:
                 raise Uncertain("many", most=MOST_GOALS)
         except Uncertain as uncertain:
-            move.goals, move.reason = [], uncertain.finding
+            move.goals, move.reason = [], uncertain.reason
         except RecursionError:
             move.goals, move.reason = [], Reason("deep")
