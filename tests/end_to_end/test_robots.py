@@ -8,6 +8,7 @@ from tests.end_to_end.test_real_time import Simulator
 from tests.refusals import ended
 
 from truearm.cli.main import main
+from truearm.session.joint_format import unpack
 from truearm.session.session_file import open_session
 from truearm_sim.world import Setup, World, standard_plan
 
@@ -22,16 +23,15 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
         simulator.stop()
     assert done.returncode == 0, done.stderr
     session = tmp_path / "session.mcap"
-    rows = [json.loads(message.data) for message in open_session(session).messages({"/robot/joints"})]
+    rows = unpack(*(message.data for message in open_session(session).messages({"/robot/readings"})))
     assert len(rows) >= 3.5 * 500
     # The Port drops what a slow reader does not take; seq and t tell of it alike.
-    seq, t = np.array([row["seq"] for row in rows]), np.array([row["t"] for row in rows])
+    seq, t = rows.seq, rows.t
     assert np.array_equal(seq, np.rint((t - t[0]) * 500.0))
     states = World(1, standard_plan(9, 1), setup=Setup(robot_rate=500.0)).robot_states(0, 20 * 10**9)
-    first = int(np.searchsorted(states.t_robot, rows[0]["t"] - 1e-6))
-    for key in ("q", "q_cmd", "qd"):
-        told = getattr(states, key)[first + seq]
-        assert np.array_equal([row[key] for row in rows], told), key
+    first = int(np.searchsorted(states.t_robot, t[0] - 1e-6))
+    for key, read in (("q", rows.q), ("q_cmd", rows.q_cmd), ("qd", rows.more["qd"])):
+        assert np.array_equal(read, getattr(states, key)[first + seq]), key
     assert not list(open_session(session).messages({"/robot/console"}))
     report = truearm("inspect", session, "--json")
     robot = json.loads(report.stdout)["robot"]

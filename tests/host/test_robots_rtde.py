@@ -21,7 +21,7 @@ from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.links import HostClock
 from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import RtdeLink
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import parse_reading, unpack
 
 PATIENCE_S = 5.0  # only a broken client waits so long
 
@@ -358,9 +358,12 @@ def test_a_package_of_an_impossible_size_costs_a_connection_and_not_the_recordin
     controller.finish()
     assert code == 0
     assert [kind for kind in events(out) if kind.startswith("robot")] == ["robot-lost", "robot-back"]
-    assert [json.loads(m.data)["t"] for m in topics(out)["/robot/joints"]] == [
-        t + 0.002 * k for t in (1.0, 2.0) for k in range(5)
-    ]
+    stored = topics(out)
+    assert "/robot/joints" not in stored
+    read = unpack(*(message.data for message in stored["/robot/readings"]))
+    assert read.t.tolist() == [t + 0.002 * k for t in (1.0, 2.0) for k in range(5)]
+    assert len(stored["/robot/preview"]) == 2  # ten a second, for viewers
+    assert json.loads(stored["/robot/preview"][0].data)["q"] == read.q[0].tolist()
 
 
 REFUSALS = {

@@ -11,9 +11,12 @@ from hypothesis import strategies as st
 from record_box import MS, SECOND, Lab
 from test_session_joint_readings import assert_same
 
+from truearm.errors import SessionError
 from truearm.record.recover import recover
+from truearm.record.robots.add_readings import add_readings
+from truearm.record.robots.joint_table import AddedReading
 from truearm.record.session_writer import SessionWriter
-from truearm.session.joint_format import COLUMNS, JOINTS, concatenate, pack, parse_line, parse_lines, unpack
+from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, concatenate, pack, parse_line, parse_lines, unpack
 from truearm.session.joint_readings import JointReader
 from truearm.session.message_columns import columns_of
 from truearm.session.session_file import open_session
@@ -113,8 +116,8 @@ def test_what_is_no_map_of_arrays_is_none(data):
     assert unpack(data) is None
 
 
-def recorded(path, n=3000, hz=500.0, odd_line=b""):
-    """A session of a robot alone, with an event in its middle."""
+def recorded(path, n=3000, hz=500.0, odd_line=b"", numeric=False):
+    """A session of a robot alone, with an event in its middle; ``numeric``: of a source that sends numbers."""
     lab = Lab()
     rng = np.random.default_rng(3)
     q = np.cumsum(rng.normal(0, 1e-4, (n, 6)), axis=0)
@@ -124,7 +127,10 @@ def recorded(path, n=3000, hz=500.0, odd_line=b""):
             line = json.dumps({"t": 5.0 + k / hz, "seq": k, "q": q[k].tolist(), "inputs": k // 100 % 4}).encode()
             if k == n // 2:
                 writer.event("robot-back", t_ns)
-                writer.add(JOINTS, t_ns, odd_line or line)
+            if odd_line and k == n // 2:
+                writer.add(JOINTS, t_ns, odd_line)
+            elif numeric:
+                writer.add_reading(t_ns, None, parse_line(line))
             else:
                 writer.add(JOINTS, t_ns, line)
             if k % 7 == 0:
@@ -150,6 +156,38 @@ def test_a_reader_of_columns_reads_what_a_reader_of_lines_reads(tmp_path, odd_li
         assert repr(getattr(ours, name)) == repr(getattr(theirs, name))  # NaN is not equal to itself
     for name, column in vars(theirs.bins).items():
         np.testing.assert_array_equal(getattr(ours.bins, name), column)
+
+
+def test_readings_of_numbers_are_columns_alone(tmp_path):
+    """They say what lines would say, also in a copy; a message that is damaged costs its own readings."""
+    lines = list(recorded(tmp_path / "lines.mcap").messages())
+    session = recorded(tmp_path / "numbers.mcap", numeric=True)
+    numbers = list(session.messages())
+    assert {message.topic for message in numbers} == {READINGS, "/box/adc", "/events"}
+    recover(session, tmp_path / "copy.mcap", {})
+    assert list(open_session(tmp_path / "copy.mcap").messages()) == numbers
+    ours, theirs = stream_of(numbers), stream_of(lines)
+    assert (ours.readings, ours.restarts) == (3000, 1)
+    for name in ("readings", "malformed", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz", "reports"):
+        assert repr(getattr(ours, name)) == repr(getattr(theirs, name))
+    for name, column in vars(theirs.bins).items():
+        np.testing.assert_array_equal(getattr(ours.bins, name), column)
+    place = [message.topic for message in numbers].index(READINGS)
+    fewer = 3000 - len(unpack(numbers[place].data))
+    numbers[place] = numbers[place]._replace(data=b"\xa0")
+    damaged = stream_of(numbers)
+    assert (damaged.readings, damaged.malformed) == (fewer, 1)
+
+
+def test_readings_of_numbers_are_replaced_too(tmp_path):
+    session = recorded(tmp_path / "numbers.mcap", numeric=True)
+    added = AddedReading(0.5, b'{"t":0.5,"q":[1.0],"arrival":false}')
+    with pytest.raises(SessionError, match="has joint readings already"):
+        add_readings(session, iter([added]), tmp_path / "refused.mcap", 0.0, {})
+    assert add_readings(session, iter([added]), tmp_path / "new.mcap", 0.0, {}, replace=True) == 1
+    new = list(open_session(tmp_path / "new.mcap").messages())
+    assert not [message for message in new if message.topic == READINGS]
+    assert [message.data for message in new if message.topic == JOINTS] == [added.line]
 
 
 def test_columns_stand_in_the_chunk_of_their_lines(tmp_path):

@@ -24,7 +24,7 @@ from truearm.record.clock_exchanges import ClockExchanges
 from truearm.record.fields import fields_of
 from truearm.record.frame_splitter import FrameSplitter, frame_seq, frame_type
 from truearm.record.operator import Operator
-from truearm.record.session_schemas import PREVIEW
+from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.box_frames import Data, Pages, data_frame, too_many, usual_data
@@ -45,7 +45,6 @@ _TOPICS = {
 _SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
 _BEAT_WRAP = 2**30  # of a heartbeat's counters
 _SAMPLE_BYTES = 4
-PREVIEW_NS = 100_000_000  # between two samples displayed
 _LARGEST_UNNAMED_STREAM = 255
 
 

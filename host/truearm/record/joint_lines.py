@@ -16,6 +16,7 @@ from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.frame_splitter import Runs
 from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
+from truearm.record.session_schemas import PREVIEW_NS, ROBOT_PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.joint_format import UNNUMBERED, JointLine, parse_line
@@ -84,6 +85,7 @@ class RobotIntake:
         self._last: JointLine | None = None  # reading
         self._shortest_s = math.inf  # arrival minus the robot's time, since that last stepped back
         self._linked = True
+        self._next_preview_ns = 0
 
     def read(self) -> Arrivals:
         """Return what has arrived, without waiting; nothing after the end or without a link."""
@@ -187,7 +189,7 @@ class RobotIntake:
                 self._measure_delay(t_host_ns, reading)
                 self._rubbish = 0
                 self._counters.robot_lines += 1
-                self._writer.add_reading(t_host_ns, line, reading)
+                self._store(t_host_ns, line, reading)
                 self.heard_ns, self._last = t_host_ns, reading
                 self._operator.reading(t_host_ns, reading)
             else:
@@ -196,6 +198,14 @@ class RobotIntake:
                     self.end = LinkClosed(f"{self._link.name}: the robot reported that its program has ended")
                     self._writer.event("robot-closed", t_host_ns, text=str(self.end))
         self._counters.robot_other_joints = self._lines.other_joints
+
+    def _store(self, t_host_ns: int, line: bytes, reading: JointLine) -> None:
+        """Store a reading; that of a source that sends numbers as columns, with ten lines a second for viewers."""
+        numeric = getattr(self._link, "numeric", False)
+        self._writer.add_reading(t_host_ns, None if numeric else line, reading)
+        if numeric and t_host_ns >= self._next_preview_ns:
+            self._next_preview_ns = t_host_ns + PREVIEW_NS
+            self._writer.add(ROBOT_PREVIEW, t_host_ns, line)
 
     def _count_missing(self, before: JointLine, after: JointLine) -> None:
         """Count readings that were lost because they could not be stored, by their numbers if they have any."""

@@ -22,6 +22,7 @@ class Reopening:
         self._opener: _Opener | None = None
         self._held_up = self._foreign = 0  # of the previous links
         self.name = self._link.name
+        self.numeric = getattr(self._link, "numeric", False)
 
     def read(self, timeout_s: float) -> Arrivals:
         return self._opened().read(timeout_s)

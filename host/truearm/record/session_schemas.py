@@ -9,23 +9,26 @@ from __future__ import annotations
 import json
 from typing import Any, NamedTuple
 
-from truearm.session.joint_format import ARRAYS, COLUMNS, JOINTS
+from truearm.session.joint_format import ARRAYS, COLUMNS, JOINTS, READINGS
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED
 from truearm_wire import messages as wire
 
 PREVIEW = "/preview/"  # followed by a stream's name
+ROBOT_PREVIEW = "/robot/preview"
+PREVIEW_NS = 100_000_000  # between two values displayed
 
 _INTEGER, _NUMBER, _TEXT, _BOOLEAN = ({"type": name} for name in ("integer", "number", "string", "boolean"))
 _NUMBERS = {"type": "array", "items": _NUMBER}
 _MOUNTED = dict.fromkeys((*BAR_MOUNTED, "shell", *LINE_MOUNTED), _TEXT)
+_LINE = {
+    **{"t": _NUMBER, "seq": _INTEGER},
+    **dict.fromkeys(("q", *ARRAYS), _NUMBERS),
+    **dict.fromkeys(("inputs", "robot_mode", "runtime_state"), _INTEGER),
+    **{"line": _TEXT, "arrival": _BOOLEAN},
+}
 _JSON: dict[str, dict[str, Any]] = {
     "/sync": dict.fromkeys(("id", "t0_ns", "t1_us", "t2_us", "t3_ns"), _INTEGER),
-    JOINTS: {
-        **{"t": _NUMBER, "seq": _INTEGER},
-        **dict.fromkeys(("q", *ARRAYS), _NUMBERS),
-        **dict.fromkeys(("inputs", "robot_mode", "runtime_state"), _INTEGER),
-        **{"line": _TEXT, "arrival": _BOOLEAN},
-    },
+    **dict.fromkeys((JOINTS, ROBOT_PREVIEW), _LINE),
     "/events": {
         "kind": _TEXT,
         **_MOUNTED,
@@ -44,7 +47,7 @@ _FRAMES = {
     "/box/sync": (wire.SYNC_REPLY,),
     "/box/reply": (wire.REPLY, wire.ERROR),
 }
-_COLUMNS = """; n readings of j joints: those of /robot/joints since the last such message
+_COLUMNS = """; n readings of j joints: those since the last such message
 columns = {"arrival_ns": ints, "t": floats, "seq": ints, "q": floats, * text => ints / floats}
 floats = #6.86(bytes) ; RFC 8746 float64, little endian
 ints = #6.79(bytes)   ; RFC 8746 sint64, little endian
@@ -66,7 +69,7 @@ def encodings_of(topic: str, first: bytes) -> Encodings:
     """Return the encodings of a topic, given its first message."""
     if topic in ("/box/console", "/robot/console"):
         return Encodings("application/octet-stream", "truearm/bytes", "text/plain", _BYTES)
-    if topic == COLUMNS:
+    if topic in (COLUMNS, READINGS):
         return Encodings("cbor", "truearm" + topic, "cddl", _COLUMNS)
     if topic == "/box/other":
         return Encodings("cbor", "truearm" + topic, "cddl", _OTHER)

@@ -8,8 +8,8 @@ A message's log time is UTC, computed from the single pair of times in the metad
 host's own clock, which all computations use. UTC therefore never steps within a file, and other programs can place the
 file relative to their own.
 
-The robot's lines are accompanied by their numbers as columns, for readers. Columns are written once per chunk, and
-before an event, after which other numbers may apply.
+The robot's lines are accompanied by their numbers as columns, for readers; of a source that sends numbers, there are
+only columns. They are written once per chunk, and before an event, after which other numbers may apply.
 
 What every message needs is repeated, so that one damaged place cannot take it away: the metadata (the box's ident, the
 clock's anchor, the channels) once a minute, the attachments (the rig, and a copy of the plan and of what was mounted)
@@ -50,7 +50,7 @@ from truearm.files.write_lock import hold
 from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, rescued_file
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
-from truearm.session.joint_format import COLUMNS, JOINTS, JointLine, columns_of_rows, pack, parse_line
+from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
 from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, PLAN_COPY, metadata_crc
 
 CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s
@@ -108,6 +108,7 @@ class SessionWriter:
             JointLine | None
         ] = []  # of the robot, without columns yet; None for a line that is not a reading
         self._arrival_ns: list[int] = []
+        self._columns = COLUMNS  # their topic
         self._synced_s = self._watched_s = time.monotonic()
         self.losses: list[str] = []  # what happened to the file, one sentence each
         self._renamed = False
@@ -186,9 +187,16 @@ class SessionWriter:
             self._add(topic, t_host_ns, data, sequence)
             self._end_chunk(t_host_ns)
 
-    def add_reading(self, t_host_ns: int, line: bytes, reading: JointLine | None, sequence: int | None = None) -> None:
-        """Append a line of the robot unchanged; ``reading`` is its contents, None if it is not a reading."""
-        self._add(JOINTS, t_host_ns, line, sequence)
+    def add_reading(
+        self, t_host_ns: int, line: bytes | None, reading: JointLine | None, sequence: int | None = None
+    ) -> None:
+        """Append a line of the robot unchanged; ``reading`` is its contents, None if it is not a reading.
+
+        ``line`` is None for all readings of a source that sends numbers: they become columns only.
+        """
+        if line is not None:
+            self._add(JOINTS, t_host_ns, line, sequence)
+        self._columns = READINGS if line is None else COLUMNS
         self._readings.append(reading)
         self._arrival_ns.append(t_host_ns)
         self._end_chunk(t_host_ns)
@@ -225,7 +233,7 @@ class SessionWriter:
         self._readings, self._arrival_ns = [], []
         rows = [reading for reading in readings if reading is not None]
         if rows and len(rows) == len(readings) and len({len(row.q) for row in rows}) == 1:
-            self._add(COLUMNS, self._latest_ns, pack(columns_of_rows(rows, arrival_ns)))
+            self._add(self._columns, self._latest_ns, pack(columns_of_rows(rows, arrival_ns)))
 
     def add_json(self, topic: str, t_host_ns: int, row: Mapping[str, Any]) -> None:
         """Append ``row`` as JSON; entries that are None are left out."""

@@ -3,7 +3,8 @@
 A reading is a line of JSON (docs/reference/session-format.md), checked in the same way during recording
 (``parse_line()``) and reading (``parse_lines()``). A message on ``/robot/columns`` holds the result of
 ``parse_lines()`` for the preceding messages of ``/robot/joints``, since the last such message. It is CBOR: typed arrays
-(RFC 8746) by name, which NumPy uses as they are.
+(RFC 8746) by name, which NumPy uses as they are. The readings of a source that sends numbers, not text, are such columns
+alone (``/robot/readings``).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.collector import uncollected
+from truearm.session.message_columns import LATEST_NS
 from truearm.types import Floats, Ints
 
 MAX_T_S = 4e9  # such times in ns still fit 63 bits
@@ -166,6 +168,9 @@ JOINTS = "/robot/joints"
 COLUMNS = "/robot/columns"
 
 
+READINGS = "/robot/readings"  # of a source that sends numbers: the same columns, without lines
+
+
 _FLOAT64, _SINT64 = 86, 79  # RFC 8746: little-endian typed arrays
 
 
@@ -256,7 +261,10 @@ def unpack(*messages: bytes) -> JointBatch | None:
         return None
     if any(column.dtype.kind != "f" for column in floats) or not 1 <= width <= MAX_JOINTS:
         return None
-    good = t.min() >= 0.0 and t.max() < MAX_T_S and seq.min() >= UNNUMBERED and seq.max() < MAX_SEQ  # false for NaN
+    good = arrival_ns.min() >= 0 and arrival_ns.max() < LATEST_NS
+    good = (
+        good and t.min() >= 0.0 and t.max() < MAX_T_S and seq.min() >= UNNUMBERED and seq.max() < MAX_SEQ
+    )  # false for NaN
     good = good and flat.min() > -MAX_Q and flat.max() < MAX_Q and inputs.min() >= NO_INPUTS
     good = good and (commanded is None or not np.any(np.abs(q_cmd) >= MAX_Q))
     return JointBatch(arrival_ns, t, seq, q, q_cmd, inputs, more) if good else None

@@ -1,7 +1,7 @@
 """Read the robot's joint readings: their order, the controller's clock and inputs, and bins for finding dwells.
 
-The columns of ``/robot/columns`` (``joint_format``) are used if their arrival times are those of the lines; otherwise
-messages were lost or doubled, and the lines are parsed. A reading that is late (its controller time lies before that of
+Readings are lines or columns (``joint_format``). The columns of ``/robot/columns`` are used if their arrival times are
+those of the lines; otherwise messages were lost or doubled, and the lines are parsed. A reading that is late (its controller time lies before that of
 an earlier one) is counted and not used; it counts as lost too.
 
 A session may hold ten million readings. For each 50 ms only count, mean, extremes and scatter are kept
@@ -21,7 +21,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.joint_format import COLUMNS, JOINTS, UNNUMBERED, JointBatch, concatenate, parse_lines, unpack
+from truearm.session.joint_format import (
+    COLUMNS,
+    JOINTS,
+    READINGS,
+    UNNUMBERED,
+    JointBatch,
+    concatenate,
+    parse_lines,
+    unpack,
+)
 from truearm.session.message_columns import Messages
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.types import Floats, Ints
@@ -136,11 +145,31 @@ class JointStream:
 _BACK = b'"kind":"robot-back"'
 
 
+def joint_batch(messages: Messages, joints: int | None) -> tuple[JointBatch, int]:
+    """Return the readings of a batch of messages in order, and how many lines and columns are malformed.
+
+    ``joints``: number of joints per reading; None: as in the first. The columns beside lines are used if they are those of
+    the lines; else the lines are parsed.
+    """
+    lines, columns, numbers = (messages.rows(topic.__eq__) for topic in (JOINTS, COLUMNS, READINGS))
+    arrival_ns = messages.t_host_ns[lines]
+    batch = unpack(*messages.payloads(columns)) if len(columns) else None
+    if batch is None or not np.array_equal(batch.arrival_ns, arrival_ns) or joints not in (None, batch.q.shape[1]):
+        batch = parse_lines(messages.payloads(lines), arrival_ns, joints)
+    batches, malformed = [batch] if len(batch) else [], len(lines) - len(batch)
+    for data in messages.payloads(numbers):
+        read = unpack(data)
+        if read is not None and read.q.shape[1] == (joints or (batches or [read])[0].q.shape[1]):
+            batches.append(read)
+        else:
+            malformed += 1
+    return concatenate(batches or [batch]), malformed
+
+
 class SegmentedReadings:
     """Divides the robot's readings into segments: the robot came back, or its controller restarted.
 
-    Each call returns the batches that are due, and for each whether it begins a segment. The columns of a batch of
-    messages are used if they are those of its lines; else the lines are parsed.
+    Each call returns the batches that are due, and for each whether it begins a segment.
     """
 
     def __init__(self, joints: int | None = None) -> None:
@@ -154,19 +183,13 @@ class SegmentedReadings:
 
     def take(self, messages: Messages) -> list[tuple[bool, JointBatch]]:
         """Take a batch of messages; those of other topics are ignored."""
-        lines, columns, events = (messages.rows(topic.__eq__) for topic in (JOINTS, COLUMNS, "/events"))
+        events = messages.rows("/events".__eq__)
         self._returns_ns += [int(messages.t_host_ns[k]) for k in events.tolist() if _BACK in messages.payload(k)]
-        arrival_ns = messages.t_host_ns[lines]
-        batch = unpack(*messages.payloads(columns)) if len(columns) else None
-        if batch is None or not np.array_equal(batch.arrival_ns, arrival_ns):
-            batch = parse_lines(messages.payloads(lines), arrival_ns, self._joints)
-            self.malformed += len(lines) - len(batch)
+        batch, malformed = joint_batch(messages, self._joints)
+        self.malformed += malformed
         if not len(batch):
             return []
-        self._joints = self._joints or batch.q.shape[1]
-        if batch.q.shape[1] != self._joints:
-            self.malformed += len(batch)
-            return []
+        self._joints = batch.q.shape[1]
         self._batches.append(batch)
         # The first must be long enough to show the period of the readings.
         return self.finish() if sum(map(len, self._batches)) >= CHUNK else []

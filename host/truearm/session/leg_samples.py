@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from truearm.session.box_ident import Channel
 from truearm.session.device_clock import DeviceClock
-from truearm.session.joint_format import JOINTS, UNNUMBERED, parse_lines
-from truearm.session.joint_readings import JointStream
+from truearm.session.joint_format import UNNUMBERED, JointBatch
+from truearm.session.joint_readings import JointStream, joint_batch
 from truearm.session.line_legs import Leg
 from truearm.session.message_columns import LATEST_NS, Messages
 from truearm.session.samples import ChannelBlocks, columns_in, of_channels
@@ -83,15 +83,15 @@ class LegListener:
 
     def take(self, messages: Messages, blocks: Sequence[Blocks]) -> list[LegSamples]:
         """Process a batch of messages and the blocks released with it."""
-        lines = messages.rows(lambda topic: topic == JOINTS)
-        arrival_ns = messages.t_host_ns[lines]
+        readings, _ = joint_batch(messages, len(self._joints.step))
+        arrival_ns = readings.arrival_ns
         pieces = [wanted for some in blocks for wanted in self._wanted_of(some)]
         self._now_ns = max([self._now_ns, *arrival_ns[-1:].tolist(), *(int(ns[-1]) for _, _, ns in pieces)])
         while self._waiting and self._waiting[0].leg.start_host_ns < self._now_ns + EARLY_NS:
             self._open.append(self._waiting.popleft())
         for heard in self._open:
             begin_ns, end_ns = heard.leg.start_host_ns - EARLY_NS, heard.leg.end_host_ns + LATE_NS
-            self._parse(heard, messages, lines[(arrival_ns > begin_ns) & (arrival_ns <= end_ns)])
+            self._add(heard, readings[(arrival_ns > begin_ns) & (arrival_ns <= end_ns)])
             for k, piece, block_ns in pieces:
                 during = (block_ns > begin_ns) & (block_ns <= end_ns) & ~piece.blocks.fault
                 if during.any():
@@ -118,9 +118,8 @@ class LegListener:
             self._goes_on[k] = bool(well[-1])
             yield k, _Piece(piece, before & ~piece.gap), blocks.frames["t_host_ns"]
 
-    def _parse(self, heard: LegSamples, messages: Messages, rows: NDArray[np.intp]) -> None:
+    def _add(self, heard: LegSamples, said: JointBatch) -> None:
         """Keep the readings within the leg's own segment and time."""
-        said = parse_lines(messages.payloads(rows), messages.t_host_ns[rows], len(self._joints.step))
         if len(said):
             segment = np.searchsorted(self._segment_from, said.arrival_ns, side="right") - 1
             mine = (segment == heard.leg.segment) & (said.t >= heard.leg.start_s) & (said.t <= heard.leg.end_s)

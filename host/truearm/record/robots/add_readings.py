@@ -16,13 +16,15 @@ from pathlib import Path
 
 from truearm.errors import Argument, InputError, SessionError
 from truearm.record.robots.joint_table import AddedReading
+from truearm.record.session_schemas import ROBOT_PREVIEW
 from truearm.record.session_writer import Anchor, SessionWriter, media_type, read_anchor
-from truearm.session.joint_format import JOINTS
+from truearm.session.joint_format import JOINTS, READINGS
 from truearm.session.session_file import Session
 from truearm.types import Message
 from truearm.units import NS
 
 ANCHORS = ("session", "session-end")
+OWN = (JOINTS, READINGS, ROBOT_PREVIEW)  # topics of a session's readings
 MAX_NS = 2**63
 MAX_RATE = 1e-3  # if host clock and UTC differ by more, the clock was set in between: only the first anchor is used
 
@@ -91,7 +93,7 @@ def add_readings(
 
     with SessionWriter(out, anchors) as writer:
         _copy_head(session, writer)
-        old = (m for m in session.messages() if not (replace and m.topic == JOINTS))
+        old = (m for m in session.messages() if not (replace and m.topic in OWN))
         for message in heapq.merge(old, added(), key=attrgetter("t_host_ns")):
             writer.add(message.topic, message.t_host_ns, message.data)
         if not inside:
@@ -120,7 +122,7 @@ def _span(session: Session, replace: bool) -> tuple[int, int]:
     """Return the first and last host time of the session's messages. Raises SessionError if they include readings."""
     begin_ns, end_ns = MAX_NS, -1
     for message in session.messages():
-        if message.topic == JOINTS and not replace:
+        if message.topic in OWN and not replace:
             raise SessionError(
                 f"{session.path}: has joint readings already; give ",
                 *(Argument("replace"), " to replace them in the new file"),

@@ -1,6 +1,6 @@
 """Universal Robots controllers as a joint source: RTDE on port 30004 (``rtde_packages``), with readings as lines.
 
-The stored line holds each number of a data package with all its digits: ``t`` (timestamp: seconds since the controller
+A line holds each number of a data package with all its digits: ``t`` (timestamp: seconds since the controller
 started), ``q`` (actual_q), and if the controller has them ``q_cmd`` (target_q), ``qd`` (actual_qd), ``current``
 (actual_current [A]), ``inputs`` (actual_digital_input_bits), ``robot_mode`` and ``runtime_state``. Measured and
 commanded joints are kept separate: ``target_q`` never replaces ``actual_q``.
@@ -57,6 +57,7 @@ class RtdeLink:
 
     def __init__(self, url: str, clock: Clock, first_s: float | None = None) -> None:
         self.name = url
+        self.numeric = True  # the recorder stores columns in place of lines
         host, port, hz = _address(url)
         self._clock = clock
         self._packages = rtde.Packages()
