@@ -204,7 +204,11 @@ def test_quantisation_is_seen_although_the_robot_moves_fast():
 
 
 def test_robot_clock_follows_the_fastest_packets():
-    """The fastest of 250 packets a second is late by 1.6 µs on average; in a queue of seconds, 1 µs a second is added."""
+    """The fastest of 250 packets a second is late by 1.6 µs on average, and the estimate is no later.
+
+    The rate may change by 1 ppm from one second to the next, so the estimate can follow the quicker ones of the seconds
+    around, but not the quickest of a minute (0.03 µs).
+    """
     rng = np.random.default_rng(4)
     floor, tail, hz, rate = 350e3, 400e3, 250.0, 45e-6
     t = 7000.0 + np.arange(int(200 * hz)) / hz
@@ -215,8 +219,9 @@ def test_robot_clock_follows_the_fastest_packets():
     (report,) = stream.reports
     error = stream.clocks[0].to_host_ns(t[::50]) - (sent[::50] + floor)
     assert np.all(np.abs(error) <= stream.clocks[0].bound_at(t[::50]))
-    assert np.median(np.abs(error)) < 5000.0
-    assert report.rate_ppm == pytest.approx(45.0, abs=0.1)
+    assert error.min() > -50.0  # it lies under no packet
+    assert np.mean(error) < tail / hz
+    assert report.rate_ppm == pytest.approx(45.0, abs=0.03)
     half = np.floor((t - 7000.0) / 30.0)
     means = [np.mean((arrival - sent - floor)[half == k]) for k in np.unique(half)]
     assert report.jitter_ns == pytest.approx(np.median(means), abs=5000.0)

@@ -33,6 +33,7 @@ from truearm.clocks import SLEWED_WANDER
 from truearm.types import Floats, Ints
 from truearm.units import PPM
 
+CELLS = 10  # in a second: in one of them, clocks drift by less than the heights of its packets
 NODE_S = 10.0  # between the nodes of a clock: a drift of 1 ppm a minute bends it by less than 1 µs in between
 AROUND_S = 30.0  # before and after a node, for its bound
 RUN = 8  # seconds that contain a packet nearly as fast as possible
@@ -126,7 +127,11 @@ class RobotClockReport:
 
 @dataclass
 class Arrivals:
-    """Collects (controller time, arrival) of one segment; keeps the fastest reading of each second, and sums."""
+    """Collects (controller time, arrival) of one segment; keeps the fastest reading of each second, and sums.
+
+    Clocks with rates 45 ppm apart drift by 45 µs in a second, which would make its first readings seem the fastest.
+    Cells are kept so that the drift is removed first.
+    """
 
     t_ref_s: float
     host_ref_ns: int
@@ -139,7 +144,7 @@ class Arrivals:
         """Take readings (n,) in order of arrival."""
         dt = t_robot_s - self.t_ref_s
         latency = (t_host_ns - self.host_ref_ns - np.rint(1e9 * dt).astype(np.int64)).astype(np.float64)
-        rows = np.stack([np.floor(dt), dt, latency, np.ones(dt.size), dt, latency])
+        rows = np.stack([np.floor(CELLS * dt), dt, latency, np.ones(dt.size), dt, latency])
         self._parts.append(_merged(rows))
         self.readings += dt.size
         self.first_s = min(self.first_s, float(t_robot_s[0]))
@@ -149,11 +154,18 @@ class Arrivals:
         """Return rows (6, k) by second: its number; dt [s] and latency [ns] of the fastest reading; number of readings,
         sums of dt and latency.
         """
-        return _merged(np.concatenate(self._parts, axis=1))
+        cells = _merged(np.concatenate(self._parts, axis=1))
+        cells[0] = np.floor(cells[0] / CELLS)
+        rough = _merged(cells)
+        rate = float(np.median(np.diff(rough[2]) / np.diff(rough[1]))) if rough.shape[1] > 1 else 0.0
+        cells[[2, 5]] -= rate * cells[[1, 4]]
+        seconds = _merged(cells)
+        seconds[[2, 5]] += rate * seconds[[1, 4]]
+        return seconds
 
 
 def _merged(rows: Floats) -> Floats:
-    """Return the rows (6, k) with one column for each second."""
+    """Return the rows (6, k) with one column for each number in the first row."""
     rows = rows[:, np.lexsort((rows[2], rows[0]))]
     first = np.flatnonzero(np.diff(rows[0], prepend=-np.inf))
     return np.concatenate([rows[:3, first], np.add.reduceat(rows[3:], first, axis=1)])
