@@ -162,7 +162,9 @@ IDENTIFICATION: Mapping[str, Statement] = {
     "faults-applied": Statement(
         NOTE, "Applied to the parameters: {names}. The residuals are those of the fit before, as the readings are."
     ),
-    "faults-unseen": Statement(NOTE, "These rows cannot show: {names}."),
+    "faults-unseen": Statement(
+        NOTE, "These rows need not show, and twice the stated error does not contain: {faults}; nor what is larger."
+    ),
     "noise-learned": Statement(
         NOTE,
         "The residuals are not as declared: {noise}, {factor:.2g} times the declared size. A fault is then named only if it predicts rows that were left out.[ Not named for that reason: {refused}.]",

@@ -282,8 +282,9 @@ class ToolClaim:
     ``parameters``: by the noise of the rows. ``unnamed``: by faults that the rows neither show nor exclude. ``rivals``:
     by not knowing which cause a fault has. ``shift``: by not applying the mean of the causes. ``noise`` is the
     declared one or a kernel that was learned, of which the standard deviation is ``noise_factor`` times the declared one.
-    ``chi2_reduced`` is that with the faults as parameters, ``unseen`` what cannot show in these rows,
-    and ``refused`` what is beyond chance but does not predict rows that were left out.
+    ``chi2_reduced`` is that with the faults as parameters. ``unseen`` are the sizes, by SI unit, from which faults that need
+    not show in these rows exceed twice the stated error, ``refused`` what is beyond chance but does not predict rows that
+    were left out.
     """
 
     parameters: Annotated[float, MM]
@@ -293,7 +294,7 @@ class ToolClaim:
     noise: str
     noise_factor: float
     chi2_reduced: float
-    unseen: tuple[str, ...]
+    unseen: Mapping[str, Mapping[str, float]]
     refused: tuple[str, ...] = ()
 
     @property

@@ -317,12 +317,18 @@ def out_and_back(of, rng, amount=0.5e-3):
 
 def slow_noise(of, rng, amount=0.9):
     """Outside the list: noise that neighbours share, AR(1) with that coefficient."""
-    noise, n = [SIGMA * rng.normal()], len(of.q)
-    for step in rng.normal(size=n - 1):
-        noise.append(amount * noise[-1] + SIGMA * np.sqrt(1.0 - amount**2) * step)
+    noise = neighbours_noise(len(of.q), amount, rng)
     world = clean(of, rng)
     length = np.linalg.norm(points(of, world.truth, of.q) - chucks(of), axis=1)
-    return measured(of, world.truth, length, rng, noise=np.array(noise))
+    return measured(of, world.truth, length, rng, noise=noise)
+
+
+def neighbours_noise(n, correlation, rng):
+    """Return AR(1) noise (n,) [m] of the size SIGMA."""
+    noise = [SIGMA * rng.normal()]
+    for step in rng.normal(size=n - 1):
+        noise.append(correlation * noise[-1] + SIGMA * np.sqrt(1.0 - correlation**2) * step)
+    return np.array(noise)
 
 
 def worn_gear(of, rng, amount=0.15e-3):

@@ -20,12 +20,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, amount_of, log_mean, weigh
+from truearm.checks.evidence import SCALES, Design, Weighed, amount_of, log_mean, products, weigh
 from truearm.checks.search import Detection, Search
 from truearm.types import Floats
 
 PRIOR = 0.03  # probability that a kind of fault is there, shared by the items that it can befall
 LEAST_WEIGHT = 1e-5
+HIDDEN = 5.0  # standard deviations that chance and the number of hypotheses hide
 
 
 class Part(NamedTuple):
@@ -156,8 +157,26 @@ def explanations(detection: Detection, result: Search) -> tuple[Part, ...]:
     return tuple(explanation(weighed, weight, design, result.fitted, is_named=True) for weighed, weight in pairs)
 
 
-def unseen(table: Sequence[Weighed], variance: float) -> tuple[str, ...]:
-    """Return the hypotheses whose typical size no row shows: in no candidate and no direction by SHOWN."""
-    return tuple(
-        weighed.name for weighed in table if float(weighed.moments.values.max(initial=0.0)) / variance < SHOWN**2
-    )
+def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
+    """Return faults that need not show, and twice the stated error does not contain: their sizes by SI unit.
+
+    Rows and a prior of the typical size give them a posterior, without a finding; HIDDEN standard deviations of it are
+    hidden. Of each kind and its units it is the least size of any hypothesis, in its median candidate: a step at the first
+    row is an offset. The kinds of findings are none.
+    """
+    fitted, limit = result.fitted, 2.0 * average.error({})
+    values, vectors = np.linalg.eigh(fitted.root.T @ average.gram @ fitted.root)
+    follow = fitted.basis[: fitted.fit.residual.size] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    named = {part.weighed.hypothesis.kind for options in average.choices for part in options}
+    least: dict[tuple[str, tuple[str, ...]], tuple[float, str, dict[str, float]]] = {}
+    for hypothesis, moments in ((weighed.hypothesis, weighed.moments) for weighed in result.table):
+        root = HIDDEN * moments.vectors / np.sqrt(1.0 + moments.values / result.design.variance)[:, None]
+        loading = products(hypothesis, follow)[:, : hypothesis.sizes.size]
+        direction, moves, _ = np.linalg.svd(root.swapaxes(1, 2) @ loading, full_matrices=False)
+        median = int(np.argsort(moves[:, 0])[len(moves) // 2])
+        if moves[median, 0] > limit and hypothesis.kind not in named:
+            size = root[median] @ direction[median, :, 0] * (limit / moves[median, 0])
+            units = tuple(dict.fromkeys(hypothesis.units))
+            fault = float(np.linalg.norm(size)), hypothesis.name, hypothesis.by_unit(size)
+            least[hypothesis.kind, units] = min(fault, least.get((hypothesis.kind, units), fault))
+    return {name: size for _, name, size in sorted(least.values(), key=lambda fault: fault[:2])}

@@ -8,6 +8,7 @@ listed here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -82,6 +83,13 @@ class Hypothesis:
         """Return the columns (m, d) of a candidate."""
         profile = self.candidates.of_profiles(self.candidates.profiles)[number]
         return np.asarray(self.columns[:, : self.sizes.size] * profile[self.fit.row, None])
+
+    def by_unit(self, size: Floats) -> dict[str, float]:
+        """Return the norms of a ``size`` (d,) in typical ones, over the numbers of each SI unit."""
+        squares = dict.fromkeys(self.units, 0.0)
+        for unit, number in zip(self.units, (size * self.sizes).tolist(), strict=True):
+            squares[unit] += number**2
+        return {unit: math.sqrt(square) for unit, square in squares.items()}
 
 
 class Catalogue:

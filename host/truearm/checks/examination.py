@@ -43,8 +43,8 @@ class Examination:
     average: Average
     free: Mask
 
-    def applied(self, names: Sequence[str]) -> tuple[Floats, Floats]:
-        """Return the change (P,) of the parameters with some causes applied, and their mean square error (P, P) then.
+    def applied(self, names: Sequence[str]) -> tuple[Floats, Floats, float]:
+        """Return the change (P,) of the parameters with some causes applied; their mean square error (P, P), and shift, then.
 
         "mean" applies the mean of the rivals of each fault. Raises InputError for a cause that no fault has.
         """
@@ -67,7 +67,7 @@ class Examination:
         full[self.free] = np.sum([np.zeros(len(self.average.gram)), *steps.values()], axis=0)
         covariance = np.zeros((self.free.size, self.free.size))
         covariance[np.ix_(self.free, self.free)] = self.average.covariance(steps)
-        return full, covariance
+        return full, covariance, self.average.moves(self.average.bias(steps))
 
 
 def examined(
@@ -104,7 +104,7 @@ def examined(
         kernel.name,
         kernel.scale,
         declared.chi2 / max(declared.freedom, 1.0),
-        unseen(result.table, result.design.variance),
+        unseen(result, average),
         result.refused,
     )
     return Examination(diagnoses(result, average, table), claim, average, estimate.free)

@@ -54,8 +54,8 @@ def likelihood(fit: WhitenedFit, kernel: Kernel) -> tuple[float, float]:
     """
     m, k = fit.jac.shape
     white = kernel.whiten(np.column_stack([fit.jac, fit.residual]))
-    length = np.maximum(np.linalg.norm(np.concatenate([fit.jac, fit.prior[:, :-1]]), axis=0), 1e-300)
-    white, prior = white / np.append(length, 1.0), fit.prior / np.append(length, 1.0)
+    length = np.maximum(np.linalg.norm(np.concatenate([fit.jac, fit.wide_prior[:, :-1]]), axis=0), 1e-300)
+    white, prior = white / np.append(length, 1.0), fit.wide_prior / np.append(length, 1.0)
     data = white.T @ white
     lower = np.linalg.cholesky(data + prior.T @ prior + 1e-12 * np.eye(k + 1))
     half = linalg.solve_triangular(lower[:k, :k], data[:k, :k], lower=True)

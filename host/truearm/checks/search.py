@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
 from truearm.checks.catalogue import LEAST_ROWS, Hypothesis, rows_used, spans_of
-from truearm.checks.evidence import Design, Weighed, build_design, weigh
+from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, weigh
 from truearm.checks.held_out import gain, left_out, left_out_blocks
 from truearm.checks.noise import learned_noise
 from truearm.checks.whitened import DECLARED, WhitenedFit
@@ -62,20 +62,23 @@ def columns_of(detections: Sequence[Detection], fit: WhitenedFit) -> Floats:
 
 
 def checked(fit: WhitenedFit, hypotheses: Sequence[Hypothesis]) -> Search:
-    """Return the findings under the declared noise; where that does not describe the rows, under a noise learned from them."""
+    """Return the findings under the declared noise; where that does not describe the rows, under a noise learned from them.
+
+    That noise is learned beside the findings if these explain more than it does without them.
+    """
     bare = build_design(fit, DECLARED, fit.wide_prior)
-    is_small = bare.chi2 < special.chdtri(bare.freedom, 1.0 - ODD / 2.0)  # which no finding explains
     fitted = build_design(fit, DECLARED, fit.prior)
-    plain = None if is_small else searched(bare, hypotheses, fitted)
-    still_odd = plain is None or is_odd(plain.design)
-    if plain is not None and not (still_odd or is_odd(bare)):
+    plain = searched(bare, hypotheses, fitted)
+    is_small = bare.chi2 < special.chdtri(bare.freedom, 1.0 - ODD / 2.0)  # which no finding explains
+    still_odd = is_odd(plain.design)
+    if not (is_small or is_odd(bare) or still_odd):
         return plain
     kernel = learned_noise(fit)
-    if plain is not None:
+    if not is_small:
         explained = sum(detection.best.log_evidence - math.log(len(hypotheses)) for detection in plain.detections)
-        if kernel.declared or (not still_odd and explained > kernel.gain):
-            return plain
-    return searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted)
+        beside = learned_noise(fit.extended(columns_of(plain.detections, fit), WIDEST)) if still_odd else DECLARED
+        kernel = beside if explained + beside.gain > kernel.gain else kernel
+    return plain if kernel.declared else searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted)
 
 
 def is_odd(design: Design) -> bool:
@@ -104,14 +107,10 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
     while True:
         design = bare.extended(columns_of(detections, fit))
         table = tuple(weigh(hypothesis, design) for hypothesis in hypotheses)
-        significant = [
-            weighed
-            for weighed in table
-            if weighed.log_chance + log_count < math.log(LEVEL) and weighed.log_evidence > 0.0
-        ]
+        significant = {weighed.name for weighed in table if is_significant(weighed, log_count)}
         if not significant or refused or len(detections) == MOST_FINDINGS:
             return Search(tuple(detections), design, table, fitted, block, refused)
-        detection = detected(by_evidence(significant)[0], table, design)
+        detection = detected(significant, table, design)
         before = fitted.extended(columns_of(detections, fit))
         held_out = gain(left_out(before, block), left_out(before.extended(detection.best.columns), block), block)
         if bare.kernel.declared or special.stdtr(np.unique(block).size - 1, -held_out.t) < UNCONFIRMED:
@@ -120,17 +119,22 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
             refused = detection.names
 
 
-def by_evidence(table: Sequence[Weighed]) -> list[Weighed]:
-    """Return hypotheses, the most probable first; equals, which rounding would order, in their own order."""
-    return [table[number] for number in largest_first([weighed.log_evidence for weighed in table])]
+def is_significant(weighed: Weighed, log_count: float) -> bool:
+    """Return whether chance hardly gives such a reduction of χ² to any of the hypotheses, by the logarithm of their number."""
+    return weighed.log_chance + log_count < math.log(LEVEL) and weighed.log_evidence > 0.0
 
 
-def detected(likely: Weighed, table: Sequence[Weighed], design: Design) -> Detection:
-    """Return a finding, those nearly as probable, and those that no rows can tell from it, all with their ends refined."""
-    least = likely.log_evidence - RIVAL
-    others = by_evidence([other for other in table if other.name != likely.name and other.log_evidence > least])
-    best, *rivals = (refined(weighed, design) for weighed in (likely, *others))
-    return Detection(best, tuple(rivals), tuple(rival.name for rival in rivals if is_same(best, rival, design)))
+def detected(significant: Collection[str], table: Sequence[Weighed], design: Design) -> Detection:
+    """Return the most probable of the ``significant`` hypotheses, those nearly as probable, and those that no rows can tell from it.
+
+    Steps and runs have their ends refined before they are compared: a large error has no evidence between two knots.
+    """
+    every = [refined(weighed, design) for weighed in table]
+    likely = [every[number] for number in largest_first([weighed.log_evidence for weighed in every])]
+    best = next(weighed for weighed in likely if weighed.name in significant)
+    least = best.log_evidence - RIVAL
+    rivals = tuple(other for other in likely if other is not best and other.log_evidence > least)
+    return Detection(best, rivals, tuple(rival.name for rival in rivals if is_same(best, rival, design)))
 
 
 def is_same(first: Weighed, second: Weighed, design: Design) -> bool:

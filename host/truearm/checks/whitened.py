@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -62,6 +62,13 @@ class WhitenedFit:
     @property
     def n(self) -> int:
         return int(self.how.row.size)
+
+    def extended(self, columns: Floats, widest: float) -> WhitenedFit:
+        """Return the fit with further ``columns`` (m, f) as parameters, within ``widest`` of 0."""
+        f, k = columns.shape[1], self.jac.shape[1]
+        apart = np.insert(self.wide_prior, [k] * f, 0.0, axis=1)
+        added = np.pad(np.eye(f) / widest, ((0, 0), (k, 1)))
+        return replace(self, jac=np.column_stack([self.jac, columns]), wide_prior=np.concatenate([apart, added]))
 
 
 class SharedNoise(NamedTuple):

@@ -26,7 +26,6 @@ MAX_COPIES = 5  # copied rows that are named
 MAX_ROWS = 6  # bad rows that are named
 MAX_TERMS = 4  # parameters that are named
 MAX_CHOICES = 6  # causes whose application is described
-MAX_UNSEEN = 12  # causes that cannot show and are named
 SETTLED = "estimated from the rows that judge"  # unknowns of the rig
 EVERY = ".all"  # ends the name of all items of a type
 FORMS = {  # what an item does, by the form of a hypothesis; of another form, a kind's own, the name is shown
@@ -268,9 +267,11 @@ def fault_findings(document: Document, judging: bool = False) -> list[Finding]:
         noise = NOISES.get(claim["noise"], claim["noise"])
         findings.append(Finding("noise-learned", {"noise": noise, "factor": claim["noise_factor"], "refused": refused}))
     if claim and claim["unseen"]:
-        names = [cause(name) for name in claim["unseen"][:MAX_UNSEEN]]
-        more = len(claim["unseen"]) - len(names)
-        findings.append(Finding("faults-unseen", {"names": [*names, f"{more} more"] if more > 0 else names}))
+        hidden = [
+            f"{cause(name)} by {' and '.join(UNITS[unit].scale.text(size, '.2g') for unit, size in sizes.items())}"
+            for name, sizes in claim["unseen"].items()
+        ]
+        findings.append(Finding("faults-unseen", {"faults": hidden}))
     return findings
 
 

@@ -277,15 +277,12 @@ def with_average(
         if causes:
             raise InputError(Argument("apply"), f" {causes[0]}: this fit does not show faults")
         return estimate
-    change, covariance = examination.applied(causes)
+    change, covariance, shift = examination.applied(causes)
     sigma = np.where(np.isfinite(estimate.sigma), np.sqrt(np.diag(covariance)), np.nan)
     estimate = replace(estimate, value=estimate.value + change, covariance=covariance, sigma=sigma)
     if not causes:
         return estimate
-    claim = estimate.claim
-    if claim is not None and MEAN in causes:
-        claim = replace(claim, shift=0.0)
-    estimate = replace(estimate, applied=tuple(causes), claim=claim)
+    estimate = replace(estimate, applied=tuple(causes), claim=replace(examination.claim, shift=shift))
     return rejudged(chain, rig, table, estimate)
 
 
