@@ -86,7 +86,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     # the verdict
     "usable": Statement(
         RESULT,
-        "Usable[{unjudged:!}, but not judged by poses that were not fitted]: the [mean error of {n:#pose} {by}][RMS of {rows}] is {after}, and {before} with the nominal robot.",
+        "Usable[{unjudged:!}, but not judged by poses that were not fitted][, but expect tool errors of {expected} RMS by a fault that it does not contain]: the [mean error of {n:#pose} {by}][RMS of {rows}] is {after}, and {before} with the nominal robot.",
     ),
     "no-gain": Statement(
         WARNING,
@@ -151,7 +151,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "fault-choice": Statement(
         WARNING,
-        "The result does not contain it[. {choices}||, and nothing is offered to apply][{few:!}: rows of at least three places would have to confirm it][{worse:!}: left-out rows would be predicted worse][{lasting:!}: it stays in the arm, and only joint laws ({@joint_laws} auto) can describe it].[ If all of {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
+        "The result does not contain it[. {choices}||, and nothing is offered to apply][{few:!}: rows of at least three places would have to confirm it][{worse:!}: left-out rows would be predicted worse][{lasting:!}: it stays in the arm, and only joint laws ({@joint_laws} auto) can describe it].[ If all {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
         "[Measure {deciding} again to decide.][{both:!} ][To apply it: {@apply} {first}.]",
     ),
     "faults-here": Statement(

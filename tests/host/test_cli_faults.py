@@ -70,6 +70,9 @@ def test_the_mean_of_the_causes_is_applied_on_request(run: Run, tmp_path) -> Non
     predicted = [document["predicted_error"]["rms_mm"] * 1e-3 for document in (plain, applied, one)]
     assert predicted[1] == pytest.approx(plain["faults"][0]["mean"]["error_mm"] * 1e-3, rel=1e-3)
     assert predicted[1] < predicted[2] < predicted[0]
+    for document, total in zip((plain, applied, one), predicted, strict=True):
+        parts = [document["claim"][f"{part}_mm"] for part in ("parameters", "unnamed", "rivals", "shift")]
+        assert np.linalg.norm(parts) * 1e-3 == pytest.approx(total, rel=0.02)
     assert errors[0] < 2.0 * predicted[0]
     assert errors[1] < 2.0 * predicted[1]
     assert (plain["applied"], applied["applied"], one["applied"]) == ([], ["mean"], ["bar.sag"])
@@ -91,6 +94,7 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
     expected = findings["tool-error-by-sigmas"].values
     assert expected["tool"]["mm"] > expected["error"]["mm"] > 0.0
     assert expected["faults"]["mm"] > expected["parameters"]["mm"]
+    assert findings["usable"].values["expected"] == expected["tool"]
     text = html.unescape(page.read_text())
     assert findings["tool-error-by-sigmas"].text() in text
     assert findings["fault"].text() in text

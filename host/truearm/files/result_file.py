@@ -174,7 +174,7 @@ class Result(Struct, frozen=True, kw_only=True):
     suspect: tuple[Entry, ...] = ()
     scale: Figures | None = None
     faults: tuple[Entry, ...] = ()
-    claim: Entry | None = None
+    claim: dict[str, Any] | None = None
     applied: Names = ()
     unexplained: Entry | None = None
     mean_change: Entry | None = None

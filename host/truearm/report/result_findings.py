@@ -87,14 +87,23 @@ def verdict(document: Document) -> Finding:
     change, because = document["mean_change"], document["unusable_because"]
     if because is not None:
         return _unusable(Unusable(because), document)
+    predicted, shown = document["predicted_error"], document["unexplained"] or {}
+    expected = {}
+    if document["faults"] and not document.get("applied") and predicted:
+        expected = {"expected": {"mm": max(predicted["rms_mm"], shown.get("mean_mm") or 0.0)}}
     if change is not None:
-        return Finding("no-gain" if change["gain"] == Gain.NONE else "usable", _change(change))
+        gain = change["gain"] != Gain.NONE
+        return Finding("usable" if gain else "no-gain", _change(change) | (expected if gain else {}))
     judged, before = document["held_out"], document["held_out_before"]
     if judged is not None and before is not None:
         rows = counted(judged["n"], "held-out row")
-        return Finding("usable", {"rows": rows, "after": sizes(judged, "rms"), "before": sizes(before, "rms")})
+        return Finding(
+            "usable", {"rows": rows, "after": sizes(judged, "rms"), "before": sizes(before, "rms"), **expected}
+        )
     after, before = (sizes(document, name) for name in ("rms_after", "rms_before"))
-    return Finding("usable", {"unjudged": True, "rows": "the fitted rows", "after": after, "before": before})
+    return Finding(
+        "usable", {"unjudged": True, "rows": "the fitted rows", "after": after, "before": before, **expected}
+    )
 
 
 def _change(change: Document) -> dict[str, Any]:
@@ -278,8 +287,9 @@ def fault_findings(document: Document, judging: bool = False) -> list[Finding]:
 def cause(name: str) -> str:
     """Return a hypothesis in words: "chuck.c1.step" is "chuck.c1 has moved"."""
     item, _, form = name.rpartition(".")
-    several = f"all of {item.removesuffix(EVERY)}" if item.endswith(EVERY) else item
-    return f"{one_line(several)} {FORMS.get(form, f'({one_line(form)})')}"
+    if item.endswith(EVERY):
+        return f"all {one_line(item.removesuffix(EVERY))}s are off"
+    return f"{one_line(item)} {FORMS.get(form, f'({one_line(form)})')}"
 
 
 def _fault(fault: Document) -> Finding:
@@ -332,7 +342,7 @@ def _choice(fault: Document) -> Finding:
             "few": not (every or lasting) and rivals[0]["gain"] is None,
             "worse": not (every or lasting or rivals[0]["gain"] is None),
             "lasting": lasting,
-            "every": [name.rpartition(".")[0].removesuffix(EVERY) for name in every[:1]],
+            "every": [f"{name.rpartition('.')[0].removesuffix(EVERY)}s" for name in every[:1]],
             "sigma": size and UNITS[size["unit"]].scale.text(size["value"] / numbers, ".2g"),
             "deciding": deciding,
         }
