@@ -88,6 +88,17 @@ CASES = {
 }
 
 
+def test_runs_are_what_changed_in_the_end():
+    """A run that is relabelled as a whole, and then in part given back, is two."""
+    score = np.zeros((3, 60))
+    score[2], score[1], score[1, 20:22] = -100.0, -9.0, -12.0
+    score[1, 5:20] = score[1, 22:40] = 5.0
+    labels, runs = best_labels(score, np.zeros(60, dtype=np.intp))
+    assert [run[:3] for run in runs] == [(5, 20, 1), (22, 40, 1)]
+    assert np.flatnonzero(labels).tolist() == [*range(5, 20), *range(22, 40)]
+    assert [run[3] for run in runs] == pytest.approx([15 * (5.0 - PRICE), 18 * (5.0 - PRICE)])
+
+
 @pytest.mark.parametrize("case", ["a chuck", *(pytest.param(one, marks=pytest.mark.soak) for one in list(CASES)[1:])])
 def test_shells_with_a_wrong_label_come_back(shells, case):
     changes = {column: [(of(shells, *pair), name) for pair, name in moves] for column, moves in CASES[case].items()}

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice, product
+from itertools import islice, pairwise, product
 from typing import Any
 
 import numpy as np
@@ -244,24 +244,23 @@ def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[tuple[i
     The last label stands for none, which fewer than LEAST_APART rows do not get. A run begins at any of n rows and has any
     of l + 1 labels, so that one of them gains ``sure`` by chance with a probability of at most LEVEL.
     """
-    sure = np.log(score.size / LEVEL)  # nats
-    labels, runs = original.copy(), list[tuple[int, int, int, float]]()
-    each = np.arange(original.size)
-    allowed = list(range(len(score)))
-    while len(runs) < MOST_RUNS:
-        candidates = [(*best_run(score[number] - score[labels, each] - PRICE), number) for number in allowed]
-        gain, first, last, label = max(candidates)
+    sure, row = np.log(score.size / LEVEL), np.arange(original.size)
+    labels, allowed, none = original.copy(), list(range(len(score))), len(score) - 1
+    for _ in range(MOST_RUNS):
+        gain, first, last, label = max((*best_run(score[i] - score[labels, row] - PRICE), i) for i in allowed)
         if gain < sure:
             break
-        if label == len(score) - 1 and last - first < LEAST_APART:
-            allowed.remove(label)
-            continue
-        if label == len(score) - 1:  # a few rows at an end of the table are no set-up of their own
-            first = 0 if first < LEAST_APART else first
-            last = labels.size if last > labels.size - LEAST_APART else last
-        labels[first:last] = label
-        runs.append((first, last, label, gain))
-    return labels, sorted(runs)
+        if label != none:
+            labels[first:last] = label
+        elif last - first < LEAST_APART:
+            allowed.remove(none)
+        else:  # a few rows at an end of the table are no set-up of their own
+            labels[0 if first < LEAST_APART else first : None if last > labels.size - LEAST_APART else last] = none
+    gains = score[labels, row] - score[original, row] - PRICE
+    edges = [0, *np.flatnonzero(np.diff(np.where(labels == original, -1, labels))) + 1, labels.size]
+    return labels, [
+        (a, b, int(labels[a]), float(gains[a:b].sum())) for a, b in pairwise(edges) if labels[a] != original[a]
+    ]
 
 
 def best_run(gain: Floats) -> tuple[float, int, int]:
