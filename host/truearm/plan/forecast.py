@@ -9,7 +9,7 @@ that it assumes by default, follow from the same rows (``choose_defaults``).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -93,6 +93,7 @@ class Known:
     prior: Prior | None = None
     branch: Branch | None = None
     links: Capsules | None = None
+    deciding: frozenset[str] = frozenset()  # what to mount, such as "chuck c2", to decide between causes of a fault
 
     @classmethod
     def design(cls, robot: Robot, rig: Rig) -> Known:
@@ -289,12 +290,4 @@ def with_rig_values(rig: Rig, values: Mapping[str, float]) -> Rig:
             x, y, z = (values.get(f"{column}.{name}.{k}", v) for k, v in zip("xyz", point.xyz, strict=True))
             moved[name] = replace(point, xyz=(x, y, z))
         rig = rig.with_named(field, moved)
-    return rig
-
-
-def with_first(rig: Rig, names: Collection[str]) -> Rig:
-    """Return the rig with some of its points, such as "chuck c2", before the others: a plan begins with these."""
-    for column, field in points_of_rig().items():
-        points = sorted(rig.named(field).items(), key=lambda entry: f"{column} {entry[0]}" not in names)
-        rig = rig.with_named(field, dict(points))
     return rig

@@ -24,7 +24,7 @@ from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, 
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
-from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_first, with_rig_values
+from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_rig_values
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
@@ -196,6 +196,11 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, is_i
     )
     site = make_site(known, limits, Sizes(), options.seed)
     pairings, pace = all_pairings(known.rig, options.bars), Pace(dwell=options.dwell)
+    if known.measured is not None and known.deciding:  # all poses on the mounts that decide
+        decides = [
+            pairing for pairing in pairings if known.deciding >= {f"chuck {pairing.chuck}", f"sphere {pairing.sphere}"}
+        ]
+        pairings = decides or pairings
     return plan_ballbar(site, known, pairings, wanted, pace, options.region)
 
 
@@ -252,18 +257,15 @@ def plan_approaches_files(
 
 
 def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known:
-    """Return what is known before a plan: the design, or a result's robot and its estimates of the rig.
-
-    What would decide between the causes of a fault in the result comes first in the rig, and so in the plan.
-    """
-    params, values = robot.chain.params_nominal, {}
+    """Return what is known before a plan: the design, or a result's robot, its estimates of the rig, and open questions."""
+    params, values, deciding = robot.chain.params_nominal, {}, frozenset[str]()
     if result is not None:
         estimates = {parameter.name: parameter.value for parameter in result.stored.parameters}
         params, values = result.identified, {name: value for name, value in estimates.items() if value is not None}
-        rig = with_first(rig, [name for fault in result.stored.faults for name in cast("list[str]", fault["deciding"])])
+        deciding = frozenset(cast("str", name) for fault in result.stored.faults for name in fault["deciding"])
     prior = default_prior(robot, DEFAULTS.solver)
     known = Known.design(robot, with_rig_values(rig, values))
-    return replace(known, params=params, rig_values=values, free=robot.free, prior=prior)
+    return replace(known, params=params, rig_values=values, free=robot.free, prior=prior, deciding=deciding)
 
 
 def _named(what: str, given: str | None, have: Iterable[str]) -> str:
