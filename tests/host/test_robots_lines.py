@@ -12,6 +12,7 @@ import pytest
 from record_files import events, topics
 from record_real import box_on_a_socket
 from tests.host.findings_bench import listed
+from tests.host.tcp_peer import Peer
 from tests.refusals import refused, shown
 
 from truearm.cli.main import main
@@ -173,23 +174,6 @@ class TestCsv:
         with pytest.raises(InputError, match=says) as failure:
             read_columns(header.split(","))
         assert len(str(failure.value)) < 300
-
-
-class Peer:
-    """One end of a TCP connection; the other is the robot's address."""
-
-    def __init__(self, data):
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
-        self._data = data
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self):
-        peer, _ = self._listener.accept()
-        with peer:
-            peer.sendall(self._data)
-        self._listener.close()
 
 
 def all_of(link):

@@ -41,6 +41,13 @@ class Said(NamedTuple):
     err: str
 
 
+def findings(text: str) -> dict[str, dict[str, object]]:
+    """Return the values of the findings by code that a command printed with --json; those of its error."""
+    document = json.loads(text)
+    entries = [document["error"]] if "error" in document else document["findings"]
+    return {entry["code"]: entry["values"] for entry in entries}
+
+
 class Copy:
     """A copy of the package in a folder, in which commands run; ``parts``: its folders of the repository."""
 

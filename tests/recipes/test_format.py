@@ -1,13 +1,12 @@
 """A new format to export, the joints' axes, in one new file and one line of the registry."""
 
 import json
-import re
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.recipes.recipes import Copy
+from tests.recipes.recipes import Copy, findings
 from tests.recipes.tracked import RIG, tracked
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
@@ -47,7 +46,8 @@ def said(copy):
     for name in ROBOTS:
         table, result = f"{name}.csv", f"{name}.json"
         commands.append(("identify", table, "--model", name, "--rig", "rig.toml", "--out", result))
-        commands.append(("export", result, "--format", "screws", "--out", f"screws-{name}.json", "--over", table))
+        out = f"screws-{name}.json"
+        commands.append(("export", result, "--format", "screws", "--out", out, "--over", table, "--json"))
     return copy.run_each(*commands)
 
 
@@ -82,15 +82,16 @@ def test_help_lists_it(said):
 
 def test_it_holds_a_robot_without_gains(copy, said):
     assert [each.code for each in said[1:3]] == [0, 0], said[2].err
-    assert "The file holds everything that was identified" in said[2].out
+    assert findings(said[2].out)["exported"] == {"exact": True}
     assert position_errors(copy, "ur5e").max() < 1e-6
 
 
 def test_what_gains_cost_is_said_and_true(copy, said):
     assert [each.code for each in said[3:5]] == [0, 0], said[4].err
-    assert "The format screws has no place for joint1.gain" in said[4].out
-    rms, largest = map(float, re.findall(r"([\d.]+)\smm\s(?:RMS|at\smost)", said[4].out))
+    stated = findings(said[4].out)
+    assert stated["format-lacks"] == {"format": "screws", "names": [f"joint{i}.gain" for i in range(1, 7)]}
+    rms, largest = (stated["exported"][name]["mm"] for name in ("left", "largest"))
     wrong = position_errors(copy, "puma560")
-    assert rms == pytest.approx(np.sqrt(np.mean(wrong**2)), abs=6e-4)
-    assert largest == pytest.approx(wrong.max(), abs=6e-4)
+    assert rms == pytest.approx(np.sqrt(np.mean(wrong**2)), rel=1e-6)
+    assert largest == pytest.approx(wrong.max(), rel=1e-6)
     assert rms > 0.01

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from tests.host.test_robots_lines import Peer
+from tests.host.tcp_peer import Peer
 from tests.recipes.recipes import Copy
 from truearm.session.joint_format import parse_reading
 
@@ -57,7 +57,7 @@ def test_help_and_errors_name_it(copy):
     said = " ".join(copy.run("record", "--help").split())
     assert "semicolons://192.168.0.2:5000 (milliseconds and degrees between semicolons)" in said
     refused = {
-        "colons://127.0.0.1:1": "an address begins with one of tcp://, rtde://, lines+tcp://, lines+udp://, semicolons://",
+        "colons://127.0.0.1:1": "tcp://, rtde://, lines+tcp://, lines+udp://, semicolons://",
         "semicolons://127.0.0.1:1/x": "needs tcp://host:port",
     }
     for url, why in refused.items():
