@@ -27,6 +27,11 @@ class Argument(str):
     __slots__ = ()
 
 
+def option(argument: str) -> str:
+    """Return the name that the command line has for an argument: on screen and pages."""
+    return f"--{argument.replace('_', '-')}"
+
+
 @dataclass(frozen=True)
 class Finding:
     """A statement by its code, such as "shared-use", with the values that its text needs.

@@ -94,7 +94,9 @@ def program(n=30):
             **{"file": "welding_left.mod", "out": LONG, "result": LONG, "error_point": LONG, "robot": LONG},
             **{"base_frame": "base", "end_frame": "flange", "expected_relative_to": ["base", "tool"]},
             **{"unexplained_mm": 0.1, "unexplained_mrad": 0.0, "findings": entries(codes)},
-            "refused": [{"file": "a.mod", "line": 1240, "statement": statement, "text": "a is not known"}],
+            "refused": [
+                {"file": "a.mod", "line": 1240, "statement": statement, "reason": "undeclared", "values": {"name": "a"}}
+            ],
             "targets": targets,
             "moves": [{**moves, **limit}] * 5,
         }

@@ -405,6 +405,12 @@ def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
     assert run("export", "--format", "dh", "--out", below / "robot.csv").err.startswith(
         f"from truearm.toml: ../results/{result.name} --model"
     )
+    code, _, err = run("correct", "../sessions/2026-01-01.mcap", "targets.csv", "--out", "corrected.csv")
+    assert (code, "2026-01-01.mcap" in err, "targets.csv" in err) == (
+        2,
+        True,
+        False,
+    )  # it stands where a result belongs
 
 
 def test_a_plan_is_never_written_over_by_default(project, run):

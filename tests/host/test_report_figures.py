@@ -15,10 +15,16 @@ from truearm.report.calibration_page import render
 from truearm.report.correlation import correlation
 from truearm.report.figures import MAX_POINTS, by_order, figures_of
 from truearm.report.map_picture import Cells, map_picture
-from truearm.report.page_text import escape, figures, number
+from truearm.report.page_parts import tiles
+from truearm.report.page_text import escape, figures, number, size
 from truearm.report.residual_rows import Law, law_of, rows_by_kind
 
 # --- numbers and words
+
+
+def test_an_absent_number_has_no_unit():
+    assert (size(math.nan, "m"), size(2e-3, "m")) == ("–", "2.00 mm")
+    assert "mm" not in tiles([("fit", "expected error", [("–", "mm")], "")])
 
 
 def test_numbers():

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from truearm.finding_texts import Severity
-from truearm.findings import Finding
+from truearm.findings import Finding, option
 from truearm.text import counted, one_line
 
 MAX_LINES = 15  # of the short form
@@ -55,7 +55,7 @@ def _short(findings: Sequence[Finding], console: Console, room: int, more: str) 
 
 
 def _text(finding: Finding) -> str:
-    return finding.text(lambda argument: f"--{argument.replace('_', '-')}")
+    return finding.text(option)
 
 
 def table_of(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:

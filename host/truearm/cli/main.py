@@ -42,7 +42,7 @@ from truearm.cli.status import status
 from truearm.cli.validate import validate
 from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode, table
-from truearm.findings import Finding
+from truearm.findings import Finding, option
 from truearm.text import one_line
 
 # What ``truearm --help`` lists for each task; a typer app is a group of commands.
@@ -187,7 +187,7 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
         if one.opts[0].startswith("-")
         for key in (stem_of(one.name), one.name)
     }
-    return lambda name: options.get(OPTIONS.get(name, name), f"--{name.replace('_', '-')}")
+    return lambda name: options.get(OPTIONS.get(name, name), option(name))
 
 
 def _plain(message: str) -> str:

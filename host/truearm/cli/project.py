@@ -69,10 +69,11 @@ class ProjectCommand(TyperCommand):
             words, *_ = self.make_parser(ctx).parse_args(list(args))
             first, further = (words.get(name) for name in files)
             further = [further] if isinstance(further, str) else further if isinstance(further, list | tuple) else []
+            takes_more = not further or isinstance(words[files[1]], list | tuple)
             kind = kind_of(Path(first)) if isinstance(first, str) else "result"
             if kind != "result" and any(kind_of(Path(file)) == "result" for file in further):
                 raise InputError(f"{first}: stands where the result belongs; give the result first")
-            if kind != "result" and (kind or not further) and (result := ctx.lookup_default("result")):
+            if kind != "result" and (kind or not further) and takes_more and (result := ctx.lookup_default("result")):
                 ctx.meta[RESULT_TAKEN] = [result]
                 args = [result, *args]
         return super().parse_args(ctx, args)

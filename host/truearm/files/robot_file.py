@@ -90,7 +90,11 @@ def robot_file(robot: str) -> Path | None:
         meant = difflib.get_close_matches(word, builtin_names(), n=1) or of_maker
         names = [*builtin_names(), "a .toml or .urdf file"]
         raise RobotError(
-            "wrong-value", place="robot", value=robot, names=names, meant=(meant and not path.suffix) and meant[0]
+            "wrong-value",
+            place=Argument("robot"),
+            value=robot,
+            names=names,
+            meant=(meant and not path.suffix) and meant[0],
         )
     return path
 

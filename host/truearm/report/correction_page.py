@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.findings import findings_of
+from truearm.findings import Reason, findings_of, option
 from truearm.report import svg
 from truearm.report.figures import Figure, drawn
 from truearm.report.page_parts import finding_parts, html_page, picture, pictures, section, table_of, tiles
@@ -35,7 +35,10 @@ _EXPECTED = "by the parameters' covariance and by what the calibration leaves un
 
 def render(document: Document) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
-    refused = [(f"{move['file']}:{move['line']}", move["statement"], move["text"]) for move in document["refused"]]
+    refused = [
+        (f"{move['file']}:{move['line']}", move["statement"], Reason(move["reason"], move["values"]).text(option))
+        for move in document["refused"]
+    ]
     sections = [
         _summary(document),
         section("Not corrected", _rows(_REFUSED, refused, "statements not corrected")) if refused else "",

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Sequence
 from importlib.resources import files
 
 from truearm.finding_texts import Severity
-from truearm.findings import Finding
+from truearm.findings import Finding, option
 from truearm.report.figures import Figure
-from truearm.report.page_text import escape
+from truearm.report.page_text import ABSENT, escape
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
@@ -54,10 +54,10 @@ def finding_parts(findings: Sequence[Finding]) -> tuple[str, str, str]:
     first, *others = [finding for finding in findings if finding.code != "simulated"]
 
     def listed(css: str, *severities: Severity) -> str:
-        return sentences((finding.text() for finding in others if finding.severity in severities), css, 1200)
+        return sentences((finding.text(option) for finding in others if finding.severity in severities), css, 1200)
 
     doubts = listed("remarks doubts", Severity.REFUSAL, Severity.WARNING) + listed("remarks", Severity.ADVICE)
-    heading = f'<h2 class="verdict">{escape(first.text(), 1200)}</h2>'
+    heading = f'<h2 class="verdict">{escape(first.text(option), 1200)}</h2>'
     return heading, doubts, listed("remarks", Severity.RESULT, Severity.NOTE)
 
 
@@ -67,7 +67,8 @@ def tiles(entries: Iterable[tuple[str, str, Iterable[tuple[str, str]], str]]) ->
 
 
 def _tile(css: str, name: str, sizes: Iterable[tuple[str, str]], note: str) -> str:
-    shown = "".join(f'<p class="figure">{value}<span> {unit}</span></p>' for value, unit in sizes)
+    units = [(value, "" if value == ABSENT else unit) for value, unit in sizes]
+    shown = "".join(f'<p class="figure">{value}<span> {unit}</span></p>' for value, unit in units)
     return f'<div class="tile {css}"><p class="name">{name}</p>{shown}<p class="small">{escape(note)}</p></div>'
 
 

@@ -46,4 +46,6 @@ def figures(value: float, count: int = 3) -> str:
 
 def size(value: float, si: str, unit: str | None = None) -> str:
     """Return an SI value with three significant figures in its display unit; ``unit`` replaces the symbol after it."""
+    if not math.isfinite(value):
+        return ABSENT
     return f"{figures(shown(value, si))} {symbol(si) if unit is None else unit}".rstrip()
