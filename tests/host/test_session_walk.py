@@ -21,8 +21,10 @@ HOP = re.compile(r"^\| \d+ \| `session/(\w+)\.py` \| `(?:\w+\.)?(\w+)\(\)` \|(.*
 
 
 def test_an_identified_session_is_opened_and_checked_once(monkeypatch):
-    opened, scan = [], session_file._scan
-    monkeypatch.setattr(session_file, "_scan", lambda path, file: opened.append(path) or scan(path, file))
+    opened, walk = [], session_file.RecordWalk
+    monkeypatch.setattr(
+        session_file, "RecordWalk", lambda path, *more, **k: opened.append(path) or walk(path, *more, **k)
+    )
     path = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
     assert len(read_sources(Sources((path,)), None).table) == 3
     assert opened == [path]

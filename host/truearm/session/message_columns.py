@@ -13,8 +13,9 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO
 
 import lz4.frame
 import numpy as np
@@ -26,7 +27,7 @@ from mcap.records import Attachment, Channel, Chunk, Metadata
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from truearm.errors import Argument, SessionError
+from truearm.errors import SessionError
 from truearm.types import Ints, Message
 
 MAX_CHUNK_BYTES = 64 << 20
@@ -41,9 +42,6 @@ PLAN_COPY = "plan.mcap"  # the attachment that repeats the plan and what was mou
 RECORD = struct.Struct("<BQ")
 LATEST_NS = 1 << 62  # 146 years; differences of later times would not fit int64
 FOOTER_BYTES = 20
-# Raised by the library for a record that ends early, is not valid UTF-8 or claims a length beyond 63 bits.
-UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
-ADVICE = ("copy it again from where it was recorded, or, to use the intact part, give ", Argument("allow_damaged"))
 
 
 def records(file: BinaryIO, end: int, at: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, int, int]]:
@@ -71,20 +69,16 @@ def has_footer(file: BinaryIO, size: int) -> bool:
     return data.endswith(MCAP0_MAGIC) and data.startswith(RECORD.pack(Opcode.FOOTER, FOOTER_BYTES))
 
 
-def damaged(path: Path, at: int) -> NoReturn:
-    raise SessionError("damaged-session", place=path, where=f"at byte {at}")
+class Unreadable(ValueError):
+    """A record is damaged, or claims to be larger than it may be."""
 
 
-def body_of(path: Path, file: BinaryIO, at: int, length: int, limit: int) -> bytes:
-    if length > limit:
-        raise SessionError(
-            f"{path}: a record of {length} bytes at byte {at}; the maximum is {limit}; copy the file again"
-        )
-    file.seek(at)
-    data = file.read(length)
-    if len(data) < length:
-        damaged(path, at)
-    return data
+def parse(kind: Any, body: bytes) -> Any:
+    """Return a record of the library's from its bytes. Raises Unreadable."""
+    try:
+        return kind.read(ReadDataStream(io.BytesIO(body)))
+    except (McapError, struct.error, ValueError, OverflowError) as exc:  # it ends early, or is not valid UTF-8
+        raise Unreadable from exc
 
 
 def metadata_crc(name: str, entries: Mapping[str, str]) -> str:
@@ -93,70 +87,62 @@ def metadata_crc(name: str, entries: Mapping[str, str]) -> str:
     return f"{zlib.crc32(json.dumps(texts).encode()):08x}"
 
 
-def parse_metadata(path: Path, body: bytes, at: int) -> tuple[str, dict[str, str], bool]:
-    """Return name, entries and whether a CRC among them proves them; a CRC that does not match is damage."""
-    try:
-        record = Metadata.read(ReadDataStream(io.BytesIO(body)))
-    except UNREADABLE:
-        damaged(path, at)
+def parse_metadata(body: bytes) -> tuple[str, dict[str, str], bool]:
+    """Return name, entries and whether a CRC among them proves them. Raises Unreadable if that does not match."""
+    record = parse(Metadata, body)
     entries = dict(record.metadata)
     crc = entries.pop(CRC, None)
     if crc is not None and crc != metadata_crc(record.name, entries):
-        damaged(path, at)
+        raise Unreadable
     return record.name, entries, crc is not None
 
 
-def parse_attachment(path: Path, body: bytes, at: int) -> tuple[str, bytes, bool]:
-    """Return name, data and whether a CRC proves them; a CRC that does not match is damage."""
-    try:
-        record = Attachment.read(ReadDataStream(io.BytesIO(body)))
-    except UNREADABLE:
-        damaged(path, at)
+def parse_attachment(body: bytes) -> tuple[str, bytes, bool]:
+    """Return name, data and whether a CRC proves them. Raises Unreadable if that does not match."""
+    record = parse(Attachment, body)
     crc = int.from_bytes(body[-4:], "little")
-    if len(body) < 4 or zlib.crc32(body[:-4]) != crc != 0:
-        damaged(path, at)
+    if zlib.crc32(body[:-4]) != crc != 0:
+        raise Unreadable
     return record.name, record.data, crc != 0
 
 
-def chunk_records(path: Path, file: BinaryIO, at: int, length: int, zstd: zstandard.ZstdDecompressor) -> bytes:
-    """Return the records of a chunk, decompressed within bounds and with the CRC checked.
+def chunk_fits(body: bytes, length: int) -> bool:
+    """Return whether the lengths inside a chunk agree with its own."""
+    if len(body) < 40:
+        return False
+    n_name = int.from_bytes(body[28:32], "little")
+    return n_name <= 8 and 40 + n_name + int.from_bytes(body[32 + n_name : 40 + n_name], "little") == length
+
+
+def chunk_records(body: bytes, zstd: zstandard.ZstdDecompressor) -> bytes:
+    """Return the records of a chunk, decompressed within bounds and with the CRC checked. Raises Unreadable.
 
     ``zstd`` may serve all chunks of one thread: to make it takes longer than to use it.
     """
-    body = body_of(path, file, at, length, MAX_CHUNK_BYTES)
+    if not chunk_fits(body, len(body)):
+        raise Unreadable
+    chunk = parse(Chunk, body)
     try:
-        chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
         data = _decompress(chunk, zstd)
-    except (*UNREADABLE, zstandard.ZstdError, RuntimeError):  # the last is what lz4 raises
-        damaged(path, at)
-    if data is None:
-        raise SessionError(f"{path}: a chunk at byte {at} has an unsupported compression or size; copy the file again")
+    except (zstandard.ZstdError, RuntimeError) as exc:  # the last is what lz4 raises
+        raise Unreadable from exc
     if len(data) != chunk.uncompressed_size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
-        damaged(path, at)
+        raise Unreadable
     return data
 
 
-def _decompress(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes | None:
-    """Decompress a chunk; None if the method is unknown or the chunk is, or claims to be, larger than the bound."""
+def _decompress(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes:
+    """Decompress a chunk, unless it claims to be larger than the bound."""
     if chunk.compression == "zstd":
         # If the frame states its size, zstandard allocates that much regardless of max_output_size.
         claimed = zstandard.get_frame_parameters(chunk.data).content_size
-        if claimed > MAX_CHUNK_BYTES and claimed != zstandard.CONTENTSIZE_UNKNOWN:
-            return None
-        return zstd.decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES)
-    if chunk.compression == "lz4":  # not used by truearm, but bags may use it
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=MAX_CHUNK_BYTES + 1)
-        return data if len(data) <= MAX_CHUNK_BYTES else None
-    return chunk.data if chunk.compression == "" else None
-
-
-def channel_of(path: Path, body: bytes, at: int) -> tuple[int, str]:
-    """Return the id and topic declared by a channel record."""
-    try:
-        record = Channel.read(ReadDataStream(io.BytesIO(body)))
-    except UNREADABLE:
-        damaged(path, at)
-    return record.id, record.topic
+        if claimed <= MAX_CHUNK_BYTES or claimed == zstandard.CONTENTSIZE_UNKNOWN:
+            return zstd.decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES)
+    elif chunk.compression == "lz4":  # not used by truearm, but bags may use it
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=MAX_CHUNK_BYTES))
+    elif chunk.compression == "":
+        return bytes(chunk.data)
+    raise Unreadable
 
 
 # ------------------------------------------------------------------------------------------------------------- messages
@@ -258,48 +244,38 @@ def batches(path: Path, packed: Iterable[bytes], channels: dict[int, str]) -> It
     Raises SessionError if records are incomplete or a message belongs to an undeclared channel.
     """
     gathered: list[bytes] = []
-    size = 0
-    for data in packed:
+    for data in chain(packed, [b""]):
         gathered.append(data)
-        size += len(data)
-        if size >= BATCH_BYTES:
-            found = _batch(path, gathered, channels)
-            gathered, size = [], 0  # the batch has their bytes; release them while it is used
-            yield found
-    if gathered:
-        yield _batch(path, gathered, channels)
+        if sum(map(len, gathered)) >= (BATCH_BYTES if data else 1):
+            try:
+                messages = columns_of_records(gathered, channels)
+            except Unreadable as exc:
+                raise SessionError("damaged-session", place=path, where="in a record of a chunk") from exc
+            gathered = []  # the batch has their bytes; release them while it is used
+            yield messages
 
 
-def _batch(path: Path, chunks: Sequence[bytes], channels: dict[int, str]) -> Messages:
+def columns_of_records(chunks: Sequence[bytes], channels: dict[int, str]) -> Messages:
+    """Return the messages among the records of chunks. Raises Unreadable."""
     data = b"".join([*chunks, bytes(MARGIN)])
-    begin = np.array(_starts(path, data, [len(chunk) for chunk in chunks]), dtype=np.int64)
+    begin = np.array(_starts(data, [len(chunk) for chunk in chunks]), dtype=np.int64)
     end = np.append(begin[1:], len(data) - MARGIN)[: len(begin)]
     head = heads(data, begin, _HEAD)
-    opcode = head["opcode"]
     topics: dict[str, int] = {}
     of_channel = np.full(1 << 16, -1)
-
-    def known(channel: int, topic: str) -> None:
-        of_channel[channel] = topics.setdefault(topic, len(topics))
-
     for channel, topic in channels.items():
-        known(channel, topic)
-    is_message = opcode == Opcode.MESSAGE
-    number = np.full(len(begin), -1)
-    before = 0
-    for at in np.flatnonzero(opcode == Opcode.CHANNEL).tolist():
-        number[before:at] = of_channel[head["channel"][before:at]]
-        before = at
-        channel, topic = channel_of(path, data[begin[at] + _RECORD_BYTES : end[at]], int(begin[at]))
-        channels[channel] = topic
-        known(channel, topic)
-        if len(channels) > MAX_CHANNELS:
-            raise SessionError(f"{path}: has more than {MAX_CHANNELS} channels")
-    number[before:] = of_channel[head["channel"][before:]]
+        of_channel[channel] = topics.setdefault(topic, len(topics))
+    number = of_channel[head["channel"]]
+    for at in np.flatnonzero(head["opcode"] == Opcode.CHANNEL).tolist():
+        record = parse(Channel, data[begin[at] + _RECORD_BYTES : end[at]])
+        if channels.setdefault(record.id, record.topic) != record.topic or len(channels) > MAX_CHANNELS:
+            raise Unreadable  # the specification allows a channel one topic
+        of_channel[record.id] = topics.setdefault(record.topic, len(topics))
+        number[at:] = of_channel[head["channel"][at:]]
     t_host_ns = head["t_host_ns"]
-    bad = is_message & ((end - begin < _HEAD.itemsize) | (number < 0) | (t_host_ns >= LATEST_NS))
-    if bad.any():
-        damaged(path, int(begin[np.argmax(bad)]))
+    is_message = head["opcode"] == Opcode.MESSAGE
+    if np.any(is_message & ((end - begin < _HEAD.itemsize) | (number < 0) | (t_host_ns >= LATEST_NS))):
+        raise Unreadable
     rows = np.flatnonzero(is_message)
     return Messages(
         data=data,
@@ -313,7 +289,7 @@ def _batch(path: Path, chunks: Sequence[bytes], channels: dict[int, str]) -> Mes
     )
 
 
-def _starts(path: Path, data: bytes, sizes: Sequence[int]) -> list[int]:
+def _starts(data: bytes, sizes: Sequence[int]) -> list[int]:
     """Return where each record begins; the records of a chunk fill it completely."""
     starts: list[int] = []
     add, length_at, at, end = starts.append, _LENGTH, 0, 0
@@ -323,7 +299,7 @@ def _starts(path: Path, data: bytes, sizes: Sequence[int]) -> list[int]:
             add(at)
             at += _RECORD_BYTES + length_at(data, at + 1)[0]
         if at != end:
-            damaged(path, starts[-1])
+            raise Unreadable
     return starts
 
 

@@ -4,19 +4,13 @@ The record layout is that of the mcap library. Iterating over the records is don
 file may claim any size, which the library would allocate. And messages are needed in the order of the file, which is
 several times faster than through its indices (1.3 µs for a message of 200 bytes).
 
-**Recovering a damaged session** (``salvage()``) finds every record that can be verified, and where and how much is
-missing in between.
+A complete file has a CRC of all its bytes. If that matches, nothing else is checked. Otherwise, every record is checked by
+itself: a chunk and an attachment have a CRC, and ours among the metadata too. Behind a damaged record, the next intact one
+is searched for. One flipped bit therefore costs the second of messages in its chunk. Records without a CRC (headers,
+metadata of other programs) are accepted as they are.
 
-Each chunk has its own CRC, so one flipped bit costs the second of messages in that chunk. If a record's length is wrong
-or bytes are missing, the next valid record is searched for: first by its opcode and a plausible length, then by its
-content. The file is read once. The search is abandoned if an untrusted file consists of false starts.
-
-Metadata (the clock's anchors, the box's ident) have a CRC among their entries. Records without one (headers, metadata
-of other programs) are accepted as they are. If a complete file does not match its CRC and the damaged place is not
-found, this is reported.
-
-The writer repeats metadata and attachments, of which any intact copy is as good as the first. The copy of the plan and
-of what was mounted replaces those of its messages that are lost.
+The writer repeats metadata and attachments, of which any intact copy is as good as the first. Of a damaged file, the plan
+and what was mounted are read from their copy.
 """
 
 from __future__ import annotations
@@ -24,18 +18,16 @@ from __future__ import annotations
 import io
 import os
 import re
-import struct
 import zlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Statistics
+from mcap.records import Channel, Statistics
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor
 
@@ -50,238 +42,34 @@ from truearm.session.message_columns import (
     MAX_METADATA_BYTES,
     PLAN_COPY,
     RECORD,
-    UNREADABLE,
     Messages,
+    Unreadable,
     batches,
-    body_of,
+    chunk_fits,
     chunk_records,
-    damaged,
+    columns_of_records,
     has_footer,
+    parse,
     parse_attachment,
     parse_metadata,
     records,
 )
 from truearm.types import Message
 
-_CRC_BLOCK = 1 << 20
-REPEATED = ("/plan", "/events")  # topics of which the writer repeats messages
-
-
-@dataclass(frozen=True)
-class Session:
-    """An opened session file.
-
-    ``truncated``: the recorder did not complete it; ``messages`` then ends where the file does. ``metadata`` maps
-    record names to their entries (of several records with one name, the last). ``attachments`` maps names to bytes.
-    ``damage``: what ``messages`` leaves out elsewhere, if that was allowed.
-    """
-
-    path: Path
-    metadata: dict[str, dict[str, str]]
-    attachments: dict[str, bytes]
-    truncated: bool
-    spans: tuple[tuple[int, int], ...]  # byte ranges that contain only complete records
-    channels: dict[int, str] = field(default_factory=dict)  # that the records themselves may not declare
-    damage: tuple[Damage, ...] = ()
-    unread_bytes: int = 0  # of a damaged file: bytes that are not in a complete record
-    counted: dict[str, int] = field(default_factory=dict)  # messages by topic according to the end of a damaged file
-    restored: Messages | None = None  # of a damaged file: lost messages, from the copy of the plan
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Yield messages of ``topics`` (all if None) in the order of writing.
-
-        Raises SessionError if the file is damaged.
-        """
-        wanted = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
-        for messages in self.batches():
-            yield from messages.of(messages.rows(lambda topic: wanted is None or topic in wanted))
-
-    def batches(self) -> Iterator[Messages]:
-        """Yield all messages as columns, some megabytes at a time, in the order of writing.
-
-        Raises SessionError if the file is damaged. Restored messages come first.
-        """
-        read = batches(self.path, self.packed(), dict(self.channels))
-        if self.restored is None:
-            return read
-        has_plan = len(self.restored.rows("/plan".__eq__)) > 0
-        return chain([self.restored], (m.without(lambda topic: has_plan and topic == "/plan") for m in read))
-
-    def packed(self) -> Iterator[bytes]:
-        """Yield the records of one chunk after the other."""
-        first, last = min((start for start, _ in self.spans), default=0), max((end for _, end in self.spans), default=0)
-        zstd = ZstdDecompressor()
-        with open_input(self.path) as file, step(f"reading {self.path.name}") as advance:
-            for start, end in self.spans:
-                for opcode, at, length in records(file, end, start):
-                    advance((at - first) / (last - first))
-                    if opcode == Opcode.CHUNK:
-                        yield chunk_records(self.path, file, at, length, zstd)
-                    elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE):  # files of other programs may have no chunks
-                        yield RECORD.pack(opcode, length) + body_of(self.path, file, at, length, MAX_CHUNK_BYTES)
-
-
-def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
-    """Open a session file and read everything except its messages.
-
-    A damaged file, or one without its end (the recorder was killed or is still running), raises SessionError unless
-    ``allow_damaged`` is set; then its intact parts are found. SessionError is also raised if the file is missing, is
-    not MCAP or has an absurd size. A complete file is read once in full to check its CRC (1 s per GB), a damaged one a
-    second time.
-    """
-    path = Path(path)
-    with open_input(path) as file:
-        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            if not has_footer(file, os.fstat(file.fileno()).st_size):
-                raise SessionError("not-a-session", place=path)
-            if not allow_damaged:
-                damaged(path, 0)
-            return _salvaged(path, file, known_damaged=True)
-        try:
-            session, proven = _scan(path, file)
-        except SessionError:
-            if not allow_damaged:
-                raise
-            return _salvaged(path, file, known_damaged=True)
-        if allow_damaged and not proven:
-            return _salvaged(path, file, known_damaged=False)
-    if session.truncated and not allow_damaged:
-        raise SessionError("session-incomplete", place=path)
-    return session
-
-
-def _salvaged(path: Path, file: BinaryIO, known_damaged: bool) -> Session:
-    whole, complete = salvage(path, file)
-    damage = whole.damage
-    if known_damaged and complete and not damage:
-        damage = (Damage(None, 0.0, 0.0),)
-    copy = whole.attachments.pop(PLAN_COPY, None)
-    restored = None if copy is None else _restored(path, copy, whole.numbers)
-    found = whole.metadata, whole.attachments, not complete, tuple(whole.spans), whole.channels
-    return Session(path, *found, damage, whole.unread_bytes, whole.counted, restored)
-
-
-def _restored(path: Path, copy: bytes, intact: Mapping[str, set[int]]) -> Messages | None:
-    """Return the lost messages that a copy of the plan holds, None if there are none.
-
-    ``intact``: the numbers of the messages that are left, by topic. If any row of the plan is lost, all are returned.
-    """
-    file = io.BytesIO(copy)
-    places = [(at, length) for opcode, at, length in records(file, len(copy)) if opcode == Opcode.CHUNK]
-    try:
-        chunks = [chunk_records(path, file, at, length, ZstdDecompressor()) for at, length in places]
-        messages = next(batches(path, chunks, {}), None)
-    except SessionError:
-        return None
-    if messages is None:
-        return None
-    plan, events = (messages.rows(topic.__eq__) for topic in REPEATED)
-    plan_lost, events_lost = (
-        np.isin(messages.sequence[rows], list(intact[topic]), invert=True)
-        for topic, rows in zip(REPEATED, (plan, events), strict=True)
-    )
-    rows = np.concatenate([plan if plan_lost.any() else plan[:0], events[events_lost]])
-    return messages.take(rows) if len(rows) else None
-
-
-def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:
-    """Return the session, and whether a CRC proves that it is unchanged."""
-    size = os.fstat(file.fileno()).st_size
-    metadata: dict[str, dict[str, str]] = {}
-    attachments: dict[str, bytes] = {}
-    start = end = len(MCAP0_MAGIC)
-    last_chunk: tuple[int, int] | None = None
-    n_chunks = 0
-    walk = records(file, size)
-    for opcode, at, length in walk:
-        if opcode == Opcode.DATA_END:
-            _check_chunks(path, file, walk, n_chunks)
-            proven = _check_crc(path, file, at, length)
-            complete = has_footer(file, size)
-            if complete:
-                _check_summary(path, file, at + length, size)
-            return Session(path, metadata, attachments, not complete, ((start, end),)), proven
-        if opcode == Opcode.CHUNK:
-            last_chunk = at, length
-            n_chunks += 1
-        elif opcode == Opcode.METADATA:
-            name, entries, _ = parse_metadata(path, body_of(path, file, at, length, MAX_METADATA_BYTES), at)
-            metadata[name] = entries
-        elif opcode == Opcode.ATTACHMENT:
-            name, data, _ = parse_attachment(path, body_of(path, file, at, length, MAX_ATTACHMENT_BYTES), at)
-            if name != PLAN_COPY:
-                attachments[name] = data
-        if len(metadata) > MAX_ITEMS or len(attachments) > MAX_ITEMS:
-            raise SessionError(f"{path}: holds more than {MAX_ITEMS} attachments or metadata records")
-        end = at + length
-    if last_chunk is not None:
-        end = _without_torn_chunk(path, file, last_chunk, end)
-    if has_footer(file, size):
-        damaged(path, end)  # complete, yet the scan did not reach its end: a length is wrong, or bytes are missing
-    return Session(path, metadata, attachments, True, ((start, end),)), False
-
-
-def _check_crc(path: Path, file: BinaryIO, at: int, length: int) -> bool:
-    """Check all bytes before the DataEnd record against the CRC in it; False if the writer stored none."""
-    written = int.from_bytes(body_of(path, file, at, length, MAX_METADATA_BYTES)[:4], "little")
-    if written == 0:
-        return False
-    if _crc(file, 0, at - RECORD.size) != written:
-        raise SessionError("damaged-session", place=path, where="somewhere: its CRC does not match")
-    return True
-
-
-def _check_summary(path: Path, file: BinaryIO, begin: int, size: int) -> None:
-    """Check the summary, by which other programs read the file, against the CRC in the footer, unless that is 0."""
-    end = size - len(MCAP0_MAGIC) - 4
-    file.seek(end)
-    written = int.from_bytes(file.read(4), "little")
-    if written not in (0, _crc(file, begin, end)):
-        raise SessionError("damaged-session", place=path, where="in its summary: the CRC does not match")
-
-
-def _crc(file: BinaryIO, begin: int, end: int) -> int:
-    file.seek(begin)
-    crc = 0
-    while begin < end and (block := file.read(min(end - begin, _CRC_BLOCK))):
-        crc = zlib.crc32(block, crc)
-        begin += len(block)
-    return crc
-
-
-def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, int]], n_chunks: int) -> None:
-    """Compare the chunks found with the file's statistics: a damaged header would hide a chunk."""
-    for opcode, at, length in summary:
-        if opcode == Opcode.STATISTICS:
-            body = body_of(path, file, at, length, MAX_METADATA_BYTES)
-            try:
-                counted = Statistics.read(ReadDataStream(io.BytesIO(body))).chunk_count
-            except UNREADABLE:
-                damaged(path, at)
-            if counted != n_chunks:
-                raise SessionError("damaged-session", place=path, where=f": {n_chunks} of {counted} chunks were found")
-
-
-def _without_torn_chunk(path: Path, file: BinaryIO, last: tuple[int, int], end: int) -> int:
-    """Return ``end``, or the start of the last chunk if a power cut kept its space on disk but not its bytes."""
-    try:
-        chunk_records(path, file, *last, ZstdDecompressor())
-    except SessionError:
-        return last[0] - RECORD.size
-    return end
-
-
-# ------------------------------------------------------------------------------------------- recovery of a damaged file
-
-MAX_BAD = 1000  # records; for each, a chunk may have been decompressed
-MAX_TRIES = 100_000  # positions checked in one search; a file of chunks has no false ones
+MAX_BAD = 1000  # damaged records and false starts; for each, a chunk may have been decompressed
 MAX_ITEMS = 1000  # attachments, and metadata records
 MAX_SUMMARY_BYTES = 16 << 20  # a day's chunks
+REPEATED = ("/plan", "/events")  # topics of which the writer repeats messages
 _BLOCK = 1 << 20
-_DATA_END = RECORD.pack(Opcode.DATA_END, 4)
+_HEAD_BYTES = 64  # of a chunk, before its contents
+_LIMITS = {
+    **dict.fromkeys((Opcode.HEADER, Opcode.METADATA, Opcode.MESSAGE_INDEX), MAX_METADATA_BYTES),
+    **dict.fromkeys((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK), MAX_CHUNK_BYTES),
+    Opcode.ATTACHMENT: MAX_ATTACHMENT_BYTES,
+    Opcode.DATA_END: 4,
+}
 # What is searched for: a chunk, an attachment, metadata or the end of data, of less than 4 GiB.
 _START = re.compile(rb"[\x06\x09\x0c\x0f](?=.{4}\0{4})", re.DOTALL)
-_CHUNK_HEAD = struct.Struct("<QQQII")
 
 
 @dataclass(frozen=True)
@@ -299,223 +87,283 @@ class Damage:
 
 
 @dataclass
-class IntactParts:
-    """Intact parts of a file. ``spans`` are byte ranges that contain only complete records."""
+class Session:
+    """An opened session file.
 
-    channels: dict[int, str]
+    ``truncated``: the recorder did not complete it; ``messages`` then ends where the file does. ``metadata`` maps
+    record names to their entries (of several records with one name, the last). ``attachments`` maps names to bytes.
+    ``damage``: what ``messages`` leaves out elsewhere, if that was allowed.
+    """
+
+    path: Path
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
-    spans: list[tuple[int, int]] = field(default_factory=list)
+    truncated: bool = True
+    spans: list[tuple[int, int]] = field(default_factory=list)  # byte ranges that contain only complete records
+    channels: dict[int, str] = field(default_factory=dict)  # that the records themselves may not declare
     damage: tuple[Damage, ...] = ()
-    unread_bytes: int = 0  # not in a complete record
-    counted: dict[str, int] = field(default_factory=dict)  # messages by topic, according to the end of the file
-    first_ns: int | None = None
-    last_ns: int | None = None  # of the messages, by MCAP's log time
-    numbers: dict[str, set[int]] = field(default_factory=lambda: {topic: set() for topic in REPEATED})
-    _gaps: list[tuple[int, int | None, int | None]] = field(default_factory=list)  # at byte, times before and after
-    _proven: set[str] = field(default_factory=set)  # metadata and attachments with a CRC
+    unread_bytes: int = 0  # of a damaged file: bytes that are not in a complete record
+    counted: dict[str, int] = field(default_factory=dict)  # messages by topic according to the end of a damaged file
+    restored: Messages | None = None  # of a damaged file: the copy of the plan and of what was mounted
 
-    def bad(self, at: int) -> None:
-        """Note that the record at ``at`` is invalid or incomplete; consecutive ones count as one."""
-        if not self._gaps or self._gaps[-1][2] is not None:
-            self._gaps.append((at, self.last_ns, None))
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """Yield messages of ``topics`` (all if None) in the order of writing.
 
-    def good(self, start: int, end: int) -> None:
-        """Note a complete record."""
-        if self.spans and self.spans[-1][1] == start:
-            start = self.spans.pop()[0]
-        self.spans.append((start, end))
+        Raises SessionError if the file is damaged.
+        """
+        wanted = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
+        for messages in self.batches():
+            yield from messages.of(messages.rows(lambda topic: wanted is None or topic in wanted))
 
-    def add(self, records: dict[str, Any], name: str, content: Any, proven: bool) -> None:
-        """Note metadata or an attachment. Without a CRC it may consist of zeros, and never replaces one with a CRC."""
-        if proven or (name and name not in self._proven):
-            records[name] = content
+    def batches(self) -> Iterator[Messages]:
+        """Yield all messages as columns, some megabytes at a time, in the order of writing.
+
+        Raises SessionError if the file is damaged. Restored messages come first.
+        """
+        read = batches(self.path, self.packed(), dict(self.channels))
+        return read if self.restored is None else chain([self.restored], map(self._not_restored, read))
+
+    def packed(self) -> Iterator[bytes]:
+        """Yield the records of one chunk after the other."""
+        first, last = min((start for start, _ in self.spans), default=0), max((end for _, end in self.spans), default=0)
+        zstd = ZstdDecompressor()
+        with open_input(self.path) as file, step(f"reading {self.path.name}") as advance:
+            for start, end in self.spans:
+                for opcode, at, length in records(file, end, start):
+                    advance((at - first) / (last - first))
+                    if opcode in (Opcode.CHUNK, Opcode.CHANNEL, Opcode.MESSAGE):
+                        body = file.read(length)
+                        try:  # files of other programs may have no chunks
+                            yield (
+                                chunk_records(body, zstd)
+                                if opcode == Opcode.CHUNK
+                                else RECORD.pack(opcode, length) + body
+                            )
+                        except Unreadable as exc:
+                            raise SessionError("damaged-session", place=self.path, where=f"at byte {at}") from exc
+
+    def _not_restored(self, messages: Messages) -> Messages:
+        """Return the messages that are not in the copy of the plan."""
+        assert self.restored is not None
+        lasting = np.ones(len(messages), bool)
+        for topic in REPEATED:
+            copy = self.restored.sequence[self.restored.rows(topic.__eq__)]
+            rows = messages.rows(topic.__eq__)
+            lasting[rows] = ~np.isin(messages.sequence[rows], copy)
+        return messages.take(np.flatnonzero(lasting))
+
+
+def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
+    """Open a session file and read everything except its messages.
+
+    A damaged file, or one without its end (the recorder was killed or is still running), raises SessionError unless
+    ``allow_damaged`` is set; then its intact parts are found. SessionError is also raised if the file is missing, is
+    not MCAP or has an absurd size. A complete file is read once in full to check its CRC (1 s per GB), a damaged one a
+    second time.
+    """
+    path = Path(path)
+    with open_input(path) as file:
+        quick = RecordWalk(path, file, every_record=False)
+        if not quick.complete and not quick.has_magic:
+            raise SessionError("not-a-session", place=path)
+        quick.walk()
+        if not quick.complete and not allow_damaged:
+            raise SessionError("session-incomplete", place=path)
+        wrong_crc = quick.wrong_crc()
+        if quick.complete and not wrong_crc and (quick.crc or not allow_damaged):
+            quick.session.truncated = False
+            quick.session.attachments.pop(PLAN_COPY, None)
+            return quick.session
+        walk = RecordWalk(path, file, every_record=True)
+        walk.walk()
+        if not allow_damaged:
+            where = f"at byte {walk.damaged_at[0]}" if walk.damaged_at else wrong_crc
+            raise SessionError("damaged-session", place=path, where=where)
+        return walk.salvaged(bool(wrong_crc))
+
+
+class RecordWalk:
+    """Goes through the records of a file.
+
+    ``every_record``: check each record, and search for the next one behind a damaged one. Otherwise stop there, and leave
+    the chunks packed.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO, every_record: bool) -> None:
+        self.session = Session(path)
+        self.damaged_at: list[int] = []
+        self.crc = 0  # of all bytes before ``_data_end``, as the file states it; 0: not stated
+        self._file, self._every_record = file, every_record
+        self._size = os.fstat(file.fileno()).st_size
+        file.seek(0)
+        self.has_magic = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        self.complete = has_footer(file, self._size)
+        self._span_ns: tuple[int, int] | None = None  # of the messages, as the end of the file states it
+        self._times_ns: list[tuple[int, int]] = []  # of the messages of each chunk
+        self._gaps: list[int] = []  # chunks before each damaged place
+        self._proven: set[str] = set()  # metadata and attachments with a CRC
+        self._data_end = 0
+        if every_record and self.complete:
+            self._summary()
+
+    def walk(self) -> None:
+        """Go through all records up to the end of data."""
+        at = len(MCAP0_MAGIC) if self.has_magic else 0
+        spans = self.session.spans
+        while at + RECORD.size <= self._size and not self._data_end:
+            end = self._record(at)
+            if end is None:
+                self.damaged_at.append(at)
+                self._gaps.append(len(self._times_ns))
+                if not self._every_record:
+                    return
+                begin, at = at, self._search(at + 1)
+                self.session.unread_bytes += at - begin
+            elif not self._data_end:
+                spans.append((spans.pop()[0] if spans and spans[-1][1] == at else at, end))
+                at = end
+        self.session.unread_bytes += 0 if self._data_end else self._size - at
+
+    def wrong_crc(self) -> str:
+        """Return where a CRC of a complete file does not match, "" if nowhere.
+
+        Other programs read the file by its summary, behind the end of data.
+        """
+        if not self._data_end:
+            return "somewhere: its end of data is missing"
+        if self.crc not in (0, self._crc_of_bytes(0, self._data_end)):
+            return "somewhere: its CRC does not match"
+        end = self._size - len(MCAP0_MAGIC) - 4
+        self._file.seek(end)
+        summary_crc = int.from_bytes(self._file.read(4), "little")
+        own_crc = self._crc_of_bytes(self._data_end + RECORD.size + _LIMITS[Opcode.DATA_END], end)
+        return "" if summary_crc in (0, own_crc) else "in its summary: the CRC does not match"
+
+    def _crc_of_bytes(self, begin: int, end: int) -> int:
+        self._file.seek(begin)
+        crc = 0
+        while block := self._file.read(max(0, min(end - self._file.tell(), _BLOCK))):
+            crc = zlib.crc32(block, crc)
+        return crc
+
+    def salvaged(self, wrong_crc: bool) -> Session:
+        """Return the session, with what is missing in each damaged place."""
+        session, times_ns = self.session, self._times_ns
+        gaps = [*zip(self.damaged_at, self._gaps, strict=True)]
+        session.truncated = not self.complete
+        if gaps and gaps[-1][1] == len(times_ns) and not (self.complete and self._span_ns):
+            gaps.pop()  # nothing follows, and nothing says how long it was
+            session.truncated = True
+        first = min((begin for begin, _ in times_ns), default=0)
+        first, last = self._span_ns or (first, max((end for _, end in times_ns), default=0))
+        damage = dict[int, Damage]()
+        for at, chunks in gaps:
+            before = max((end for _, end in times_ns[:chunks]), default=first)
+            after = min((begin for begin, _ in times_ns[chunks:]), default=last)
+            lost_s, of_s, from_s = (1e-9 * max(0, ns) for ns in (after - before, last - first, before - first))
+            damage.setdefault(chunks, Damage(at, lost_s, of_s, from_s))  # several places between two chunks are one
+        session.damage = tuple(damage.values())
+        if wrong_crc and not session.truncated and not damage:
+            session.damage = (Damage(None, 0.0, 0.0),)
+        copy = session.attachments.pop(PLAN_COPY, None)
+        session.restored = None if copy is None else _messages_of_copy(copy)
+        return session
+
+    def _record(self, at: int) -> int | None:
+        """Take the record at ``at`` and return where it ends; None if it is damaged."""
+        self._file.seek(at)
+        opcode, length = RECORD.unpack(self._file.read(RECORD.size))
+        end: int = at + RECORD.size + length
+        if (
+            end > self._size
+            or length > _LIMITS.get(opcode, -1)
+            or (opcode == Opcode.HEADER) != (at == len(MCAP0_MAGIC))
+        ):
+            return None
+        if opcode not in (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.DATA_END) and not self._every_record:
+            return end
+        body = self._file.read(length)
+        session = self.session
+        try:
+            if opcode == Opcode.DATA_END:
+                if length != _LIMITS[opcode]:
+                    return None
+                self.crc, self._data_end = int.from_bytes(body, "little"), at
+            elif opcode == Opcode.METADATA:
+                name, entries, proven = parse_metadata(body)
+                self._keep(session.metadata, name, entries, proven)
+                if name == CHANNELS and proven:  # wrong names would turn intact messages into others
+                    declared = {int(key): topic for key, topic in entries.items() if re.fullmatch("[0-9]{1,5}", key)}
+                    session.channels.update(list(declared.items())[:MAX_CHANNELS])
+            elif opcode == Opcode.ATTACHMENT:
+                self._keep(session.attachments, *parse_attachment(body))
+            elif opcode == Opcode.MESSAGE_INDEX:
+                return end if length % 16 == 6 and int.from_bytes(body[2:6], "little") == length - 6 else None
+            elif opcode != Opcode.HEADER:
+                packed = opcode == Opcode.CHUNK
+                unpacked = chunk_records(body, ZstdDecompressor()) if packed else RECORD.pack(opcode, length) + body
+                messages = columns_of_records([unpacked], session.channels)
+                if len(messages):
+                    self._times_ns.append((int(messages.log_ns.min()), int(messages.log_ns.max())))
+        except Unreadable:
+            return None
+        return end
+
+    def _keep(self, items: dict[str, Any], name: str, content: Any, proven: bool) -> None:
+        """Keep metadata or an attachment. Without a CRC it may consist of zeros, and never replaces one with a CRC."""
+        if proven or not self._every_record or (name and name not in self._proven):
+            items[name] = content
         if proven:
             self._proven.add(name)
+        if len(items) > MAX_ITEMS:
+            raise SessionError(f"{self.session.path}: holds more than {MAX_ITEMS} attachments or metadata records")
 
-    def declare(self, entries: dict[str, str]) -> None:
-        """Note the channels that the writer declares outside of the chunks, if it does."""
-        named = {int(number): topic for number, topic in entries.items() if re.fullmatch("[0-9]{1,5}", number)}
-        if len(named) <= MAX_CHANNELS:
-            self.channels.update(named)
+    def _search(self, at: int) -> int:
+        """Return the next position at which a record seems to begin; the end of the file if there is none."""
+        if len(self.damaged_at) > MAX_BAD:
+            raise SessionError(f"{self.session.path}: is damaged in more than {MAX_BAD} places; copy it again")
+        while at + RECORD.size <= self._size:
+            self._file.seek(at)
+            block = self._file.read(_BLOCK + _HEAD_BYTES)
+            for start in _START.finditer(block, 0, _BLOCK + RECORD.size - 1):
+                begin = start.start()
+                opcode, length = RECORD.unpack_from(block, begin)
+                fits = length <= _LIMITS[opcode] and length <= self._size - at - begin - RECORD.size
+                if fits and (opcode != Opcode.CHUNK or chunk_fits(block[begin + RECORD.size :], length)):
+                    return at + begin
+            at += _BLOCK
+        return self._size
 
-    def saw(self, first_ns: int, last_ns: int) -> None:
-        """Note the message times of a complete chunk."""
-        self._close(first_ns)
-        self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
-        self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
+    def _summary(self) -> None:
+        """Read what a complete file repeats at its end: its channels, and times and number of the messages.
 
-    def finish(self, complete: bool, span: tuple[int, int] | None) -> bool:
-        """Compute ``damage``; return whether the end of the session is known.
-
-        ``span``: times of the first and last message according to the file's summary, if it is readable.
+        If bytes are missing, the footer's offset is wrong: the summary is then what follows the end of data.
         """
-        if self._gaps and self._gaps[-1][2] is None and not (complete and span):
-            self._gaps.pop()  # nothing follows, and nothing says how long it was
-            complete = False
-        first, last = span or (self.first_ns or 0, self.last_ns or 0)
-        of_s = 1e-9 * max(0, last - first)
-        times = [(at, first if a is None else a, last if b is None else b) for at, a, b in self._gaps]
-        self.damage = tuple(
-            Damage(at, 1e-9 * max(0, after - before), of_s, 1e-9 * max(0, before - first))
-            for at, before, after in times
-        )
-        return complete
-
-    def _close(self, now_ns: int) -> None:
-        if self._gaps and self._gaps[-1][2] is None:
-            self._gaps[-1] = (*self._gaps[-1][:2], now_ns)
-
-
-def salvage(path: Path, file: BinaryIO) -> tuple[IntactParts, bool]:
-    """Return the intact parts of a file, and whether it has its end. Raises SessionError if hardly anything is intact."""
-    size = os.fstat(file.fileno()).st_size
-    complete = has_footer(file, size)
-    channels, span, counted = _summary(path, file, size) if complete else ({}, None, {})
-    whole = IntactParts(channels, counted={channels[k]: n for k, n in counted.items() if k in channels})
-    at: int | None = len(MCAP0_MAGIC)
-    n_bad = 0
-    file.seek(0)
-    if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        whole.bad(0)
-        whole.unread_bytes += len(MCAP0_MAGIC)
-    while at is not None and at + RECORD.size <= size:
-        file.seek(at)
-        opcode, length = RECORD.unpack(file.read(RECORD.size))
-        end = at + RECORD.size + length
-        if end <= size and _is_whole(path, file, opcode, at, length, whole):
-            if opcode == Opcode.DATA_END:
-                break
-            whole.good(at, end)
-            at = end
-            continue
-        n_bad += 1
-        if n_bad > MAX_BAD:
-            raise SessionError(f"{path}: is damaged in more than {MAX_BAD} places; copy it again")
-        whole.bad(at)
-        begin, at = at, end if _may_begin(file, end, size) else _search(file, at + 1, size)
-        whole.unread_bytes += (size if at is None else at) - begin
-    if at is not None and not complete:
-        whole.unread_bytes += size - at
-    return whole, whole.finish(complete, span)
+        self._file.seek(max(0, self._size - MAX_SUMMARY_BYTES))
+        tail = self._file.read()
+        begin = tail.rfind(RECORD.pack(Opcode.DATA_END, 4))
+        channels = self.session.channels
+        try:
+            for opcode, at, length in records(io.BytesIO(tail), len(tail), begin) if begin >= 0 else ():
+                body = tail[at : at + length]
+                if opcode == Opcode.CHANNEL and len(channels) < MAX_CHANNELS:
+                    channel = parse(Channel, body)
+                    channels[channel.id] = channel.topic
+                elif opcode == Opcode.STATISTICS:
+                    statistics = parse(Statistics, body)
+                    self._span_ns = statistics.message_start_time, statistics.message_end_time
+                    counts = statistics.channel_message_counts
+                    self.session.counted = {channels[k]: n for k, n in counts.items() if k in channels}
+        except Unreadable:  # the summary is damaged too: what was read of it is used
+            pass
 
 
-def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, whole: IntactParts) -> bool:
-    """Return whether a record passes all possible checks; its contents are added to ``whole``."""
-    body = at + RECORD.size
+def _messages_of_copy(copy: bytes) -> Messages | None:
+    """Return the messages in the copy of the plan; None if it cannot be read."""
+    file = io.BytesIO(copy)
+    places = [(at, length) for opcode, at, length in records(file, len(copy)) if opcode == Opcode.CHUNK]
     try:
-        if opcode == Opcode.CHUNK:
-            if not _fits(file, at, body + length):  # the library would skip bytes after the contents of the chunk
-                return False
-            _take_messages(path, chunk_records(path, file, body, length, ZstdDecompressor()), whole)
-        elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE, Opcode.SCHEMA):
-            _take_messages(
-                path, RECORD.pack(opcode, length) + body_of(path, file, body, length, MAX_CHUNK_BYTES), whole
-            )
-        elif opcode == Opcode.METADATA:
-            name, entries, proven = parse_metadata(path, body_of(path, file, body, length, MAX_METADATA_BYTES), body)
-            whole.add(whole.metadata, name, entries, proven)
-            if name == CHANNELS and proven:  # wrong names would turn intact messages into others
-                whole.declare(entries)
-        elif opcode == Opcode.ATTACHMENT:
-            name, data, proven = parse_attachment(path, body_of(path, file, body, length, MAX_ATTACHMENT_BYTES), body)
-            whole.add(whole.attachments, name, data, proven)
-        elif opcode == Opcode.MESSAGE_INDEX:
-            head = body_of(path, file, body, min(length, 6), 6)
-            return length >= 6 and int.from_bytes(head[2:], "little") == length - 6 and length % 16 == 6
-        else:
-            return (opcode == Opcode.DATA_END and length == 4) or (opcode == Opcode.HEADER and at == len(MCAP0_MAGIC))
-    except SessionError:
-        return False
-    if len(whole.metadata) > MAX_ITEMS or len(whole.attachments) > MAX_ITEMS:
-        raise SessionError(f"{path}: holds more than {MAX_ITEMS} attachments or metadata records")
-    return True
-
-
-def _take_messages(path: Path, data: bytes, whole: IntactParts) -> None:
-    channels = dict(whole.channels)
-    (messages,) = batches(path, [data], channels)
-    whole.channels.update(channels)
-    for topic, numbers in whole.numbers.items():
-        numbers.update(messages.sequence[messages.rows(topic.__eq__)].tolist())
-    if len(messages):
-        whole.saw(int(messages.log_ns.min()), int(messages.log_ns.max()))
-
-
-def _may_begin(file: BinaryIO, at: int, size: int) -> bool:
-    """Return whether a record may begin at ``at`` or the file ends there; otherwise the length that led there is wrong."""
-    if at + RECORD.size > size:
-        return at == size
-    file.seek(at)
-    opcode, length = RECORD.unpack(file.read(RECORD.size))
-    return bool(Opcode.HEADER <= opcode <= Opcode.DATA_END and length <= size - at - RECORD.size)
-
-
-def _search(file: BinaryIO, at: int, size: int) -> int | None:
-    """Return the next position at which a record seems to begin; None if there is none or the limits are reached."""
-    tries = 0
-    while at + RECORD.size <= size:
-        file.seek(at)
-        block = file.read(_BLOCK + RECORD.size - 1)
-        for found in _START.finditer(block):
-            if _fits(file, at + found.start(), size):
-                return at + found.start()
-            tries += 1
-            if tries > MAX_TRIES:
-                return None
-        at += _BLOCK
-    return None
-
-
-def _fits(file: BinaryIO, at: int, size: int) -> bool:
-    """Return whether the lengths inside a record agree with its own."""
-    file.seek(at)
-    opcode, length = RECORD.unpack(file.read(RECORD.size))
-    if length > size - at - RECORD.size:
-        return False
-    if opcode == Opcode.DATA_END:
-        return bool(length == 4)
-    if opcode != Opcode.CHUNK:
-        return bool(length <= (MAX_METADATA_BYTES if opcode == Opcode.METADATA else MAX_ATTACHMENT_BYTES))
-    head = file.read(_CHUNK_HEAD.size)
-    if len(head) < _CHUNK_HEAD.size or length > MAX_CHUNK_BYTES:
-        return False
-    n_name = _CHUNK_HEAD.unpack(head)[4]
-    if n_name > 8:
-        return False
-    name_and_size = file.read(n_name + 8)
-    n_data = int.from_bytes(name_and_size[n_name:], "little")
-    return bool(_CHUNK_HEAD.size + n_name + 8 + n_data == length)
-
-
-_Summary = tuple[dict[int, str], tuple[int, int] | None, dict[int, int]]
-
-
-def _summary(path: Path, file: BinaryIO, size: int) -> _Summary:
-    """Return what a complete file repeats at its end.
-
-    These are its channels, the times of its first and last message, and the number of messages per channel. If bytes
-    are missing, the footer's offset is wrong: the summary is then what follows the end of data.
-    """
-    tail = min(size, MAX_SUMMARY_BYTES)
-    file.seek(size - tail)
-    found = file.read(tail).rfind(_DATA_END)
-    channels: dict[int, str] = {}
-    counts: dict[int, int] = {}
-    span = None
-    if found < 0:
-        return channels, span, counts
-    start = size - tail + found
-    try:
-        for opcode, at, length in records(file, size, start):
-            if opcode == Opcode.CHANNEL:
-                body = RECORD.pack(opcode, length) + body_of(path, file, at, length, MAX_METADATA_BYTES)
-                list(batches(path, [body], channels))
-            elif opcode == Opcode.STATISTICS:
-                body = body_of(path, file, at, length, MAX_METADATA_BYTES)
-                statistics = Statistics.read(ReadDataStream(io.BytesIO(body)))
-                span = statistics.message_start_time, statistics.message_end_time
-                counts = statistics.channel_message_counts
-    except (SessionError, *UNREADABLE):  # the summary is damaged too: what was read of it is used
-        pass
-    return channels, span, counts
+        chunks = [chunk_records(copy[at : at + length], ZstdDecompressor()) for at, length in places]
+        return columns_of_records(chunks, {}) if chunks else None
+    except Unreadable:
+        return None

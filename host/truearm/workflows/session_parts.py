@@ -73,12 +73,12 @@ def recorded_model(path: Path) -> str:
     from mcap.opcode import Opcode
 
     from truearm.file_names import open_input
-    from truearm.session.message_columns import MAX_METADATA_BYTES, body_of, parse_metadata, records
+    from truearm.session.message_columns import MAX_METADATA_BYTES, Unreadable, parse_metadata, records
 
-    with suppress(InputError), open_input(path) as file:
-        for opcode, at, length in records(file, path.stat().st_size):
-            if opcode == Opcode.METADATA:
-                name, entries, _ = parse_metadata(path, body_of(path, file, at, length, MAX_METADATA_BYTES), at)
+    with suppress(InputError, Unreadable), open_input(path) as file:
+        for opcode, _, length in records(file, path.stat().st_size):
+            if opcode == Opcode.METADATA and length <= MAX_METADATA_BYTES:
+                name, entries, _ = parse_metadata(file.read(length))
                 if name == SETUP:
                     return entries.get("model", "")
     return ""
