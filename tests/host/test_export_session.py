@@ -27,7 +27,7 @@ from truearm.session import session_tables
 from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_format import parse_lines
 from truearm.session.message_columns import columns_of as message_columns
-from truearm.session.observations import Batches, observations, survey
+from truearm.session.observations import observations, survey
 from truearm.session.session_file import open_session
 from truearm.session.session_tables import MAX_TABLES, tabulate
 from truearm.types import Message
@@ -272,7 +272,7 @@ def test_memory_does_not_grow(made, monkeypatch):
         tracemalloc.start()
         messages = told(times)
         parts = iter(lambda: list(islice(messages, 1000)), [])
-        again = tabulate(replace(found, batches=Batches(lambda: map(message_columns, parts), None)))
+        again = tabulate(replace(found, source=lambda: map(message_columns, parts)))
         rows = sum(len(columns["segment"]) for name, columns in again if name == "joints")
         _, peak_bytes = tracemalloc.get_traced_memory()
         tracemalloc.stop()

@@ -92,7 +92,7 @@ def test_chunks_change_nothing(chunk, monkeypatch):
     parts = read(lines)
     for name in ("readings", "lost", "duplicated", "gaps", "rate_hz"):
         assert getattr(parts, name) == getattr(whole, name)
-    for name in ("t_first_s", "n", "low", "high", "gap"):
+    for name in ("t_first_s", "n", "below", "above", "gap"):
         assert np.array_equal(getattr(parts.bins, name), getattr(whole.bins, name))
     assert np.allclose(parts.bins.scatter, whole.bins.scatter, rtol=1e-6, atol=0)
     assert repr(parts.reports) == repr(whole.reports)  # NaN is not equal to itself

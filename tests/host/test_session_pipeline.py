@@ -12,11 +12,10 @@ from truearm.errors import RigError, SessionError
 from truearm.session.box_frames import Exchange
 from truearm.session.box_ident import parse_ident
 from truearm.session.device_clock import fit_clock
-from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import REASONS, DwellRules
 from truearm.session.message_columns import columns_of
 from truearm.session.observations import observations, survey
-from truearm.session.samples import of_channels
+from truearm.session.samples import ChannelSamples
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 
@@ -297,8 +296,9 @@ def test_no_samples_and_no_robot(clean):
 
 
 def test_a_channel_that_the_box_has_not(clean):
-    with pytest.raises(SessionError, match="no channel 'probe'"):
-        synced(clean[0], found=survey(stream_of(clean[0]), channel="probe"))
+    named = [m._replace(data=m.data.replace(b"lvdt", b"gage")) if m.topic == "/box/ident" else m for m in clean[0]]
+    with pytest.raises(SessionError, match="no channel 'lvdt'; it has gage"):
+        synced(named)
 
 
 def test_ident_from_elsewhere_serves_where_the_session_has_none(clean):
@@ -331,11 +331,16 @@ def test_samples_are_those_of_the_interval_by_signal_time():
         box.data(10**9 + 13 * k * PERIOD_NS, np.stack([index] * 4, axis=1))
     exchanges = [Exchange(t, t // 1000 + 1, t // 1000 + 1, t + 2000) for t in range(0, 8 * 10**9, 250_000_000)]
     clocks = {0: fit_clock(0, exchanges)[0]}
-    blocks = [of_channels(some, (0,)) for some in BoxReader().feed(columns_of(box.messages))]
-    intervals = [(0, 2 * 10**9, 3 * 10**9), (1, 3_000_000_001, 3_000_500_000), (2, 4 * 10**9, 60 * 10**9)]
+    samples, reader = ChannelSamples(("lvdt",)), BoxReader()
+    for begin in range(0, len(box.messages), 100):
+        samples.keep(reader.feed(columns_of(box.messages[begin : begin + 100])))
+    samples.place(clocks)
+    intervals = [(2 * 10**9, 3 * 10**9), (3_000_000_001, 3_000_500_000), (4 * 10**9, 60 * 10**9)]
     signal = 10**9 + np.arange(13 * 400) * PERIOD_NS - 1_500_000
-    for taken, (_, start, end) in zip(collect_samples(blocks, clocks, intervals), intervals, strict=True):
+    for start, end in intervals:
         # stamps are cut to 1 µs: a sample within 2 µs of an end may fall on either side, and none does here
         assert np.min(np.abs(signal - start)) > 2000 or start == 3_000_000_001
         expected = np.flatnonzero((signal >= start) & (signal <= end))
-        assert np.array_equal(taken.longest, expected)
+        taken = samples.during(start, end)
+        assert np.array_equal(taken.counts[:, 0] if taken else [], expected)
+        assert not expected.size or np.array_equal(taken.longest()[1], expected)

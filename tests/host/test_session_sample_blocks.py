@@ -11,7 +11,6 @@ from session_stream import PERIOD_NS, Box, ident_document
 from truearm.session.box_ident import parse_ident
 from truearm.session.losses import Losses, StreamTrack
 from truearm.session.message_columns import columns_of
-from truearm.session.samples import RAIL_HIGH, RAIL_LOW, ChannelSamples
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire
@@ -388,34 +387,3 @@ def test_a_wrong_ident_is_malformed_and_a_later_one_is_taken():
     blocks, reader = read(box.messages)
     assert reader.losses().frames_malformed == 1
     assert len(blocks) == 1
-
-
-@pytest.mark.parametrize("step", [1, 2**15 - 1, 2**15, RAIL_HIGH], ids=["small", "most", "one more", "rails"])
-@pytest.mark.parametrize("gap", [False, True])
-def test_samples_that_were_kept_are_those_that_came(step, gap):
-    """The channel's counts rise and fall by a step, between the rails at most, and once their blocks differ in length and flags."""
-    rng = np.random.default_rng(step)
-    box, sent = Box(), []
-    box.ident(0)
-    for k in range(40):
-        counts = np.zeros((int(rng.integers(1, 14)) if gap else 13, 4), np.int64)
-        counts[:, 0] = np.where(np.arange(len(counts)) % 2, 0, -step if step < RAIL_HIGH else RAIL_LOW) + (step // 2)
-        box.data(
-            (k + 1) * BLOCK_NS,
-            np.clip(counts, RAIL_LOW, RAIL_HIGH),
-            flags=wire.FLAG_CONVERTER * int(gap and k % 7 == 3),
-            skip=gap * (k % 5),
-        )
-        sent.append(np.clip(counts[:, 0], RAIL_LOW, RAIL_HIGH))
-    reader = BoxReader()
-    samples = ChannelSamples("lvdt", lambda: iter(()))
-    blocks = [*reader.feed(columns_of(box.messages)), *reader.finish()]
-    samples.keep(blocks)
-    (kept,) = samples
-    (came,) = blocks
-    np.testing.assert_array_equal(kept.counts[:, 0], np.concatenate(sent))
-    for name in ("n", "gap"):
-        np.testing.assert_array_equal(getattr(kept, name), getattr(came, name))
-    np.testing.assert_array_equal(kept.t0_us, came.frames["t_us"])
-    np.testing.assert_array_equal(kept.period_ns, came.frames["period_ns"])
-    np.testing.assert_array_equal(kept.fault, (came.frames["flags"] & wire.FLAG_CONVERTER) != 0)

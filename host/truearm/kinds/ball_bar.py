@@ -244,6 +244,7 @@ KIND = Kind(
     needs=(*BAR_MOUNTED, LENGTH),
     may=(BAR_TEMPERATURE, SENSOR_TEMPERATURE),
     entries=(CHUCK, SPHERE, BAR),
+    channels=(("lvdt",),),
     point="sphere",
     labels=("bar", "chuck", "sphere"),
     grouped_by=("chuck", "sphere"),

@@ -32,6 +32,7 @@ class Kind:
     needs: tuple[str | Quantity, ...]
     may: tuple[str | Quantity, ...] = ()
     entries: tuple[Entries[Any], ...] = ()  # entry types of rig files that it uses, its own and shared ones
+    channels: tuple[tuple[str, ...], ...] = ()  # of the box, from which a session reads it, for each stream
     free_names: tuple[str, ...] = ()  # identifiers without entries in the rig: then any name is valid
     point: str = ""  # the column that names the measured point of the end; "" if there is none
     labels: tuple[str, ...] = ()  # columns whose names an operator can confuse (checks.labels)

@@ -119,6 +119,7 @@ KIND = Kind(
     needs=("line", POINT),
     may=("target", SPREAD),
     entries=(TARGET, LINE),
+    channels=(("magnetostrictive",), ("transverse_a", "transverse_b")),  # along the device, and across it
     free_names=("line",),
     point="target",
     grouped_by=("line",),

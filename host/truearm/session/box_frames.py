@@ -6,12 +6,12 @@ once. The recorder uses this file too. Files are untrusted: each function return
 
 from __future__ import annotations
 
-import json
 import re
 import struct
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import cbor2
+import msgspec
 
 from truearm_wire import messages as wire
 from truearm_wire.messages import PAGE_BYTES, PAGES_MAX
@@ -139,31 +139,27 @@ def is_text(data: bytes) -> bool:
     return all(character.isprintable() or character.isspace() for character in text)
 
 
+_HostTime = Annotated[int, msgspec.Meta(gt=-MAX_HOST_NS, lt=MAX_HOST_NS)]
+_DeviceTime = Annotated[int, msgspec.Meta(ge=0, lt=MAX_DEVICE_US)]
+
+
+class _SyncLine(msgspec.Struct, gc=False):
+    t0_ns: _HostTime
+    t1_us: _DeviceTime
+    t2_us: _DeviceTime
+    t3_ns: _HostTime
+
+
+_read_exchange = msgspec.json.Decoder(_SyncLine).decode
+
+
 def parse_exchange(data: bytes) -> Exchange | None:
     """Parse a ``/sync`` message; None if the request was not answered or the message is invalid."""
     try:
-        return _exchange(json.loads(data))
-    except (ValueError, RecursionError):
+        line = _read_exchange(data)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         return None
-
-
-def parse_exchanges(lines: list[bytes]) -> list[Exchange | None]:
-    """Apply ``parse_exchange`` to each of several messages."""
-    try:
-        documents = json.loads(b"[" + b",".join(lines) + b"]")
-    except (ValueError, RecursionError):
-        documents = []
-    whole = len(documents) == len(lines)
-    return [_exchange(document) for document in documents] if whole else [parse_exchange(line) for line in lines]
-
-
-def _exchange(document: Any) -> Exchange | None:
-    if not isinstance(document, dict):
-        return None
-    t0, t1, t2, t3 = (document.get(name) for name in ("t0_ns", "t1_us", "t2_us", "t3_ns"))
-    host = type(t0) is int and type(t3) is int and abs(t0) < MAX_HOST_NS and abs(t3) < MAX_HOST_NS
-    device = type(t1) is int and type(t2) is int and 0 <= t1 < MAX_DEVICE_US and 0 <= t2 < MAX_DEVICE_US
-    return Exchange(t0, t1, t2, t3) if host and device else None  # type: ignore[arg-type]
+    return Exchange(line.t0_ns, line.t1_us, line.t2_us, line.t3_ns)
 
 
 def is_echo(frame: list[Any]) -> bool:

@@ -10,17 +10,13 @@ half of it in the mean, and adds at most a hundredth to the variance.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.box_ident import Channel
-from truearm.session.device_clock import DeviceClock
 from truearm.session.dwells import Dwell, DwellRules, begun_at
 from truearm.session.joint_readings import JointStream
 from truearm.session.sample_noise import (
@@ -35,85 +31,9 @@ from truearm.session.sample_noise import (
     rings,
     settled_from,
 )
-from truearm.session.samples import ChannelBlocks, bar_length, extension, out_of_travel, railed
-from truearm.types import BallBar, Floats, Ints
+from truearm.session.samples import Samples, bar_length, extension, out_of_travel, railed
+from truearm.types import BallBar, Floats
 from truearm.units import MM, MS, NS, UM
-
-
-@dataclass
-class DwellSamples:
-    """The samples of one dwell as they arrive, in gap-free pieces of counts."""
-
-    dwell: int
-    start_ns: int
-    end_ns: int
-    channel: Channel | None = None
-    period_ns: int = 0
-    pieces: list[list[NDArray[Any]]] = field(default_factory=list)
-    begins_ns: list[int] = field(default_factory=list)  # host time of the first sample of each piece
-    bound_ns: float = 0.0
-    fault: bool = False
-
-    @property
-    def longest(self) -> NDArray[Any]:
-        """Return the counts (n,) of the longest gap-free piece."""
-        return self.longest_piece[1]
-
-    @property
-    def longest_piece(self) -> tuple[int, NDArray[Any]]:
-        """Return the host time [ns] of the first sample of the longest gap-free piece, and its counts (n,)."""
-        whole = [(t, np.concatenate(piece)) for t, piece in zip(self.begins_ns, self.pieces, strict=True) if piece]
-        return max(whole, key=lambda piece: len(piece[1]), default=(self.start_ns, np.empty(0, np.int32)))
-
-
-def collect_samples(
-    blocks: Iterable[ChannelBlocks],
-    clocks: Mapping[int, DeviceClock],
-    intervals: Sequence[tuple[int, int, int]],
-) -> Iterator[DwellSamples]:
-    """Return the samples of each interval (dwell, start_host_ns, end_host_ns).
-
-    The intervals must be ascending and must not overlap.
-    """
-    waiting = deque(DwellSamples(*interval) for interval in intervals)
-    for some in blocks:
-        clock = clocks.get(some.segment)
-        if clock is None or not len(some):
-            continue
-        times, bounds = some.times(clock)
-        ends = np.cumsum(some.n, dtype=np.int64)
-        while waiting and waiting[0].end_ns < times[0]:
-            yield waiting.popleft()
-        for taken in waiting:
-            if taken.start_ns > times[-1]:
-                break
-            _take(taken, some, times, bounds, ends)
-    yield from waiting
-
-
-def _take(taken: DwellSamples, some: ChannelBlocks, times: Ints, bounds: NDArray[np.float64], ends: Ints) -> None:
-    """Add the samples of blocks that fall into the interval, split at gaps."""
-    low, high = (int(i) for i in np.searchsorted(times, [taken.start_ns, taken.end_ns + 1]))
-    if low == high:
-        return
-    k0, k1 = (int(k) for k in np.searchsorted(ends, [low, high - 1], side="right"))
-    touched = slice(k0, k1 + 1)
-    gaps = (ends[touched] - some.n[touched])[some.gap[touched]].tolist()
-    cuts = [low, *(gap for gap in gaps if low < gap < high), high]
-    pieces = [some.counts[a:b, 0] for a, b in pairwise(cuts)]
-    begins = [int(times[a]) for a in cuts[:-1]]
-    if taken.pieces and low not in gaps:
-        taken.pieces[-1].append(pieces.pop(0))
-        begins.pop(0)
-    taken.pieces += [[piece] for piece in pieces]
-    taken.begins_ns += begins
-    taken.channel = some.channels[0]
-    taken.period_ns = int(some.period_ns[k1]) or some.stream.period_ns
-    taken.bound_ns = max(taken.bound_ns, float(np.max(bounds[touched])))
-    taken.fault |= bool(np.any(some.fault[touched]))
-
-
-# ----------------------------------------------------------------------------------------------- mean length of a dwell
 
 LEAST_SAMPLES = 8
 BLOCK_S = 0.025  # averaging interval: short compared with the period of an arm's swing (5 to 20 Hz)
@@ -146,37 +66,38 @@ class Noise(NamedTuple):
     quick: float
 
 
-def usual_noise(taken: Sequence[DwellSamples]) -> Noise:
+def usual_noise(dwells: Iterable[Samples | None]) -> Noise:
     """Return the median noise of the sensor over several dwells."""
-    found = []
-    for one in taken:
-        counts = one.longest
-        if one.channel is not None and counts.size >= 2 * LEAST_BLOCKS * (block := block_length(one)):
-            samples = extension(counts, one.channel)
-            found.append((block_variance(samples, block), quick_noise(samples)))
-    return Noise(*np.median(found, axis=0).tolist()) if found else Noise(float("nan"), float("nan"))
+    noises = []
+    for taken in dwells:
+        if taken is not None:
+            _, counts = taken.longest()
+            if counts.size >= 2 * LEAST_BLOCKS * (block := block_length(taken)):
+                samples = extension(counts, taken.channels[0])
+                noises.append((block_variance(samples, block), quick_noise(samples)))
+    return Noise(*np.median(noises, axis=0).tolist()) if noises else Noise(float("nan"), float("nan"))
 
 
-def block_length(taken: DwellSamples) -> int:
+def block_length(taken: Samples) -> int:
     """Return the number of samples in BLOCK_S."""
     return max(1, round(BLOCK_S / (1e-9 * taken.period_ns)))
 
 
-def measured(dwell: Dwell, taken: DwellSamples, bar: BallBar, sensing: Sensing) -> Dwell:
+def measured(dwell: Dwell, taken: Samples | None, bar: BallBar, sensing: Sensing) -> Dwell:
     """Return the dwell with its mean length, or with the reason why it has none."""
     rules = sensing.rules
-    begin_ns, counts = taken.longest_piece
-    if not counts.size or taken.channel is None:
+    if taken is None:
         return replace(dwell, reason="no samples" if sensing.any_clock else "no clock")
+    begin_ns, counts = taken.longest()
     dwell = replace(dwell, clock_bound_ns=taken.bound_ns)
     if taken.bound_ns > 1e9 * rules.guard_s:
         return replace(dwell, reason="clock", detail=f"±{MS.text(NS.to_si(taken.bound_ns), '.0f')}")
     period_s = 1e-9 * taken.period_ns
     if counts.size < LEAST_SAMPLES or period_s * (counts.size + 1) < rules.shortest_s:
         return replace(dwell, reason="gap", detail=f"{period_s * counts.size:.2f} s at most without a gap")
-    if taken.fault:
+    if taken.fault.any():
         return replace(dwell, reason="rail", detail="the converter's fault")
-    stretched = extension(counts, taken.channel)
+    stretched = extension(counts, taken.channels[0])
     length = bar_length(stretched, bar)
     block = block_length(taken)
     found = settled(length, block, bar.gain**2 * sensing.noise.block_var, max(UNSETTLED * bar.sigma, MICRON))

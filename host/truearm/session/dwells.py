@@ -164,11 +164,12 @@ def _whole_windows(bins: Bins) -> NDArray[np.bool_]:
 
 def _window_ranges(bins: Bins, joint: int) -> Floats:
     """Return the range (b,) of a joint over each bin and the three after it."""
-    high, low = bins.high[:, joint].copy(), bins.low[:, joint].copy()
-    for k in range(1, WINDOW_BINS):
-        np.maximum(high[:-k], bins.high[k:, joint], out=high[:-k])
-        np.minimum(low[:-k], bins.low[k:, joint], out=low[:-k])
-    return high - low
+    mean = bins.mean[:, joint]
+    high, low = mean + bins.above[:, joint], mean - bins.below[:, joint]
+    for k in (1, 2):  # of two bins, then of four
+        np.maximum(high[:-k], high[k:], out=high[:-k])
+        np.minimum(low[:-k], low[k:], out=low[:-k])
+    return np.asarray(high - low)
 
 
 def _runs(quiet: NDArray[np.bool_], b: int) -> Iterator[tuple[int, int]]:

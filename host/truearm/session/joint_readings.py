@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from truearm.session.joint_format import (
 )
 from truearm.session.message_columns import Messages
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
+from truearm.session.spool import Spool
 from truearm.types import Floats, Ints
 
 MOST_CHANGES = 1_000_000  # per segment; edges cannot be distinguished in a signal faster than that
@@ -106,13 +107,20 @@ class Bins:
     t_last_s: Floats
     n: NDArray[np.int32]
     mean: Floats  # (b, j), of the measured joints, as are all following fields
-    low: Floats  # (b, j)
-    high: Floats  # (b, j)
+    below: NDArray[np.float32]  # (b, j) mean less the least
+    above: NDArray[np.float32]  # (b, j) the greatest less the mean
     scatter: NDArray[np.float32]  # (b, j (j + 1) / 2) sums of products of deviations from the mean, of pairs()
     gap: NDArray[np.bool_]
 
 
-_BIN_TYPES: dict[str, type[np.generic]] = {"segment": np.int32, "n": np.int32, "scatter": np.float32, "gap": np.bool_}
+_BIN_TYPES: dict[str, type[np.generic]] = {
+    "segment": np.int32,
+    "n": np.int32,
+    "below": np.float32,
+    "above": np.float32,
+    "scatter": np.float32,
+    "gap": np.bool_,
+}
 
 
 @cache
@@ -121,6 +129,14 @@ def pairs(joints: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     first, second = np.triu_indices(joints)
     first.flags.writeable = second.flags.writeable = False
     return first, second
+
+
+class Readings(NamedTuple):
+    """Readings (n,) of one segment: controller time [s], number, joints (n, j)."""
+
+    t: Floats
+    seq: Ints
+    q: Floats
 
 
 @dataclass(frozen=True)
@@ -140,6 +156,18 @@ class JointStream:
     clocks: tuple[RobotClock, ...]
     reports: tuple[RobotClockReport, ...]
     inputs: tuple[InputTrack, ...]  # of each segment
+    kept: Spool
+
+    def between(self, segment: int, start_s: float, end_s: float) -> Readings:
+        """Return the readings between two controller times, of those that were kept."""
+        spans = enumerate(self.kept.spans)
+        parts = [self.kept.load(k) for k, (s, a, b) in spans if s == segment and a <= end_s and b >= start_s]
+        t, seq, q = map(
+            np.concatenate,
+            zip((np.empty(0), np.empty(0, np.int64), np.empty((0, len(self.step)))), *parts, strict=True),
+        )
+        inside = (t >= start_s) & (t <= end_s)
+        return Readings(t[inside], seq[inside], q[inside])
 
 
 _BACK = b'"kind":"robot-back"'
@@ -219,6 +247,8 @@ class JointReader:
     """Processes the robot's messages batch by batch in log order."""
 
     def __init__(self) -> None:
+        self.keeps = False  # keep all readings from now on, and not only bins of them
+        self._kept = Spool()
         self._order = SegmentedReadings()
         self._arrivals: list[Arrivals] = []
         self._inputs: list[InputTrack] = []
@@ -261,6 +291,7 @@ class JointReader:
             clocks=tuple(clock for clock, _ in fits),
             reports=tuple(report for _, report in fits),
             inputs=tuple(self._inputs),
+            kept=self._kept,
         )
 
     def _all_bins(self) -> Bins | None:
@@ -268,7 +299,7 @@ class JointReader:
             return None
         columns = {name: np.frombuffer(data, _BIN_TYPES.get(name, np.float64)) for name, data in self._bins.items()}
         bins = len(columns["n"])
-        for name in ("mean", "low", "high", "scatter"):
+        for name in ("mean", "below", "above", "scatter"):
             columns[name] = columns[name].reshape(bins, -1)
         return Bins(**columns)
 
@@ -307,6 +338,9 @@ class JointReader:
             self._arrivals[-1].add(t[keep], batch.arrival_ns[keep])
             self._inputs[-1].add(t[keep], batch.inputs[keep])
             self._bin(t[keep], batch.q[keep])
+            if self.keeps:
+                readings = Readings(t[keep], kept, batch.q[keep])
+                self._kept.append(readings, (len(self._arrivals) - 1, float(readings.t[0]), self._latest_s))
 
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:
@@ -340,7 +374,7 @@ class JointReader:
         low, high = np.minimum.reduceat(q, starts, axis=0), np.maximum.reduceat(q, starts, axis=0)
         segment = np.full(starts.size, len(self._arrivals) - 1)
         last = np.concatenate([starts[1:], [t.size]]) - 1
-        columns = (segment, t[starts], t[last], n, mean, low, high, scatter, gap)
+        columns = (segment, t[starts], t[last], n, mean, mean - low, high - mean, scatter, gap)
         for (name, data), column in zip(self._bins.items(), columns, strict=True):
             data += column.astype(_BIN_TYPES.get(name, np.float64)).tobytes()
 

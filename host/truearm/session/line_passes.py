@@ -28,26 +28,24 @@ with an error per pass, 2.4 if driven one way in two lives of the clocks, 3.9 if
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from truearm.session.device_clock import DeviceClock
 from truearm.session.dwell_samples import MICRON
+from truearm.session.joint_format import UNNUMBERED
 from truearm.session.joint_readings import JointStream
-from truearm.session.leg_samples import LegReadings, LegSamples, Samples, readings_of, samples_of
 from truearm.session.line_legs import Leg
 from truearm.session.local_fits import LEAST, MISSED, fit_locally
 from truearm.session.sample_noise import mean_variance
-from truearm.session.samples import extension, railed
+from truearm.session.samples import ChannelSamples, Samples, extension, railed
 from truearm.types import Floats, Ints, Mask, rms_of_columns
 
-ALONG, ACROSS = ("magnetostrictive",), ("transverse_a", "transverse_b")  # channels of the device's y; x and z
-WANTED = (ALONG, ACROSS)
 REASONS = (
     "too short",
     "too long",
@@ -67,6 +65,7 @@ LONGEST_S = 300.0
 LEAST_TRAVEL = 0.01  # least travel [m] of the magnet along the device in a pass
 LEAST_ROWS = 5
 STEADY = 0.9  # of the median speed
+LOST = 1.6  # in robot periods: a larger step between readings means that one is missing
 REACH = 1.2  # periods from a window's end to its first sample; one more would mean a missing sample
 STOPPED = 0.8  # share of a window's interrogations that must have a stop pulse
 NOISY = 5.0  # multiple of the median residual of the pass
@@ -145,17 +144,22 @@ class _Signals:
 
 
 def measure(
-    passing: LinePass, heard: LegSamples, clocks: Mapping[int, DeviceClock], joints: JointStream, rules: LineRules
+    passing: LinePass,
+    samples: Sequence[ChannelSamples],
+    joints: JointStream,
+    any_clock: bool,
+    rules: LineRules,
 ) -> LinePass | None:
     """Return the pass with its rows or with the reason why it has none; None if nothing moved along the device.
 
-    Raises SessionError for a channel without a calibration to metres.
+    ``samples``: of the channels along and across the device. Raises SessionError for a channel without a calibration to
+    metres.
     """
-    along, across = (samples_of(heard, k, clocks) for k in range(len(WANTED)))
-    readings = readings_of(heard, joints)
+    leg = passing.leg
+    along, across = (_without_faults(channels.during(leg.start_host_ns, leg.end_host_ns)) for channels in samples)
     if along is None or across is None:
-        said = len(heard.pieces) == len(WANTED)
-        return replace(passing, reason="no clock" if said else "no samples")
+        return replace(passing, reason="no samples" if any_clock else "no clock")
+    readings = _readings(leg, joints)
     bound_ns = max(along.bound_ns, across.bound_ns)
     passing = replace(passing, clock_bound_ns=bound_ns, time_sigma_s=_time_sigma(bound_ns, passing.leg, joints))
     signals = _signals(along, across, readings, passing.leg.start_host_ns, rules.reach)
@@ -184,6 +188,35 @@ def measure(
     return _rows(passing, signals, span, beyond, along.period_ns, joints.step, rules)
 
 
+class _Readings(NamedTuple):
+    """Readings of the robot in order: host time [ns] (n,), joints (n, j), index of the gap-free piece (n,)."""
+
+    t_ns: Ints
+    q: Floats
+    piece: Ints
+
+
+def _readings(leg: Leg, joints: JointStream) -> _Readings:
+    """Return the robot's readings of a leg by time."""
+    t, seq, q = joints.between(leg.segment, leg.start_s, leg.end_s)
+    t, first = np.unique(t, return_index=True)
+    seq, q = seq[first], q[first]
+    apart = np.diff(t)
+    broken = apart > LOST * float(np.median(apart)) if apart.size else np.zeros(0, dtype=bool)
+    numbered = (seq[1:] != UNNUMBERED) & (seq[:-1] != UNNUMBERED)
+    piece = np.cumsum(np.append(False, broken | (numbered & (np.diff(seq) != 1))))[: t.size]
+    return _Readings(joints.clocks[leg.segment].to_host_ns(t), q, piece)
+
+
+def _without_faults(taken: Samples | None) -> Samples | None:
+    """Return the samples that the converter did not flag; a piece ends where it did."""
+    if taken is None or taken.fault.all():
+        return None
+    well = ~taken.fault
+    piece = taken.piece + np.cumsum(taken.fault)
+    return replace(taken, t_ns=taken.t_ns[well], counts=taken.counts[well], piece=piece[well], fault=taken.fault[well])
+
+
 def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
     """Return the standard deviation [s] of a row's time, without the constant part, which the time offset τ absorbs.
 
@@ -193,7 +226,7 @@ def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
     return 1e-9 * float(np.hypot(bound_ns, robot_ns) / np.sqrt(3.0))
 
 
-def _signals(along: Samples, across: Samples, readings: LegReadings, start_ns: int, reach: float) -> _Signals | None:
+def _signals(along: Samples, across: Samples, readings: _Readings, start_ns: int, reach: float) -> _Signals | None:
     if readings.t_ns.size < LEAST:
         return None
 

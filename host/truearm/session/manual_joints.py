@@ -9,18 +9,13 @@ standard deviations remains undetected.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from truearm.session.box_ident import Channel
-from truearm.session.device_clock import DeviceClock
 from truearm.session.dwells import Dwell, DwellRules, find_stops
 from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream
-from truearm.session.samples import ChannelBlocks, extension, railed
+from truearm.session.samples import ChannelSamples, extension, railed
 
 NO_STEP = np.zeros(1)
 
@@ -30,12 +25,7 @@ def has_manual_joints(stream: JointStream) -> bool:
     return stream.bins is not None and (stream.readings == 1 or stream.rate_hz * NOTED_S < 1.0)
 
 
-def manual_dwells(
-    stream: JointStream,
-    blocks: Iterable[ChannelBlocks],
-    clocks: Mapping[int, DeviceClock],
-    rules: DwellRules,
-) -> list[Dwell]:
+def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRules) -> list[Dwell]:
     """Return one dwell per reading, in order.
 
     Those in no rest of the sensor, or in one with another reading, carry their reason.
@@ -43,7 +33,7 @@ def manual_dwells(
     bins = stream.bins
     if bins is None:
         return []
-    sensor = sensor_bins(blocks, clocks)
+    sensor = sensor_bins(samples)
     rests = (
         [] if sensor is None else [stop for stop in find_stops(sensor, NO_STEP, rules) if stop.reason != "too short"]
     )
@@ -72,65 +62,34 @@ def manual_dwells(
     return dwells
 
 
-def sensor_bins(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) -> Bins | None:
+def sensor_bins(samples: ChannelSamples) -> Bins | None:
     """Return the sensor's extension in bins of BIN_S [s of the host's clock], as a single joint; None if there is none.
 
     Samples at a rail are left out: an open coil is quiet but not at rest. Raises SessionError if the channel has no
     calibration.
     """
-    rows: list[tuple[int, float, float, int, float, float, float, bool]] = []
-    for placed in _chunks(blocks, clocks):
-        counts = np.concatenate([block.counts for block in placed])
-        if np.any(railed(counts)):
-            continue
-        metres = extension(counts, placed[0].channel)
-        first, last = placed[0].host_s, placed[-1].host_s
-        gap = placed[0].gap or not rows or first - rows[-1][2] > BIN_S
-        last += 1e-9 * placed[-1].period_ns * (len(placed[-1].counts) - 1)
-        rows.append((placed[0].segment, first, last, counts.size, metres.mean(), metres.min(), metres.max(), gap))
-    if not rows:
+    parts = []
+    for some, host_ns in samples:
+        period_ns = np.where(some.period_ns > 0, some.period_ns, some.stream.period_ns)
+        bin_of_block = np.cumsum(some.gap) * 1e9 + np.floor(1e-9 * (host_ns - host_ns[0]) / BIN_S)
+        starts = np.flatnonzero(np.diff(bin_of_block, prepend=-1.0))
+        ends = np.append(starts[1:], len(some.n)) - 1
+        first = some.first[starts]
+        metres = extension(some.counts[:, 0], some.channels[0])
+        n = np.add.reduceat(some.n, starts)
+        at_rail = np.logical_or.reduceat(railed(some.counts[:, 0]), first)
+        good = ~at_rail & (np.add.reduceat(some.n * period_ns, starts) >= 0.5e9 * BIN_S)
+        gap = some.gap[starts] | np.append(False, at_rail[:-1])
+        mean, low, high = (of.reduceat(metres, first) for of in (np.add, np.minimum, np.maximum))
+        last_s = 1e-9 * (host_ns[ends] + period_ns[ends] * (some.n[ends] - 1))
+        columns = (np.full(len(n), some.segment), 1e-9 * host_ns[starts], last_s, n, mean / n, low, high, gap)
+        parts.append([column[good] for column in columns])
+    if not parts:
         return None
-    segment, first_s, last_s, n, mean, low, high, gaps = (np.array(column) for column in zip(*rows, strict=True))
-    empty = np.zeros((len(rows), 1), np.float32)
-    return Bins(segment, first_s, last_s, n, mean[:, None], low[:, None], high[:, None], empty, gaps)
-
-
-class _Block(NamedTuple):
-    """The samples of one block, and the time of the first."""
-
-    segment: int
-    host_s: float
-    counts: NDArray[np.int32]
-    period_ns: int  # as stated in the block
-    sampled_ns: int  # time that the block covers
-    gap: bool
-    channel: Channel
-
-
-def _chunks(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) -> Iterator[list[_Block]]:
-    """Yield blocks with their host time, grouped to BIN_S without gaps."""
-    placed: list[_Block] = []
-    for block in _singly(blocks, clocks):
-        if placed and (block.gap or placed[0].segment != block.segment):
-            placed = []  # less than a bin before a gap
-        placed.append(block)
-        if sum(one.sampled_ns for one in placed) >= 0.9e9 * BIN_S:
-            yield placed
-            placed = []
-
-
-def _singly(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) -> Iterator[_Block]:
-    for some in blocks:
-        clock = clocks.get(some.segment)
-        if clock is None:
-            continue
-        host, _ = clock.to_host_ns(some.t0_us)
-        host_s = 1e-9 * (host - some.stream.group_delay_ns)
-        counts = np.split(some.counts[:, 0], some.first[1:])
-        columns = host_s.tolist(), some.n.tolist(), some.period_ns.tolist(), some.gap.tolist(), counts
-        for t_s, n, period_ns, gap, samples in zip(*columns, strict=True):
-            sampled_ns = n * (period_ns or some.stream.period_ns)
-            yield _Block(some.segment, t_s, samples, period_ns, sampled_ns, gap, some.channels[0])
+    segment, first_s, last_s, n, mean, low, high, gap = map(np.concatenate, zip(*parts, strict=True))
+    gap |= first_s - np.append(-np.inf, last_s[:-1]) > 2.0 * BIN_S
+    scatter = np.zeros((len(n), 1), np.float32)
+    return Bins(segment, first_s, last_s, n, mean[:, None], (mean - low)[:, None], (high - mean)[:, None], scatter, gap)
 
 
 def _noted(stream: JointStream, bins: Bins, k: int, t_host_ns: int, reason: str = "", detail: str = "") -> Dwell:

@@ -11,22 +11,22 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import chain
 
 import numpy as np
 
 from truearm.clocks import WANDER
+from truearm.kinds import registry
 from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
 from truearm.session.box_temperature import BoxTemperature, box_temperature
 from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
 from truearm.session.dwell_labels import labelled, with_mountings
-from truearm.session.dwell_samples import LEARNT, Sensing, collect_samples, measured, usual_noise, without_noisy
+from truearm.session.dwell_samples import LEARNT, Sensing, measured, usual_noise, without_noisy
 from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import Bins, JointReader, JointStream
-from truearm.session.leg_samples import LegListener, LegSamples
 from truearm.session.line_legs import Leg, find_legs
-from truearm.session.line_passes import WANTED, LinePass, LineRules, measure
+from truearm.session.line_passes import LinePass, LineRules, measure
 from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.message_columns import Messages, Source, columns_of
@@ -46,7 +46,7 @@ from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig
 
 # Names given by the box's configuration: the columns that kinds of observation declare
 THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}
-MOST_KEPT_BYTES = 64 << 20  # of messages, if legs are to be processed
+BAR, LINE = "ball_bar", "line"
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,9 @@ class Survey:
     dwells: tuple[Dwell, ...]
     legs: tuple[Leg, ...]  # () where no line was planned or mounted
     marks: Marks
-    samples: ChannelSamples  # of the ball-bar
-    batches: Batches
+    samples: dict[str, tuple[ChannelSamples, ...]]  # by kind of observation
+    source: Source
+    ident: Ident | None  # of the box, as known beforehand
 
     @property
     def idents(self) -> dict[int, Ident]:
@@ -118,65 +119,36 @@ class SyncResult:
         return dict(Counter(one.reason for one in self.passes if one.reason))
 
 
-class Batches:
-    """The messages of a session in batches, with the blocks of samples released by each: kept, or read again."""
-
-    def __init__(self, source: Source, ident: Ident | None) -> None:
-        self.ident = ident  # what is known about the box beforehand
-        self._source = source
-        self._kept: list[tuple[Messages, list[Blocks]]] | None = []
-        self._bytes = 0
-
-    def read(self, box: BoxReader) -> Iterator[tuple[Messages, list[Blocks]]]:
-        """Read the session with this reader."""
-        for messages in self._source():
-            yield messages, box.feed(messages)
-        yield columns_of([]), box.finish()
-
-    def keep(self, messages: Messages, blocks: list[Blocks]) -> None:
-        """Keep a batch for the second pass."""
-        self._bytes += len(messages.data)
-        if self._bytes > MOST_KEPT_BYTES:
-            self.drop()
-        if self._kept is not None:
-            self._kept.append((messages, blocks))
-
-    def drop(self) -> None:
-        """Keep nothing."""
-        self._kept = None
-
-    def __iter__(self) -> Iterator[tuple[Messages, list[Blocks]]]:
-        if self._kept is not None:
-            return iter(self._kept)
-        return self.read(BoxReader(self.ident))
+def read_blocks(source: Source, box: BoxReader) -> Iterator[tuple[Messages, list[Blocks]]]:
+    """Yield the messages of a session in batches, with the blocks of samples released by each."""
+    for messages in source():
+        yield messages, box.feed(messages)
+    yield columns_of([]), box.finish()
 
 
 def survey(
     source: Source,
     ident: Ident | None = None,
     rules: DwellRules | None = None,
-    channel: str = "lvdt",
     wander: float = WANDER,
 ) -> Survey:
     """Read all messages and return the survey.
 
-    ``ident`` (from the session's metadata) is used until the box sends its own; ``channel`` is that of the ball-bar;
-    ``wander``: how far the rate of the host's clock may wander.
+    ``ident`` (from the session's metadata) is used until the box sends its own; ``wander``: how far the rate of the host's clock may wander.
     """
     box, robot, marks = BoxReader(ident), JointReader(), Marks()
-    batches = Batches(source, ident)
-    samples = ChannelSamples(channel, lambda: (one for _, blocks in batches for one in blocks))
-    for messages, blocks in batches.read(box):
-        robot.take(messages)
+    samples = {name: tuple(map(ChannelSamples, kind.channels)) for name, kind in registry.kinds().items()}
+    for messages, blocks in read_blocks(source, box):
         for message in messages.of(messages.rows(lambda topic: topic in ("/plan", "/events"))):
             marks.feed(message.topic, message.t_host_ns, message.data)
-        samples.keep(blocks)
-        if marks.names_lines:
-            batches.keep(messages, blocks)
-        else:  # if a line is named later, the session is read again
-            batches.drop()
+        robot.keeps = robot.keeps or marks.names_lines
+        robot.take(messages)
+        for channels in chain.from_iterable(samples.values()):
+            channels.keep(blocks)
     fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, box.exchanges(s), wander)) is not None}
     clocks = {index: clock for index, (clock, _) in fits.items()}
+    for channels in chain.from_iterable(samples.values()):
+        channels.place(clocks)
     outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
     joints = with_edges(robot.finish(), outputs, clocks)
     temperatures = {
@@ -185,7 +157,7 @@ def survey(
     }
     rules = rules or DwellRules()
     if has_manual_joints(joints):
-        dwells = manual_dwells(joints, samples, clocks, rules)
+        dwells = manual_dwells(joints, samples[BAR][0], rules)
     else:
         dwells = _on_host(find_dwells(joints, rules), joints)
     return Survey(
@@ -201,7 +173,8 @@ def survey(
         legs=tuple(find_legs(joints)) if marks.names_lines else (),
         marks=marks,
         samples=samples,
-        batches=batches,
+        source=source,
+        ident=ident,
     )
 
 
@@ -229,18 +202,24 @@ def observations(
     dwells = _pair(found, rig, rules) if labels is None else _settled(found, rig, labels)
     dwells = with_mountings(dwells, found.marks, rules.pose_tolerance)
     passes = passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance)
-    good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
+    good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     if good:
-        found.samples.check()
-        intervals = disjoint([(i, start, end) for start, end, i in good])
-        several = collect_samples(found.samples, found.clocks, intervals)
-        first = list(islice(several, LEARNT))
-        sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first))
-        for taken in chain(first, several):
-            dwell = dwells[taken.dwell]
-            dwells[taken.dwell] = measured(dwell, taken, rig.bars[dwell.mounted["bar"]], sensing)
+        (samples,) = found.samples[BAR]
+        samples.check()
+        taken = {i: samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns) for i in good[:LEARNT]}
+        sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(taken.values()))
+        for i in good:
+            dwell = dwells[i]
+            during = taken.pop(i) if i in taken else samples.during(dwell.start_host_ns, dwell.end_host_ns)
+            dwells[i] = measured(dwell, during, rig.bars[dwell.mounted["bar"]], sensing)
     dwells = without_noisy(dwells)
-    driven = _driven(passes, found, line_rules)
+    measurable = (
+        one
+        if one.reason in ("too long", "ambiguous")
+        else measure(one, found.samples[LINE], found.joints, bool(found.clocks), line_rules)
+        for one in passes
+    )
+    driven = tuple(one for one in measurable if one is not None)
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
     bins = None if has_manual_joints(found.joints) else found.joints.bins
     table = table_of(dwells, driven, len(found.joints.step), name, bins)
@@ -255,24 +234,6 @@ def observations(
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 
-def _driven(planned: Sequence[LinePass | None], found: Survey, rules: LineRules) -> tuple[LinePass, ...]:
-    """Return the passes, each measured from the data of its leg."""
-    passes = list(planned)
-    legs = [(i, one.leg) for i, one in enumerate(passes) if one and one.reason not in ("too long", "ambiguous")]
-    if legs:
-        listener = LegListener(legs, WANTED, found.joints)
-        over = chain.from_iterable(listener.take(*batch) for batch in found.batches)
-        for heard in chain(over, _rest(listener)):
-            one = passes[heard.index]
-            passes[heard.index] = one and measure(one, heard, found.clocks, found.joints, rules)
-    return tuple(one for one in passes if one is not None)
-
-
-def _rest(listener: LegListener) -> Iterator[LegSamples]:
-    """Yield the legs that are still open at the end."""
-    yield from listener.rest()
-
-
 def _on_host(dwells: Sequence[Dwell], joints: JointStream) -> list[Dwell]:
     """Return the dwells with host times."""
     times = np.array([(dwell.start_s, dwell.end_s) for dwell in dwells]).reshape(-1, 2)
@@ -284,15 +245,6 @@ def _on_host(dwells: Sequence[Dwell], joints: JointStream) -> list[Dwell]:
         replace(dwell, start_host_ns=start, end_host_ns=end)
         for dwell, (start, end) in zip(dwells, host.tolist(), strict=True)
     ]
-
-
-def disjoint(intervals: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
-    """Return ascending intervals that do not overlap: controller segments may overlap in host time."""
-    disjoint: list[tuple[int, int, int]] = []
-    for dwell, start, end in intervals:
-        start = max(start, disjoint[-1][2] + 1) if disjoint else start
-        disjoint.append((dwell, start, max(start, end)))
-    return disjoint
 
 
 def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
@@ -416,7 +368,8 @@ def came_from(bins: Bins, dwell: Dwell) -> Floats:
     for k in range(last - 1, max(-1, last - 1 - BACK_BINS), -1):
         if bins.gap[k + 1] or bins.segment[k] != dwell.segment or np.all(direction):
             break
-        above, below = bins.high[k] - dwell.q, dwell.q - bins.low[k]
+        offset = bins.mean[k] - dwell.q
+        above, below = offset + bins.above[k], bins.below[k] - offset
         new = (direction == 0.0) & (np.maximum(above, below) > LEAST)
         direction[new] = np.where(above > below, -1.0, 1.0)[new]
     return direction

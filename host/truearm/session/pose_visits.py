@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
-from truearm.session.observations import SyncResult, came_from, disjoint
+from truearm.session.observations import BAR, SyncResult, came_from
 from truearm.session.sample_noise import Allan, allan, mean_variance
 from truearm.session.samples import bar_length, extension
 from truearm.types import Floats, Rig
@@ -77,21 +76,21 @@ def visits(
     rests: list[Floats] = []
     settling, spacing, period_s = np.full((len(used), len(bands)), np.nan), np.full(len(used), np.nan), float("nan")
     before = round(1e9 * BEFORE_S)
-    stood = [d.start_host_ns - round(1e9 * (d.start_s - d.stood_s)) for d in used]
-    wanted = disjoint([(i, stood[i] - before, d.end_host_ns) for i, d in enumerate(used)])
-    for taken in collect_samples(result.survey.samples, result.survey.clocks, wanted):
-        dwell = used[taken.dwell]
-        if taken.channel is None:
+    (samples,) = result.survey.samples[BAR]
+    for i, dwell in enumerate(used):
+        stood_ns = dwell.start_host_ns - round(1e9 * (dwell.start_s - dwell.stood_s))
+        taken = samples.during(stood_ns - before, dwell.end_host_ns)
+        if taken is None:
             continue
         bar = rig.bars[dwell.mounted["bar"]]
-        begin_ns, counts = taken.longest_piece
-        length = bar_length(extension(counts, taken.channel), bar)
+        begin_ns, counts = taken.longest()
+        length = bar_length(extension(counts, taken.channels[0]), bar)
         period_s = 1e-9 * taken.period_ns
         for k, band in enumerate(bands):
             if band > SIGMAS * dwell.noise:
-                settling[taken.dwell, k] = stabilisation_time(length - dwell.value, band, period_s)
+                settling[i, k] = stabilisation_time(length - dwell.value, band, period_s)
         rests.append(length[max(0, int(np.ceil((dwell.start_host_ns - begin_ns) / taken.period_ns))) :])
-        spacing[taken.dwell] = period_s * dwell.n_samples / dwell.n_eff
+        spacing[i] = period_s * dwell.n_samples / dwell.n_eff
     j = len(result.survey.joints.step)
     direction = np.array([came_from(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
     mean_var = np.array([_mean_var(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))

@@ -6,10 +6,10 @@ the channel). The rig provides the rest: length = zero + gain · extension, cent
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import reduce
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache, reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from truearm.errors import SessionError
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channel
 from truearm.session.device_clock import DeviceClock
+from truearm.session.spool import Spool
 from truearm.session.streams import Blocks
 from truearm.text import box_command, one_line
 from truearm.types import BallBar, Floats, Ints
@@ -98,15 +99,39 @@ def out_of_travel(extension: Floats, bar: BallBar) -> NDArray[np.bool_]:
 
 # ------------------------------------------------------------------------------------------------- samples of channels
 
-MOST_KEPT_BYTES = 64 << 20  # three to four hours at 2 kHz; a longer session is read again
+RECENT = 4  # loaded blocks that stay in memory
+SLACK_US = 10_000  # of the time between which samples lie
 
 
 @dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples (n,) of c channels of one stream: host time [ns] at which the signal had the value, and counts (n, c).
+
+    ``piece`` (n,) is another number behind a gap. ``fault`` (n,): the converter's. ``bound_ns``: largest error of the times.
+    """
+
+    t_ns: Ints
+    counts: NDArray[np.int32]
+    piece: Ints
+    fault: NDArray[np.bool_]
+    channels: tuple[Channel, ...]
+    period_ns: int
+    bound_ns: float
+
+    def longest(self) -> tuple[int, NDArray[np.int32]]:
+        """Return the host time [ns] of the first sample of the longest gap-free piece, and the counts of its first channel."""
+        begins = np.flatnonzero(np.diff(self.piece, prepend=-1))
+        n = np.diff(begins, append=len(self.piece))
+        first = int(begins[np.argmax(n)])
+        return int(self.t_ns[first]), self.counts[first : first + int(n.max()), 0]
+
+
+@dataclass(eq=False)
 class ChannelBlocks:
     """Blocks (b,) of samples of some channels of one stream, all of one segment and ident.
 
-    ``counts`` (Σ n, c). ``fault``: the converter's. ``gap``: samples before the block are missing. ``within_ns`` (Σ
-    n,): time from the block's first sample to each sample, None if the periods give it.
+    ``gap``: samples before the block are missing. ``fault``: the converter's. ``counts`` (Σ n, c), ``within_ns`` (Σ n,):
+    time from the block's first sample to each sample, (0,) if the periods give it.
     """
 
     segment: int
@@ -118,137 +143,136 @@ class ChannelBlocks:
     gap: NDArray[np.bool_]
     fault: NDArray[np.bool_]
     counts: NDArray[np.int32]
-    within_ns: Ints | None
-
-    def __len__(self) -> int:
-        return len(self.n)
+    within_ns: Ints
+    _placed: tuple[Ints, Floats] | None = field(default=None, init=False)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
         """The channels in the columns of ``counts``."""
         return tuple(self.stream.channels[column] for column in self.columns)
 
-    def times(self, clock: DeviceClock) -> tuple[Ints, NDArray[np.float64]]:
-        """Return the host time [ns] at which the signal had each sample's value, and the bound for each block."""
-        host, bounds = clock.to_host_ns(self.t0_us)
-        within = self.within_ns
-        if within is None:
-            within = (np.arange(len(self.counts)) - np.repeat(self.first, self.n)) * np.repeat(self.period_ns, self.n)
-        return np.repeat(host, self.n) + within - self.stream.group_delay_ns, bounds
-
-    @property
+    @cached_property
     def first(self) -> Ints:
         """Offset of each block in ``counts``."""
         return np.asarray(np.cumsum(self.n, dtype=np.int64) - self.n)
 
-    def some(self, blocks: NDArray[np.bool_]) -> ChannelBlocks:
-        """Return a selection (b,) of the blocks."""
-        samples = np.repeat(blocks, self.n)
-        return replace(
-            self,
-            period_ns=self.period_ns[blocks],
-            n=self.n[blocks],
-            t0_us=self.t0_us[blocks],
-            gap=self.gap[blocks],
-            fault=self.fault[blocks],
-            counts=self.counts[samples],
-            within_ns=None if self.within_ns is None else self.within_ns[samples],
+    @cached_property
+    def reach_ns(self) -> int:
+        """The longest time from the first sample of a block to its last."""
+        by_period = int(self.n.max()) * max(int(self.period_ns.max()), self.stream.period_ns)
+        return int(self.within_ns.max(initial=0)) or by_period
+
+    def placed(self, clock: DeviceClock) -> tuple[Ints, Floats]:
+        """Return the host time (b,) [ns] at which the signal had the first value of each block, and the bounds."""
+        if self._placed is None:
+            host, bound = clock.to_host_ns(self.t0_us)
+            self._placed = host - self.stream.group_delay_ns, bound
+        return self._placed
+
+
+class ChannelSamples:
+    """All samples of some channels of one stream, kept on the disk."""
+
+    def __init__(self, channels: Sequence[str]) -> None:
+        self._names = channels
+        self._arrays = Spool()
+        self._of_arrays: list[tuple[int, Stream, tuple[int, ...]]] = []
+        self._blocks = lru_cache(RECENT)(self._load)
+        self._host_ns: NDArray[np.float64] = np.empty((0, 2))  # between which each lies; NaN without a clock
+        self._clocks: Mapping[int, DeviceClock] = {}
+        self._lacking: Ident | None = None
+
+    def keep(self, blocks: Iterable[Blocks]) -> None:
+        """Keep the channels' samples among all blocks of a box."""
+        for some in blocks:
+            place = columns_in(some.ident, self._names)
+            if place is None:
+                self._lacking = self._lacking or some.ident
+            elif place[0].id == some.stream.id and len(some):
+                frames = some.frames
+                arrays: list[NDArray[Any]] = [
+                    frames["period_ns"].astype(np.uint32),
+                    some.n.astype(np.int32),
+                    frames["t_us"],
+                    some.gap,
+                    (frames["flags"] & wire.FLAG_CONVERTER) != 0,
+                    with_ratios(some.counts(), some.stream.channels)[:, place[1]],
+                    some.within_ns() if some.offsets_us else np.empty(0, np.int64),
+                ]
+                self._of_arrays.append((some.segment, some.stream, place[1]))
+                reach_us = ChannelBlocks(*self._of_arrays[-1], *arrays).reach_ns // 1000
+                begin_us = int(frames["t_us"].min()) - some.stream.group_delay_ns // 1000 - SLACK_US
+                span = some.segment, begin_us, int(frames["t_us"].max()) + reach_us + SLACK_US
+                self._arrays.append(arrays, span)
+
+    def _load(self, number: int) -> ChannelBlocks:
+        return ChannelBlocks(*self._of_arrays[number], *self._arrays.load(number))
+
+    def place(self, clocks: Mapping[int, DeviceClock]) -> None:
+        """Set the clock of each segment of the box."""
+        self._clocks = clocks
+        self._host_ns = np.full((len(self._arrays.spans), 2), np.nan)
+        for k, (segment, *t_us) in enumerate(self._arrays.spans):
+            if segment in clocks:
+                self._host_ns[k] = clocks[segment].to_host_ns(np.array(t_us, np.int64))[0]
+
+    def check(self) -> None:
+        """Raise SessionError if a box sent samples but does not have the channels."""
+        if self._lacking is not None:
+            have = ", ".join(c.name for stream in self._lacking.streams.values() for c in stream.channels)
+            raise SessionError(f"the box has no channel {self._names[0]!r}; it has {have}")
+
+    def __iter__(self) -> Iterator[tuple[ChannelBlocks, Ints]]:
+        """Yield all samples that a clock places in time, and the host times of their blocks."""
+        for number, (segment, _, _) in enumerate(self._of_arrays):
+            if segment in self._clocks:
+                some = self._blocks(number)
+                yield some, some.placed(self._clocks[segment])[0]
+
+    def during(self, start_ns: int, end_ns: int) -> Samples | None:
+        """Return the samples between two host times; None if there are none, or no clock places them in time."""
+        parts, segment = [], -1
+        for k in np.flatnonzero((self._host_ns[:, 0] <= end_ns) & (self._host_ns[:, 1] >= start_ns)).tolist():
+            some = self._blocks(k)
+            host, bound = some.placed(self._clocks[some.segment])
+            rows = slice(*np.searchsorted(host, [start_ns - some.reach_ns, end_ns + 1]))
+            if rows.start == rows.stop:
+                continue
+            n, begin = some.n[rows], int(some.first[rows.start])
+            first = some.first[rows] - begin
+            within = some.within_ns[begin : begin + int(n.sum())]
+            if not within.size:
+                within = (np.arange(n.sum()) - np.repeat(first, n)) * np.repeat(some.period_ns[rows], n)
+            t_ns = np.repeat(host[rows], n) + within
+            low, high = np.searchsorted(t_ns, [start_ns, end_ns + 1])
+            if low == high:
+                continue
+            gap = np.zeros(t_ns.size, np.bool_)
+            gap[first] = some.gap[rows]
+            gap[low] |= some.segment != segment
+            segment, last = some.segment, some
+            columns = t_ns, some.counts[begin : begin + t_ns.size], gap, np.repeat(some.fault[rows], n)
+            touched = slice(*(np.searchsorted(first, [low, high - 1], side="right") - [1, 0] + rows.start))
+            parts.append((*(c[low:high] for c in columns), bound[touched], some.period_ns[touched]))
+        if not parts:
+            return None
+        t_ns, counts, gap, fault, bound, period_ns = map(np.concatenate, zip(*parts, strict=True))
+        # Two lives of the box have two clocks; their times may overlap by the clocks' errors.
+        order = np.argsort(t_ns, kind="stable") if len(parts) > 1 else slice(None)
+        return Samples(
+            t_ns=t_ns[order],
+            counts=counts[order],
+            piece=np.asarray(np.cumsum(gap, dtype=np.int64))[order],
+            fault=fault[order],
+            channels=last.channels,
+            period_ns=int(period_ns[-1]) or last.stream.period_ns,
+            bound_ns=float(bound.max()),
         )
 
 
 def columns_in(ident: Ident, names: Sequence[str]) -> tuple[Stream, tuple[int, ...]] | None:
     """Return the stream that has these channels, and their columns; None if no single stream has them all."""
-    found = [find_channel(ident, name) for name in names]
-    known = [place for place in found if place is not None]
-    if len(known) < len(names) or len({stream.id for stream, _ in known}) != 1:
+    places = [place for name in names if (place := find_channel(ident, name)) is not None]
+    if len(places) < len(names) or len({stream.id for stream, _ in places}) != 1:
         return None
-    return known[0][0], tuple(column for _, column in known)
-
-
-def of_channels(blocks: Blocks, columns: tuple[int, ...]) -> ChannelBlocks:
-    """Return the same blocks with a selection of channels."""
-    return ChannelBlocks(
-        segment=blocks.segment,
-        stream=blocks.stream,
-        columns=columns,
-        period_ns=blocks.frames["period_ns"].astype(np.uint32),
-        n=blocks.n.astype(np.int32),
-        t0_us=blocks.frames["t_us"].copy(),
-        gap=blocks.gap,
-        fault=(blocks.frames["flags"] & wire.FLAG_CONVERTER) != 0,
-        counts=with_ratios(blocks.counts(), blocks.stream.channels)[:, columns],
-        within_ns=blocks.within_ns() if blocks.offsets_us else None,
-    )
-
-
-class _Kept(NamedTuple):
-    """Blocks packed into half the memory until needed.
-
-    Counts (n, c) are stored as differences where these fit 16 bits, columns of a single value only once.
-    """
-
-    blocks: ChannelBlocks  # without their counts
-    first: NDArray[np.int32]  # (c,) counts
-    rest: NDArray[Any]  # (n, c): int16 differences of one sample to the next, 0 for the first; else int32 counts
-
-    @classmethod
-    def of(cls, blocks: ChannelBlocks) -> _Kept:
-        """Pack at least one block."""
-        counts = blocks.counts
-        columns: dict[str, Any] = {name: _once(getattr(blocks, name)) for name in ("period_ns", "n", "gap", "fault")}
-        without = replace(blocks, counts=counts[:0].copy(), **columns)
-        steps = np.diff(counts, axis=0, prepend=counts[:1])
-        small = steps.min() >= -(2**15) and steps.max() < 2**15
-        return cls(without, counts[0].copy(), steps.astype(np.int16) if small else counts)
-
-    def unpacked(self) -> ChannelBlocks:
-        """Return the original blocks."""
-        counts = self.rest
-        if counts.dtype == np.int16:
-            counts = np.cumsum(counts, axis=0, dtype=np.int32) + self.first
-        return replace(self.blocks, counts=counts)
-
-
-def _once(column: NDArray[Any]) -> NDArray[Any]:
-    """Return the column, stored as a single value if all values are the same."""
-    return np.broadcast_to(column[0], column.shape) if np.all(column == column[0]) else column
-
-
-class ChannelSamples:
-    """The samples of one channel: kept during the first pass through a session unless there are too many, else read
-    again.
-    """
-
-    def __init__(self, channel: str, again: Callable[[], Iterator[Blocks]], limit_bytes: int = MOST_KEPT_BYTES) -> None:
-        """``again``: reads all blocks of the session once more."""
-        self._channel, self._again, self._left = channel, again, limit_bytes
-        self._kept: list[_Kept] = []
-        self._lacking: Ident | None = None
-
-    def keep(self, blocks: Iterable[Blocks]) -> None:
-        """Keep the channel's samples among blocks of the first pass."""
-        for one in blocks:
-            place = columns_in(one.ident, [self._channel])
-            if place is None:
-                self._lacking = self._lacking or one.ident
-            elif self._left >= 0 and place[0].id == one.stream.id and len(one):
-                kept = _Kept.of(of_channels(one, place[1]))
-                self._kept.append(kept)
-                self._left -= kept.rest.nbytes + kept.blocks.t0_us.nbytes
-        if self._left < 0:
-            self._kept = []
-
-    def check(self) -> None:
-        """Raise SessionError if a box sent samples but does not have the channel."""
-        if self._lacking is not None:
-            names = ", ".join(c.name for stream in self._lacking.streams.values() for c in stream.channels)
-            raise SessionError(f"the box has no channel {self._channel!r}; it has {names}")
-
-    def __iter__(self) -> Iterator[ChannelBlocks]:
-        if self._left >= 0:
-            yield from (kept.unpacked() for kept in self._kept)
-            return
-        for one in self._again():
-            place = columns_in(one.ident, [self._channel])
-            if place is not None and place[0].id == one.stream.id:
-                yield of_channels(one, place[1])
+    return places[0][0], tuple(column for _, column in places)

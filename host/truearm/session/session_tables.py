@@ -23,14 +23,14 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from truearm.errors import SessionError
-from truearm.session.box_frames import decode, parse_exchanges
+from truearm.session.box_frames import decode, parse_exchange
 from truearm.session.box_ident import Channel
 from truearm.session.dwells import Dwell
 from truearm.session.joint_format import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, concatenate
 from truearm.session.joint_readings import SegmentedReadings
 from truearm.session.line_passes import LinePass
 from truearm.session.message_columns import Messages
-from truearm.session.observations import Survey
+from truearm.session.observations import Survey, read_blocks
 from truearm.session.samples import extension, volts, with_ratios
 from truearm.session.streams import Blocks, BoxReader, segment_at
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Message
@@ -61,9 +61,8 @@ def tabulate(found: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
     keeps changing.
     """
     names = _Names()
-    reader = BoxReader(found.batches.ident)
     box, robot, rest = _Box(found), _Robot(found, joint_units), _Rest()
-    for messages, blocks in found.batches.read(reader):
+    for messages, blocks in read_blocks(found.source, BoxReader(found.ident)):
         tables = [*box.take(messages, blocks), *robot.take(messages), *rest.take(messages)]
         for _, name, columns in sorted(tables, key=itemgetter(0)):
             yield names.of(name, columns), columns
@@ -140,11 +139,10 @@ class _Box(_Small):
         segments = segment_at(self._found.segments, rows + self._messages).tolist()
         self._messages += len(messages)
         said = list(messages.of(rows))
-        exchanges = iter(parse_exchanges([message.data for message in said if message.topic == "/sync"]))
         for at, segment, message in zip(rows.tolist(), segments, said, strict=True):
             row = {"arrival_ns": message.t_host_ns, "segment": segment}
             if message.topic == "/sync":
-                t0, t1, t2, t3 = next(exchanges) or (UNKNOWN,) * 4
+                t0, t1, t2, t3 = parse_exchange(message.data) or (UNKNOWN,) * 4
                 yield from self.add(at, "sync", {**row, "t0_ns": t0, "t1_us": t1, "t2_us": t2, "t3_ns": t3})
             else:
                 yield from self._frame(at, message, row)

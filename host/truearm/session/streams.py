@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
-from truearm.session.box_frames import Pages, is_boot, is_text, parse_exchanges
+from truearm.session.box_frames import Pages, is_boot, is_text, parse_exchange
 from truearm.session.box_ident import Ident, Stream, decode_ident
 from truearm.session.frames import NONE, Frames, frames_of
 from truearm.session.losses import COUNTED, Heartbeats, Losses, StreamReport, StreamTrack, summary_of
@@ -164,7 +164,7 @@ class BoxReader:
         self._held: list[_Run] = []
         self._due: list[tuple[_Run, int]] = []  # in order, and the frames lost before each
         self._messages = 0  # so far
-        self._heard: list[tuple[int, ...]] = []  # message, and times of an exchange
+        self._heard: list[Ints] = [np.empty((0, 5), np.int64)]  # message, and times of an exchange
         self._streams: dict[int, StreamTrack] = {}
         self._described: dict[int, Stream] = {}  # the same streams, by the ident of their newest block
         self._pages = Pages()
@@ -179,10 +179,11 @@ class BoxReader:
         for data in messages.payloads(messages.rows(lambda topic: topic == "/box/console")):
             self._count.update(console_runs=1, console_bytes=len(data), console_text_runs=int(is_text(data)))
         replies = messages.rows(lambda topic: topic == "/sync")
-        exchanges = zip((replies + self._messages).tolist(), parse_exchanges(messages.payloads(replies)), strict=True)
-        answered = [(message, *exchange) for message, exchange in exchanges if exchange is not None]
+        exchanges = map(parse_exchange, messages.payloads(replies))
+        numbered = zip((replies + self._messages).tolist(), exchanges, strict=True)
+        answered = [(k, *exchange) for k, exchange in numbered if exchange is not None]
         self._count.update(sync_requests=len(replies), sync_unanswered=len(replies) - len(answered))
-        self._heard += answered
+        self._heard.append(np.array(answered, np.int64).reshape(-1, 5))
         frames = frames_of(messages)
         frames.table["message"] += self._messages
         self._messages += len(messages)
@@ -198,7 +199,7 @@ class BoxReader:
 
     def exchanges(self, segment: Segment) -> Ints:
         """Return the clock exchanges of a segment (k, 4): times of host write, device receive, device send and arrival."""
-        heard = np.array(self._heard, np.int64).reshape(-1, 5)
+        heard = np.concatenate(self._heard)
         return np.asarray(heard[(heard[:, 0] >= segment.begin) & (heard[:, 0] < segment.end), 1:])
 
     def losses(self) -> Losses:
