@@ -262,7 +262,7 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
     if result is not None:
         estimates = {parameter.name: parameter.value for parameter in result.stored.parameters}
         params, values = result.identified, {name: value for name, value in estimates.items() if value is not None}
-        deciding = frozenset(cast("str", name) for fault in result.stored.faults for name in fault["deciding"])
+        deciding = frozenset(name for fault in result.stored.faults for name in cast("list[str]", fault["deciding"]))
     prior = default_prior(robot, DEFAULTS.solver)
     known = Known.design(robot, with_rig_values(rig, values))
     return replace(known, params=params, rig_values=values, free=robot.free, prior=prior, deciding=deciding)
