@@ -15,7 +15,7 @@ from .conftest import MS, Chip, ident
 from .test_box import heartbeats, indices
 
 OSR = 1024  # 4069 Hz
-BYTES = 8_000  # of each pattern
+BYTES = 3_000  # of each pattern
 
 
 @pytest.fixture(scope="module")
@@ -59,20 +59,20 @@ def test_no_input_costs_samples_heartbeats_or_a_restart(box):
     assert [f[2] for f in found if f[0] == SYNC_REPLY and f[2] < 100] == [*range(len(PATTERNS))]
     beats = heartbeats(found)
     assert beats[-1]["overruns"] == lost(found) == 0
-    assert beats[-1]["bad_frames"] > 80
+    assert beats[-1]["bad_frames"] > 30
     assert_punctual(beats)
     box.ask(STOP)
 
 
 def test_two_hundred_requests_a_second_are_answered_and_cost_nothing(box):
-    numbers = range(100, 400)
+    numbers = range(100, 300)
     found = box.ask(START, ms=20)
     for number in numbers:
         found += box.hear(5 * MS, rx=command(SYNC_REQUEST, number))
     found += answered(box, 7)
     assert [f[2] for f in found if f[0] == SYNC_REPLY] == [*numbers, 7]
     assert lost(found) == 0
-    assert len(indices(found, 0)) > 1.4 * 4069
+    assert len(indices(found, 0)) > 0.9 * 4069
     assert_punctual(heartbeats(found))
     box.ask(STOP)
 

@@ -16,13 +16,17 @@ from truearm_sim.simbox import Fault
 from truearm_wire import messages as wire
 
 ADC_PERIOD_NS = 983_040
-SECONDS, SOAK_SECONDS = 11, 105  # 98 blocks a second: more than 1000, more than 10 000
+SECONDS, SOAK_SECONDS = 5, 105  # 98 blocks a second: some 500, more than 10 000
 EDGES = [Edge(4_500_000_000 + 37_000_123 * k, k % 2, k % 4 < 2) for k in range(40)]
 HELD = {
     "vm": (512, 512),
     "chip": (681, 448),
 }  # samples of each source that a board holds: vm/board.py; firmware/drivers/
 COUNTED = ("overruns", "dropped", "bad_frames", "crc_errors", "converter_resets")
+
+
+# What tests/chip/ also proves of the chip: at its level here only in make soak.
+VM_FIRST = pytest.mark.parametrize("level", ["vm", pytest.param("chip", marks=pytest.mark.soak)])
 
 
 @pytest.fixture(scope="module", params=LEVELS)
@@ -149,7 +153,7 @@ def test_all_levels_tell_the_same(recorded, seconds):
         values = [samples(session.blocks(stream), channels)[0] for session in sessions]
         n = min(map(len, values))
         standing = np.logical_and.reduce([stands(session, stream, n, period_ns) for session in sessions])
-        assert standing.sum() > 2000
+        assert standing.sum() > 1000
         for other in values[1:]:
             assert np.array_equal(values[0][:n][standing], other[:n][standing])
     first, *others = [session.ident().document for session in sessions]
@@ -170,6 +174,7 @@ def stands(session, stream, n, period_ns):
     return same & np.logical_and.reduce([robot.is_settled(t) & robot.bar_is_on(t) for t in around])
 
 
+@VM_FIRST
 def test_a_second_run_gives_the_same_bytes(recorded, level, tmp_path):
     session = recorded(level, SECONDS)
     with lab_of(level, edges=EDGES, lost_stops=0.01) as lab:
@@ -218,6 +223,7 @@ def test_what_the_converters_faults_cost_is_a_gap_and_counted(disturbed):
     assert [bool(b.flags & wire.FLAG_OVERRUN) for b in blocks[1:]] == [n > 0 for n in lost]
 
 
+@VM_FIRST
 def test_a_firmware_that_hangs_is_restarted_by_its_watchdog(level, tmp_path):
     with lab_of(level, faults=[Fault(5.0, "hang")]) as lab:
         session = record_lab(lab, tmp_path / "s.mcap", 8.5)
@@ -230,6 +236,7 @@ def test_a_firmware_that_hangs_is_restarted_by_its_watchdog(level, tmp_path):
     assert len(session.blocks(0)) - starts[1] > 50, "it streams again"
 
 
+@VM_FIRST
 def test_an_exception_is_told_at_the_next_connect_and_kept_until_reset(level, tmp_path):
     with lab_of(level, faults=[Fault(5.0, "crash")]) as lab:
         record_lab(lab, tmp_path / "a.mcap", 4.5)  # until it has booted again

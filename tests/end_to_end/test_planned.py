@@ -37,7 +37,7 @@ def test_the_bar_stays_on_and_within_its_travel_where_the_plan_says_so(planned):
     assert (plan.move == "via").sum() > 10
     # The operator takes the bar off where the plan says so and nowhere else ...
     assert world.controller.mounting.sum() == new_pairing(plan).sum()
-    t = np.arange(0.0, world.duration, 0.02)
+    t = np.arange(0.0, world.duration, 0.1)
     row = world.controller.pose[world.controller.stop_index(t)]
     on = world.controller.bar_is_on(t)
     assert (on | world.controller.mounting[world.controller.stop_index(t)] | (plan.bar[row] == "")).all()

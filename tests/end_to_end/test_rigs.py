@@ -27,8 +27,8 @@ def moved_rig():
 def days(tmp_path_factory):
     """monday.mcap and tuesday.mcap, each with the rig that was true on its day."""
     folder = tmp_path_factory.mktemp("days")
-    record_session(folder / "monday.mcap", 45, osr=16384)
-    record_session(folder / "tuesday.mcap", 45, seed=2, osr=16384, rig=moved_rig())
+    record_session(folder / "monday.mcap", 36, osr=16384)
+    record_session(folder / "tuesday.mcap", 36, seed=2, osr=16384, rig=moved_rig())
     return folder
 
 

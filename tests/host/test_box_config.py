@@ -271,7 +271,7 @@ def exponents(config):
     return [pair[1] for pair in pairs]
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(st.integers(0, 2**31), LEAVES)
 def test_the_rules_are_those_of_the_firmware(seed, value):
     """What truearm takes the box takes, and the other way round, decimals without meaning apart."""

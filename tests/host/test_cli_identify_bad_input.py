@@ -69,10 +69,7 @@ def test_a_rig_that_is_not_there(run: Run, good: list[object]) -> None:
 
 
 def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> None:
-    told(process("identify", tmp_path / "none.csv", *good[2:]), "none.csv: no such file")
-    told(process("identify", tmp_path, *good[2:]), str(tmp_path))
     told(process("identify"), "Missing argument")
-    told(process("sing"), "sing")
     (tmp_path / "t.csv").write_bytes(b"\x89MCAP0\r\n\0\0")
     told(process("identify", tmp_path / "t.csv", *good[2:]), "its name must end in .mcap")
 

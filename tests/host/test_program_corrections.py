@@ -332,7 +332,7 @@ def generated(examples):
     return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
-@generated(40)
+@generated(15)
 @given(statements())
 def test_all_moves_that_are_not_refused_are_right(text):
     check_drawn(text)
@@ -525,7 +525,7 @@ def modules(draw):
     return module(data, [*body, "MoveJ now,v100,fine,t0;"], *routines)
 
 
-@generated(40)
+@generated(20)
 @given(modules())
 def test_no_move_of_a_module_is_left_uncorrected_in_silence(text):
     check_drawn(text)

@@ -92,8 +92,20 @@ def restored_limit():
     resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
-@pytest.mark.parametrize("ending", ENDINGS, ids=lambda ending: ending.name if ending else "duration")
-@pytest.mark.parametrize("fault", FAULTS)
+# Every fault at the end by duration and every ending with one fault; all combinations in make soak.
+@pytest.mark.parametrize(
+    ("fault", "ending"),
+    [
+        pytest.param(
+            fault,
+            ending,
+            marks=[pytest.mark.soak] * (fault != "renamed" and ending is not None),
+            id=f"{fault}-{ending.name if ending else 'duration'}",
+        )
+        for fault in FAULTS
+        for ending in ENDINGS
+    ],
+)
 def test_what_is_missing_is_asked_at_every_ending(monkeypatch, tmp_path, lab, capfd, restored_limit, fault, ending):
     out = tmp_path / "s.mcap"
     happens, says = FAULTS[fault]

@@ -3,7 +3,9 @@
 import itertools
 import json
 import os
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,7 +77,7 @@ class Account:
 
 def test_operators_who_err(tmp_path, plan):
     account = Account()
-    for seed in (1, 2, 5):
+    for seed in (1, 2):
         account.add(tmp_path, plan, seed)
     assert account.wrong_before == account.wrong == 0
     assert account.usable >= 0.97 * account.read
@@ -133,15 +135,20 @@ def test_a_dwell_before_the_first_confirmation_is_left_out_with_the_reason(tmp_p
     assert "  s.mcap dwell 1: planned bar46 c1 s1\n" in capsys.readouterr().out
 
 
+@pytest.fixture(scope="module")
+def missed(tmp_path_factory, plan):
+    """A session in which one Enter was missed."""
+    path = tmp_path_factory.mktemp("missed") / "s.mcap"
+    recorded(path, plan, [v if row < 9 else replace(v, typed=()) for row, v in enumerate(right(plan))])
+    return path
+
+
 class TestOneMissedEnter:
     """All is mounted as planned; one change is not confirmed, and nothing after it."""
 
     @pytest.fixture
-    def path(self, tmp_path, plan):
-        visits = [visit if row < 9 else replace(visit, typed=()) for row, visit in enumerate(right(plan))]
-        path = tmp_path / "s.mcap"
-        recorded(path, plan, visits)
-        return path
+    def path(self, missed, tmp_path):
+        return Path(shutil.copy(missed, tmp_path))
 
     def test_identify_counts_what_it_leaves_out(self, path, capsys):
         assert main(["identify", str(path), "--model", "puma560", "--out", str(path.parent / "r.json")]) in (0, 3)

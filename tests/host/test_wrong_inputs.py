@@ -153,7 +153,7 @@ MISTAKES = {
 }
 
 
-ALWAYS = ("the fixture stood", "the encoder of joint 4")  # the others in make soak
+ALWAYS = ("the encoder of joint 4",)  # the others in make soak
 
 
 @pytest.mark.parametrize(
@@ -377,7 +377,7 @@ def test_chance_alone_explains_nothing(freedom, worlds_tried):
 @pytest.mark.parametrize("series", [pytest.param("a", marks=pytest.mark.soak), "c"])
 def test_real_tracker_data_are_not_explained_away(series):
     """All readings are tried on right inputs of a real arm, whose residuals are eight times the tracker's noise."""
-    assert explained(tracked(series, "position", 20), UR10, UR10_RIG) == ()
+    assert explained(tracked(series, "position", 40), UR10, UR10_RIG) == ()
 
 
 @pytest.mark.soak
