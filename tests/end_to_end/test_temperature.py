@@ -143,7 +143,7 @@ def test_a_simulated_laboratory_that_warms_up_is_in_rig_inspect_and_report(tmp_p
     )
     assert done.returncode == 0, done.stderr
     assert "bar.bar46.expansion" in done.stdout
-    assert f"temperature of the sensor</dt><dd>{said}" in report.read_text()
+    assert report.read_text().count(f"<dd>{said}</dd>") == 2  # of the bar and of the sensor
 
 
 def test_without_a_thermometer_a_session_far_from_the_calibration_is_warned_of_with_the_size(tmp_path):
@@ -152,6 +152,7 @@ def test_without_a_thermometer_a_session_far_from_the_calibration_is_warned_of_w
     result = observations_of_session(tmp_path / "session.mcap", options=SessionOptions(say=said.append))
     assert "bar_temperature" not in result.table.columns
     (text,) = said
-    assert "5.0 °C warmer than when lvdt was calibrated" in text
+    assert "5.0 °C warmer" in text
+    assert "lvdt" in text
     # 5 K · (11.5 ppm/K · 460 mm + 100 ppm/K · 37.5 mm)
-    assert "may be off by 0.045 mm" in text
+    assert "0.045 mm" in text
