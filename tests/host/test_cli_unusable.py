@@ -48,5 +48,6 @@ def test_judging_a_fit_that_is_not_usable_says_so(folder, run):
     write_rig(folder / "rig.toml", RIG)
     code, said, err = run("validate", bad, "friday.csv", "--rig", "rig.toml")
     assert code == 0, err
-    assert "bad.json:" in err
+    assert "bad.json: " in err
+    assert f"({Unusable.NOT_CONVERGED})" in err
     assert said.startswith("The calibration holds")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+from truearm.findings import option
 from truearm.text import counted, one_line
 from truearm.types import Floats, rms_of_columns
 from truearm.units import DEG, MM
@@ -30,7 +31,7 @@ def refused_lines(refused: Sequence[Refused]) -> list[str]:
     if not refused:
         return []
     rows = [
-        f"  {one_line(move.file)} line {move.line}: {one_line(move.statement)}: {move.reason.text('--{}'.format)}"
+        f"  {one_line(move.file)} line {move.line}: {one_line(move.statement)}: {move.reason.text(option)}"
         for move in refused[:MOST_REFUSED]
     ]
     more = [f"  and {counted(len(refused) - MOST_REFUSED, 'more move')}"] * (len(refused) > MOST_REFUSED)
