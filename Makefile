@@ -24,7 +24,7 @@ demo: .venv/installed ## simulate, record, identify, validate: ends with out/dem
 # Side by side: while the packages are installed, the image is compiled; what pytest does not need runs beside it.
 test: .venv/python ## everything that a change must pass; the last line says which tests were left out, and why
 	@rm -rf build/left-out
-	@$(MAKE) --no-print-directory -j4 collect pytest lint docs device-check
+	@$(MAKE) --no-print-directory -j4 collect pytest lint device-check
 	@left=$$(cat build/left-out/* 2>/dev/null | paste -s -d ';' | sed 's/;/; /g'); \
 	  echo "make test: passed$${left:+; LEFT OUT: $$left}"
 

@@ -19,10 +19,10 @@ def level(request):
     return request.param
 
 
-@pytest.fixture
-def own_lab(level):
-    """Return a lab for tests that stop or change a box."""
-    with lab_of(level) as lab:
+@pytest.fixture(params=["vm", pytest.param("chip", marks=pytest.mark.soak)])
+def own_lab(request):
+    """Return a lab for tests that stop or change a box; tests/chip/test_box.py does the same to the chip."""
+    with lab_of(request.param) as lab:
         yield lab
 
 

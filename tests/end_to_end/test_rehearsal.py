@@ -17,7 +17,7 @@ PANDA_BRANCH = "--branch=-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:16
 URDF = [str(PANDA_URDF), "--base", "panda_link0", "--tip", "panda_link8"]
 FEW, MANY = (54, 27, 300), (120, 60, 1500)  # poses to fit, poses to judge, candidates
 ARMS = {
-    "ur5e": (["ur5e"], [], FEW),
+    "ur5e": pytest.param((["ur5e"], [], FEW), marks=pytest.mark.soak),
     **{
         name: pytest.param(([name], [], MANY), marks=pytest.mark.soak)
         for name in ("panda", "irb120", "iiwa14", "ur10e", "ulb")

@@ -490,7 +490,7 @@ def test_the_report_shows_the_laws(learned_arm, tmp_path):
 @pytest.fixture(scope="module")
 def gap_arm():
     """Joint 1 was never measured between -0.4 and 0.4 rad."""
-    table, _ = world(np.random.default_rng(13), 400)
+    table, _ = world(np.random.default_rng(13), 260)
     table = table.select(np.abs(table.q[:, 0]) > 0.4)
     return identified_with(table, np.zeros(len(table), dtype=bool), "curve")
 

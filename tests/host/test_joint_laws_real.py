@@ -27,11 +27,12 @@ def held_out_means(robot, rig, table, held):
 
 
 def test_ur5_by_its_authors_poses():
-    """1000 poses of a grid fitted; 0.155 mm was published for the 20 that judge."""
+    """A third of the grid's 1000 poses fitted, all in make soak; 0.155 mm was published for the 20 that judge."""
     folder = DATA / "ur5_tsinghua"
     robot = load_robot(str(folder / "ur5.toml"), None, None)
     texts = {name: lzma.decompress((folder / f"{name}.csv.xz").read_bytes()).decode() for name in ("grid", "random")}
     grid, judges = (parse_table(text, name, robot.chain.joint_units) for name, text in texts.items())
+    grid = grid.select(np.arange(0, len(grid), 3))
     table = ObservationTable.joined([grid, judges])
     geometry, laws = held_out_means(robot, RIG, table, np.arange(len(table)) >= len(grid))
     assert geometry < 0.105

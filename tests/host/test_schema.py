@@ -253,7 +253,7 @@ def read_or_refused_in_one_line(document: dict[str, Any]) -> None:
     assert len(text) < 250
 
 
-@settings(max_examples=75, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(documents)
 def test_any_document_is_read_or_refused_in_one_line(document: dict[str, Any]) -> None:
     read_or_refused_in_one_line(document)

@@ -202,7 +202,7 @@ def recording(rng, frames, reboots):
     return received
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32), st.lists(st.integers(1, 400), max_size=8))
 def test_where_batches_end_changes_nothing(seed, cuts):
     messages = recording(np.random.default_rng(seed), 200, {60, 61, 150})
