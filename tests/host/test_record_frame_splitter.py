@@ -13,8 +13,7 @@ from truearm.record.frame_splitter import (
     MAX_RUN,
     FrameSplitter,
     Runs,
-    frame_seq,
-    frame_type,
+    frame_head,
     payload_of,
 )
 from truearm.session.box_frames import data_of, decode, usual_data
@@ -133,12 +132,11 @@ class TestPayload:
     def test_type_and_seq_in_any_width(self, kind, seq, width):
         wide = {0: cbor2.dumps(seq), 4: u32(seq), 8: u64(seq)}
         payload = array(kind, wide.get(width, cbor2.dumps(seq)), "more")
-        assert frame_type(payload) == kind
-        assert frame_seq(payload) == seq
+        assert frame_head(payload) == (kind, seq)
 
     @given(st.binary(max_size=12))
     def test_any_bytes_are_looked_at_safely(self, raw):
-        for look in (payload_of, frame_type, frame_seq, usual_data, decode):
+        for look in (payload_of, frame_head, usual_data, decode):
             look(raw)
 
 
@@ -179,9 +177,9 @@ class TestVectors:
             assert payload == raw.strip(b"\0")
             return
         assert frame(payload) == raw
-        assert frame_type(payload) == entry["values"][0]
+        assert frame_head(payload)[0] == entry["values"][0]
         if entry["values"][0] < 32:
-            assert frame_seq(payload) == entry["values"][1]
+            assert frame_head(payload)[1] == entry["values"][1]
 
     @pytest.mark.parametrize("entry", json.loads((VECTORS / "corrupted.json").read_text()), ids=lambda e: e["name"])
     def test_corrupted(self, entry):

@@ -16,7 +16,7 @@ import cbor2
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.progress import step
 from truearm.record.fields import fields_of
-from truearm.record.frame_splitter import FrameSplitter, frame_seq, frame_type
+from truearm.record.frame_splitter import FrameSplitter, frame_head
 from truearm.record.links import Clock, Link
 from truearm.record.requests import Requests
 from truearm.session.box_frames import Data, Pages, data_frame
@@ -198,8 +198,8 @@ class BoxControl:
                     self.console_bytes += len(item)
 
     def _take(self, t_host_ns: int, payload: bytes) -> None:
-        kind = frame_type(payload)
-        self._count(frame_seq(payload))
+        kind, seq = frame_head(payload)
+        self._count(seq)
         if kind == wire.DATA:
             data = data_frame(payload)
             if data is not None:

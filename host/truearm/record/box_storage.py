@@ -22,7 +22,7 @@ import numpy as np
 from truearm.errors import ProtocolError
 from truearm.record.clock_exchanges import ClockExchanges
 from truearm.record.fields import fields_of
-from truearm.record.frame_splitter import FrameSplitter, frame_seq, frame_type
+from truearm.record.frame_splitter import FrameSplitter, frame_head
 from truearm.record.operator import Operator
 from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
@@ -48,16 +48,11 @@ _SAMPLE_BYTES = 4
 _LARGEST_UNNAMED_STREAM = 255
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The box's answer to a command. ``error`` is its text, None if the command was executed."""
-
-    error: str | None = None
-
-
 @dataclass
 class BoxStorage:
-    """The box's side of a recording. ``awaited`` is the id of the current command, ``answer`` its answer."""
+    """The box's side of a recording. ``awaited`` is the id of the current command; ``answer``: "" once it was executed, or the
+    error.
+    """
 
     writer: SessionWriter
     counters: Counters
@@ -65,7 +60,7 @@ class BoxStorage:
     operator: Operator = field(default_factory=Operator)
     ident: Ident | None = None
     awaited: int | None = None
-    answer: Answer | None = None
+    answer: str | None = None
     suspect: bool = False  # the box may have restarted
     restarted: bool = False  # it has
     stopped: bool = False  # it reports that it is not streaming, though it was started
@@ -109,40 +104,30 @@ class BoxStorage:
         self.suspect = False
         self._expected_seq = None
 
-    def started(self) -> None:
-        """Note that the box was started and confirmed it."""
-        self.stopped, self._idle_us = False, None
-
     def _take_console(self, t_host_ns: int, data: bytes) -> None:
         self.counters.console_bytes += len(data)
         self.writer.add("/box/console", t_host_ns, data)
 
     def _take_frame(self, t_host_ns: int, payload: bytes) -> None:
         data = usual_data(payload)
-        kind = DATA if data is not None else frame_type(payload)
-        if kind == DATA:
-            self._take_data(t_host_ns, payload, data or data_frame(payload))
+        kind, seq = frame_head(payload) if data is None else (DATA, data.seq)
+        if kind == DATA and data is None:
+            data = data_frame(payload)
+        if data is not None and (data.stream <= _LARGEST_UNNAMED_STREAM or data.stream in self._streams):
+            n_bytes = len(data.samples)
+            topic, sample_bytes = self._streams.get(data.stream) or (f"/box/stream{data.stream}", n_bytes + 1)
+            self.writer.add(topic, t_host_ns, payload)
+            self._count(t_host_ns, seq)
+            self.counters.samples += n_bytes // sample_bytes
+            if t_host_ns >= self._next_preview_ns.get(data.stream, 0):
+                self._next_preview_ns[data.stream] = t_host_ns + PREVIEW_NS
+                self._preview(t_host_ns, data)
+            self.operator.block(t_host_ns, data)
             return
-        self.writer.add(_topic(kind), t_host_ns, payload)
-        self._count(t_host_ns, frame_seq(payload))
-        fields = None if kind not in _TOPICS else fields_of(kind, payload)
-        if fields is not None:
+        self.writer.add(_TOPICS.get(kind or DATA, "/box/other"), t_host_ns, payload)
+        self._count(t_host_ns, seq)
+        if kind in _TOPICS and (fields := fields_of(kind, payload)) is not None:
             self._interpret(t_host_ns, kind, fields)
-
-    def _take_data(self, t_host_ns: int, payload: bytes, data: Data | None) -> None:
-        if data is None or (data.stream > _LARGEST_UNNAMED_STREAM and data.stream not in self._streams):
-            self.writer.add("/box/other", t_host_ns, payload)
-            self._count(t_host_ns, frame_seq(payload))
-            return
-        n_bytes = len(data.samples)
-        topic, sample_bytes = self._streams.get(data.stream) or (f"/box/stream{data.stream}", n_bytes + 1)
-        self.writer.add(topic, t_host_ns, payload)
-        self.counters.samples += n_bytes // sample_bytes
-        self._count(t_host_ns, data.seq)
-        if t_host_ns >= self._next_preview_ns.get(data.stream, 0):
-            self._next_preview_ns[data.stream] = t_host_ns + PREVIEW_NS
-            self._preview(t_host_ns, data)
-        self.operator.block(t_host_ns, data)
 
     def _preview(self, t_host_ns: int, data: Data) -> None:
         """Store a block's last sample for viewers that cannot read frames."""
@@ -168,7 +153,7 @@ class BoxStorage:
             self._expected_seq = (seq + 1) & _SEQ_MASK
             self._counted_ns = t_host_ns
 
-    def _interpret(self, t_host_ns: int, kind: int | None, fields: Mapping[str, Any]) -> None:
+    def _interpret(self, t_host_ns: int, kind: int, fields: Mapping[str, Any]) -> None:
         if kind == SYNC_REPLY:
             self.exchanges.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
         elif kind == HEARTBEAT:
@@ -176,9 +161,9 @@ class BoxStorage:
         elif kind == IDENT:
             self._take_ident_page(t_host_ns, fields)
         elif kind == REPLY and fields["req_id"] == self.awaited:
-            self.answer = Answer()
+            self.answer = ""
         elif kind == ERROR and fields["req_id"] == self.awaited:
-            self.answer = Answer(f"{fields['text']} (error {fields['code']})")
+            self.answer = f"{fields['text']} (error {fields['code']})"
 
     def _take_heartbeat(self, fields: Mapping[str, Any]) -> None:
         self._count_in_box(fields["boot_id"], fields["dropped"], fields["overruns"])
@@ -224,7 +209,7 @@ class BoxStorage:
                 self.writer.event("box-fault", t_host_ns, text=text)
         self._streams = {s.id: (f"/box/{s.name}", _SAMPLE_BYTES * len(s.channels)) for s in ident.streams.values()}
         if fields["req_id"] == self.awaited:
-            self.answer = Answer()
+            self.answer = ""
 
 
 def _check_same(before: Ident, now: Ident) -> None:
@@ -235,7 +220,3 @@ def _check_same(before: Ident, now: Ident) -> None:
             f"another box answers ({uids[1] or 'without a uid'}; the recording began with {uids[0] or 'one without'}); "
             "plug in the box of the recording and resume the session"
         )
-
-
-def _topic(kind: int | None) -> str:
-    return "/box/other" if kind is None else _TOPICS.get(kind, "/box/other")

@@ -22,7 +22,7 @@ _ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stu
 _LARGEST_TYPE = 255
 _FROM_HOST = frozenset({SYNC_REQUEST, *range(48, 64)})  # SPEC §6: requests, and commands of any minor version
 
-_UINT_WIDTH = {0x18: 1, 0x19: 2, 0x1A: 4, 0x1B: 8}
+_UINT_WIDTH = dict.fromkeys(range(0x18), 0) | {0x18: 1, 0x19: 2, 0x1A: 4, 0x1B: 8}  # bytes after the first
 
 
 class Runs:
@@ -94,44 +94,24 @@ def payload_of(run: bytes) -> bytes | None:
     payload = raw[:-4]
     if len(payload) < 3 or crc32(payload) != int.from_bytes(raw[-4:], "little"):
         return None
-    kind = frame_type(payload)
+    kind, _ = frame_head(payload)
     return None if kind is None or kind in _FROM_HOST else payload
 
 
-def frame_type(payload: bytes) -> int | None:
-    """Return the type of a payload, None if it is not an array of definite length that begins with a small integer."""
-    at = _behind_array_head(payload)
-    if at is None:
-        return None
-    if payload[at] < 0x18:
-        return payload[at]
-    found = _uint(payload, at)
-    return found[0] if found is not None and found[0] <= _LARGEST_TYPE else None
+def frame_head(payload: bytes) -> tuple[int | None, int | None]:
+    """Return the type of a payload and its second element, the frame count of its link.
 
-
-def frame_seq(payload: bytes) -> int | None:
-    """Return the second element of a payload that has a type: the frame count of its link."""
-    at = _behind_array_head(payload)
-    kind = None if at is None else _uint(payload, at)
-    seq = None if kind is None else _uint(payload, kind[1])
-    return None if seq is None else seq[0]
-
-
-def _behind_array_head(payload: bytes) -> int | None:
-    if len(payload) >= 2 and 0x81 <= payload[0] <= 0x97:
-        return 1
-    return 2 if len(payload) >= 3 and payload[0] == 0x98 and payload[1] else None
-
-
-def _uint(payload: bytes, at: int) -> tuple[int, int] | None:
-    """Return an unsigned integer of any width and the offset after it."""
-    if at >= len(payload):
-        return None
-    first = payload[at]
-    if first < 0x18:
-        return first, at + 1
-    width = _UINT_WIDTH.get(first)
-    end = at + 1 + (width or 0)
-    if width is None or end > len(payload):
-        return None
-    return int.from_bytes(payload[at + 1 : end], "big"), end
+    Both are None if it is not an array of definite length that begins with a small integer; the count is None if it is
+    not an unsigned integer.
+    """
+    first = payload[0] if payload else 0
+    at = 1 if 0x81 <= first <= 0x97 else 2 if first == 0x98 and payload[1:2] > b"\0" else len(payload)
+    numbers: list[int] = []
+    while len(numbers) < 2 and at < len(payload):
+        width = _UINT_WIDTH.get(payload[at])
+        if width is None or at + width >= len(payload):
+            break
+        numbers.append(int.from_bytes(payload[at + (width > 0) : at + width + 1], "big"))
+        at += width + 1
+    kind, seq, *_ = [*numbers, None, None]
+    return (kind, seq) if kind is not None and kind <= _LARGEST_TYPE else (None, None)

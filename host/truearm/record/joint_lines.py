@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import deque
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.frame_splitter import Runs
@@ -20,6 +21,7 @@ from truearm.record.session_schemas import PREVIEW_NS, ROBOT_PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.joint_format import UNNUMBERED, JointLine, parse_line
+from truearm.session.message_columns import LATEST_NS
 
 MAX_LINE = 8192  # bytes
 MAX_RUBBISH = 1 << 20  # bytes without a reading; what follows is counted, and stored again from the next reading on
@@ -86,13 +88,27 @@ class RobotIntake:
         self._shortest_s = math.inf  # arrival minus the robot's time, since that last stepped back
         self._linked = True
         self._next_preview_ns = 0
+        self._pieces: deque[tuple[int, bytes]] = deque()  # read, but not stored yet
 
-    def read(self) -> Arrivals:
-        """Return what has arrived, without waiting; nothing after the end or without a link."""
-        if self.end is not None or not self._opened():
+    def take_until(self, end_ns: int, before_ns: int = LATEST_NS) -> bool:
+        """Store what arrived before ``before_ns``, without waiting and for no longer than until ``end_ns``.
+
+        Return whether anything was there.
+        """
+        self._pieces.extend(() if self._pieces else self._read())
+        any_pieces = bool(self._pieces)
+        while self._pieces and self._pieces[0][0] < before_ns and self._clock.now_ns() <= end_ns:
+            self._take(*self._pieces.popleft())
+        return any_pieces
+
+    def _read(self) -> Arrivals:
+        """Return what has arrived; nothing after the end or without a link."""
+        if self.end is not None:
             return []
+        if not self._linked:  # a lost one is reopened in the background
+            self._linked = isinstance(self._link, Reopenable) and self._link.reopen(0.0)
         try:
-            return self._link.read(0.0)
+            return self._link.read(0.0) if self._linked else []
         except LinkError as exc:
             self._lost(exc)
         return []
@@ -130,12 +146,6 @@ class RobotIntake:
         """Return the age of the last reading [s]."""
         return None if self.heard_ns is None else (now_ns - self.heard_ns) / 1e9
 
-    def _opened(self) -> bool:
-        """Return whether there is a link; a lost one is reopened in the background."""
-        if not self._linked:
-            self._linked = isinstance(self._link, Reopenable) and self._link.reopen(0.0)
-        return self._linked
-
     def _lost(self, error: LinkError) -> None:
         now_ns = self._clock.now_ns()
         self.flush(now_ns)
@@ -166,7 +176,7 @@ class RobotIntake:
     @property
     def waiting(self) -> int:
         """Number of received pieces that wait to be stored."""
-        return backlog_of(self._link).waiting
+        return backlog_of(self._link).waiting + len(self._pieces)
 
     @property
     def held_up(self) -> int:
@@ -178,8 +188,7 @@ class RobotIntake:
         """Whether the robot ended its stream deliberately, as a program that ends does, and has not come back."""
         return isinstance(self.end or (None if self.lost_ns is None else self.lost), LinkClosed)
 
-    def take(self, t_host_ns: int, data: bytes) -> None:
-        """Store bytes that arrived."""
+    def _take(self, t_host_ns: int, data: bytes) -> None:
         for reading, line in self._lines.push(data):
             if reading is not None:
                 if self.lost_ns is not None:

@@ -15,8 +15,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 from urllib.parse import urlsplit
 
 import serial
@@ -112,12 +111,15 @@ class HostClock:
         return utc, (before + after) // 2
 
 
-class LinkReader:
-    """A thread that calls ``receive`` (which returns b"" after a while without data) and stamps what it returns."""
+class StreamLink:
+    """A stream that a thread reads: it stamps what ``_receive`` of the subclass returns, b"" after a while without data."""
 
-    def __init__(self, receive: Callable[[], bytes], clock: Clock) -> None:
-        self._receive = receive
+    def __init__(self, name: str, clock: Clock, stream: Any, lost: str) -> None:
+        """``stream`` is closed with the link; ``lost``: what an error says, with {} for its cause."""
+        self.name = name
         self._clock = clock
+        self._stream = stream
+        self._lost = lost
         self._queue: queue.Queue[tuple[int, bytes] | LinkError] = queue.Queue(_QUEUE_ITEMS)
         self._error: LinkError | None = None
         self._held_up = 0
@@ -140,21 +142,43 @@ class LinkReader:
             raise self._error
         return arrivals
 
+    def write(self, data: bytes) -> int:
+        t_host_ns = self._clock.now_ns()
+        try:
+            self._send(data)
+        except OSError as exc:
+            raise self._loss(exc) from exc
+        return t_host_ns
+
     @property
     def backlog(self) -> Backlog:
+        """Return the backlog."""
         return Backlog(self._queue.qsize(), self._held_up)
 
-    def stop(self) -> None:
+    def close(self) -> None:
         self._stopping.set()
         self._thread.join()
+        self._stream.close()
+
+    def _receive(self) -> bytes:
+        raise NotImplementedError
+
+    def _send(self, data: bytes) -> None:
+        raise NotImplementedError
+
+    def _readable(self) -> bool:
+        return bool(select.select([self._stream.fileno()], [], [], _POLL_S)[0])
+
+    def _loss(self, exc: Exception) -> LinkError:
+        return LinkError(f"{self.name}: {self._lost.format(exc)}")
 
     def _run(self) -> None:
         while not self._stopping.is_set():
             try:
                 data = self._receive()
                 t_host_ns = self._clock.now_ns()
-            except LinkError as exc:
-                self._put(exc)
+            except (LinkError, OSError, ValueError) as exc:  # the last of a closed descriptor
+                self._put(exc if isinstance(exc, LinkError) else self._loss(exc))
                 return
             if data:
                 self._put((t_host_ns, data))
@@ -170,67 +194,40 @@ class LinkReader:
             return
 
 
-class SerialLink:
+class SerialLink(StreamLink):
     """A box on a serial device (``/dev/ttyACM0``, ``COM3``) or behind ``socket://host:port``, through pyserial.
 
     The port is opened exclusively and DTR is raised, without which a Pico sends nothing.
     """
 
     def __init__(self, device: str, clock: Clock) -> None:
-        self.name = device
-        self._clock = clock
-        self._port: serial.SerialBase | None = None
-        self._reader: LinkReader | None = None
         _check_device(device)
-        self._open()
-
-    def read(self, timeout_s: float) -> Arrivals:
-        if self._reader is None:
-            raise LinkError(f"{self.name}: the port is closed")
-        return self._reader.read(timeout_s)
-
-    def write(self, data: bytes) -> int:
-        if self._port is None:
-            raise LinkError(f"{self.name}: the port is closed")
-        t_host_ns = self._clock.now_ns()
-        try:
-            self._port.write(data)
-        except serial.SerialTimeoutException as exc:
-            raise LinkError(
-                f"{self.name}: the box accepted no bytes for {_WRITE_TIMEOUT_S:g} s; unplug it and plug it in again"
-            ) from exc
-        except (serial.SerialException, OSError) as exc:
-            raise LinkError(f"{self.name}: the link was lost ({exc}); check its cable and power") from exc
-        return t_host_ns
-
-    @property
-    def backlog(self) -> Backlog:
-        """Return the backlog."""
-        return Backlog() if self._reader is None else self._reader.backlog
-
-    def close(self) -> None:
-        if self._reader is not None:
-            self._reader.stop()
-            self._reader = None
-        if self._port is not None:
-            port, self._port = self._port, None
-            port.close()
-
-    def _open(self) -> None:
-        selects = os.name == "posix" or self.name.startswith("socket://")
+        self._selects = os.name == "posix" or device.startswith("socket://")
         try:
             port = serial.serial_for_url(
-                self.name,
-                timeout=0 if selects else _POLL_S,
+                device,
+                timeout=0 if self._selects else _POLL_S,
                 write_timeout=_WRITE_TIMEOUT_S,
                 exclusive=True,
                 baudrate=115200,
             )
         except (serial.SerialException, OSError, ValueError) as exc:
-            raise LinkError(_why_not_open(self.name, exc)) from exc
-        self._port = port
-        receive = _selecting(port, self.name) if selects else _blocking(port, self.name)
-        self._reader = LinkReader(receive, self._clock)
+            raise LinkError(_why_not_open(device, exc)) from exc
+        super().__init__(device, clock, port, "the link was lost ({}); check its cable and power")
+
+    def _receive(self) -> bytes:
+        """Return a piece of any length; pyserial's ``in_waiting`` of a socket is only 0 or 1."""
+        if self._selects:
+            return bytes(self._stream.read(_READ_BYTES)) if self._readable() else b""
+        return bytes(self._stream.read(max(1, getattr(self._stream, "in_waiting", 1))))
+
+    def _send(self, data: bytes) -> None:
+        try:
+            self._stream.write(data)
+        except serial.SerialTimeoutException as exc:
+            raise LinkError(
+                f"{self.name}: the box accepted no bytes for {_WRITE_TIMEOUT_S:g} s; unplug it and plug it in again"
+            ) from exc
 
 
 def _check_device(device: str) -> None:
@@ -241,29 +238,6 @@ def _check_device(device: str) -> None:
         )
     if separator:
         host_and_port(device, "socket")
-
-
-def _selecting(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
-    """Return one read per piece, of any length; pyserial's ``in_waiting`` of a socket is only 0 or 1."""
-
-    def receive() -> bytes:
-        try:
-            ready, _, _ = select.select([port.fileno()], [], [], _POLL_S)
-            return bytes(port.read(_READ_BYTES)) if ready else b""
-        except (serial.SerialException, OSError, ValueError) as exc:
-            raise LinkError(f"{name}: the link was lost ({exc}); check its cable and power") from exc
-
-    return receive
-
-
-def _blocking(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
-    def receive() -> bytes:
-        try:
-            return bytes(port.read(max(1, getattr(port, "in_waiting", 1))))
-        except (serial.SerialException, OSError) as exc:
-            raise LinkError(f"{name}: the link was lost ({exc}); check its cable and power") from exc
-
-    return receive
 
 
 _HINTS = {
@@ -293,32 +267,10 @@ def _why_not_open(name: str, exc: Exception) -> str:
     return f"{name}: {hint}" if hint else f"{name}: cannot be opened ({exc})"
 
 
-class SocketLink:
-    """A socket read by a thread; it returns what ``_receive`` of the subclass returns."""
-
-    def __init__(self, name: str, clock: Clock, opened: socket.socket) -> None:
-        self.name = name
-        self._clock = clock
-        self._socket = opened
-        self._reader = LinkReader(self._receive, clock)
-
-    def read(self, timeout_s: float) -> Arrivals:
-        return self._reader.read(timeout_s)
-
-    @property
-    def backlog(self) -> Backlog:
-        """Return the backlog."""
-        return self._reader.backlog
-
-    def close(self) -> None:
-        self._reader.stop()
-        self._socket.close()
-
-    def _receive(self) -> bytes:
-        raise NotImplementedError
+ROBOT_LOST = "the robot was lost ({}); check the network and the controller"
 
 
-class TcpLink(SocketLink):
+class TcpLink(StreamLink):
     """A robot's stream behind ``tcp://host:port``; ``name`` identifies it in errors, by default the url."""
 
     def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
@@ -329,25 +281,17 @@ class TcpLink(SocketLink):
             raise LinkError(_why_not_open(name or url, exc)) from exc
         connection.settimeout(_WRITE_TIMEOUT_S)
         _notice_silence(connection)
-        super().__init__(name or url, clock, connection)
+        super().__init__(name or url, clock, connection, ROBOT_LOST)
 
-    def write(self, data: bytes) -> int:
-        t_host_ns = self._clock.now_ns()
-        try:
-            self._socket.sendall(data)
-        except OSError as exc:
-            raise LinkError(f"{self.name}: the robot was lost ({exc}); check the network and the controller") from exc
-        return t_host_ns
+    def _send(self, data: bytes) -> None:
+        self._stream.sendall(data)
 
     def _receive(self) -> bytes:
-        try:
-            ready, _, _ = select.select([self._socket], [], [], _POLL_S)
-            data = self._socket.recv(_READ_BYTES) if ready else None
-        except (OSError, ValueError) as exc:
-            raise LinkError(f"{self.name}: the robot was lost ({exc}); check the network and the controller") from exc
-        if data == b"":
-            raise LinkClosed(f"{self.name}: the robot closed its stream")
-        return data or b""
+        if not self._readable():
+            return b""
+        if data := self._stream.recv(_READ_BYTES):
+            return bytes(data)
+        raise LinkClosed(f"{self.name}: the robot closed its stream")
 
 
 def _notice_silence(connection: socket.socket) -> None:

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from operator import itemgetter
+from dataclasses import dataclass, field
 from typing import Any
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError, TruearmError
-from truearm.record.box_storage import Answer, BoxStorage
+from truearm.record.box_storage import BoxStorage
 from truearm.record.clock_exchanges import ClockExchanges
 from truearm.record.joint_lines import EXPECTED, RobotIntake
-from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
+from truearm.record.links import Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.requests import Requests
 from truearm.record.session_writer import SessionWriter
@@ -77,10 +76,10 @@ class RecordOptions:
 class Hooks:
     """Callbacks: two are asked at least every 50 ms whether to end; ``progress`` is called four times a second."""
 
-    until: Callable[[], bool] | None = None
-    interrupted: Callable[[], bool] | None = None
-    progress: Callable[[Status], None] | None = None
-    operator: Operator | None = None
+    until: Callable[[], bool] = lambda: False
+    interrupted: Callable[[], bool] = lambda: False
+    progress: Callable[[Status], None] = lambda status: None
+    operator: Operator = field(default_factory=Operator)
 
 
 EVERYTHING = RecordOptions()
@@ -109,7 +108,7 @@ def record(
     """
     for name, entries in options.head:
         writer.metadata(name, entries)
-    return _Recorder(link, writer, clock, robot, options, hooks).run(options.plan, options.rig_toml, options.mounted)
+    return _Recorder(link, writer, clock, robot, options, hooks).run()
 
 
 class _Recorder:
@@ -122,15 +121,12 @@ class _Recorder:
         options: RecordOptions,
         hooks: Hooks,
     ) -> None:
-        operator = hooks.operator or Operator()
         self._link = link
         self._writer = writer
         self._clock = clock
-        self._osr = options.osr
-        self._duration_s = options.duration_s
-        self._ends = {"until": hooks.until, "interrupted": hooks.interrupted}
-        self._progress = hooks.progress
-        self._operator = operator
+        self._options = options
+        self._hooks = hooks
+        self._operator = operator = hooks.operator
         self._patience_ns = int(options.patience_s * SECOND)
 
         self._counters = Counters()
@@ -145,18 +141,15 @@ class _Recorder:
         self._started_ns: int | None = None
         self._silent = False
         self._box_gone = self._robot_gone = ""
-        self._behind: Arrivals = []  # of the robot, read but not stored yet
         self._file_losses = 0  # reported in an event so far
         self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = now_ns
 
     # --- the course of a recording
 
-    def run(
-        self, plan: Iterable[Mapping[str, Any]], rig_toml: bytes | None, mounted: Mapping[str, str] | None
-    ) -> RecordSummary:
+    def run(self) -> RecordSummary:
         end = _Ended("failed")
         try:
-            self._write_head(plan, rig_toml, mounted)
+            self._write_head()
             self._record()
         except _Ended as exc:
             end = exc
@@ -181,16 +174,14 @@ class _Recorder:
             self._robot_gone,
         )
 
-    def _write_head(
-        self, plan: Iterable[Mapping[str, Any]], rig_toml: bytes | None, mounted: Mapping[str, str] | None
-    ) -> None:
+    def _write_head(self) -> None:
         now_ns = self._clock.now_ns()
-        if rig_toml is not None:
-            self._writer.attach("rig.toml", "application/toml", rig_toml)
-        for pose in plan:
+        if self._options.rig_toml is not None:
+            self._writer.attach("rig.toml", "application/toml", self._options.rig_toml)
+        for pose in self._options.plan:
             self._writer.add_json("/plan", now_ns, pose)
-        if mounted:
-            self._writer.event("mounted", now_ns, **mounted)
+        if self._options.mounted:
+            self._writer.event("mounted", now_ns, **self._options.mounted)
 
     def _record(self) -> None:
         while True:
@@ -216,7 +207,7 @@ class _Recorder:
         self._configure()
         self._operator.approve(self._ident())
         self._command(START)
-        self._box.started()
+        self._box.stopped = False
         now_ns = self._clock.now_ns()
         self._writer.event("start", now_ns)
         if self._started_ns is None:
@@ -226,9 +217,10 @@ class _Recorder:
         self._state = "recording"
 
     def _configure(self) -> None:
-        others = [s for s in self._ident().streams.values() if self._osr is not None and s.osr not in (0, self._osr)]
+        osr = self._options.osr
+        others = [s for s in self._ident().streams.values() if osr is not None and s.osr not in (0, osr)]
         for stream in others:
-            self._command(CONFIGURE, stream.id, self._osr)
+            self._command(CONFIGURE, stream.id, osr)
         if others:
             self._command(IDENTIFY)  # period and group delay depend on the osr
         self._writer.metadata("box", {"ident": json.dumps(self._ident().document)})
@@ -249,8 +241,8 @@ class _Recorder:
     def _check_end(self) -> None:
         if self._state == "stopping":
             return
-        for reason, asked in self._ends.items():
-            if asked is not None and asked():
+        for reason in ("until", "interrupted"):
+            if getattr(self._hooks, reason)():
                 raise _Ended(reason)
         for wish in self._operator.wishes():
             if wish.kind == "end":
@@ -258,7 +250,8 @@ class _Recorder:
             self._writer.event(wish.kind, self._clock.now_ns(), **wish.fields)
         if self._robot is not None:
             self._check_robot(self._robot)
-        if self._started_ns is not None and self._duration_s is not None and self._elapsed_s() >= self._duration_s:
+        duration_s = self._options.duration_s
+        if self._started_ns is not None and duration_s is not None and self._elapsed_s() >= duration_s:
             raise _Ended("duration")
 
     def _check_robot(self, robot: RobotIntake) -> None:
@@ -289,8 +282,7 @@ class _Recorder:
             if self._clock.now_ns() - now_ns > self._patience_ns:
                 raise _Ended("link lost", f"{error}; it did not come back within {self._patience_ns / SECOND:g} s")
             if self._robot is not None:
-                for t_host_ns, data in self._robot.read():
-                    self._robot.take(t_host_ns, data)
+                self._robot.take_until(self._clock.now_ns() + ROBOT_SHARE_NS)
             self._chores(self._clock.now_ns())
             self._check_end()
         self._box.heard_ns = self._clock.now_ns()
@@ -303,7 +295,9 @@ class _Recorder:
         """Stop the box, store what waits, and complete the file, whatever else fails."""
         try:
             self._stop()
-            self._store_waiting()
+            end_ns = self._clock.now_ns() + WAITING_NS  # of a robot that never ceases, not everything can be stored
+            while self._robot is not None and self._clock.now_ns() < end_ns and self._robot.take_until(end_ns):
+                pass
         except KeyboardInterrupt:
             pass
         finally:
@@ -312,7 +306,7 @@ class _Recorder:
             if self._robot is not None:
                 self._robot.flush(now_ns)
                 self._robot_gone = self._robot.absence(now_ns)
-                waiting = len(self._behind) + self._robot.waiting
+                waiting = self._robot.waiting
                 self._counters.robot_unstored = waiting if waiting > USUAL_WAITING else 0
             self._exchanges.expire(now_ns, 0)
             self._count_backlogs()
@@ -336,14 +330,6 @@ class _Recorder:
                 self._box_gone = str(exc)
                 self._writer.event("box-gone", self._clock.now_ns(), text=self._box_gone, heard_ns=self._box.spoke_ns)
 
-    def _store_waiting(self) -> None:
-        """Store what was received from the robot; of a robot that never ceases, as much as the time allows."""
-        robot, end_ns = self._robot, self._clock.now_ns() + WAITING_NS
-        while robot is not None and self._clock.now_ns() < end_ns and (arrivals := self._behind or robot.read()):
-            self._behind = []
-            for t_host_ns, data in arrivals:
-                robot.take(t_host_ns, data)
-
     # --- commands
 
     def _command(self, kind: int, *arguments: Any, may_fail: bool = False, retries: int = RETRIES) -> None:
@@ -358,12 +344,12 @@ class _Recorder:
                 break
         else:
             raise LinkError("no-answer", place=self._link.name, request=name, seconds=retries * RETRY_NS / SECOND)
-        if answer.error is not None and not may_fail:
+        if answer and not may_fail:
             raise ProtocolError(
-                f"{self._link.name}: the box refuses {' '.join([name, *map(str, arguments)])!r}: {answer.error}"
+                f"{self._link.name}: the box refuses {' '.join([name, *map(str, arguments)])!r}: {answer}"
             )
 
-    def _await_answer(self) -> Answer | None:
+    def _await_answer(self) -> str | None:
         deadline_ns = self._clock.now_ns() + RETRY_NS
         while self._box.answer is None:
             left_ns = deadline_ns - self._clock.now_ns()
@@ -381,17 +367,15 @@ class _Recorder:
             self._chores(now_ns)
         # Never so short that a clock with whole units would not advance.
         timeout_s = max(min(timeout_ns, CHORES_NS), SHORTEST_NS) / SECOND
-        arrivals = [(t, self._box.take, data) for t, data in self._link.read(0.0 if self._behind else timeout_s)]
-        if self._robot is not None:
-            arrivals += [(t, self._robot.take, data) for t, data in self._behind or self._robot.read()]
-            arrivals.sort(key=itemgetter(0))
-        self._behind = []
+        robot = self._robot
+        arrivals = self._link.read(0.0 if robot is not None and robot.waiting else timeout_s)
         end_ns = self._clock.now_ns() + ROBOT_SHARE_NS
-        for t_host_ns, take, data in arrivals:
-            if take != self._box.take and self._clock.now_ns() > end_ns:
-                self._behind.append((t_host_ns, data))
-            else:
-                take(t_host_ns, data)
+        for t_host_ns, data in arrivals:
+            if robot is not None:
+                robot.take_until(end_ns, t_host_ns)
+            self._box.take(t_host_ns, data)
+        if robot is not None:
+            robot.take_until(end_ns)
 
     def _chores(self, now_ns: int) -> None:
         self._next_chores_ns = now_ns + CHORES_NS
@@ -410,8 +394,7 @@ class _Recorder:
             self._count_backlogs()
             status = self._status(now_ns)
             self._operator.status(status)
-            if self._progress is not None:
-                self._progress(status)
+            self._hooks.progress(status)
 
     def _probe(self, now_ns: int) -> None:
         if now_ns < self._next_probe_ns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 from collections.abc import Callable
 
@@ -68,33 +69,29 @@ class _Opener:
 
     def __init__(self, open_link: Callable[[], Link]) -> None:
         self._open = open_link
-        self._link: Link | None = None
-        self._done = threading.Event()
+        self._links: queue.SimpleQueue[Link] = queue.SimpleQueue()
         self._stopping = threading.Event()
-        self._lock = threading.Lock()
         threading.Thread(target=self._run, daemon=True).start()
 
     def opened(self, timeout_s: float) -> Link | None:
-        return self._link if self._done.wait(timeout_s) else None
+        try:
+            return self._links.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
 
     def stop(self) -> None:
         """Stop without waiting for a pending attempt: what it opens is closed."""
-        with self._lock:
-            self._stopping.set()
-            if self._link is not None:
-                self._link.close()
+        self._stopping.set()
+        if (link := self.opened(0.0)) is not None:
+            link.close()
 
     def _run(self) -> None:
         while not self._stopping.is_set():
             try:
-                link = self._open()
+                self._links.put(self._open())
             except (LinkError, InputError):
                 self._stopping.wait(PAUSE_S)
                 continue
-            with self._lock:
-                if self._stopping.is_set():
-                    link.close()
-                    return
-                self._link = link
-                self._done.set()
-                return
+            if self._stopping.is_set():
+                self.stop()
+            return

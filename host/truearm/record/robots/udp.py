@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import select
 import socket
 
 from truearm.errors import LinkError
-from truearm.record.links import Backlog, Clock, SocketLink, host_and_port
+from truearm.record.links import ROBOT_LOST, Backlog, Clock, StreamLink, host_and_port
 
 MAX_DATAGRAM = 8192  # bytes; a longer one is truncated, and the rest is not a reading
-_POLL_S = 0.1
 
 
 class Datagram(bytes):
@@ -18,7 +16,7 @@ class Datagram(bytes):
     sender: str
 
 
-class UdpLink(SocketLink):
+class UdpLink(StreamLink):
     """Receives datagrams sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them), as ``Datagram``.
 
     Each is returned with a line feed at its end. A robot that has gone is just silent; UDP does not report it.
@@ -35,11 +33,10 @@ class UdpLink(SocketLink):
                 f"{name or url}: cannot listen there ({exc.strerror or exc}); give an address of this machine"
             ) from exc
         self.port = int(opened.getsockname()[1])
-        super().__init__(name or url, clock, opened)
+        super().__init__(name or url, clock, opened, ROBOT_LOST)
 
-    def write(self, data: bytes) -> int:
+    def _send(self, data: bytes) -> None:
         """Do nothing: such a robot receives no data."""
-        return self._clock.now_ns()
 
     @property
     def backlog(self) -> Backlog:
@@ -47,13 +44,9 @@ class UdpLink(SocketLink):
         return super().backlog._replace(drops=True)
 
     def _receive(self) -> bytes:
-        try:
-            ready, _, _ = select.select([self._socket], [], [], _POLL_S)
-            if not ready:
-                return b""
-            data, (sender, *_) = self._socket.recvfrom(MAX_DATAGRAM)
-        except (OSError, ValueError) as exc:
-            raise LinkError(f"{self.name}: the robot was lost ({exc}); check the network and the controller") from exc
+        if not self._readable():
+            return b""
+        data, (sender, *_) = self._stream.recvfrom(MAX_DATAGRAM)
         datagram = Datagram(data + b"\n")
         datagram.sender = sender
         return datagram
