@@ -9,13 +9,12 @@ finished announces this beforehand with the line ``END``.
 
 from __future__ import annotations
 
-import json
 import math
 from collections import deque
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.frame_splitter import Runs
-from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
+from truearm.record.links import Arrivals, Backlog, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.session_schemas import PREVIEW_NS, ROBOT_PREVIEW
 from truearm.record.session_writer import SessionWriter
@@ -117,7 +116,7 @@ class RobotIntake:
         """Note in the file when the robot sends nothing though its link is intact, and when it sends again; and that
         somebody else sends to its port.
         """
-        foreign = backlog_of(self._link).foreign
+        foreign = self.backlog.foreign
         if foreign and not self._counters.robot_foreign:
             self._writer.event("robot-foreign", now_ns, text="datagrams from other addresses are counted, not stored")
         self._counters.robot_foreign = foreign
@@ -129,7 +128,7 @@ class RobotIntake:
 
     def _late(self, now_ns: int) -> bool:
         """Return whether the next reading is overdue; not while received data waits to be stored."""
-        return (self.age_s(now_ns) or 0.0) > SILENCE_S and not self.waiting
+        return (self.age_s(now_ns) or 0.0) > SILENCE_S and not self.backlog.waiting
 
     def absence(self, now_ns: int) -> str:
         """Return that the robot does not send, though it has not ended its stream; "" otherwise.
@@ -137,7 +136,7 @@ class RobotIntake:
         Datagrams have no end: a program that has finished and one that was lost are both just silent.
         """
         lost = self.end or (None if self.lost_ns is None else self.lost)
-        if isinstance(lost, LinkClosed) or (lost is None and (backlog_of(self._link).drops or not self._late(now_ns))):
+        if isinstance(lost, LinkClosed) or (lost is None and (self.backlog.drops or not self._late(now_ns))):
             return ""
         why = "its connection is open" if lost is None else str(lost)
         return f"the robot sent nothing in the last {self.age_s(now_ns) or 0.0:.1f} s ({why})"
@@ -174,14 +173,10 @@ class RobotIntake:
         self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=lost)
 
     @property
-    def waiting(self) -> int:
-        """Number of received pieces that wait to be stored."""
-        return backlog_of(self._link).waiting + len(self._pieces)
-
-    @property
-    def held_up(self) -> int:
-        """Number of times the robot's reader had to wait for the recorder."""
-        return backlog_of(self._link).held_up
+    def backlog(self) -> Backlog:
+        """Return what waits to be stored, here too, and how often the robot's reader had to wait for the recorder."""
+        linked = backlog_of(self._link)
+        return linked._replace(waiting=linked.waiting + len(self._pieces))
 
     @property
     def closed(self) -> bool:
@@ -191,22 +186,25 @@ class RobotIntake:
     def _take(self, t_host_ns: int, data: bytes) -> None:
         for reading, line in self._lines.push(data):
             if reading is not None:
-                if self.lost_ns is not None:
-                    self._back(t_host_ns, reading)
-                elif self._last is not None:
-                    self._count_missing(self._last, reading)
-                self._measure_delay(t_host_ns, reading)
-                self._rubbish = 0
-                self._counters.robot_lines += 1
-                self._store(t_host_ns, line, reading)
-                self.heard_ns, self._last = t_host_ns, reading
-                self._operator.reading(t_host_ns, reading)
-            else:
-                self._store_console(t_host_ns, line)
-                if _is_end(line) and self.end is None:
-                    self.end = LinkClosed(f"{self._link.name}: the robot reported that its program has ended")
-                    self._writer.event("robot-closed", t_host_ns, text=str(self.end))
+                self._take_reading(t_host_ns, line, reading)
+                continue
+            self._store_console(t_host_ns, line)
+            if line.strip().replace(b" ", b"") == END.replace(b" ", b"") and self.end is None:
+                self.end = LinkClosed(f"{self._link.name}: the robot reported that its program has ended")
+                self._writer.event("robot-closed", t_host_ns, text=str(self.end))
         self._counters.robot_other_joints = self._lines.other_joints
+
+    def _take_reading(self, t_host_ns: int, line: bytes, reading: JointLine) -> None:
+        if self.lost_ns is not None:
+            self._back(t_host_ns, reading)
+        elif self._last is not None:
+            self._count_missing(self._last, reading)
+        self._measure_delay(t_host_ns, reading)
+        self._rubbish = 0
+        self._counters.robot_lines += 1
+        self._store(t_host_ns, line, reading)
+        self.heard_ns, self._last = t_host_ns, reading
+        self._operator.reading(t_host_ns, reading)
 
     def _store(self, t_host_ns: int, line: bytes, reading: JointLine) -> None:
         """Store a reading; that of a source that sends numbers as columns, with ten lines a second for viewers."""
@@ -218,11 +216,10 @@ class RobotIntake:
 
     def _count_missing(self, before: JointLine, after: JointLine) -> None:
         """Count readings that were lost because they could not be stored, by their numbers if they have any."""
-        backlog = backlog_of(self._link)
-        if not backlog.held_up:
+        if not self.backlog.held_up:
             return
         if UNNUMBERED in (before.seq, after.seq):
-            self._counters.robot_dropped |= backlog.drops
+            self._counters.robot_dropped |= self.backlog.drops
         elif after.t > before.t:
             self._counters.robot_missing += max(after.seq - before.seq - 1, 0)
 
@@ -252,12 +249,3 @@ class RobotIntake:
                 "robot-junk", t_host_ns, text=f"{self._rubbish} bytes without a joint reading; {EXPECTED}"
             )
         self._counters.robot_unstored_bytes += len(data)
-
-
-def _is_end(line: bytes) -> bool:
-    if b'"end"' not in line:
-        return False
-    try:
-        return bool(json.loads(line) == json.loads(END))
-    except (ValueError, RecursionError):
-        return False

@@ -306,7 +306,7 @@ class _Recorder:
             if self._robot is not None:
                 self._robot.flush(now_ns)
                 self._robot_gone = self._robot.absence(now_ns)
-                waiting = self._robot.waiting
+                waiting = self._robot.backlog.waiting
                 self._counters.robot_unstored = waiting if waiting > USUAL_WAITING else 0
             self._exchanges.expire(now_ns, 0)
             self._count_backlogs()
@@ -368,7 +368,7 @@ class _Recorder:
         # Never so short that a clock with whole units would not advance.
         timeout_s = max(min(timeout_ns, CHORES_NS), SHORTEST_NS) / SECOND
         robot = self._robot
-        arrivals = self._link.read(0.0 if robot is not None and robot.waiting else timeout_s)
+        arrivals = self._link.read(0.0 if robot is not None and robot.backlog.waiting else timeout_s)
         end_ns = self._clock.now_ns() + ROBOT_SHARE_NS
         for t_host_ns, data in arrivals:
             if robot is not None:
@@ -421,7 +421,7 @@ class _Recorder:
 
     def _count_backlogs(self) -> None:
         self._counters.held_up = backlog_of(self._link).held_up
-        self._counters.robot_held_up = 0 if self._robot is None else self._robot.held_up
+        self._counters.robot_held_up = 0 if self._robot is None else self._robot.backlog.held_up
 
     def _status(self, now_ns: int) -> Status:
         robot = self._robot
@@ -435,6 +435,6 @@ class _Recorder:
             self._state != "link lost" and not self._silent,
             None if robot is None else robot.age_s(now_ns),
             tuple(self._writer.losses),
-            robot is not None and robot.waiting > 0,
+            robot is not None and robot.backlog.waiting > 0,
             robot is not None and robot.closed,
         )

@@ -35,12 +35,12 @@ import os
 import sys
 import time
 import zlib
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, NamedTuple, assert_never
+from typing import Any, BinaryIO, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
@@ -55,8 +55,8 @@ from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, PLAN_COPY,
 
 CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
-_COPY_NS = 60_000_000_000  # between copies of the metadata
-_ATTACHED_EVERY = 10  # copies
+_COPY_EVERY = 75  # chunks: the metadata are repeated once a minute
+_ATTACHED_EVERY = 10 * _COPY_EVERY
 _COLUMN_LINES = 1024  # maximum; a reader holds this many in memory
 _FSYNC_EVERY_S = 0.9
 _WATCH_EVERY_S = 0.5
@@ -115,15 +115,11 @@ class SessionWriter:
         self._size = 0  # on the disk, as last written
         self._waiting: list[_Message] = []  # of the current chunk
         self._encodings: dict[str, Encodings] = {}  # of the channels
-        # From finished chunks: the plan and what is mounted, which a replacement file must also contain.
-        self._head: list[_Message] = []
-        self._head_waiting: list[_Message] = []  # of the current chunk
+        self._head: list[_Message] = []  # the plan and what is mounted, which a replacement file must also contain
+        self._written = 0  # of them, in finished chunks
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, tuple[str, bytes]] = {}
-        self._copies = 0
-        self._copied_ns: int | None = None
-        self._copied_bytes = 0  # size of the last copy, and of the file after it
-        self._copied_to = 0
+        self._chunks = 0
         self._writer = _begun(self._out)
         if hold:
             self._reserve()
@@ -223,7 +219,7 @@ class SessionWriter:
         message = _Message(channel[0], channel[1], t_host_ns + self._utc_offset_ns, t_host_ns, data)
         self._waiting.append(message)
         if topic == "/plan" or (topic == "/events" and b'"mounted"' in data):
-            self._head_waiting.append(message)
+            self._head.append(message)
         channel[1] = channel[1] + 1 & 0xFFFFFFFF
         self._chunk_bytes += len(data)
 
@@ -249,32 +245,22 @@ class SessionWriter:
         if name == "session":
             utc_ns, host_ns = read_anchor(entries) or (0, 0)
             self._utc_offset_ns = max(0, utc_ns - host_ns)
-        try:
-            self._watch()
+        with self._writing():
             self._add_metadata(name, entries)
-            self._flushed()
-        except OSError as exc:
-            raise self._cannot_write(exc) from exc
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
-        try:
-            self._watch()
+        with self._writing():
             self._add_attachment(name, media_type, data)
             self._attachments[name] = media_type, data
-            self._flushed()
-        except OSError as exc:
-            raise self._cannot_write(exc) from exc
 
     def tick(self, now_ns: int) -> None:
         """End the chunk if it is old enough; call this several times a second, even when nothing arrives."""
         if self._chunk_since_ns is not None and now_ns - self._chunk_since_ns >= CHUNK_NS:
             self._finish_chunk()
         elif time.monotonic() - self._watched_s >= _WATCH_EVERY_S:
-            try:
-                self._watch()
-            except OSError as exc:
-                raise self._cannot_write(exc) from exc
+            with self._writing():
+                pass
 
     def close(self, end: Mapping[str, str] | None = None) -> None:
         """Write the metadata ``session-end`` (the clock's anchor and ``end``, if present) and the index, and flush to
@@ -292,23 +278,35 @@ class SessionWriter:
                 self.path.unlink()
             return
         try:
-            self._watch()
-            self._add_columns()
-            self._write_chunk()
-            self._copy_head(attached=True)
-            said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
-            if said:
-                self._add_metadata("session-end", said)
-            self._writer.finish()
-            self._flushed()
-            os.fsync(self._out.file.fileno())
-            self._watch(ended=True)
-            self._check_content()
-        except OSError as exc:
-            raise self._cannot_write(exc) from exc
+            with self._writing():
+                self._add_columns()
+                self._write_chunk()
+                self._copy_head(attached=True)
+                said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
+                if said:
+                    self._add_metadata("session-end", said)
+                self._writer.finish()
+                self._flushed()
+                os.fsync(self._out.file.fileno())
+                self._watch(ended=True)
+                if self._is_longer or self._is_changed:  # overwritten in place, or appended to: its name is the same
+                    self.losses.append(
+                        f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
+                        f"{self.path} shows what is left"
+                    )
         finally:
             with suppress(OSError):  # a full disk refuses the same bytes again
                 self._out.file.close()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Check the file before something is written, and flush it afterwards. Raises WriteError."""
+        try:
+            self._watch()
+            yield
+            self._flushed()
+        except OSError as exc:
+            raise self._cannot_write(exc) from exc
 
     def _open(self) -> BinaryIO:
         try:
@@ -339,34 +337,18 @@ class SessionWriter:
         if loss is None or (loss is FileLoss.RENAMED and self._renamed):
             return
         old = self.path
-        match loss:
-            case FileLoss.RENAMED:
-                self._renamed = True
-                self.losses.append(
-                    f"{old}: was renamed while it was written; the recording continues in it, under its new name"
-                )
-            case FileLoss.DELETED | FileLoss.REPLACED:
-                self._move(loss)
-                self.losses.append(f"{old}: was {loss} while it was written; all of it is in {self.path}")
-            case FileLoss.TRUNCATED if ended:
-                self.losses.append(
-                    f"{old}: was truncated as the recording ended; run truearm session recover to save what is left"
-                )
-            case FileLoss.TRUNCATED:
-                self._begin_again()
-                self.losses.append(
-                    f"{old}: was truncated while it was written; its earlier content is lost, and everything since then is in {self.path}"
-                )
-            case _:
-                assert_never(loss)
-
-    def _check_content(self) -> None:
-        """Read the completed file back: bytes that were overwritten in place, or appended, do not change its name."""
-        if self._is_longer or self._is_changed:
-            self.losses.append(
-                f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
-                f"{self.path} shows what is left"
-            )
+        if loss is FileLoss.RENAMED:
+            self._renamed = True
+            outcome = "the recording continues in it, under its new name"
+        elif loss is not FileLoss.TRUNCATED:
+            self._move(loss)
+            outcome = f"all of it is in {self.path}"
+        elif ended:
+            outcome = "run truearm session recover to save what is left"
+        else:
+            self._begin_again()
+            outcome = f"its earlier content is lost, and everything since then is in {self.path}"
+        self.losses.append(f"{old}: was {loss} while it was written; {outcome}")
 
     @property
     def _is_longer(self) -> bool:
@@ -413,35 +395,20 @@ class SessionWriter:
         writer = _begun(out)
         for topic, encodings in self._encodings.items():
             _register(writer, topic, encodings)  # the numbers are the same because they are sequential
-        _pack(writer, self._head)
+        _pack(writer, self._head[: self._written])
         return writer
 
     def _copy_head(self, attached: bool) -> None:
         """Repeat all metadata, and the attachments with a copy of the plan and of what was mounted."""
-        begin = self._out.tell()
         for name, entries in self._metadata.items():
             self._writer.add_metadata(name, entries)
         if attached:
             for name, (kind, data) in self._attachments.items():
                 self._add_attachment(name, kind, data)
-            if self._head:
+            if self._written:
                 copy = io.BytesIO()
                 self._head_into(copy).finish()
                 self._add_attachment(PLAN_COPY, media_type(PLAN_COPY), copy.getvalue())
-        self._copied_to = self._out.tell()
-        self._copied_bytes = self._copied_to - begin
-
-    def _copy_head_if_due(self) -> None:
-        """Repeat the head once a minute, but never more of it than of messages: a damaged file may jump in time."""
-        if self._copied_ns is None:
-            self._copied_ns = self._latest_ns
-        elif (
-            abs(self._latest_ns - self._copied_ns) >= _COPY_NS
-            and self._out.tell() - self._copied_to >= self._copied_bytes
-        ):
-            self._copied_ns = self._latest_ns
-            self._copies += 1
-            self._copy_head(attached=self._copies % _ATTACHED_EVERY == 0)
 
     def _add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
@@ -453,36 +420,28 @@ class SessionWriter:
 
     def _finish_chunk(self) -> None:
         self._add_columns()
-        try:
-            self._watch()
+        with self._writing():
             self._write_chunk()
-            self._copy_head_if_due()
+            self._chunks += 1
+            if self._chunks % _COPY_EVERY == 0:
+                self._copy_head(attached=self._chunks % _ATTACHED_EVERY == 0)
             self._flushed()
-            if self._held:
-                self._check_held()
-                return
             # The real clock is used on purpose: in virtual time an hour passes in seconds.
-            now_s = time.monotonic()
-            if now_s - self._synced_s >= _FSYNC_EVERY_S:
+            if not self._held and time.monotonic() - self._synced_s >= _FSYNC_EVERY_S:
                 os.fsync(self._out.file.fileno())
                 self._synced_s = time.monotonic()
-        except OSError as exc:
-            raise self._cannot_write(exc) from exc
+        if self._held and self._out.tell() > MAX_HELD_BYTES:
+            raise LinkError(
+                f"{MAX_HELD_BYTES >> 20} MiB arrived before the box identified itself; is this a truearm box?"
+            )
 
     def _write_chunk(self) -> None:
         """Write what waits; a failed write is not repeated."""
         messages, self._waiting = self._waiting, []
-        self._head += self._head_waiting
-        self._head_waiting = []
+        self._written = len(self._head)
         self._chunk_since_ns = None
         self._chunk_bytes = 0
         _pack(self._writer, messages)
-
-    def _check_held(self) -> None:
-        if self._out.tell() > MAX_HELD_BYTES:
-            raise LinkError(
-                f"{MAX_HELD_BYTES >> 20} MiB arrived before the box identified itself; is this a truearm box?"
-            )
 
     def _cannot_write(self, exc: OSError) -> WriteError:
         why = exc.strerror or str(exc)

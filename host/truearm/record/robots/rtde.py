@@ -26,7 +26,6 @@ from truearm.session.joint_format import MAX_T_S, format_reading
 
 PORT = 30004
 ANSWER_NS = 5_000_000_000
-MAX_UNASKED = 1 << 20  # bytes before the stream is started; a controller sends few messages, if any
 NEEDED = ("timestamp", "actual_q")
 WANTED = ("target_q", "actual_qd", "actual_current", "actual_digital_input_bits", "robot_mode", "runtime_state")
 KEYS = {
@@ -62,9 +61,6 @@ class RtdeLink:
         self._clock = clock
         self._packages = rtde.Packages()
         self._pending: Arrivals = []  # lines received during the set-up
-        self._unasked = 0  # bytes in them
-        self._awaited: int | None = None  # the type of the awaited answer
-        self._answers: list[bytes] = []
         self._recipe: rtde.Recipe | None = None
         self.first_s = first_s
         self._link = TcpLink(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}", clock, name=url)
@@ -80,7 +76,11 @@ class RtdeLink:
             return lines
         if self._packages.broken:
             raise self._stranger()
-        return [line for t_host_ns, data in self._link.read(timeout_s) for line in self._lines(t_host_ns, data)]
+        return [
+            (t_host_ns, self._line(*package))
+            for t_host_ns, data in self._link.read(timeout_s)
+            for package in self._packages.push(data)
+        ]
 
     def write(self, data: bytes) -> int:
         """Do nothing: the protocol has no requests once the stream runs."""
@@ -135,8 +135,6 @@ class RtdeLink:
 
     def _ask(self, kind: int, request: bytes) -> bytes:
         """Return the payload of the answer to a request. Raises LinkError if there is none."""
-        self._awaited = kind
-        self._answers.clear()
         self._link.write(request)
         deadline_ns = self._clock.now_ns() + ANSWER_NS
         while self._clock.now_ns() < deadline_ns:
@@ -146,14 +144,15 @@ class RtdeLink:
                 raise LinkError(
                     f"{self.name}: the controller closed the connection; is RTDE enabled in its settings?"
                 ) from exc
+            answer = None
             for t_host_ns, data in arrivals:
-                lines = self._lines(t_host_ns, data)
-                self._pending += lines
-                self._unasked += sum(len(line) for _, line in lines)
-                if self._unasked > MAX_UNASKED:
-                    raise self._stranger()
-            if self._answers:
-                return self._answers.pop()
+                for package in self._packages.push(data):
+                    if package[0] == kind and answer is None:
+                        answer = package[1]
+                    else:
+                        self._pending.append((t_host_ns, self._line(*package)))
+            if answer is not None:
+                return answer
             if self._packages.broken:
                 raise self._stranger()
         raise LinkError(
@@ -168,23 +167,14 @@ class RtdeLink:
 
     # --- packages → lines
 
-    def _lines(self, t_host_ns: int, data: bytes) -> Arrivals:
-        lines = [self._line(kind, payload) for kind, payload in self._packages.push(data)]
-        return [(t_host_ns, line + b"\n") for line in lines if line]
-
     def _line(self, kind: int, payload: bytes) -> bytes:
-        """Return the line of a package; b"" for the awaited answer."""
-        if kind == rtde.DATA and self._recipe is not None:
-            values = self._recipe.values(payload)
-            if values is not None:
-                return self._reading(values)
-        if kind == rtde.TEXT and (said := rtde.text_message(payload)):
-            return json.dumps({"rtde": "text", **dict(zip(("level", "source", "text"), said, strict=True))}).encode()
-        if kind == self._awaited:
-            self._awaited = None
-            self._answers.append(payload)
-            return b""
-        return json.dumps({"rtde": kind, "hex": payload.hex()}).encode()
+        values = self._recipe.values(payload) if kind == rtde.DATA and self._recipe is not None else None
+        if values is not None:
+            return self._reading(values) + b"\n"
+        row: dict[str, object] = {"rtde": kind, "hex": payload.hex()}
+        if kind == rtde.TEXT and (text := rtde.text_message(payload)):
+            row = {"rtde": "text", **dict(zip(("level", "source", "text"), text, strict=True))}
+        return json.dumps(row).encode() + b"\n"
 
     def _reading(self, values: dict[str, rtde.Value]) -> bytes:
         t, q = values["timestamp"], values["actual_q"]
