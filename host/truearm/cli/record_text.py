@@ -9,7 +9,6 @@ from typing import Any
 from truearm.findings import Finding, entries
 from truearm.record.status import Counters
 from truearm.text import counted
-from truearm.units import S
 from truearm.workflows.record import Recorded
 
 DISTURBANCES = {  # counters of what a recording survives
@@ -68,4 +67,4 @@ def _events(counters: Counters) -> Iterator[str]:
     if counters.robot_missing or counters.robot_dropped or counters.robot_unstored:
         yield "the robot sent more than could be stored"
     elif counters.robot_held_up:
-        yield f"the robot's readings came up to {S.text(counters.robot_late_s, '.1f')} late; none is missing"
+        yield "the robot sent faster than could be stored for a time; no reading is missing"

@@ -47,7 +47,6 @@ LOSSES = {
     "restarts": "restarts of the box",
     "link_losses": "lost connections",
     "robot_held_up": "waits, as the robot sends more than can be stored",
-    "robot_unstored_bytes": "bytes not stored, as the robot sends much data other than joint readings",
     "robot_foreign": "datagrams not stored, as they are not the robot's",
 }
 

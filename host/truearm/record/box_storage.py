@@ -143,9 +143,7 @@ class BoxStorage:
         if seq is None:
             return
         gap = 0 if self._expected_seq is None else (seq - self._expected_seq) & _SEQ_MASK
-        if gap == _SEQ_MASK:  # a repetition of the last one
-            self.counters.doubled_frames += 1
-        elif gap >= _SEQ_HALF or too_many(gap, t_host_ns - self._counted_ns):
+        if gap >= _SEQ_HALF or too_many(gap, t_host_ns - self._counted_ns):
             self.suspect = True  # backwards, or further ahead than possible
             self.counters.odd_frames += 1
         else:
@@ -184,12 +182,9 @@ class BoxStorage:
         before = self._beat or (boot_id, dropped, overruns)
         if before[0] != boot_id:
             before = (boot_id, 0, 0)
-        more = (dropped - before[1]) % _BEAT_WRAP, (overruns - before[2]) % _BEAT_WRAP
-        if max(more) >= _BEAT_WRAP // 2:
-            return  # late
         self._beat = boot_id, dropped, overruns
-        self.counters.dropped_in_box += more[0]
-        self.counters.overruns_in_box += more[1]
+        self.counters.dropped_in_box += (dropped - before[1]) % _BEAT_WRAP
+        self.counters.overruns_in_box += (overruns - before[2]) % _BEAT_WRAP
 
     def _take_ident_page(self, t_host_ns: int, fields: Mapping[str, Any]) -> None:
         document = self._pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])

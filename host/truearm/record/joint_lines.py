@@ -9,7 +9,6 @@ finished announces this beforehand with the line ``END``.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
@@ -23,7 +22,6 @@ from truearm.session.joint_format import UNNUMBERED, JointLine, parse_line
 from truearm.session.message_columns import LATEST_NS
 
 MAX_LINE = 8192  # bytes
-MAX_RUBBISH = 1 << 20  # bytes without a reading; what follows is counted, and stored again from the next reading on
 SILENCE_S = 3.0
 END = b'{"end": true}'
 EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
@@ -81,10 +79,8 @@ class RobotIntake:
         self._counters = counters
         self._operator = operator
         self._lines = JointLines()
-        self._rubbish = 0  # bytes since the last reading
         self._silent = False
         self._last: JointLine | None = None  # reading
-        self._shortest_s = math.inf  # arrival minus the robot's time, since that last stepped back
         self._linked = True
         self._next_preview_ns = 0
         self._pieces: deque[tuple[int, bytes]] = deque()  # read, but not stored yet
@@ -199,8 +195,6 @@ class RobotIntake:
             self._back(t_host_ns, reading)
         elif self._last is not None:
             self._count_missing(self._last, reading)
-        self._measure_delay(t_host_ns, reading)
-        self._rubbish = 0
         self._counters.robot_lines += 1
         self._store(t_host_ns, line, reading)
         self.heard_ns, self._last = t_host_ns, reading
@@ -223,13 +217,6 @@ class RobotIntake:
         elif after.t > before.t:
             self._counters.robot_missing += max(after.seq - before.seq - 1, 0)
 
-    def _measure_delay(self, t_host_ns: int, reading: JointLine) -> None:
-        """Note how much later than the quickest a reading came. A robot that restarted counts its time anew."""
-        delay_s = t_host_ns / 1e9 - reading.t
-        begins = self._last is None or reading.t < self._last.t
-        self._shortest_s = delay_s if begins else min(delay_s, self._shortest_s)
-        self._counters.robot_late_s = max(self._counters.robot_late_s, delay_s - self._shortest_s)
-
     def flush(self, t_host_ns: int) -> None:
         """Store what came behind the last line feed."""
         rest = self._lines.flush()
@@ -237,15 +224,6 @@ class RobotIntake:
             self._store_console(t_host_ns, rest)
 
     def _store_console(self, t_host_ns: int, data: bytes) -> None:
-        """Store what is not a reading. Of an endless stream of it, only the beginning is stored: it would fill the disk."""
-        before, self._rubbish = self._rubbish, self._rubbish + len(data)
         self._counters.robot_console_bytes += len(data)
         self.unread = self.unread or data
-        if self._rubbish <= MAX_RUBBISH:
-            self._writer.add("/robot/console", t_host_ns, data)
-            return
-        if before <= MAX_RUBBISH:
-            self._writer.event(
-                "robot-junk", t_host_ns, text=f"{self._rubbish} bytes without a joint reading; {EXPECTED}"
-            )
-        self._counters.robot_unstored_bytes += len(data)
+        self._writer.add("/robot/console", t_host_ns, data)

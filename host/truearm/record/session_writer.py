@@ -2,7 +2,7 @@
 
 Messages are collected in a chunk. The chunk ends when it is full or its first message is ``CHUNK_NS`` old, and is then
 passed to the operating system. Once per second of real time it is flushed to the disk (fsync). A killed recorder
-therefore loses less than a second.
+therefore loses less than a second of what it had processed.
 
 A message's log time is UTC, computed from the single pair of times in the metadata ``session``. Its publish time is the
 host's own clock, which all computations use. UTC therefore never steps within a file, and other programs can place the
@@ -45,7 +45,7 @@ from typing import Any, BinaryIO, NamedTuple
 from mcap.writer import CompressionType, Writer
 
 from truearm import __version__
-from truearm.errors import InputError, LinkError, WriteError
+from truearm.errors import InputError, WriteError
 from truearm.files.write_lock import hold
 from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, rescued_file
 from truearm.record.links import Clock
@@ -60,7 +60,6 @@ _ATTACHED_EVERY = 10 * _COPY_EVERY
 _COLUMN_LINES = 1024  # maximum; a reader holds this many in memory
 _FSYNC_EVERY_S = 0.9
 _WATCH_EVERY_S = 0.5
-MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was only asked to identify itself sends a few kB
 
 _as_json = json.JSONEncoder(
     separators=(",", ":")
@@ -430,10 +429,6 @@ class SessionWriter:
             if not self._held and time.monotonic() - self._synced_s >= _FSYNC_EVERY_S:
                 os.fsync(self._out.file.fileno())
                 self._synced_s = time.monotonic()
-        if self._held and self._out.tell() > MAX_HELD_BYTES:
-            raise LinkError(
-                f"{MAX_HELD_BYTES >> 20} MiB arrived before the box identified itself; is this a truearm box?"
-            )
 
     def _write_chunk(self) -> None:
         """Write what waits; a failed write is not repeated."""

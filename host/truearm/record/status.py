@@ -12,7 +12,6 @@ class Counters:
     frames: int = 0
     samples: int = 0
     lost_frames: int = 0
-    doubled_frames: int = 0
     # number matches neither the previous frame nor a loss: late, from a restarted box, or foreign
     odd_frames: int = 0
     console_bytes: int = 0
@@ -21,7 +20,6 @@ class Counters:
     robot_lines: int = 0
     robot_other_joints: int = 0  # readings with a different number of joints from the first
     robot_console_bytes: int = 0  # these and everything else that is not a reading
-    robot_unstored_bytes: int = 0  # of the latter, not in the file because there are too many
     robot_unstored: int = 0  # pieces of the robot's stream that were still waiting when the recording ended
     restarts: int = 0
     link_losses: int = 0
@@ -31,7 +29,6 @@ class Counters:
     robot_missing: int = 0  # readings, by the gaps in their numbers since the reader first had to wait
     robot_dropped: int = 0  # 1 if readings without numbers may be lost: the link drops what cannot be stored
     robot_foreign: int = 0  # datagrams from other addresses than the robot's, not stored
-    robot_late_s: float = 0.0  # longest delay of a reading, by the robot's clock, relative to the shortest
     dropped_in_box: int = 0  # trigger edges, by the heartbeats since the first
     overruns_in_box: int = 0  # samples, by the heartbeats since the first
 

@@ -116,10 +116,6 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
         reasons.append(
             "the robot sent more than could be stored, so readings may be missing; let it send fewer per second"
         )
-    if summary.counters.robot_unstored_bytes:
-        reasons.append(
-            f"the robot sent {summary.counters.robot_unstored_bytes:,} bytes that are not joint readings and were not stored"
-        )
     if summary.box_gone and summary.reason != "link lost":
         lost_s = summary.duration_s - summary.heard_s
         reasons.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
