@@ -40,7 +40,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, assert_never
 
 from mcap.writer import CompressionType, Writer
 
@@ -336,17 +336,20 @@ class SessionWriter:
         if loss is None or (loss is FileLoss.RENAMED and self._renamed):
             return
         old = self.path
-        if loss is FileLoss.RENAMED:
-            self._renamed = True
-            outcome = "the recording continues in it, under its new name"
-        elif loss is not FileLoss.TRUNCATED:
-            self._move(loss)
-            outcome = f"all of it is in {self.path}"
-        elif ended:
-            outcome = "run truearm session recover to save what is left"
-        else:
-            self._begin_again()
-            outcome = f"its earlier content is lost, and everything since then is in {self.path}"
+        match loss:
+            case FileLoss.RENAMED:
+                self._renamed = True
+                outcome = "the recording continues in it, under its new name"
+            case FileLoss.DELETED | FileLoss.REPLACED:
+                self._move(loss)
+                outcome = f"all of it is in {self.path}"
+            case FileLoss.TRUNCATED if ended:
+                outcome = "run truearm session recover to save what is left"
+            case FileLoss.TRUNCATED:
+                self._begin_again()
+                outcome = f"its earlier content is lost, and everything since then is in {self.path}"
+            case _:
+                assert_never(loss)
         self.losses.append(f"{old}: was {loss} while it was written; {outcome}")
 
     @property
