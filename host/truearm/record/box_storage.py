@@ -182,9 +182,12 @@ class BoxStorage:
         before = self._beat or (boot_id, dropped, overruns)
         if before[0] != boot_id:
             before = (boot_id, 0, 0)
+        more = (dropped - before[1]) % _BEAT_WRAP, (overruns - before[2]) % _BEAT_WRAP
+        if max(more) >= _BEAT_WRAP // 2:
+            return  # of a count that went back
         self._beat = boot_id, dropped, overruns
-        self.counters.dropped_in_box += (dropped - before[1]) % _BEAT_WRAP
-        self.counters.overruns_in_box += (overruns - before[2]) % _BEAT_WRAP
+        self.counters.dropped_in_box += more[0]
+        self.counters.overruns_in_box += more[1]
 
     def _take_ident_page(self, t_host_ns: int, fields: Mapping[str, Any]) -> None:
         document = self._pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])
