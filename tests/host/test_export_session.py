@@ -23,7 +23,6 @@ from truearm.errors import SessionError
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
-from truearm.session import session_tables
 from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_format import parse_lines
 from truearm.session.message_columns import columns_of as message_columns
@@ -248,9 +247,8 @@ def test_a_box_that_is_ever_another():
         list(tabulate(survey(messages)))
 
 
-def test_memory_does_not_grow(made, monkeypatch):
+def test_memory_does_not_grow(made):
     """Four times the data needs no more memory; 20 % is allowed for the allocator."""
-    monkeypatch.setattr(session_tables, "ROWS", 32)  # small messages are full batches in the first parts already
     box = [message for message in made[0] if message.topic != "/robot/joints"]
     found = survey(stream_of(made[0]))
     q = [0.1] * 6

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 import json
 import re
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from operator import itemgetter
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -33,24 +32,24 @@ from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey, read_blocks
 from truearm.session.samples import extension, volts, with_ratios
 from truearm.session.streams import Blocks, BoxReader, segment_at
-from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Message
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED
 from truearm_wire import messages as wire
 
-BLOCKS = 512  # of samples, per batch
-ROWS = 2048  # of small messages, per batch
 MAX_TABLES = 100
 UNKNOWN = -1  # an unknown integer
 
 Columns = dict[str, NDArray[Any]]
 Batch = tuple[str, Columns]
-Ready = tuple[int, str, Columns]  # a batch and the message that completes it
 
 # Optional keys of a reading and the titles of their columns (docs/reference/session-format.md).
 _TITLES = {
     **{"q_cmd": "q_cmd{0}_{1}", "qd": "qd{0}_{1}_s", "current": "current{0}_A", "effort": "effort{0}_{2}"},
     **{name: name for name in ("inputs", "robot_mode", "runtime_state")},
 }
-_KINDS = {"heartbeat": wire.HEARTBEAT, "event": wire.EVENT, "temperature": wire.TEMPERATURE}
+_SMALL = {  # topics of small messages, and the frames of the box on them
+    **{"/box/heartbeat": wire.HEARTBEAT, "/box/event": wire.EVENT, "/box/temperature": wire.TEMPERATURE},
+    **dict.fromkeys(("/sync", "/events"), 0),
+}
 _TORQUE = {"rad": "Nm", "m": "N"}
 
 
@@ -60,15 +59,14 @@ def tabulate(found: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
     ``joint_units``: "rad" or "m" for each joint ("rad" if not given). Raises SessionError if the box's description
     keeps changing.
     """
-    names = _Names()
-    box, robot, rest = _Box(found), _Robot(found, joint_units), _Rest()
+    names, robot, messages_before = _Names(), _Robot(found, joint_units), 0
     for messages, blocks in read_blocks(found.source, BoxReader(found.ident)):
-        tables = [*box.take(messages, blocks), *robot.take(messages), *rest.take(messages)]
-        for _, name, columns in sorted(tables, key=itemgetter(0)):
+        tables = [(f"box_{some.stream.name}", samples(some, found)) for some in blocks]
+        for name, columns in chain(tables, _small_tables(messages, messages_before, found), robot.take(messages)):
             yield names.of(name, columns), columns
-    for part in (box, robot, rest):
-        for name, columns in part.flush():
-            yield names.of(name, columns), columns
+        messages_before += len(messages)
+    for name, columns in robot.finish():
+        yield names.of(name, columns), columns
 
 
 @dataclass
@@ -89,120 +87,46 @@ class _Names:
         return self.known[key]
 
 
-@dataclass
-class _Rows:
-    """Collects small messages of one table until there are enough."""
-
-    rows: list[dict[str, Any]] = field(default_factory=list)
-
-    def columns(self) -> Columns:
-        columns = {title: np.array([row[title] for row in self.rows]) for title in self.rows[0]}
-        self.rows = []
-        return columns
-
-
-class _Small:
-    """Tables of small messages."""
-
-    def __init__(self) -> None:
-        self._tables: dict[str, _Rows] = {}
-
-    def add(self, at: int, name: str, row: dict[str, Any]) -> Iterator[Ready]:
-        table = self._tables.setdefault(name, _Rows())
-        table.rows.append(row)
-        if len(table.rows) >= ROWS:
-            yield at, name, self.completed(table.columns())
-
-    def flush(self) -> Iterator[Batch]:
-        for name, table in self._tables.items():
-            if table.rows:
-                yield name, self.completed(table.columns())
-
-    def completed(self, columns: Columns) -> Columns:
-        """Return the columns, including those computed from all rows together."""
-        return columns
-
-
-class _Box(_Small):
-    """Streams of samples, heartbeats, edges and clock exchanges."""
-
-    def __init__(self, found: Survey) -> None:
-        super().__init__()
-        self._found = found
-        self._messages = 0  # so far
-        self._blocks: dict[int, list[Blocks]] = {}  # by stream: all of one segment, ident and timing
-
-    def take(self, messages: Messages, blocks: Sequence[Blocks]) -> Iterator[Ready]:
-        for one in blocks:
-            yield from self._stream(one, len(messages))
-        rows = messages.rows(lambda topic: topic in ("/box/heartbeat", "/box/event", "/box/temperature", "/sync"))
-        segments = segment_at(self._found.segments, rows + self._messages).tolist()
-        self._messages += len(messages)
-        said = list(messages.of(rows))
-        for at, segment, message in zip(rows.tolist(), segments, said, strict=True):
-            row = {"arrival_ns": message.t_host_ns, "segment": segment}
-            if message.topic == "/sync":
-                t0, t1, t2, t3 = parse_exchange(message.data) or (UNKNOWN,) * 4
-                yield from self.add(at, "sync", {**row, "t0_ns": t0, "t1_us": t1, "t2_us": t2, "t3_ns": t3})
-            else:
-                yield from self._frame(at, message, row)
-
-    def completed(self, columns: Columns) -> Columns:
-        """Add the host times of the box's stamps."""
+def _small_tables(messages: Messages, messages_before: int, found: Survey) -> Iterator[Batch]:
+    """Yield tables of clock exchanges, events, and all frames of the box but samples."""
+    rows = messages.rows(lambda topic: topic in _SMALL)
+    segments = segment_at(found.segments, rows + messages_before).tolist()
+    tables: dict[str, list[dict[str, Any]]] = {}
+    for segment, message in zip(segments, messages.of(rows), strict=True):
+        row: dict[str, Any] = {"arrival_ns": message.t_host_ns}
+        if message.topic == "/events":
+            text = message.data.decode(errors="backslashreplace")
+            row |= {"kind": _kind(text), "event": text}
+        elif message.topic == "/sync":
+            exchange = parse_exchange(message.data) or (UNKNOWN,) * 4
+            row |= {"segment": segment, **dict(zip(("t0_ns", "t1_us", "t2_us", "t3_ns"), exchange, strict=True))}
+        else:
+            frame, layout = decode(message.data), wire.names(_SMALL[message.topic])
+            if frame is None or any(type(value) is not int or abs(value) >= 2**63 for value in frame):
+                continue  # malformed: counted by the survey
+            elements = dict(zip(layout, frame[1:], strict=False))
+            if "t_us" not in elements:
+                continue
+            row |= {"segment": segment, "host_time_ns": UNKNOWN, "host_bound_ns": np.nan}
+            row |= {name: elements.get(name, UNKNOWN) for name in layout}
+            if message.topic == "/box/temperature":
+                row["name"] = _thermometer(found, segment, elements)
+        tables.setdefault(message.topic.removeprefix("/").replace("/", "_"), []).append(row)
+    for name, listed in tables.items():
+        columns = {title: np.array([row[title] for row in listed]) for title in listed[0]}
         if "host_time_ns" in columns:
             for segment in np.unique(columns["segment"]).tolist():
-                if segment in self._found.clocks:
-                    mine = columns["segment"] == segment
-                    placed = self._found.clocks[segment].to_host_ns(columns["t_us"][mine])
-                    columns["host_time_ns"][mine], columns["host_bound_ns"][mine] = placed
-        return columns
+                if segment in found.clocks:
+                    own = columns["segment"] == segment
+                    placed = found.clocks[segment].to_host_ns(columns["t_us"][own])
+                    columns["host_time_ns"][own], columns["host_bound_ns"][own] = placed
+        yield name, columns
 
-    def flush(self) -> Iterator[Batch]:
-        for stream_id in list(self._blocks):
-            yield self._gathered(stream_id)
-        yield from super().flush()
 
-    def _stream(self, blocks: Blocks, at: int) -> Iterator[Ready]:
-        """Collect blocks of one stream into tables of BLOCKS of one segment, ident and timing."""
-        key, begin, period_ns = blocks.stream.id, 0, blocks.frames["period_ns"]
-        changes = [*(np.flatnonzero(np.diff(period_ns)) + 1).tolist(), len(blocks)]
-        while begin < len(blocks):
-            waiting = self._blocks.setdefault(key, [])
-            n = sum(map(len, waiting))
-            last = waiting[-1] if waiting else blocks
-            alike = last.segment == blocks.segment and last.stream is blocks.stream
-            if waiting and not (alike and last.frames["period_ns"][-1] == period_ns[begin] and n < BLOCKS):
-                yield at, *self._gathered(key)
-                continue
-            end = min(changes[bisect_right(changes, begin)], begin + BLOCKS - n)
-            waiting.append(blocks.part(begin, end))
-            begin = end
-
-    def _gathered(self, key: int) -> Batch:
-        waiting = self._blocks.pop(key)
-        parts = [samples(blocks, self._found) for blocks in waiting]
-        columns = {title: np.concatenate([part[title] for part in parts]) for title in parts[0]}
-        return f"box_{waiting[0].stream.name}", columns
-
-    def _frame(self, at: int, message: Message, said: dict[str, Any]) -> Iterator[Ready]:
-        frame = decode(message.data)
-        kind = message.topic.rpartition("/")[2]
-        names = wire.names(_KINDS[kind])
-        if frame is None or any(type(value) is not int or abs(value) >= 2**63 for value in frame):
-            return  # malformed: counted by the survey
-        row = dict(zip(names, frame[1:], strict=False))
-        if "t_us" not in row:
-            return
-        times = {"host_time_ns": UNKNOWN, "host_bound_ns": np.nan}
-        named = {"name": self._name(said["segment"], row)} if kind == "temperature" else {}
-        values = {name: row.get(name, UNKNOWN) for name in names}
-        yield from self.add(at, f"box_{kind}", {**said, **times, **values, **named})
-
-    def _name(self, segment: int, row: dict[str, Any]) -> str:
-        """Return the name of the thermometer of a reading."""
-        ident, number = self._found.idents.get(segment), row.get("thermometer", UNKNOWN)
-        known = ident is not None and 0 <= number < len(ident.thermometers)
-        return ident.thermometers[number] if ident is not None and known else ""
+def _thermometer(found: Survey, segment: int, elements: dict[str, Any]) -> str:
+    """Return the name of the thermometer of a reading; "" if the box does not name it."""
+    ident, number = found.idents.get(segment), elements.get("thermometer", UNKNOWN)
+    return ident.thermometers[number] if ident is not None and 0 <= number < len(ident.thermometers) else ""
 
 
 def samples(blocks: Blocks, found: Survey) -> Columns:
@@ -270,12 +194,13 @@ class _Robot:
         self._segment = -1
         self._keys: set[str] = set()  # optional keys seen so far
 
-    def take(self, messages: Messages) -> Iterator[Ready]:
-        for batch in self._joined(self._order.take(messages)):
-            yield len(messages), *batch
+    def take(self, messages: Messages) -> Iterator[Batch]:
+        """Return the readings that are due."""
+        return self._joined(self._order.take(messages))
 
-    def flush(self) -> Iterator[Batch]:
-        yield from self._joined(self._order.finish())
+    def finish(self) -> Iterator[Batch]:
+        """Return the remaining readings at the end of the session."""
+        return self._joined(self._order.finish())
 
     def _joined(self, pieces: Sequence[tuple[bool, JointBatch]]) -> Iterator[Batch]:
         """Return tables of pieces of one segment each."""
@@ -314,16 +239,6 @@ class _Robot:
             for j, unit in enumerate(self._units):
                 columns[title.format(j + 1, unit, _TORQUE.get(unit, unit))] = values[:, j]
         return columns
-
-
-class _Rest(_Small):
-    """Events."""
-
-    def take(self, messages: Messages) -> Iterator[Ready]:
-        rows = messages.rows(lambda topic: topic == "/events")
-        for at, message in zip(rows.tolist(), messages.of(rows), strict=True):
-            text = message.data.decode(errors="backslashreplace")
-            yield from self.add(at, "events", {"arrival_ns": message.t_host_ns, "kind": _kind(text), "event": text})
 
 
 def _kind(text: str) -> str:

@@ -67,12 +67,6 @@ class Blocks:
         """Offset of each block in ``counts``."""
         return np.asarray(np.cumsum(self.n) - self.n)
 
-    def part(self, begin: int, end: int) -> Blocks:
-        """Return the blocks in a range."""
-        columns = {name: getattr(self, name)[begin:end] for name in ("frames", "n", "gap", "run")}
-        offsets = {k - begin: value for k, value in self.offsets_us.items() if begin <= k < end}
-        return replace(self, **columns, offsets_us=offsets)
-
     def counts(self) -> NDArray[np.int32]:
         """Return all samples as (Σ n, channels)."""
         channels = len(self.stream.channels)
