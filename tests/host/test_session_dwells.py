@@ -85,7 +85,7 @@ def test_a_long_stop_is_used_in_part():
 
 def test_quantisation_is_part_of_the_covariance():
     dwell = dwells_of(TWO_STOPS, step=1e-4)[0]
-    assert dwell.q_cov[0, 0] == pytest.approx(1e-8 / 12, rel=1e-6)
+    assert dwell.q_var[0] == pytest.approx(1e-8 / 12, rel=1e-6)
 
 
 # ------------------------------------------------------------------------------------------------------- statistics

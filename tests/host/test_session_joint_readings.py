@@ -105,7 +105,7 @@ def test_bins_hold_the_scatter_of_the_readings():
     assert dwell.n_readings == 400
     assert np.allclose(dwell.q, q.mean(axis=0), atol=1e-14)
     # single precision of the bins' scatter: 6e-8 of the variances, and the smallest step seen, next to nothing
-    assert np.allclose(dwell.q_cov, np.cov(q.T), rtol=1e-4, atol=1e-14)
+    assert np.allclose(dwell.q_var, np.var(q, axis=0, ddof=1), rtol=1e-4, atol=1e-14)
 
 
 def test_losses_of_the_robot_are_counted_apart():

@@ -21,7 +21,7 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.joint_readings import Bins, JointStream, pairs
+from truearm.session.joint_readings import Bins, JointStream
 from truearm.session.sample_noise import LEAST_BLOCKS, rests_within, settled_from
 from truearm.types import Floats
 
@@ -76,7 +76,7 @@ class Dwell:
 
     ``reason`` is "" if it gave an observation, else one of REASONS, and ``detail`` quantifies it. ``stood_s``:
     controller time during which the joints stood still. ``start_s``, ``end_s``: the part that is used, in which robot
-    and sensor had settled. ``bins``: first and past-the-last bin of its readings. ``q_cov``: covariance of single
+    and sensor had settled. ``bins``: first and past-the-last bin of its readings. ``q_var``: variances of single
     readings about their mean, including quantisation. ``value`` [m]: mean length of the bar. ``value_var`` [m²]:
     variance of that mean from the samples alone. ``sigma`` [m]: its standard deviation including the declared
     repeatability.
@@ -86,7 +86,7 @@ class Dwell:
     start_s: float
     end_s: float
     q: Floats  # (j,) mean reading
-    q_cov: Floats  # (j, j)
+    q_var: Floats  # (j,)
     n_readings: int
     stood_s: float
     bins: tuple[int, int]
@@ -235,7 +235,7 @@ def _of_bins(
 
 
 def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStream) -> Dwell:
-    """Return the dwell with a later beginning, with joint mean and covariance from the remaining readings.
+    """Return the dwell with a later beginning, with joint mean and variances from the remaining readings.
 
     If less than one bin of readings remains, the last bin is used: the joints are at rest in all of them.
     """
@@ -252,28 +252,21 @@ class _Readings(TypedDict):
     """Statistics of the readings in a dwell's bins."""
 
     q: Floats
-    q_cov: Floats
+    q_var: Floats
     n_readings: int
     bins: tuple[int, int]
 
 
 def _readings(bins: Bins, used: slice, step: Floats) -> _Readings:
-    """Return the mean (j,) and covariance (j, j) of the readings in these bins; the latter is at least that of
-    quantisation.
-    """
+    """Return the mean and the variances (j,) of the readings in these bins; the latter are at least those of quantisation."""
     n, mean = bins.n[used], bins.mean[used]
     total = int(np.sum(n))
     q = np.sum(n[:, None] * mean, axis=0) / total
-    between = (mean - q) * np.sqrt(n)[:, None]
-    first, second = pairs(mean.shape[1])
-    scatter = between.T @ between
-    within = np.sum(bins.scatter[used], axis=0, dtype=np.float64)
-    scatter[first, second] += within
-    scatter[second, first] = scatter[first, second]
+    squares = n @ (mean - q) ** 2 + np.sum(bins.scatter[used], axis=0, dtype=np.float64)
     # For a quantised reading the smallest change seen is the step; for a fine one it is negligible.
     return _Readings(
         q=q,
-        q_cov=scatter / max(1, total - 1) + np.diag(step**2) / 12.0,
+        q_var=squares / max(1, total - 1) + step**2 / 12.0,
         n_readings=total,
         bins=(used.start, used.stop),
     )

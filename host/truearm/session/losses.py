@@ -36,11 +36,6 @@ EXTREMES: Mapping[str, tuple[Callable[[int, int], int], str]] = {
     if kind in ("largest", "smallest")
 }
 Summary = Mapping[str, int | None]
-NO_HEARTBEAT: Summary = {
-    "heartbeats": 0,
-    **dict.fromkeys(COUNTERS, 0),
-    **{key: None for _, key in EXTREMES.values()},
-}
 
 
 class Heartbeats:
@@ -114,7 +109,7 @@ class Losses:
     starts: int = 0  # how often n0 began again without a restart
     sync_requests: int = 0
     sync_unanswered: int = 0
-    box: Summary = field(default_factory=lambda: NO_HEARTBEAT)  # the box's own counters, from its heartbeats
+    box: Summary = field(default_factory=lambda: summary_of([]))  # the box's own counters, from its heartbeats
 
 
 class Silences:

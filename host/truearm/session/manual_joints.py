@@ -100,7 +100,7 @@ def _noted(stream: JointStream, bins: Bins, k: int, t_host_ns: int, reason: str 
         start_s=t,
         end_s=t,
         q=bins.mean[k],
-        q_cov=np.diag(stream.step**2) / 12.0,
+        q_var=stream.step**2 / 12.0,
         n_readings=int(bins.n[k]),
         stood_s=t,
         bins=(k, k + 1),

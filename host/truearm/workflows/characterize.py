@@ -208,7 +208,7 @@ def _derivatives(chain: Chain, rig: Rig, dwell: Dwell) -> Floats:
 
 def _reading_sigma(dwells: Sequence[Dwell], step: Floats) -> Floats:
     """Return the standard deviation of one reading (j,) before rounding, by Sheppard's correction."""
-    variance = np.mean([np.diag(dwell.q_cov) for dwell in dwells], axis=0) - step**2 / 12.0  # of the rounded readings
+    variance = np.mean([dwell.q_var for dwell in dwells], axis=0) - step**2 / 12.0  # of the rounded readings
     return np.asarray(np.sqrt(np.maximum(variance - step**2 / 12.0, 0.0)))
 
 
@@ -240,7 +240,7 @@ def _settling(found: PoseVisits) -> dict[str, Any]:
 
 def _readings(found: PoseVisits, step: Floats) -> list[dict[str, Any]]:
     """Return the noise of single readings for each joint: as read, and what remains of it and of rounding in a mean."""
-    variances = np.array([np.diag(dwell.q_cov) for dwell in found.dwells]) - step**2 / 12.0
+    variances = np.array([dwell.q_var for dwell in found.dwells]) - step**2 / 12.0
     rounding = rounding_variance(step, _reading_sigma(found.dwells, step))
     return [
         {
