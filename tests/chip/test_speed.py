@@ -64,7 +64,7 @@ def test_at_4_khz_nothing_is_lost_no_memory_is_asked_for_and_the_rings_cover_the
     described = parse_ident(ident(chip.boot())).streams[STREAM_ADC]
     chip.ask(CONFIGURE, 0, OSR)
     chip.ask(START, ms=10)
-    found = chip.hear(1100 * MS)
+    found = chip.hear(900 * MS)
     chip.hardware.control({"pico": "profile", "every_ns": 2999})
     for k in range(50):
         edge = Edge(1000 * chip.now_us + 123_456, k % 2, k % 4 < 2)

@@ -187,10 +187,10 @@ def test_a_second_run_gives_the_same_bytes(recorded, level, tmp_path):
 
 @pytest.fixture(scope="module")
 def disturbed(level, tmp_path_factory):
-    """Return a session with ten shots without a stop, a damaged converter frame and a converter reset, each a second apart."""
-    faults = [Fault(5.0, "no-stop"), Fault(6.0, "bad-crc"), Fault(7.0, "converter-reset")]
+    """Return a session with ten shots without a stop, a damaged converter frame and a converter reset, 0.6 s apart."""
+    faults = [Fault(4.6, "no-stop"), Fault(5.2, "bad-crc"), Fault(5.8, "converter-reset")]
     with lab_of(level, faults=faults) as lab:
-        return record_lab(lab, tmp_path_factory.mktemp("disturbed") / "s.mcap", 4.5)
+        return record_lab(lab, tmp_path_factory.mktemp("disturbed") / "s.mcap", 3.3)
 
 
 def test_faults_of_the_sensors_are_counted(disturbed):
@@ -202,7 +202,7 @@ def test_faults_of_the_sensors_are_counted(disturbed):
 
 
 @pytest.mark.parametrize(
-    ("stream", "flag", "faults_s"), [(1, wire.FLAG_MISSING_STOP, (5,)), (0, wire.FLAG_CONVERTER, (6, 7))]
+    ("stream", "flag", "faults_s"), [(1, wire.FLAG_MISSING_STOP, (4.6,)), (0, wire.FLAG_CONVERTER, (5.2, 5.8))]
 )
 def test_faults_of_the_sensors_are_flagged_where_they_were(disturbed, stream, flag, faults_s):
     """A fault is in the step of the lab, up to 0.2 s, that ends at its time or just behind; its block began up to 53 ms before."""

@@ -291,7 +291,7 @@ def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels
 
 @pytest.mark.parametrize("convention", ["roll, pitch and yaw", pytest.param("of the device", marks=pytest.mark.soak)])
 def test_rotations_of_another_convention_are_named(convention):
-    poses = tracked("a", "pose", 40)
+    poses = tracked("a", "pose", 80)
     angles = Rotation.from_rotvec(poses.rotation).as_euler("xyz")
     wrong = replace(poses, rotation=angles if convention.startswith("roll") else -poses.rotation)
     estimate = found(wrong, UR10, UR10_RIG)
