@@ -162,9 +162,6 @@ class LiveState(Operator):
         wishes, self._events = self._events, []
         return wishes
 
-    def last_wishes(self) -> list[OperatorEvent]:
-        return [wish for wish in self.wishes() if wish.kind != "end"]
-
     def failed(self, exc: Exception) -> None:
         """Note an error that ends the view."""
         self.trouble = f"the live view failed ({type(exc).__name__}: {exc}); the recording was not affected"

@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from enum import StrEnum
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
@@ -60,7 +61,16 @@ def rescued_file(path: Path, fill: Callable[[BinaryIO], None]) -> tuple[Path, Bi
 
 
 def _filled(path: Path, fill: Callable[[BinaryIO], None]) -> tuple[Path, BinaryIO]:
-    out, file = _new_file(path)
+    for number in count(1):
+        out = path.with_name(f"{path.stem}-rescued{'' if number == 1 else f'-{number}'}{path.suffix}")
+        try:
+            file = out.open("x+b")
+            break
+        except FileExistsError:
+            continue
+        except OSError as exc:
+            raise WriteError(f"{out}: cannot be written: {system_reason(exc)}", exc.strerror or "") from exc
+    hold(file)
     try:
         fill(file)
     except OSError:
@@ -69,21 +79,6 @@ def _filled(path: Path, fill: Callable[[BinaryIO], None]) -> tuple[Path, BinaryI
             file.close()
         raise
     return out, file
-
-
-def _new_file(path: Path) -> tuple[Path, BinaryIO]:
-    number = 1
-    while True:
-        out = path.with_name(f"{path.stem}-rescued{'' if number == 1 else f'-{number}'}{path.suffix}")
-        try:
-            file = out.open("x+b")
-        except FileExistsError:
-            number += 1
-        except OSError as exc:
-            raise WriteError(f"{out}: cannot be written: {system_reason(exc)}", exc.strerror or "") from exc
-        else:
-            hold(file)
-            return out, file
 
 
 def copy_open_file(file: BinaryIO, size: int, out: BinaryIO) -> None:

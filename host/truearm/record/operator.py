@@ -37,9 +37,5 @@ class Operator:
         """Called four times a second."""
 
     def wishes(self) -> list[OperatorEvent]:
-        """Return the operator's requests since the last call; called at least every 50 ms."""
-        return []
-
-    def last_wishes(self) -> list[OperatorEvent]:
-        """Return what is still to be written after the recording has ended. May wait for at most half a second."""
+        """Return the operator's requests since the last call; called at least every 50 ms, and when the recording ends."""
         return []

@@ -244,15 +244,21 @@ class _Recorder:
         for reason in ("until", "interrupted"):
             if getattr(self._hooks, reason)():
                 raise _Ended(reason)
-        for wish in self._operator.wishes():
-            if wish.kind == "end":
-                raise _Ended("operator")
-            self._writer.event(wish.kind, self._clock.now_ns(), **wish.fields)
+        if self._take_wishes():
+            raise _Ended("operator")
         if self._robot is not None:
             self._check_robot(self._robot)
         duration_s = self._options.duration_s
         if self._started_ns is not None and duration_s is not None and self._elapsed_s() >= duration_s:
             raise _Ended("duration")
+
+    def _take_wishes(self) -> bool:
+        """Write the operator's events; return whether the recording is to end."""
+        wishes = self._operator.wishes()
+        for wish in wishes:
+            if wish.kind != "end":
+                self._writer.event(wish.kind, self._clock.now_ns(), **wish.fields)
+        return any(wish.kind == "end" for wish in wishes)
 
     def _check_robot(self, robot: RobotIntake) -> None:
         if robot.end is not None:
@@ -310,8 +316,7 @@ class _Recorder:
                 self._counters.robot_unstored = waiting if waiting > USUAL_WAITING else 0
             self._exchanges.expire(now_ns, 0)
             self._count_backlogs()
-            for wish in self._operator.last_wishes():
-                self._writer.event(wish.kind, now_ns, **wish.fields)
+            self._take_wishes()
             self._writer.event("stop", now_ns, reason=end.reason, text=end.text)
             counters = {name: str(value) for name, value in vars(self._counters).items()}
             self._writer.close({"reason": end.reason, **counters})

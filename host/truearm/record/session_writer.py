@@ -40,7 +40,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, NamedTuple, assert_never
+from typing import Any, BinaryIO, assert_never
 
 from mcap.writer import CompressionType, Writer
 
@@ -68,14 +68,7 @@ _as_json = json.JSONEncoder(
 Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
 
 
-class _Message(NamedTuple):
-    """A message of a channel, with its sequence number, log time and publish time [ns]."""
-
-    channel: int
-    sequence: int
-    log_ns: int
-    publish_ns: int
-    data: bytes
+_Message = tuple[int, int, bytes, int, int]  # arguments of add_message(): channel, log time, data, publish time, number
 
 
 class SessionWriter:
@@ -215,7 +208,7 @@ class SessionWriter:
             self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
             channel[1] = sequence
-        message = _Message(channel[0], channel[1], t_host_ns + self._utc_offset_ns, t_host_ns, data)
+        message = (channel[0], t_host_ns + self._utc_offset_ns, data, t_host_ns, channel[1])
         self._waiting.append(message)
         if topic == "/plan" or (topic == "/events" and b'"mounted"' in data):
             self._head.append(message)
@@ -472,7 +465,7 @@ def _register(writer: Writer, topic: str, encodings: Encodings) -> int:
 def _pack(writer: Writer, messages: Iterable[_Message]) -> None:
     """Write messages as a chunk."""
     for message in messages:
-        writer.add_message(message.channel, message.log_ns, message.data, message.publish_ns, message.sequence)
+        writer.add_message(*message)
     writer.flush()
 
 
