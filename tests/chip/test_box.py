@@ -207,7 +207,8 @@ def test_a_full_flash_refuses_a_configuration_and_keeps_the_old_one(power_on, tm
     assert ident(chip.boot())["board"] == "rp2040"
 
 
-def test_a_firmware_that_hangs_is_reset_by_the_watchdog(power_on):
+def test_a_firmware_that_hangs_or_fails_is_reset_and_tells_it_at_the_next_boot(power_on):
+    """And at last a command leads to the ROM's boot loader."""
     chip = power_on()
     chip.boot()
     chip.give(3 * S, flags=STALL)
@@ -215,11 +216,6 @@ def test_a_firmware_that_hangs_is_reset_by_the_watchdog(power_on):
     chip = power_on(cause=WATCHDOG)
     chip.boot()
     assert heartbeats(chip.hear(S))[0]["reset_cause"] == WATCHDOG
-
-
-def test_an_exception_is_printed_between_delimiters_kept_and_told_at_the_next_boot(power_on):
-    chip = power_on()
-    chip.boot()
     found = chip.hear(500 * MS, flags=CRASH)
     (text,) = [f for f in found if isinstance(f, bytes)]
     assert b"Traceback" in text
@@ -227,6 +223,8 @@ def test_an_exception_is_printed_between_delimiters_kept_and_told_at_the_next_bo
     assert chip.end == "reset"
     chip = power_on(cause=COMMAND)
     assert "RuntimeError: injected by the simulator" in ident(chip.boot())["last_error"]
+    chip.ask(RESET, BOOT_LOADER, ms=500)
+    assert chip.end == "boot loader"
 
 
 def test_ctrl_c_at_boot_and_a_command_lead_to_the_prompt(power_on):
@@ -269,13 +267,6 @@ def test_a_client_of_the_specification_alone_finds_the_box_at_its_prompt(power_o
     found = [f for f in client.payloads(chip.give(S)) if f[0] == 16 and f[2] == 0]
     assert len(found) > 70
     assert all(b[3] - a[3] == 13 for a, b in itertools.pairwise(found))
-
-
-def test_a_command_leads_to_the_rom_s_boot_loader(power_on):
-    chip = power_on()
-    chip.boot()
-    chip.ask(RESET, BOOT_LOADER, ms=500)
-    assert chip.end == "boot loader"
 
 
 @pytest.mark.parametrize("wrap", [pytest.param(1 << 30, marks=pytest.mark.soak), 1 << 32])

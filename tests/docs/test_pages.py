@@ -116,7 +116,10 @@ def test_messages_name_pages_by_a_title_that_exists():
     """And no message names a file of docs/, which an installed truearm does not have."""
     titles = {line[2:] for page in PAGES for line in page.read_text(encoding="utf-8").splitlines()[:1]}
     for path in sorted((ROOT / "host" / "truearm").rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if "docs/" not in text and "page(" not in text:
+            continue
+        tree = ast.parse(text)
         alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "page":

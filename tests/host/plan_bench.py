@@ -4,6 +4,7 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from truearm.model.chain import forward, joint_frames, joint_jacobian
 from truearm.model.robot import builtin_robot
@@ -38,7 +39,7 @@ RIGS = {
         triangle("c", (0.38, 0.0, 0.06), 0.10), triangle("s", (0.0, 0.0, 0.04), 0.06), bars(bar25=0.25, bar32=0.32)
     ),
 }
-ROBOTS = tuple(RIGS)
+ROBOTS = ("puma560", "ur5e", pytest.param("irb120", marks=pytest.mark.soak))
 LIMITS, SIZES = Limits(), Sizes()
 
 

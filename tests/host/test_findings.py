@@ -44,12 +44,7 @@ def test_every_code_has_an_entry_and_every_entry_a_code():
     """The codes in the source of truearm are those of the catalogue."""
     every = [path.read_text("utf-8") for path in HOST.rglob("*.py") if path.name != "finding_texts.py"]
     texts = [text for text in every if "from truearm.findings import" in text]
-    strings = {
-        node.value
-        for text in every
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    }
+    strings = {string for text in every for string in re.findall(r'"([a-z-]+)"', text)}
     assert {code for code in STATEMENTS if code not in ERRORS} <= strings
     first = {code for text in texts for code in re.findall(r'Finding\(\s*"([a-z-]+)"', text)}
     assert first <= set(STATEMENTS)
@@ -156,9 +151,8 @@ def test_every_code_that_is_raised_has_an_entry_with_its_values_and_every_entry_
             if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") in ("default_code", "other_code"):
                 raised.add(node.value.value)
             code = node.args[0] if isinstance(node, ast.Call) and node.args else None
-            name = ast.unparse(node.func) if code else ""
             if not isinstance(code, ast.Constant) or not re.search(
-                r"(Error|^error|^LinkClosed|^ProgramRefused)$", name
+                r"(Error|^error|^LinkClosed|^ProgramRefused)$", ast.unparse(node.func)
             ):
                 continue
             if re.fullmatch(r"[a-z]+(-[a-z]+)*", str(code.value)):
