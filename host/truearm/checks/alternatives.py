@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.checks.labels import relabelled, renamed, row_name
+from truearm.checks.labels import renamed, row_name
 from truearm.checks.trial import Alternative
 from truearm.estimate.problem import build_problem
 from truearm.kinds.quantities import LARGEST_NOISE, POINT, TURN, Quantity
@@ -39,15 +39,15 @@ Robots = Mapping[str, tuple[Chain, Mask]]  # with their free parameters (p,), by
 
 
 def other_interpretations(inputs: Alternative, robots: Robots, allowed: Collection[str] = ()) -> list[Alternative]:
-    """Return all other interpretations, the most common mistakes first; items that are ``allowed`` to be off are estimated."""
-    labels, runs = relabelled(inputs)
+    """Return all interpretations that differ by one mistake, the most common first; items that are ``allowed`` to be off are
+    estimated.
+    """
     return [
         *stuck(inputs),
         *units(inputs),
         *rotations(inputs),
         *shifted(inputs),
         *other_robots(inputs, robots),
-        *[labels] * bool(runs),
         *joints(inputs),
         *mirrored(inputs),
         *names_exchanged(inputs),
