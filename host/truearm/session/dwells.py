@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +109,11 @@ class Dwell:
 
 def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
     """Return all stops in order of time; those ruled out by the joint readings carry their reason."""
-    return [] if stream.bins is None else find_stops(stream.bins, stream.step, rules)
+    dwells = [] if stream.bins is None else find_stops(stream.bins, stream.step, rules)
+    segment = np.array([dwell.segment for dwell in dwells], np.int64)
+    times = np.array([(dwell.start_s, dwell.end_s) for dwell in dwells]).reshape(-1, 2)
+    host = zip(dwells, stream.to_host_ns(segment, times).tolist(), strict=True)
+    return [replace(dwell, start_host_ns=start, end_host_ns=end) for dwell, (start, end) in host]
 
 
 def find_stops(bins: Bins, step: Floats, rules: DwellRules) -> list[Dwell]:
@@ -248,25 +252,12 @@ def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStre
     return replace(dwell, start_s=start_s, start_host_ns=start_host_ns, **read)
 
 
-class _Readings(TypedDict):
-    """Statistics of the readings in a dwell's bins."""
-
-    q: Floats
-    q_var: Floats
-    n_readings: int
-    bins: tuple[int, int]
-
-
-def _readings(bins: Bins, used: slice, step: Floats) -> _Readings:
+def _readings(bins: Bins, used: slice, step: Floats) -> dict[str, Any]:
     """Return the mean and the variances (j,) of the readings in these bins; the latter are at least those of quantisation."""
     n, mean = bins.n[used], bins.mean[used]
     total = int(np.sum(n))
     q = np.sum(n[:, None] * mean, axis=0) / total
     squares = n @ (mean - q) ** 2 + np.sum(bins.scatter[used], axis=0, dtype=np.float64)
     # For a quantised reading the smallest change seen is the step; for a fine one it is negligible.
-    return _Readings(
-        q=q,
-        q_var=squares / max(1, total - 1) + step**2 / 12.0,
-        n_readings=total,
-        bins=(used.start, used.stop),
-    )
+    q_var = squares / max(1, total - 1) + step**2 / 12.0
+    return {"q": q, "q_var": q_var, "n_readings": total, "bins": (used.start, used.stop)}

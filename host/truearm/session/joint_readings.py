@@ -139,6 +139,13 @@ class JointStream:
     inputs: tuple[InputTrack, ...]  # of each segment
     kept: Spool
 
+    def to_host_ns(self, segment: NDArray[np.integer[Any]], t_s: Floats) -> Ints:
+        """Return host times of controller times (n, …) [s] in these segments (n,)."""
+        host = np.empty(t_s.shape, np.int64)
+        for k in np.unique(segment).tolist():
+            host[segment == k] = self.clocks[k].to_host_ns(t_s[segment == k])
+        return host
+
     def between(self, segment: int, start_s: float, end_s: float) -> Readings:
         """Return the readings between two controller times, of those that were kept."""
         spans = enumerate(self.kept.spans)

@@ -52,7 +52,10 @@ def find_legs(stream: JointStream) -> list[Leg]:
     turns = np.einsum("ij,ij->i", step[1:], step[:-1]) < 0.0  # at bin k + 1
     ends = [_ends(run, moving, joined) for run in _runs(moving, turns)]
     legs = [_leg(bins, *end) for end in ends if _travel(bins, *end[:2]) >= LEAST_MOVE]
-    return _on_host(legs, stream)
+    segment = np.array([leg.segment for leg in legs], np.int64)
+    times = np.array([(leg.start_s, leg.end_s) for leg in legs]).reshape(-1, 2)
+    host = zip(legs, stream.to_host_ns(segment, times).tolist(), strict=True)
+    return [replace(leg, start_host_ns=start, end_host_ns=end) for leg, (start, end) in host]
 
 
 def _steps(bins: Bins) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -110,17 +113,3 @@ def _travel(bins: Bins, a: int, b: int) -> float:
 def _leg(bins: Bins, a: int, b: int, cut: bool) -> Leg:
     start, end = float(bins.t_first_s[a]), float(bins.t_last_s[b])
     return Leg(int(bins.segment[a]), start, end, bins.mean[a], bins.mean[b], cut)
-
-
-def _on_host(legs: list[Leg], stream: JointStream) -> list[Leg]:
-    """Return the legs with host times."""
-    times = np.array([(leg.start_s, leg.end_s) for leg in legs]).reshape(-1, 2)
-    segment = np.array([leg.segment for leg in legs])
-    host = np.empty(times.shape, np.int64)
-    for k in np.unique(segment):
-        mine = segment == k
-        host[mine] = stream.clocks[int(k)].to_host_ns(times[mine].ravel()).reshape(-1, 2)
-    return [
-        replace(leg, start_host_ns=start, end_host_ns=end)
-        for leg, (start, end) in zip(legs, host.tolist(), strict=True)
-    ]

@@ -39,9 +39,7 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRule
     )
     begin = np.array([rest.stood_s for rest in rests])
     end = np.array([rest.end_s + rules.guard_s for rest in rests])
-    noted = np.concatenate(
-        [stream.clocks[s].to_host_ns(bins.t_first_s[bins.segment == s]) for s in np.unique(bins.segment)]
-    )
+    noted = stream.to_host_ns(bins.segment, bins.t_first_s)
     of = np.searchsorted(begin, 1e-9 * noted, side="right") - 1
     inside = np.array([i >= 0 and 1e-9 * t <= end[i] for i, t in zip(of, noted, strict=True)])
     dwells = []

@@ -156,10 +156,7 @@ def survey(
         for name in dict.fromkeys([None, *(name for s in box.segments for name in s.temperatures)])
     }
     rules = rules or DwellRules()
-    if has_manual_joints(joints):
-        dwells = manual_dwells(joints, samples[BAR][0], rules)
-    else:
-        dwells = _on_host(find_dwells(joints, rules), joints)
+    dwells = manual_dwells(joints, samples[BAR][0], rules) if has_manual_joints(joints) else find_dwells(joints, rules)
     return Survey(
         losses=box.losses(),
         streams=box.streams(),
@@ -232,19 +229,6 @@ def observations(
         simulated="yes" if simulated else None,
     )
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
-
-
-def _on_host(dwells: Sequence[Dwell], joints: JointStream) -> list[Dwell]:
-    """Return the dwells with host times."""
-    times = np.array([(dwell.start_s, dwell.end_s) for dwell in dwells]).reshape(-1, 2)
-    segment = np.array([dwell.segment for dwell in dwells], dtype=np.intp)
-    host = np.empty(times.shape, np.int64)
-    for k in np.unique(segment).tolist():
-        host[segment == k] = joints.clocks[k].to_host_ns(times[segment == k].ravel()).reshape(-1, 2)
-    return [
-        replace(dwell, start_host_ns=start, end_host_ns=end)
-        for dwell, (start, end) in zip(dwells, host.tolist(), strict=True)
-    ]
 
 
 def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:

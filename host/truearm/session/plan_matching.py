@@ -265,7 +265,7 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
         found = _matched(legs, plan, rows, tolerance, said)
     for one in found:
         _check_rig(one.mounted, rig)
-    return [replace(one, reason="too long") if _too_long(one.leg) else one for one in found]
+    return [replace(one, reason="too long") if one.leg.end_s - one.leg.start_s > LONGEST_S else one for one in found]
 
 
 def planned_lines(marks: Marks) -> tuple[PlannedPoses | None, list[int]]:
@@ -291,10 +291,6 @@ def _matched(
         elif "line" in words:
             found.append(LinePass(leg, dict(words), "gap" if leg.cut else "no plan match"))
     return found
-
-
-def _too_long(leg: Leg) -> bool:
-    return leg.end_s - leg.start_s > LONGEST_S
 
 
 def _mounted(marks: Marks, leg: Leg) -> dict[str, str]:
