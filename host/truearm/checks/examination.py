@@ -167,7 +167,7 @@ def diagnoses(result: Search, average: Average, table: ObservationTable) -> tupl
 def deciding(options: Sequence[Part], design: Design, table: ObservationTable) -> tuple[str, ...]:
     """Return the names mounted in the rows that would exclude most explanations if they were measured again at the end.
 
-    Formula (14) of docs/explanation/hypotheses.md. Empty if no mount is expected to give one nat.
+    Formula (12) of docs/explanation/hypotheses.md. Empty if no mount is expected to give one nat.
     """
     fit = design.fit
     predicted = np.array([fit.jac @ part.step + at_the_end(part.weighed) @ part.size for part in options])
