@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
+from rich.table import Table
+
+from truearm.cli.findings_text import table_of
 from truearm.findings import option
 from truearm.text import counted, one_line
 from truearm.types import Floats, rms_of_columns
-from truearm.units import DEG, MM
+from truearm.units import number
 from truearm.workflows.correct import SHOWN, CorrectedFile
 from truearm.workflows.correction_findings import Refused
 
 MOST_REFUSED = 30  # shown one by one
 
 
-def tables(done: CorrectedFile) -> Iterator[str]:
+def tables(done: CorrectedFile) -> Iterator[Table | str]:
     """Return the errors of the first targets, and their RMS."""
     before, after = done.correction.before, done.correction.after
-    yield f"{'target':<10}{'before [mm]':>14}{'after [mm]':>14}{'before [deg]':>14}{'after [deg]':>14}"
-    rows = list(zip(done.places, before, after, strict=True))
-    yield from (f"{place:<10}{_cells(*errors)}" for place, *errors in rows[:SHOWN])
-    if len(rows) > SHOWN:
-        yield f"and {len(rows) - SHOWN} more"
-    yield f"{'RMS':<10}{_cells(*map(rms_of_columns, (before, after)))}"
+    names, errors = [*done.places[:SHOWN], "RMS"], [[*of[:SHOWN], rms_of_columns(of)] for of in (before, after)]
+    cells = map(_cells, *errors)
+    titles = ("target", "before [mm]", "after [mm]", "before [deg]", "after [deg]")
+    yield table_of(titles, ((name, *row) for name, row in zip(names, cells, strict=True)))
+    if len(done.places) > SHOWN:
+        yield f"RMS over these and {len(done.places) - SHOWN} more"
 
 
 def refused_lines(refused: Sequence[Refused]) -> list[str]:
@@ -38,7 +40,6 @@ def refused_lines(refused: Sequence[Refused]) -> list[str]:
     return [f"{counted(len(refused), 'move')} not corrected:", *rows, *more]
 
 
-def _cells(before: Floats, after: Floats) -> str:
-    mm = [f"{MM.of(error[0]):>14.4f}" for error in (before, after)]
-    deg = [f"{DEG.of(error[1]):>14.5f}" if math.isfinite(error[1]) else f"{'-':>14}" for error in (before, after)]
-    return "".join(mm + deg)
+def _cells(*errors: Floats) -> list[str]:
+    """Return errors of position and orientation without and with the correction."""
+    return [*(number(of[0], "m", 4) for of in errors), *(number(of[1], "rad", 5) for of in errors)]

@@ -59,12 +59,12 @@ def report(
     """
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
-    from truearm.workflows.report import ReportFiles, report_files
+    from truearm.workflows.report import report_files
     from truearm.workflows.session_parts import with_parts
 
     sources = Sources(tuple(with_parts(inputs or [])), rigs_of(rig), None, True, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
     files = IdentifyFiles(robot, sources, command=command_line, force=force)
-    certificate = report_files(ReportFiles(result, files, out, issue_of(number, tolerance_mm)))
+    certificate = report_files(result, files, out, issue_of(number, tolerance_mm))
     lines = [f"{certificate.heading}: {certificate.decision}", f"Written: {one_line(str(out))}"]
     print_result({"report": str(out), "decision": certificate.decision}, lines, json)

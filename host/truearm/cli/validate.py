@@ -63,21 +63,15 @@ def validate(
     from truearm.report.validation_findings import error_lines
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
-    from truearm.workflows.report import ReportFiles, validation_report
+    from truearm.workflows.report import validate_files
     from truearm.workflows.session_parts import with_parts
-    from truearm.workflows.validate import validate_files
 
     sources = Sources(tuple(with_parts(inputs)), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
-    if report is None:
-        if number or tolerance_mm is not None:
-            raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))
-        document = validate_files(result, robot, sources, keep_rig).document
-    else:
-        command_line = shlex.join(["truearm", *(context.obj or [])])
-        files = IdentifyFiles(robot, sources, command=command_line, force=force)
-        document = validation_report(
-            ReportFiles(result, files, report, issue_of(number, tolerance_mm)), keep_rig
-        ).document
+    if report is None and (number or tolerance_mm is not None):
+        raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))
+    command_line = shlex.join(["truearm", *(context.obj or [])])
+    files = IdentifyFiles(robot, sources, report=report, command=command_line, force=force)
+    document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
     if json:
         typer.echo(format_document(document))
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,49 +28,39 @@ from truearm.workflows.validate import Validation, measured_files, validated
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
 
 
-@dataclass(frozen=True)
-class ReportFiles:
-    """A result, its inputs, the page to write, and whom the certificate is for."""
-
-    result: Path
-    made_from: IdentifyFiles
-    out: Path
-    issue: Issue
-
-
 @step("repeating the identification")
-def report_files(files: ReportFiles) -> Certificate:
-    """Repeat the fit as recorded in the result, check that the outcome is the same, write the page, and return its certificate.
+def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) -> Certificate:
+    """Repeat the fit as recorded in the result, check that the outcome is the same, write the page ``out``, and return its certificate.
 
     Of the given sessions and tables, only those used for the result are read; without any, they are looked for near the
     result and in the project. Raises InputError if the result does not record how it was made, or if the files are not
     the original ones or give another result.
     """
-    stored = read_result(files.result)
-    options, hold_out = _options(files.result, stored.made_with)
-    given = files.made_from.sources
+    stored = read_result(result)
+    options, hold_out = _options(result, stored.made_with)
+    given = files.sources
     measured = {entry.sha256 for entry in stored.inputs if entry.role == "observations"}
     named = tuple(path for path in given.inputs if sha256(path) in measured)
-    rigs = _nearby(files.result, stored, "rig") if not given.rigs else []
+    rigs = _nearby(result, stored, "rig") if not given.rigs else []
     sources = replace(
         given,
-        inputs=named or given.inputs or tuple(_nearby(files.result, stored, "observations")),
+        inputs=named or given.inputs or tuple(_nearby(result, stored, "observations")),
         rigs={"": rigs[0]} if len(rigs) == 1 else given.rigs,
-        noise=next(iter(_nearby(files.result, stored, "noise")), None),
+        noise=next(iter(_nearby(result, stored, "noise")), None),
     )
-    choice = files.made_from.robot
-    check_files(sources, choice, [("page", files.out)], files.made_from.force)
+    choice = files.robot
+    check_files(sources, choice, [("page", out)], files.force)
     inputs = hashed_inputs(sources, choice)
-    _check_inputs(files.result, stored, {one.sha256 for one in inputs})
+    _check_inputs(result, stored, {one.sha256 for one in inputs})
     name = choice.robot or stored.robot.name
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
     rig, table, counts, recordings = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)
     found = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
-    _check_same(files.result, stored.column("value"), found)
-    certificate = calibration_certificate(found, files.issue, recordings, inputs)
+    _check_same(result, stored.column("value"), found)
+    certificate = calibration_certificate(found, issue, recordings, inputs)
     with step("drawing the report"):
-        write_page(files.out, found, files.made_from.command, recordings, certificate)
+        write_page(out, found, files.command, recordings, certificate)
     return certificate
 
 
@@ -84,14 +74,17 @@ def _nearby(result: Path, stored: Result, role: str) -> list[Path]:
 
 
 @step("validating")
-def validation_report(files: ReportFiles, keep_rig: bool = False) -> Validation:
-    """Judge a result by independent observations and write the page. Raises InputError."""
-    made_from = files.made_from
-    measured = measured_files(files.result, made_from.robot, made_from.sources, [("page", files.out)], made_from.force)
+def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: bool = False) -> Validation:
+    """Judge a result by independent observations; ``keep_rig`` as in ``validated``. Write the page ``files.report`` if there is one.
+
+    Raises InputError with a one-line message.
+    """
+    measured = measured_files(result, files.robot, files.sources, [("page", files.report)], files.force)
     validation = validated(*measured[:4], keep_rig)
-    certificate = validation_certificate(measured, validation, files.issue)
-    name = measured.calibration.chain.name
-    write_atomic(files.out, validation_page.render(name, certificate, validation.document, made_from.command))
+    if files.report is not None:
+        certificate = validation_certificate(measured, validation, issue)
+        name = measured.calibration.chain.name
+        write_atomic(files.report, validation_page.render(name, certificate, validation.document, files.command))
     return validation
 
 

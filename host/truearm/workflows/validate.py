@@ -139,16 +139,6 @@ class Measured(NamedTuple):
     recordings: Sequence[Recording] = ()
 
 
-@step("validating")
-def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig: bool = False) -> Validation:
-    """Read a result and the observations for judging it; ``keep_rig`` as in ``validated``.
-
-    Raises InputError with a one-line message.
-    """
-    measured = measured_files(result, robot, sources)
-    return validated(*measured[:4], keep_rig)
-
-
 def measured_files(
     result: Path,
     robot: RobotChoice,
