@@ -633,7 +633,7 @@ def export_robot(
     True
     """
     poses = None if over is None else floats("over", over, None, len(result.joint_units))
-    found = export.exported(result, export.ExportOptions(format, own_frames, _texts(adjust)), poses)
+    found = export.exported(result, format, poses, own_frames, _texts(adjust))
     if path is not None:
         write_atomic(Path(path), found.text)
     return found

@@ -41,7 +41,7 @@ from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import CorrectOptions, correct_file
-from truearm.workflows.export import ExportOptions, curve_table, exported
+from truearm.workflows.export import curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 from truearm.workflows.map import Section, map_files, mapped
 from truearm.workflows.requests import CorrectFiles, MapFiles
@@ -697,7 +697,7 @@ def test_no_coefficient_of_a_law_passes_for_how_base_or_tool_are_mounted():
 def test_exporters_say_which_laws_a_format_lacks_and_what_that_costs(learned_arm, form):
     found, _ = learned_arm
     over = found.table.q[found.estimate.fitted]
-    told = exported(found, ExportOptions(form), over)
+    told = exported(found, form, over)
     kept = {f"{law.joint}.{law.term}" for law in found.estimate.joint_laws.tried if law.kept}
     assert kept <= set(told.missing)
     assert told.fitted.dropped.mean() > told.fitted.left.mean() > 1e-4  # curves of 0.4 mrad at a metre, and sag
@@ -709,9 +709,9 @@ def test_exporters_say_which_laws_a_format_lacks_and_what_that_costs(learned_arm
 def test_a_format_that_refuses_the_robot_says_what_the_laws_would_cost(learned_arm, form):
     """Joints 2 and 3 of a UR10 are nearly parallel, which these rows cannot hold; nor can they hold laws."""
     found, _ = learned_arm
-    cost = exported(found, ExportOptions("dh-hayati")).rms
+    cost = exported(found, "dh-hayati").rms
     with pytest.raises(RobotError, match="from parallel") as caught:
-        exported(found, ExportOptions(form))
+        exported(found, form)
     assert "no place for joint2.sag, joint3.sag, joint1.curve" in str(caught.value)
     assert f"{1e3 * cost:.3f} mm RMS" in str(caught.value)
 
@@ -720,7 +720,7 @@ def test_a_file_is_refitted_where_the_curves_are_known(gap_arm, monkeypatch):
     """By default, over poses within the fitted readings and outside their gaps."""
     seen = []
     monkeypatch.setattr("truearm.workflows.export.fit_to", lambda *args: seen.append(args[-1]) or fit_to(*args))
-    exported(gap_arm, ExportOptions("urdf"))
+    exported(gap_arm, "urdf")
     assert not gap_arm.outside(seen[0]).any()
     assert np.ptp(seen[0], axis=0).min() > 2.5
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from truearm.findings import Finding, ordered
 from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
 from truearm.text import one_line
-from truearm.types import CurveKnots, Floats, Payload, rms, thinned
+from truearm.types import CurveKnots, Floats, rms, thinned
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import (
     Calibration,
@@ -38,19 +37,6 @@ from truearm.workflows.selection import matching
 N_POSES = 600  # of a refit without given poses; 2400 coordinates for about 60 unknowns
 MARK = "written by truearm export"
 CURVES_HEADER = "joint,reading_deg,error_mrad,sigma_mrad,covered"
-
-
-class ExportOptions(NamedTuple):
-    """What to write: a format, with or without the mountings of base and tool, and patterns of what may change
-    (default: all).
-
-    ``payload`` is that of the robot that a file is written for.
-    """
-
-    form: str
-    own_frames: bool = False
-    adjust: tuple[str, ...] = ()
-    payload: Payload = NO_PAYLOAD
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,10 +121,9 @@ def export_file(files: ExportFiles) -> ExportedRobot:
     inputs = [files.result, *files.robot.files, *filter(None, [files.over])]
     check_writable(files.out, files.force, inputs=inputs, kind="exported", suffixes=[FORMATS[files.format].suffix])
     check_outputs([("curves", files.curves_out)], files.force, [*inputs, files.out])
-    payload = files.payload or NO_PAYLOAD
-    calibration = read_usable(files.result, files.robot, files.allow_unusable).carrying(*payload)
-    options = ExportOptions(files.format, files.own_frames, files.adjust, payload)
-    found = exported(calibration, options, None if files.over is None else _poses_of(files.over, calibration.chain))
+    calibration = read_usable(files.result, files.robot, files.allow_unusable).carrying(*(files.payload or NO_PAYLOAD))
+    over = None if files.over is None else _poses_of(files.over, calibration.chain)
+    found = exported(calibration, files.format, over, files.own_frames, files.adjust)
     curves = files.curves_out
     table = None if curves is None else curve_table(_curves(calibration, curves), calibration.simulated)
     write_atomic(files.out, found.text)
@@ -171,34 +156,42 @@ def curve_table(curves: Sequence[SampledCurve], simulated: bool = False) -> str:
     return "\n".join(lines) + "\n"
 
 
-def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> ExportedRobot:
+def exported(
+    calibration: Calibration,
+    form: str,
+    over: Floats | None = None,
+    own_frames: bool = False,
+    adjust: Sequence[str] = (),
+) -> ExportedRobot:
     """Return the calibrated robot in a format; ``over`` (n, j): poses for the refit, by default random ones.
+
+    ``own_frames``: without the mountings of base and tool. ``adjust``: patterns of what may change, by default all.
 
     Raises InputError if the format can hold nothing of what may change, or nothing worth writing.
     """
-    fitted = _fitted(calibration, options, over)
-    contained = FORMATS[options.form].mountings and not options.own_frames
+    fitted = _fitted(calibration, form, adjust, over)
+    contained = FORMATS[form].mountings and not own_frames
     values = mounting_values(calibration.chain, calibration.nominal, fitted.params)
     mounted = Finding("file-mountings", {**values, "contained": contained})
-    findings = ordered([*export_findings(options.form, fitted, over is None), mounted], calibration.simulated)
+    findings = ordered([*export_findings(form, fitted, over is None), mounted], calibration.simulated)
     remarks = [*([Finding("simulated")] if calibration.simulated else []), mounted]
     robot = RobotToWrite(
         chain=calibration.chain,
         nominal=calibration.nominal,
         params=fitted.params,
-        mountings=not options.own_frames,
+        mountings=not own_frames,
         comment="\n".join([MARK, *(one_line(finding.text()) for finding in remarks)]),
         urdf=_urdf_text(calibration),
     )
     try:
-        text = written(options.form, robot)
+        text = written(form, robot)
     except RobotError as exc:
         if not fitted.missing:
             raise
         raise RobotError(
-            " ".join([f"{exc}.", *(finding.text() for finding in export_findings(options.form, fitted)[::-1])])
+            " ".join([f"{exc}.", *(finding.text() for finding in export_findings(form, fitted)[::-1])])
         ) from exc
-    return ExportedRobot(options.form, text, tuple(findings), fitted)
+    return ExportedRobot(form, text, tuple(findings), fitted)
 
 
 def _urdf_text(calibration: Calibration) -> str | None:
@@ -207,23 +200,23 @@ def _urdf_text(calibration: Calibration) -> str | None:
     return read_text(Path(robot.file), MAX_BYTES, InputError) if robot.is_urdf else None
 
 
-def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | None) -> FormatFit:
+def _fitted(calibration: Calibration, form: str, adjust: Sequence[str], over: Floats | None) -> FormatFit:
     """Return the parameters that the format holds and the user allows to change."""
     chain = calibration.chain
     adjustable = np.ones(len(chain.parameters), dtype=bool)
-    if options.adjust:
-        adjustable = matching(chain.parameter_names, "adjust", options.adjust)
-        if not (adjustable & held(chain, FORMATS[options.form])).any():
+    if adjust:
+        adjustable = matching(chain.parameter_names, "adjust", adjust)
+        if not (adjustable & held(chain, FORMATS[form])).any():
             raise InputError(
                 Argument("adjust"),
-                f" {options.adjust[0]}: leaves no parameter that {options.form} can hold; use another pattern or format",
+                f" {adjust[0]}: leaves no parameter that {form} can hold; use another pattern or format",
             )
     if over is not None:
         # Poses that were measured may be beyond the limits that the robot file states.
         largest = largest_readings(chain)
         check_within("over", over, chain, -largest, largest)
     q = _anywhere(calibration) if over is None else over[thinned(len(over), N_POSES)]
-    return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
+    return fit_to(form, chain, calibration.nominal, calibration.identified, adjustable, q)
 
 
 def _anywhere(calibration: Calibration) -> Floats:

@@ -126,19 +126,18 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     given = {name: with_noise(rig, noise) for name, rig in rigs.items()}
     sessions = _opened([path for path in inputs if is_session(path)], sources.allow_damaged)
     of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, given).items()}
-    read = {
-        path: _read_session(sessions[path], joint_units, of_session[path], sources, robot)
-        if path in sessions
-        else _Read(read_table(path, joint_units))
-        for path in inputs
-    }
-    for path, of_file in read.items():
-        if path not in sessions and _is_reordered(of_file.table):
+    tables: list[ObservationTable] = []
+    of_sessions: list[_SessionRead] = []
+    for path in inputs:
+        if path in sessions:
+            of_sessions.append(_read_session(sessions[path], joint_units, of_session[path], sources, robot))
+            tables.append(of_sessions[-1].table)
+            continue
+        tables.append(read_table(path, joint_units))
+        if _is_reordered(tables[-1]):
             sources.say(
                 f"{path}: the rows are not in the order of time_s; they are used in that order, and row numbers count in it"
             )
-    tables = [one.table for one in read.values()]
-    of_sessions = [one.session for one in read.values() if one.session is not None]
     counts = tuple(one.dwells for one in of_sessions)
     recordings = tuple(one.recording for one in of_sessions)
     if sources.line_points is not None and not any(one.lines for one in counts):
@@ -191,18 +190,12 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[s
 
 
 class _SessionRead(NamedTuple):
-    """The account of a session's dwells, how it was recorded, and why it gives ``nothing`` if its table is empty."""
+    """The observations of a session, the account of its dwells, how it was recorded, and why it gives ``nothing`` if there are none."""
 
+    table: ObservationTable
     dwells: DwellCount
     recording: Recording
     nothing: str
-
-
-class _Read(NamedTuple):
-    """The observations of an input, and more of a session."""
-
-    table: ObservationTable
-    session: _SessionRead | None = None
 
 
 def _opened(paths: Sequence[Path], allow_damaged: bool) -> dict[Path, Session]:
@@ -220,7 +213,7 @@ def _read_session(
     assigned: Assigned,
     sources: Sources,
     robot: Robot | None,
-) -> _Read:
+) -> _SessionRead:
     path, (name, rig) = session.path, assigned
     options = SessionOptions(
         sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say
@@ -255,7 +248,7 @@ def _read_session(
         path.name, n, int(used), reasons, labels, mountings, lines, lines_used, of_lines, result.with_bar
     )
     nothing = nothing_observed(path, reasons, of_lines, result.survey.marks.plan() is not None)
-    return _Read(table.replace(rig=name), _SessionRead(count, recording_of(session, result, count), nothing))
+    return _SessionRead(table.replace(rig=name), count, recording_of(session, result, count), nothing)
 
 
 def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
