@@ -30,6 +30,8 @@ class SmallDisk:
 
     def __init__(self, kind, path, copy):
         self.kind, self.path, self.copy = kind, path, copy
+        self.temporary = path.with_name("temporary")
+        self.temporary.mkdir()
 
     def run(self, *arguments):
         if self.kind == "limit":
@@ -39,7 +41,8 @@ class SmallDisk:
             script += 'cp -a "$disk/." "$copy"; exit $code'
             options = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script, "sh"]
             command = [*options, f"{KIB}k", self.path, self.copy, sys.executable, "-c", RUN, *map(str, arguments)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        environment = os.environ | {"TMPDIR": str(self.temporary)}
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
         if self.kind == "limit":
             shutil.copytree(self.path, self.copy, dirs_exist_ok=True)
         if done.returncode == 77:
@@ -71,6 +74,7 @@ def test_recording(disk, tmp_path):
     assert "cannot be written any more" in said
     assert "remain readable" in said
     assert "Traceback" not in done.stderr
+    assert list(disk.temporary.iterdir()) == []  # a failed write is no other program's
     file = disk.copy / "s.mcap"
     assert file.stat().st_size <= KIB << 10
     mended = tmp_path / "recovered.mcap"

@@ -104,6 +104,7 @@ class SessionWriter:
         self._synced_s = self._watched_s = time.monotonic()
         self.losses: list[str] = []  # what happened to the file, one sentence each
         self._renamed = False
+        self._failed = False  # a write did, so the file is not as it should be
         self._size = 0  # on the disk, as last written
         self._waiting: list[_Message] = []  # of the current chunk
         self._encodings: dict[str, Encodings] = {}  # of the channels
@@ -320,7 +321,7 @@ class SessionWriter:
 
     def _watch(self, ended: bool = False) -> None:
         """Check the file before more is written to it. Raises OSError, WriteError."""
-        if self._held:
+        if self._held or self._failed:
             return
         self._watched_s = time.monotonic()
         loss = file_loss(self._out.file, self.path, self._size)
@@ -435,6 +436,7 @@ class SessionWriter:
         _pack(self._writer, messages)
 
     def _cannot_write(self, exc: OSError) -> WriteError:
+        self._failed = True
         why = exc.strerror or str(exc)
         return WriteError(
             f"{self.path}: cannot be written any more ({why}); the data already in it remain readable", why
