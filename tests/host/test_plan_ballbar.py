@@ -8,6 +8,7 @@ import pytest
 from tests.host import plan_bench as bench
 from tests.refusals import refused
 
+import truearm
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.solvers import Prior
@@ -291,3 +292,11 @@ def test_two_visits_split_the_poses_of_every_mount():
     first = [name for name, _ in mounts][: len(of_name)]
     assert len(set(first)) == len(of_name), "no mount again before all were visited"
     assert len(route.plan) == len(np.unique(route.plan.q, axis=0)) == 54
+
+
+@pytest.mark.soak
+def test_sixty_poses_of_a_ur5e_predict_a_fifth_of_a_millimetre():
+    """Over poses of the region that are not in the plan: candidates are in all orientations of the wrist."""
+    plan = truearm.plan_ball_bar(truearm.load_robot("ur5e"), bench.RIGS["ur5e"], poses=60)
+    assert plan.forecast.cartesian_rms < 0.20e-3
+    assert plan.route.plan.q[:, 3].std() > 1.4  # rad
