@@ -43,7 +43,7 @@ PARTS = "[ Of it, {parameters} come from the parameters][, {unnamed} from faults
 
 PROPOSAL = "[: {@hold_out} {fraction:g}][ {@seed} {seed}][ holds out {rows:#row}][ and leaves at least half the rows of each of the {combinations} combinations of names in the fit]"
 
-QUICK_FIT = "([{as_given:!}in a quick fit: RMS {with_change} with this change, {as_given} as given||RMS {with_change} in a quick fit either way; relative to their declared noise, the residuals are smaller with this change])."
+QUICK_FIT = "([{as_given:!}in a quick fit: RMS {with_change} with this change, {as_given} as given||RMS {with_change} in a quick fit either way][{place:!}, but as given, the robot or an item of the rig would be far from where it is described][{noise:!}; relative to their declared noise, the residuals are smaller with this change])."
 CORRECT = "Correct this."
 CORRECT_OR_LEAVE_OUT = "Correct this, or give {leave_out:@leave_out} (rows numbered from 1 over all inputs)."
 

@@ -161,10 +161,13 @@ def inputs(document: Document) -> Iterator[Finding]:
             yield Finding("still-joint", {"joint": joint["joint"], "reading": _size(joint["at"], joint["unit"])})
     for number, explanation in enumerate(explanations):
         with_change, as_given = (sizes(explanation, name) for name in ("rms", "rms_given"))
+        smaller = any(with_change.get(unit, 0.0) < 0.5 * size for unit, size in as_given.items())
         values = {
             "lead": "This explains them too" if number else "This explains the observations",
             "with_change": with_change,
-            "as_given": as_given if as_given != with_change else None,
+            "as_given": as_given if smaller else None,
+            "place": not smaller and as_given != with_change,
+            "noise": as_given == with_change,
         }
         yield Finding(explanation["code"], explanation["values"] | values)
     if document["status"] != "converged" and not SOLVERS[document["solver"]].ends_by_recipe and not explanations:
