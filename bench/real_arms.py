@@ -202,14 +202,6 @@ def cases() -> Iterator[tuple[str, Callable[[], Case]]]:
 
     yield "ur5", ur5
 
-    def mukca(arm: str, split: str, prefixes: tuple[str, ...], published: str, most: float) -> Case:
-        folder = DATA / "mukca"
-        urdf = "iiwa14.urdf" if arm.startswith("kuka") else "panda.urdf"
-        robot = load_robot(str(folder / urdf), None, "ball_link")
-        table = read_table(folder / f"{arm}.csv", robot.chain.joint_units)
-        held = np.array([str(place).startswith(prefixes) for place in table.place])
-        return Case(f"MUKCa {arm}", split, robot, read_rig(folder / "rig.toml"), table, held, published, most)
-
     yield "panda3-front", lambda: mukca("panda_3", "back → front", ("front",), "", 0.20)
     yield "panda3-back", lambda: mukca("panda_3", "front → back", ("back",), "", 0.20)
     inf = float("nan")
@@ -232,6 +224,16 @@ def cases() -> Iterator[tuple[str, Callable[[], Case]]]:
 
     yield "bars", lambda: bars(0, 0.105)
     yield "bars-200", lambda: bars(200, float("nan"))
+
+
+def mukca(arm: str, split: str, prefixes: tuple[str, ...], published: str = "", most: float = float("nan")) -> Case:
+    """Return a set of seats; the places whose names begin with one of the prefixes are held out."""
+    folder = DATA / "mukca"
+    urdf = "iiwa14.urdf" if arm.startswith("kuka") else "panda.urdf"
+    robot = load_robot(str(folder / urdf), None, "ball_link")
+    table = read_table(folder / f"{arm}.csv", robot.chain.joint_units)
+    held = np.array([str(place).startswith(prefixes) for place in table.place])
+    return Case(f"MUKCa {arm}", split, robot, read_rig(folder / "rig.toml"), table, held, published, most)
 
 
 def errors(case: Case, chain: Chain, names: tuple[str, ...], value: Floats) -> Floats:

@@ -57,6 +57,13 @@ def test_derivatives_of_all_that_can_be_off_are_those_of_the_world():
     assert columns["bar.short.zero"] == pytest.approx(np.full(5, -1.0), abs=1e-12)
 
 
+def test_rows_without_the_item_of_an_effect_can_judge():
+    rows = random_table(120, np.random.default_rng(11), SIGMA)
+    options = SolverOptions(effects=(Effect("chuck.c0", 60),))
+    estimate = identify(CHAIN, RIG, rows, free=FREE, hold_out=rows.chuck == "c2", options=options)
+    assert estimate.held_out.n == (rows.chuck == "c2").sum()
+
+
 def test_held_effects_have_the_derivatives_that_the_fit_uses():
     """A fit compares χ² at two points with the effects' derivatives held. Otherwise its last steps would not reduce χ²."""
     rng = np.random.default_rng(3)

@@ -482,7 +482,7 @@ def test_the_report_shows_the_laws(learned_arm, tmp_path):
     found, _ = learned_arm
     write_page(tmp_path / "page.html", found)
     page = (tmp_path / "page.html").read_text()
-    for text in ("Joint laws", "Error curve of joint1", "Spectrum of joint3", "with curves", "joint2 sag"):
+    for text in ("Joint laws", "Error curve of joint1", "Spectrum of joint3", "with joint laws", "joint2 sag"):
         assert text in page
     assert "joint1.curve.3" not in page
 

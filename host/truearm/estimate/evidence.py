@@ -34,7 +34,7 @@ from truearm.types import Floats
 
 FLOOR = 1e-30  # a smaller variance counts as zero
 NEGLIGIBLE = 1e-7  # nats that a neglected direction of the prior may contribute
-UNSEEN = 1e-6  # a prior at its cap gains half of this in nats along a neglected direction of the data
+UNSEEN = 1e-3  # a prior at its cap gains half of this in nats along a neglected direction of the data
 ROUNDING = 1e-13  # of the largest such number
 REVIVED = 0.03  # of the cap
 LEAP = 4.0
@@ -125,16 +125,19 @@ def coefficients(
     marginal: Marginal, here: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]
 ) -> Coefficients:
     """Return the estimate of c at these variances."""
-    information, roots = (marginal.root**2).sum(axis=0), []
-    for block, variance in zip(blocks, variances, strict=True):
-        values, vectors = np.linalg.eigh(block.covariance(variance))
-        felt = float(information[block.columns].max(initial=block.cap**-2))  # unseen ones keep their prior
-        some = values * felt * len(values) > NEGLIGIBLE
-        roots.append(vectors[:, some] * np.sqrt(values[some]))
+    information = (marginal.root**2).sum(axis=0)
+    roots = [prior_root(b, v, information[b.columns].max(initial=0.0)) for b, v in zip(blocks, variances, strict=True)]
     root = scipy.linalg.block_diag(*roots) if roots else np.zeros((here.z.size, 0))
     inner = np.linalg.qr(np.concatenate([np.eye(root.shape[1]), marginal.root @ root]), mode="r")
     half = scipy.linalg.solve_triangular(inner, root.T, trans="T", check_finite=False)
     return Coefficients(root @ (root.T @ here.z), half.T @ half, root)
+
+
+def prior_root(block: PriorBlock, variances: Floats, information: float = 0.0) -> Floats:
+    """Return F (m, p) with F Fᵀ the block's prior, without directions that ``information`` cannot tell from none."""
+    values, vectors = np.linalg.eigh(block.covariance(variances))
+    some = values * max(information, block.cap**-2) * len(values) > NEGLIGIBLE  # unseen ones keep their prior
+    return np.asarray(vectors[:, some] * np.sqrt(values[some]))
 
 
 def learned(

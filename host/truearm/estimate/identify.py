@@ -354,10 +354,12 @@ def judged(
     """Return errors on the held-out rows with the robot of x_fit; the rig's unknowns from x_fit, otherwise from these rows."""
     if not held.any():
         return None, {}
+    rows = table.select(held)
+    if modelled:  # the items that these rows use
+        names = build_problem(fitted.chain, rig, rows).errors.names
+        modelled = [effect.select(held) for effect in modelled if effect.column in names]
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
-    problem = without_knowledge(
-        build_problem(fitted.chain, rig, table.select(held), None, [m.select(held) for m in modelled])
-    )
+    problem = without_knowledge(build_problem(fitted.chain, rig, rows, None, modelled))
     known = dict(zip(fitted.names, x_fit, strict=True))
     columns = np.array([name not in known for name in problem.names])
     solution = fit(problem, columns, problem.at(known), Options())

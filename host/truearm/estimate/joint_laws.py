@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +22,10 @@ from truearm.estimate.identifiability import spread
 from truearm.estimate.identify import determined, judged, merged, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
+from truearm.estimate.law_choice import regions, supported, without_absent
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
 from truearm.estimate.law_elsewhere import nearer_geometry
-from truearm.estimate.law_fit import LawProblem, Learned, Posterior, gated, law_problem, learn, posterior
+from truearm.estimate.law_fit import LawProblem, Learned, Posterior, law_problem, learn, posterior
 from truearm.estimate.law_outliers import outlying_beside_laws
 from truearm.estimate.law_rows import law_rows, with_predicted
 from truearm.estimate.mean_error import mean_errors
@@ -62,19 +64,21 @@ ERRORS_EXPLAIN = (
     "faults, named above, explain the remaining residuals better than joint laws do; correct or apply them first"
 )
 LARGER_RESIDUALS = "the fit with joint laws leaves larger residuals than the geometry alone"
-GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"
+GEOMETRY, LAWS = "geometry", "laws"
 
 
 @dataclass(frozen=True)
 class LawRequest:
     """The laws to try.
 
-    ``prior_sigma`` and ``effects`` are those of the estimate. ``gravity`` is that of the robot file, None if not given.
+    ``prior_sigma`` and ``effects`` are those of the estimate, and ``faults`` those that its rows show. ``gravity`` is
+    that of the robot file, None if not given.
     """
 
     mode: LawMode
     prior_sigma: Floats | None = None
     effects: tuple[Effect, ...] = ()
+    faults: tuple[Effect, ...] = ()
     gravity: tuple[float, float, float] | None = None
 
 
@@ -103,21 +107,23 @@ def with_joint_laws(
     gravity = gravity_of(table.select(estimate.fitted), request.gravity)
     payloads = tuple(dict.fromkeys(payloads_of(rig, table.select(estimate.fitted))))
     laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity, payloads)
-    why_none = _why_none(chain, estimate)
+    why_none = _why_none(estimate, request.faults)
     if why_none:
         laws = []
     work = _Work(chain, rig, table, estimate, request)
     steps = [_step(GEOMETRY, estimate)]
     best = None
     tried: dict[Law, float] = {}
-    for name, some in ((SAG, [law for law in laws if not isinstance(law, CurveKnots)]), (CURVES, laws)):
-        if some and (name == SAG or any(isinstance(law, CurveKnots) for law in some)):
-            carried, learned, dropped = work.carried(some)
-            tried |= {**dropped, **learned.nats}
-            best = work.fitted(carried, learned) if carried else None
-            steps.append(_step(name, best) if best else _step(name, estimate))
+    if laws:
+        carried, learned, dropped = work.supported(laws)
+        tried = {**dropped, **learned.nats}
+        best = work.fitted(carried, learned) if carried else None
+        steps.append(_step(LAWS, best) if best else _step(LAWS, estimate))
+        why_none = ERRORS_EXPLAIN if request.faults and not carried else ""
     found = work.estimate(best) if best else estimate
-    why_none = why_none or _why_dropped(chain, estimate, found)
+    if found.chi2_reduced > estimate.chi2_reduced:
+        # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
+        why_none = LARGER_RESIDUALS
     if why_none:
         best, tried, steps, reasons = None, {}, steps[:1], [why_none]
     kept = best.of.laws if best else ()
@@ -165,37 +171,17 @@ def _takes_laws(estimate: Estimate) -> bool:
     return SOLVERS[estimate.solver].has_loss and estimate.loss == Loss.LINEAR
 
 
-def _why_none(chain: Chain, estimate: Estimate) -> str:
+def _why_none(estimate: Estimate, faults: Sequence[Effect]) -> str:
     """Return why no laws are tried at all; "" if they are."""
     if not _takes_laws(estimate):
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
-    if _rivals_of_laws(chain, estimate) and estimate.covariance_explains:
+    if faults and estimate.covariance_explains:
         return ERRORS_EXPLAIN
     if estimate.without_bad_rows is not None:
         return "bad rows, named above, explain the residuals; correct them or leave them out first"
     return ""
-
-
-def _why_dropped(chain: Chain, geometry: Estimate, laws: Estimate) -> str:
-    """Return why laws that the evidence supports are not kept; "" if they are."""
-    remaining = geometry.claim.chi2_reduced if geometry.claim else math.inf
-    if _rivals_of_laws(chain, geometry) and laws.chi2_reduced > remaining:
-        return ERRORS_EXPLAIN
-    # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
-    return LARGER_RESIDUALS if laws.chi2_reduced > geometry.chi2_reduced else ""
-
-
-def _rivals_of_laws(chain: Chain, geometry: Estimate) -> bool:
-    """Return whether there are faults, and none of a joint, which laws describe.
-
-    In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows. In any order a
-    chuck that slipped or is elsewhere can be followed by curves to some extent.
-    """
-    joints = {joint.name for joint in chain.joints}
-    items = {fault.rivals[0].name.rpartition(".")[0] for fault in geometry.faults}
-    return bool(items) and not items & joints
 
 
 def _prior(of: LawProblem, found: Posterior) -> Floats:
@@ -213,10 +199,14 @@ class _Work:
     before: Estimate
     request: LawRequest
 
-    def carried(self, laws: Sequence[Law]) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
-        """Return those of some laws that the evidence supports, what was learned with them, and the nats of the others."""
+    def supported(self, laws: Sequence[Law]) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
+        """Return those of some laws that the rows support beside faults, what was learned with them, and the others' nats."""
         start = PoseNoise.of(max(self.before.chi2_reduced / 2.0, 1e-3), len(self.chain.joints), JOINT_NOISE)
-        return gated(self.problem, laws, learn(self.problem(laws), start))
+        fitted, make = self.table.select(self.before.fitted), partial(self.problem, beside=self.request.faults)
+        kept, learned, dropped = supported(make, laws, regions(fitted, poses(fitted)), start)
+        of = self.problem(kept)
+        kept, learned, absent = without_absent(of, learn(of, start) if kept and self.request.faults else learned)
+        return kept, learned, {**dropped, **absent}
 
     def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
         of = self.problem(laws)
@@ -246,13 +236,14 @@ class _Work:
     def centred(self, best: _Fitted) -> Posterior:
         return _centred(best.of, best.result, self.table.q[self.before.fitted])
 
-    def problem(self, laws: Sequence[Law], used: bool = True) -> LawProblem:
-        """Compile the fitted rows for a robot with laws: those that are ``used``, or the outliers."""
+    def problem(self, laws: Sequence[Law], used: bool = True, beside: tuple[Effect, ...] = ()) -> LawProblem:
+        """Compile the fitted rows for a robot with laws and further effects: those that are ``used``, or the outliers."""
         chain, before, prior = with_laws(self.chain, laws), self.before, self.request.prior_sigma
         if prior is not None:
             prior = np.append(prior, np.full(len(chain.parameters) - len(self.chain.parameters), np.inf))
         fitted = before.fitted
-        effects = [one.select(fitted) for one in self.effects]
+        effects = modelled_of(chain, self.rig, self.table, (*self.request.effects, *beside))
+        effects = [effect.select(fitted) for effect in effects]
         problem = build_problem(chain, self.rig, self.table.select(fitted), prior, effects)
         problem = only(problem, (before.weight[fitted] > 0.0) == used)
         known = dict(zip(before.parameter_names, before.value, strict=True))

@@ -1,14 +1,12 @@
 """Joint fit of geometry, rig and joint laws, with their variances and the noise per pose learned by evidence.
 
 The laws are fitted together with the geometry rather than to its residuals, because a geometry without sag has already
-absorbed most of it. A law that raises the log evidence by less than GATE nats is dropped. One below EARNEST is dropped
-for good if the evidence, with the noise learned again without it, is no lower. Evidence without a gate makes results
-on small data sets worse.
+absorbed most of it. ``law_choice`` decides which laws are kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,7 +14,16 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.evidence import Coefficients, Marginal, block_nats, coefficients, learned, revived, seen_by, weigh
+from truearm.estimate.evidence import (
+    Coefficients,
+    Marginal,
+    block_nats,
+    coefficients,
+    learned,
+    revived,
+    seen_by,
+    weigh,
+)
 from truearm.estimate.information import fold
 from truearm.estimate.law_candidates import prior_blocks
 from truearm.estimate.pose_noise import (
@@ -35,9 +42,6 @@ from truearm.progress import steps_of
 from truearm.types import Floats, Indices, Law
 from truearm.units import UNITS
 
-GATE = 6.0  # nats
-EARNEST = 25.0  # nats
-ABSENT = 0.05  # nats: without such a law, variances and noise are those that were learned with it
 START = 0.2  # of the cap: initial standard deviations
 LEARNING = (
     3000,
@@ -47,7 +51,7 @@ FOR_NOISE = (1000, 3000)  # of these, for the noise
 MOST_OF_POSE = 72  # residuals of a pose that count among these: repeats must not take the place of poses
 LEAST_ROUNDS = 3  # without anything learned before
 ROUNDS = 12  # of linearising, learning the variances and learning the noise
-STEPS = 20  # of the variances in a round
+STEPS = 8  # of the variances in a round
 NOISE_END = 0.01  # the last round changes the variance of the rows by less
 SHARED_START = 1e-10  # m² and rad²
 RIG_SIGMA = 10.0  # m, rad: keeps unknowns without a prior finite along null directions
@@ -135,7 +139,7 @@ class Posterior(NamedTuple):
     prior_root: Floats
 
 
-def learn(of: LawProblem, start: PoseNoise | Learned) -> Learned:
+def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS) -> Learned:
     """Learn variances and noise from at most LEARNING poses.
 
     They start from what was learned with more laws; with a noise alone, all variances start small.
@@ -150,7 +154,7 @@ def learn(of: LawProblem, start: PoseNoise | Learned) -> Learned:
     if shared and not noise.shared:
         noise = noise._replace(shared=SHARED_START, turned=SHARED_START)
     every = max(1, int(part.times(FOR_NOISE)))
-    for i in steps_of(range(ROUNDS), "learning the sizes of joint laws and noise"):
+    for i in steps_of(range(rounds), "learning the sizes of joint laws and noise"):
         marginal, rest = _marginal(part, x, noise)
         seen = seen_by(marginal, blocks)
         values = learned(seen, blocks, revived(seen, blocks, values), STEPS)
@@ -163,46 +167,6 @@ def learn(of: LawProblem, start: PoseNoise | Learned) -> Learned:
             break
     nats = {law: block_nats(weighed, b, v) for law, b, v in zip(of.laws, blocks, values, strict=True)}
     return Learned(dict(zip(of.laws, values, strict=True)), noise, nats, here.evidence, x)
-
-
-def gated(
-    make: Callable[[Sequence[Law]], LawProblem], laws: Sequence[Law], found: Learned
-) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
-    """Drop the laws that the evidence does not support; ``make`` builds the problem with some laws.
-
-    Returns the laws that are kept, what was learned with them, and the nats at which each of the others was dropped.
-    """
-    dropped: dict[Law, float] = {}
-    sure: set[Law] = set()
-    while True:
-        weak = [law for law in laws if found.nats[law] < GATE]
-        if weak:
-            dropped |= {law: found.nats[law] for law in weak}
-            found, absent = _without(make(laws), found, weak), all(abs(found.nats[law]) < ABSENT for law in weak)
-            laws = [law for law in laws if law not in weak]
-            found = found if absent else learn(make(laws), found)
-            continue
-        doubtful = [law for law in laws if found.nats[law] < EARNEST and law not in sure]
-        if not doubtful:
-            return tuple(laws), found, dropped
-        weakest = min(doubtful, key=found.nats.__getitem__)
-        without = learn(make([law for law in laws if law != weakest]), _without(make(laws), found, [weakest]))
-        gain = found.evidence - without.evidence
-        if gain < GATE:
-            dropped[weakest] = gain
-            laws, found = [law for law in laws if law != weakest], without
-        else:
-            sure.add(weakest)
-
-
-def _without(of: LawProblem, found: Learned, gone: Sequence[Law]) -> Learned:
-    """Return what was learned about a problem, without some of its laws."""
-    at = np.flatnonzero(of.columns)[of.is_law]
-    blocks = zip(of.laws, prior_blocks(of.laws), strict=True)
-    x = np.delete(found.x, np.concatenate([at[block.columns] for law, block in blocks if law in gone]))
-    kept = [law for law in of.laws if law not in gone]
-    evidence = found.evidence - sum(found.nats[law] for law in gone)
-    return Learned({k: found.variances[k] for k in kept}, found.noise, {k: found.nats[k] for k in kept}, evidence, x)
 
 
 def posterior(of: LawProblem, found: Learned) -> Posterior:

@@ -11,7 +11,7 @@ from truearm.text import counted
 Document = Mapping[str, Any]
 MOST_GAPS = 4  # named
 
-STEPS = {"geometry": "geometry", "sag": "with sag", "curves": "with curves"}
+STEPS = {"geometry": "geometry", "sag": "with sag", "curves": "with curves", "laws": "with joint laws"}
 
 
 def intervals_text(intervals: Sequence[Sequence[float]]) -> str:

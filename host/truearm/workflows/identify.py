@@ -231,6 +231,17 @@ def split_causes(
     return tuple(fitted.values()), tuple(name for name in names if name not in fitted)
 
 
+def rivals_of_laws(chain: Chain, estimate: Estimate) -> tuple[str, ...]:
+    """Return the causes of faults to apply beside joint laws: none of a joint, which laws describe.
+
+    In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows. In any order a
+    chuck that slipped or is elsewhere can be followed by curves to some extent.
+    """
+    joints = {joint.name for joint in chain.joints}
+    causes = [fault.rivals[0] for fault in estimate.faults]
+    return tuple(cause.apply for cause in causes if cause.apply and cause.name.rpartition(".")[0] not in joints)
+
+
 def examine(
     chain: Chain,
     rig: Rigs,
@@ -385,8 +396,9 @@ def identified(
         return with_scale(chain, estimate)
 
     def with_laws(estimate: Estimate) -> tuple[Chain, Estimate]:
-        request = LawRequest(LawMode(options.joint_laws), sigma, effects, robot.gravity)
         estimate = checked(examine_misfit(estimate))
+        faults, _ = split_causes(chain, rig, fitted, rivals_of_laws(chain, estimate))
+        request = LawRequest(LawMode(options.joint_laws), sigma, effects, faults, robot.gravity)
         with step("fitting joint laws"):
             return with_joint_laws(chain, rig, table, estimate, request)
 

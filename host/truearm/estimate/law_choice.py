@@ -1,0 +1,160 @@
+"""Which joint laws are kept: those that the evidence supports, and without which regions left out are predicted worse.
+
+A law that raises the log evidence by less than GATE nats is dropped. One below EARNEST is dropped if the evidence, with
+the noise learned again without it, is no lower than that. Evidence without a gate makes results on small data sets
+worse. All sags stand or fall together, for gravity acts on all joints or on none.
+
+Evidence is of the rows that were measured. A law that describes the arm also helps where it was not fitted, so regions of
+poses are left out in turn, at fixed variances and noise. With u = F⁻¹x, whose prior is N(0, I), the whitened rows of
+region r are y_r = G_r u + noise. The fit to all other regions is
+
+    u = (I + Σ_{s≠r} G_sᵀG_s)⁻¹ Σ_{s≠r} G_sᵀ y_s ,
+
+and y_r − G_r u is its error, after unknowns that only region r has (the sockets of its place) were fitted to it. One
+triangle per region answers for any selection of laws: without a law, its columns of G are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from truearm.estimate.evidence import prior_root
+from truearm.estimate.law_candidates import prior_blocks
+from truearm.estimate.law_fit import LawProblem, Learned, learn
+from truearm.estimate.pose_noise import PoseNoise, pose_information
+from truearm.estimate.problem import without_knowledge
+from truearm.estimate.whitened_rows import only
+from truearm.kinds.table import ObservationTable
+from truearm.types import CurveKnots, Floats, Indices, Law
+
+GATE = 6.0  # nats
+EARNEST = 25.0  # nats
+ABSENT = 0.05  # nats: without such a law, variances and noise are those that were learned with it
+HALVINGS = 3  # of the joint space: 8 regions
+LEAST_POSES = 4  # in a region
+PRIVATE = 1e-9  # of its information, all that other regions have of an unknown
+
+Unit = tuple[Law, ...]  # stands or falls as a whole
+
+
+def supported(
+    make: Callable[[Sequence[Law]], LawProblem], laws: Sequence[Law], region: Indices, noise: PoseNoise
+) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
+    """Return the laws that the rows support, what was learned with them, and the nats at which each other was dropped.
+
+    ``make`` builds the problem with some laws, ``region`` (n_rows,) are the numbers of the rows' regions, and ``noise``
+    is where learning starts.
+    """
+    first = learn(make(laws), noise, rounds=1)
+    absent = [unit for unit in _units(laws) if all(first.nats[law] < ABSENT for law in unit)]
+    dropped = {law: first.nats[law] for unit in absent for law in unit}
+    found = _without(make(laws), first, dropped)
+    laws = _but(laws, dropped)
+    found = learn(make(laws), found)
+    sure: set[Unit] = set()
+    while laws:
+        units = _units(laws)
+        gain = [sum(found.nats[law] for law in unit) for unit in units]
+        gone = [law for unit, nats in zip(units, gain, strict=True) if nats < GATE for law in unit]
+        doubtful = [i for i, unit in enumerate(units) if gain[i] < EARNEST and unit not in sure and not gone]
+        if doubtful:
+            gone = list(units[min(doubtful, key=gain.__getitem__)])
+        elif not gone:
+            gone = list(_harmful(make(laws), found, region, units))
+        if not gone:
+            break
+        fewer, without = _but(laws, gone), _without(make(laws), found, gone)
+        if any(found.nats[law] >= ABSENT for law in gone):
+            without = learn(make(fewer), without)
+        if doubtful and found.evidence - without.evidence >= GATE:
+            sure.add(tuple(gone))
+            continue
+        dropped |= {law: found.nats[law] for law in gone}
+        laws, found = fewer, without
+    return tuple(laws), found, dropped
+
+
+def without_absent(of: LawProblem, found: Learned) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
+    """Return the laws of which something was learned, as ``supported`` does: a joint may have no sag beside others."""
+    absent = {law: found.nats[law] for law in of.laws if found.nats[law] < ABSENT}
+    return tuple(_but(of.laws, absent)), _without(of, found, absent), absent
+
+
+def regions(table: ObservationTable, pose: Indices) -> Indices:
+    """Return numbers (n,) of the rows' regions: their places, or else parts of the joint space with equally many poses.
+
+    A part is halved at the median of the joint that varies most in it. ``pose`` (n,) are the numbers of the poses.
+    """
+    if (table.place != "").all() and np.unique(table.place).size > 1:
+        return np.unique(table.place, return_inverse=True)[1].ravel()
+    _, first, number = np.unique(pose, return_index=True, return_inverse=True)
+    q, region = table.q[first], np.zeros(first.size, dtype=np.intp)
+    for _ in range(HALVINGS):
+        for part in np.unique(region):
+            mine = np.flatnonzero(region == part)
+            if mine.size >= 2 * LEAST_POSES:
+                joint = int(np.argmax(np.std(q[mine], axis=0)))
+                order = mine[np.argsort(q[mine, joint], kind="stable")]
+                region[order[order.size // 2 :]] = region.max() + 1
+    return region[number.ravel()]
+
+
+def left_out_square(roots: Sequence[Floats], always: NDArray[np.bool_]) -> float:
+    """Return Σ |y_r − G_r u|² over the regions, from their rows [G_r | y_r]; ``always`` (s,): unknowns that are no law's."""
+    grams = [root.T @ root for root in roots]
+    total = np.sum(grams, axis=0)
+    square = 0.0
+    for root, gram in zip(roots, grams, strict=True):
+        others = total - gram
+        inner = others[:-1, :-1] + np.eye(len(total) - 1)
+        u = scipy.linalg.cho_solve(scipy.linalg.cho_factor(inner, check_finite=False), others[:-1, -1])
+        error = root[:, -1] - root[:, :-1] @ u
+        private = always & (np.diag(others)[:-1] <= PRIVATE * np.diag(total)[:-1])
+        basis = np.linalg.qr(root[:, :-1][:, private])[0]
+        square += float(error @ error - ((basis.T @ error) ** 2).sum())
+    return square
+
+
+def _harmful(of: LawProblem, found: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
+    """Return the laws without which regions left out are predicted best: a unit or all; none if it is with all of them."""
+    blocks = zip(of.laws, prior_blocks(of.laws), strict=True)
+    priors = [prior_root(block, found.variances[law]) for law, block in blocks]
+    owner = np.repeat(np.arange(-1, len(priors)), [int((~of.is_law).sum()), *(prior.shape[1] for prior in priors)])
+    order = np.argsort(of.is_law, kind="stable")
+    change = scipy.linalg.block_diag(np.diag(of.sigma[~of.is_law]), *priors)
+    part, rows = of.some(), []
+    for number in np.unique(region):
+        some = without_knowledge(only(part.problem, region == number))
+        root, _ = pose_information(some, found.x, of.columns, of.pose, found.noise)
+        root[:, -1] += root[:, :-1] @ (found.x - of.reference)[of.columns]
+        rows.append(np.column_stack([root[:, order] @ change, root[:, -1]]))
+    square = {}
+    for unit in ((), *units, of.laws):
+        kept = ~np.isin(owner, [of.laws.index(law) for law in unit])
+        square[unit] = left_out_square([root[:, np.append(kept, True)] for root in rows], owner[kept] < 0)
+    return min(square, key=square.__getitem__)
+
+
+def _units(laws: Sequence[Law]) -> list[Unit]:
+    """Return the laws that stand or fall together."""
+    sags = tuple(law for law in laws if not isinstance(law, CurveKnots))
+    return [*([sags] if sags else []), *((law,) for law in laws if isinstance(law, CurveKnots))]
+
+
+def _but(laws: Sequence[Law], gone: Collection[Law]) -> list[Law]:
+    return [law for law in laws if law not in gone]
+
+
+def _without(of: LawProblem, found: Learned, gone: Collection[Law]) -> Learned:
+    """Return what was learned about a problem, without some of its laws."""
+    at = np.flatnonzero(of.columns)[of.is_law]
+    blocks = zip(of.laws, prior_blocks(of.laws), strict=True)
+    columns = [at[block.columns] for law, block in blocks if law in gone]
+    kept = _but(of.laws, gone)
+    evidence = found.evidence - sum(found.nats[law] for law in gone)
+    x = np.delete(found.x, np.concatenate(columns)) if columns else found.x
+    return Learned({k: found.variances[k] for k in kept}, found.noise, {k: found.nats[k] for k in kept}, evidence, x)
