@@ -712,7 +712,8 @@ def test_a_format_that_refuses_the_robot_says_what_the_laws_would_cost(learned_a
     cost = exported(found, "dh-hayati").rms
     with pytest.raises(RobotError, match="from parallel") as caught:
         exported(found, form)
-    assert "no place for joint2.sag, joint3.sag, joint1.curve" in str(caught.value)
+    laws = str(caught.value).partition("no place for ")[2]
+    assert all(law in laws for law in ("joint2.sag", "joint3.sag", "joint1.curve"))
     assert f"{1e3 * cost:.3f} mm RMS" in str(caught.value)
 
 

@@ -404,7 +404,8 @@ def _tried(
     found = TriedLaw(joint, term, nats, True, float(added.std()))
     if kind is Sag:
         every = np.append(added, kind.of_chain(whole).value(params, anywhere.T)[law.joint])
-        found = replace(found, range_share=float(np.ptp(added) / np.ptp(every)))
+        if every.any():  # a joint may have the torque of a payload alone, of which the chain has none
+            found = replace(found, range_share=float(np.ptp(added) / np.ptp(every)))
     for curve in sampled_curves(whole, [law], params, np.zeros((params.size, params.size))):
         periods, resolution = strongest_periods(curve), spectrum(curve).resolution
         found = replace(found, covered=curve.intervals, periods=periods, resolution_cycles=resolution)
