@@ -1,4 +1,4 @@
-"""Which joint laws are kept: those that the evidence supports, and without which regions left out are predicted worse.
+"""Which joint laws are kept: those that the evidence supports, and that regions left out do not contradict.
 
 A law that raises the log evidence by less than GATE nats is dropped. One below EARNEST is dropped if the evidence, with
 the noise learned again without it, is no lower than that. Evidence without a gate makes results on small data sets
@@ -11,7 +11,8 @@ region r are y_r = G_r u + noise. The fit to all other regions is
     u = (I + Σ_{s≠r} G_sᵀG_s)⁻¹ Σ_{s≠r} G_sᵀ y_s ,
 
 and y_r − G_r u is its error, after unknowns that only region r has (the sockets of its place) were fitted to it. One
-triangle per region answers for any selection of laws: without a law, its columns of G are left out.
+triangle per region answers for any selection of laws: without a law, its columns of G are left out. A law is dropped if
+without it the errors fall by more nats, ½ Σ |y_r − G_r u|², than the evidence for it.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def supported(
     ``make`` builds the problem with some laws, ``region`` (n_rows,) are the numbers of the rows' regions, and ``noise``
     is where learning starts.
     """
-    first = learn(make(laws), noise, rounds=1)
+    first = learn(make(laws), noise, rounds=2)
     absent = [unit for unit in _units(laws) if all(first.nats[law] < ABSENT for law in unit)]
     dropped = {law: first.nats[law] for unit in absent for law in unit}
     found = _without(make(laws), first, dropped)
@@ -120,7 +121,7 @@ def left_out_square(roots: Sequence[Floats], always: NDArray[np.bool_]) -> float
 
 
 def _harmful(of: LawProblem, found: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
-    """Return the laws without which regions left out are predicted best: a unit or all; none if it is with all of them."""
+    """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them; none if none does."""
     blocks = zip(of.laws, prior_blocks(of.laws), strict=True)
     priors = [prior_root(block, found.variances[law]) for law, block in blocks]
     owner = np.repeat(np.arange(-1, len(priors)), [int((~of.is_law).sum()), *(prior.shape[1] for prior in priors)])
@@ -132,11 +133,12 @@ def _harmful(of: LawProblem, found: Learned, region: Indices, units: Sequence[Un
         root, _ = pose_information(some, found.x, of.columns, of.pose, found.noise)
         root[:, -1] += root[:, :-1] @ (found.x - of.reference)[of.columns]
         rows.append(np.column_stack([root[:, order] @ change, root[:, -1]]))
-    square = {}
+    nats = {}
     for unit in ((), *units, of.laws):
         kept = ~np.isin(owner, [of.laws.index(law) for law in unit])
-        square[unit] = left_out_square([root[:, np.append(kept, True)] for root in rows], owner[kept] < 0)
-    return min(square, key=square.__getitem__)
+        square = left_out_square([root[:, np.append(kept, True)] for root in rows], owner[kept] < 0)
+        nats[unit] = 0.5 * square + sum(found.nats[law] for law in unit)
+    return min(nats, key=nats.__getitem__)
 
 
 def _units(laws: Sequence[Law]) -> list[Unit]:
