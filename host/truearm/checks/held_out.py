@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from truearm.checks.evidence import Design
 from truearm.types import Floats, Indices
@@ -18,7 +19,9 @@ LEAST = 1e-9  # share of a direction that other rows determine: less is rounding
 class Gain(NamedTuple):
     """The share of the squares of left-out rows that a finding removes, and its size in standard errors over the blocks.
 
-    NaN with fewer than FEWEST_BLOCKS: one place says nothing about others.
+    The standard errors are those of the gains or of their signed ranks (Wilcoxon), whichever are more: a step in few
+    rows gives their blocks far more than all others. NaN with fewer than FEWEST_BLOCKS: one place says nothing about
+    others.
     """
 
     share: float
@@ -52,5 +55,6 @@ def gain(before: Floats, after: Floats, block: Indices) -> Gain:
     squares, less = (np.bincount(block, weights)[np.unique(block)] for weights in (before**2, before**2 - after**2))
     if less.size < FEWEST_BLOCKS:
         return Gain(math.nan, math.nan)
-    error = float(less.std(ddof=1)) / math.sqrt(less.size)
-    return Gain(float(less.sum() / squares.sum()), float(less.mean() / max(error, 1e-12)))
+    ranks = np.sign(less) * stats.rankdata(np.abs(less))
+    t = max(float(each.mean() / max(each.std(ddof=1), 1e-12)) for each in (less, ranks))
+    return Gain(float(less.sum() / squares.sum()), t * math.sqrt(less.size))
