@@ -127,6 +127,6 @@ def test_more_bad_rows_than_are_left_out_are_named(loss):
         assert (findings["bad-rows"].values["n"], findings["bad-rows"].values["fitted"]) == (22, 360)
         assert of.estimate.without_bad_rows.chi2_reduced < of.estimate.chi2_band[1]
         assert (of.estimate.weight == 1.0).all()
-        expect = of.estimate.without_bad_rows.moves
+        expect = of.estimate.without_bad_rows.tool_moves
         assert tool_error(of.estimate) == pytest.approx(expect, rel=0.2)  # the fit without them errs too
         assert findings["tool-error-bad-rows"].values["moves"] == {"mm": 1e3 * expect}

@@ -198,8 +198,8 @@ def add_joints(out: Catalogue) -> None:
         reading = q[:, number][fit.row]
         z = (reading - reading.mean()) / max(float(reading.std()), 1e-9)
         polynomial = columns * np.stack([z, z**2, z**3], axis=1) * TYPICAL[units[0]]
+        out.add(name, "step", columns, units, out.steps(columns))  # before a run, which may be one with an offset
         out.add(name, "run", columns, units, out.runs)
-        out.add(name, "step", columns, units, out.steps(columns))
         out.add(name, "drift", columns, units, out.drifts)
         for form, drift in LAST_MOVE.items():
             course = fit.how.table.during(name, drift, 0, fit.how.total)

@@ -37,7 +37,6 @@ MOST_ROWS = 200  # of a fit of the robot
 STEPS = 20
 STEPS_TO_PLACE = 8  # if only base, tool and rig are placed
 WORTH = 0.01  # of χ², by all of the last steps: wrong inputs are wrong by centimetres
-DAMPING = 0.1  # at the start, since most interpretations are wrong: a full step is refused
 RECENT = 3  # steps, of which the best one is taken for all those left
 LEVEL = 1e-3  # probability that any interpretation explains correct inputs
 HUNDREDFOLD = 0.01  # of χ²
@@ -181,7 +180,7 @@ def _fitted(alternative: Alternative, most: int, steps: int, goal: float, start:
         np.isfinite(table[name]).sum() * math.log(factor) for name, factor in alternative.rescaled.items()
     )
     price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike would fit in any larger unit
-    solution = fit(problem, columns, problem.at(start), idle_options(steps, goal * n / price), DAMPING)
+    solution = fit(problem, columns, problem.at(start), idle_options(steps, goal * n / price))
     shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
     quality = goodness(*of_data(problem, columns, solution), shares)
     off = solution.x - problem.start
