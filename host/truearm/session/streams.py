@@ -97,12 +97,12 @@ class Blocks:
 class Segment:
     """The time of the box from one boot to the next.
 
-    ``begin``, ``end``: first and past-the-last message of the session that are certainly of this boot.
+    ``begin``: its first message of the session. All messages up to the next segment's first are of this boot, as a link
+    does not reorder: the reply to a clock request stands before its row on ``/sync``.
     """
 
     index: int
     begin: int = 0
-    end: int = 2**62
     booted: bool = False  # the box booted within the session
     boot_id: int | None = None
     ident: Ident | None = None
@@ -194,7 +194,7 @@ class BoxReader:
     def exchanges(self, segment: Segment) -> Ints:
         """Return the clock exchanges of a segment (k, 4): times of host write, device receive, device send and arrival."""
         heard = np.concatenate(self._heard)
-        return np.asarray(heard[(heard[:, 0] >= segment.begin) & (heard[:, 0] < segment.end), 1:])
+        return np.asarray(heard[segment_at(self.segments, heard[:, 0]) == segment.index, 1:])
 
     def losses(self) -> Losses:
         """Return the losses so far."""
@@ -253,7 +253,6 @@ class BoxReader:
         self._use_ahead(held[:first])
         blocks = self._account()
         self._count["restarts"] += 1
-        self.segment.end = held[0].message
         self.segments.append(Segment(len(self.segments), held[first].message, booted=True, ident=self.segment.ident))
         self._pages, self._next, self._newest_us = Pages(), 0, 0
         for stream in self._streams.values():
