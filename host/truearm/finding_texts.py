@@ -39,7 +39,7 @@ MORE_POSES = "Measure more poses, in more of the workspace"
 SHARED = "This is the error in what the rows measure. Errors that all rows share do not show in it."
 SHOWN = "The error that the rows show: {error}[ (95 %: {range})], the mean of {n:#pose} {by}."
 CHI2_DROP = "χ² falls by {chi2_drop:.4g} with {freedom:#degree of freedom|degrees of freedom}."
-PARTS = "[ Of it, {parameters} come from the parameters][, {unnamed} from faults that the rows neither show nor exclude][, {faults} from one of: {names}][{parameters:!}.]"
+PARTS = "[ Of it, {parameters} come from the parameters][, {unnamed} from faults that the rows neither show nor exclude][, {scatter} from the arm's own scatter][, {faults} from one of: {names}][{parameters:!}.]"
 
 PROPOSAL = "[: {@hold_out} {fraction:g}][ {@seed} {seed}][ holds out {rows:#row}][ and leaves at least half the rows of each of the {combinations} combinations of names in the fit]"
 

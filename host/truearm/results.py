@@ -463,9 +463,9 @@ class JointLaws:
 
 
 class PredictedError(NamedTuple):
-    """Predicted error of the measured point on the end, from the parameters' covariance, over the measured poses.
+    """Predicted error of the measured point on the end, over the measured poses: by the parameters' covariance and ``scatter``.
 
-    If ``relative``, it excludes the part that moves all poses as one rigid body, which observations in sockets or by a
+    ``scatter`` is that of the arm itself, learned from the rows; 0 if it was not. If ``relative``, it excludes the part that moves all poses as one rigid body, which observations in sockets or by a
     device of unknown pose cannot determine.
     """
 
@@ -474,6 +474,7 @@ class PredictedError(NamedTuple):
     source: str  # the row of the worst pose
     n: int  # poses
     relative: bool
+    scatter: float = 0.0  # m, RMS
 
     def exceeds(self, unexplained: Mapping[str, MeanError]) -> bool:
         """Return whether it is larger than the mean error of poses that were not fitted.

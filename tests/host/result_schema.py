@@ -132,6 +132,6 @@ def check_schema(result: dict[str, Any]) -> None:
     assert set(result["defaults"]["believed"]) <= set(free)
     assert all(set(joint) == {"joint", "unit", "spread", "at"} for joint in result["defaults"]["still"])
     predicted = result["predicted_error"]
-    assert predicted is None or set(predicted) == {"rms_mm", "max_mm", "at", "n", "relative"}
+    assert predicted is None or set(predicted) == {"rms_mm", "max_mm", "scatter_mm", "at", "n", "relative"}
     for key in ("held_out", "held_out_before"):
         assert result[key] is None or set(result[key]) == HELD_OUT_KEYS | each(*HELD_OUT_FIGURES)

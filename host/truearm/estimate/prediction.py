@@ -2,7 +2,7 @@
 
 (Renders 1991, II-D, a posteriori). The measured point moves by J·Δ. With P the covariance of the robot's parameters and
 of the point's own position on the end, where the rig does not know it, its error at a pose has the mean square
-tr(J P Jᵀ). Both parts are needed together: robot and target may each be uncertain by metres and still determine the
+tr(J P Jᵀ), and that of the arm's own scatter is added, where it was learned from the rows. Both parts are needed together: robot and target may each be uncertain by metres and still determine the
 point to a micrometre. Null directions have no variance in P, and need none if they move no point. Two cases are
 distinguished by the null directions N (complete; those that are printed lack parts of 1e-6, and move the tool by more
 than rounding):
@@ -93,6 +93,8 @@ def predicted_point_error(
 ) -> PredictedError | None:
     """Return the expected error of the point that the rows measure (sphere or target), over their poses.
 
+    It includes the arm's own scatter, where that was learned.
+
     None if null directions of the observations move the points other than as one rigid body, or if the error would be
     so large that it is undetermined.
     """
@@ -100,7 +102,8 @@ def predicted_point_error(
     found = point_covariance(chain, rig, table.select(rows), estimate, any_base)
     if found is None:
         return None
-    variance = (found.half**2).sum(axis=1).reshape(-1, 3).sum(axis=1)
+    scatter = _scatter(chain, rig, table.select(rows), estimate)
+    variance = (found.half**2).sum(axis=1).reshape(-1, 3).sum(axis=1) + scatter
     worst = int(np.argmax(variance))
     if variance[worst] > (FIRST_ORDER * np.linalg.norm(found.points, axis=-1).max()) ** 2:
         return None
@@ -110,7 +113,26 @@ def predicted_point_error(
         source=str(table.source[rows[worst]]),
         n=rows.size,
         relative=found.relative,
+        scatter=float(np.sqrt(scatter.mean())),
     )
+
+
+def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
+    """Return the mean square (n,) [m²] of the arm's own scatter at the measured points, where it was learned; 0 elsewhere.
+
+    It is the error that the poses do not share: of each joint, and of a motion of the last link.
+    """
+    shared, turned, joints = 0.0, 0.0, np.zeros(len(chain.joints))
+    if estimate.joint_laws is not None and estimate.joint_laws.kept:
+        laws = estimate.joint_laws
+        shared, turned = laws.noise_shared, laws.noise_turned
+        joints = np.array([laws.noise_joint.get(joint.name, 0.0) for joint in chain.joints])
+    elif estimate.pose_error is not None:
+        shared = estimate.pose_error.sigma
+    places, _ = measured_points(rig, table, estimate)
+    _, _, by_joints = point_jacobians(chain, estimate.value[: estimate.n_robot_parameters], table.q, places)
+    of_link = 3.0 * shared**2 + 2.0 * turned**2 * (places**2).sum(axis=1)
+    return np.asarray(of_link + ((by_joints * joints) ** 2).sum(axis=(1, 2)))
 
 
 def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:

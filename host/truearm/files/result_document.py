@@ -234,8 +234,9 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
 
 
 def _predicted(predicted: PredictedError) -> dict[str, Any]:
-    worst = {"max_mm": MM.of(predicted.largest), "at": os.path.basename(predicted.source)}
-    return {"rms_mm": MM.of(predicted.rms), **worst, "n": predicted.n, "relative": predicted.relative}
+    sizes = {"rms_mm": predicted.rms, "max_mm": predicted.largest, "scatter_mm": predicted.scatter}
+    where = {"at": os.path.basename(predicted.source), "n": predicted.n, "relative": predicted.relative}
+    return {**{name: MM.of(size) for name, size in sizes.items()}, **where}
 
 
 def _joint_laws(laws: JointLaws | None, units: Sequence[str]) -> dict[str, Any] | None:

@@ -442,11 +442,12 @@ def _parts(document: Document) -> dict[str, Any]:
     """Return the parts of the tool's error; None for what is not known or not there."""
     claim = document.get("claim")
     if claim is None or document["predicted_error"] is None:
-        return dict.fromkeys(("parameters", "unnamed", "faults", "names"))
-    of_faults = math.hypot(claim["rivals_mm"], claim["shift_mm"])
+        return dict.fromkeys(("parameters", "unnamed", "scatter", "faults", "names"))
+    of_faults, scatter = math.hypot(claim["rivals_mm"], claim["shift_mm"]), document["predicted_error"].get("scatter_mm")
     return {
         "parameters": {"mm": claim["parameters_mm"]},
         "unnamed": {"mm": claim["unnamed_mm"]},
+        "scatter": {"mm": scatter} if scatter else None,  # earlier results do not have it
         "faults": {"mm": of_faults} if of_faults else None,
         "names": [cause(rival["name"]) for fault in document["faults"] for rival in fault["rivals"]],
     }
