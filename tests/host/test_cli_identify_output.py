@@ -17,6 +17,7 @@ from tests.refusals import refused
 from truearm.cli import main as cli
 from truearm.files.result_file import parse_result, read_result
 from truearm.files.robot_file import load_robot
+from truearm.findings import option
 from truearm.kinds.table import ObservationTable
 from truearm.types import Rig
 
@@ -140,7 +141,8 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     assert (findings["solver"].values["solver"], findings["solver"].values["loss"]) == ("map", "huber")
     assert findings["solver"].values["n"] == len(result["suggested_free"])
     assert all(
-        of.text().replace("'", "&#x27;").replace('"', "&quot;").replace("<", "&lt;") in page for of in findings.values()
+        of.text(option).replace("'", "&#x27;").replace('"', "&quot;").replace("<", "&lt;") in page
+        for of in findings.values()
     )
     (entry,) = result["observations"]
     assert entry["rms_after_mm"] == pytest.approx(result["rms_after_mm"])
