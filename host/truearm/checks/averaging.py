@@ -56,9 +56,9 @@ class Average:
         """Return the mean step (k,) of each finding."""
         return [np.asarray(sum(part.weight * part.step for part in options)) for options in self.choices]
 
-    def moves(self, step: Floats) -> float:
-        """Return the RMS motion [m] of the tool by a step (k,)."""
-        return math.sqrt(max(float(step @ self.gram @ step), 0.0))
+    def moves(self, root: Floats) -> float:
+        """Return the RMS motion [m] of the tool by a step (k,), or its RMS error by a ``root`` (k, r) of that of parameters."""
+        return math.sqrt(max(float(np.sum(root * (self.gram @ root))), 0.0))
 
     def of_rivals(self) -> Floats:
         """Return the root (k, r) of what not knowing the rival, and not knowing its size, add."""
@@ -86,11 +86,7 @@ class Average:
     def parts(self) -> tuple[float, float, float, float]:
         """Return the parts [m] of the error with nothing applied, as in ``ToolClaim``."""
         parameters = math.sqrt(float(np.trace(self.gram @ self.parameters)))
-        unnamed, rivals = (
-            math.sqrt(float(np.einsum("kr,kl,lr->", root, self.gram, root, optimize=True)))
-            for root in (self.unnamed, self.of_rivals())
-        )
-        return parameters, unnamed, rivals, self.moves(self.bias({}))
+        return parameters, self.moves(self.unnamed), self.moves(self.of_rivals()), self.moves(self.bias({}))
 
 
 def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
@@ -118,13 +114,11 @@ def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
 
     The evidence of those that were ``refused`` does not count: rows that were left out contradict it.
     """
-    share = Counter(weighed.hypothesis.kind for weighed in table)
-    log = np.array(
-        [
-            (weighed.log_evidence if weighed.name not in refused else min(weighed.log_evidence, 0.0))
-            + np.log(PRIOR / share[weighed.hypothesis.kind])
-            for weighed in table
-        ]
+    kinds = [weighed.hypothesis.kind for weighed in table]
+    share = Counter(kinds)
+    most = [0.0 if weighed.name in refused else np.inf for weighed in table]
+    log = np.minimum([weighed.log_evidence for weighed in table], most) + np.log(
+        [PRIOR / share[kind] for kind in kinds]
     )
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
 
@@ -168,7 +162,7 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
     values, vectors = np.linalg.eigh(fitted.root.T @ average.gram @ fitted.root)
     follow = fitted.basis[: fitted.fit.residual.size] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     named = {part.weighed.hypothesis.kind for options in average.choices for part in options}
-    least: dict[tuple[str, tuple[str, ...]], tuple[float, str, dict[str, float]]] = {}
+    least: dict[tuple[str, ...], tuple[float, str, dict[str, float]]] = {}
     for hypothesis, moments in ((weighed.hypothesis, weighed.moments) for weighed in result.table):
         root = HIDDEN * moments.vectors / np.sqrt(1.0 + moments.values / result.design.variance)[:, None]
         loading = products(hypothesis, follow)[:, : hypothesis.sizes.size]
@@ -176,7 +170,7 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
         median = int(np.argsort(moves[:, 0])[len(moves) // 2])
         if moves[median, 0] > limit and hypothesis.kind not in named:
             size = root[median] @ direction[median, :, 0] * (limit / moves[median, 0])
-            units = tuple(dict.fromkeys(hypothesis.units))
-            fault = float(np.linalg.norm(size)), hypothesis.name, hypothesis.by_unit(size)
-            least[hypothesis.kind, units] = min(fault, least.get((hypothesis.kind, units), fault))
+            sizes = {unit: float(np.linalg.norm(numbers)) for unit, numbers in hypothesis.by_unit(size).items()}
+            fault, key = (float(np.linalg.norm(size)), hypothesis.name, sizes), (hypothesis.kind, *sizes)
+            least[key] = min(fault, least.get(key, fault))
     return {name: size for _, name, size in sorted(least.values(), key=lambda fault: fault[:2])}

@@ -8,7 +8,6 @@ listed here.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -37,13 +36,13 @@ BEND = 3.0  # of a drift that settles: 1 − exp(−BEND t)
 class Candidates(NamedTuple):
     """Profiles (c, n) by which an item's columns are multiplied over the rows.
 
-    Of those that concern some rows, ``spans`` (c, 2) are the first row and the one after the last. ``drifts`` are what
-    each is linear in, None if it settles. Steps and runs are differences of ``profiles`` by their numbers in ``pairs``
-    (c, 2): few rows begin or end many spans.
+    ``spans`` (c, 2) are the first row that each concerns and the one after the last. ``drifts`` are what each is linear
+    in, None if it settles. Steps and runs are differences of ``profiles`` by their numbers in ``pairs`` (c, 2): few rows
+    begin or end many spans.
     """
 
     profiles: Floats
-    spans: Indices | None = None
+    spans: Indices
     drifts: tuple[DriftWith | None, ...] = ()
     pairs: Indices | None = None
 
@@ -84,12 +83,10 @@ class Hypothesis:
         profile = self.candidates.of_profiles(self.candidates.profiles)[number]
         return np.asarray(self.columns[:, : self.sizes.size] * profile[self.fit.row, None])
 
-    def by_unit(self, size: Floats) -> dict[str, float]:
-        """Return the norms of a ``size`` (d,) in typical ones, over the numbers of each SI unit."""
-        squares = dict.fromkeys(self.units, 0.0)
-        for unit, number in zip(self.units, (size * self.sizes).tolist(), strict=True):
-            squares[unit] += number**2
-        return {unit: math.sqrt(square) for unit, square in squares.items()}
+    def by_unit(self, size: Floats) -> dict[str, Floats]:
+        """Return a ``size`` (d, …) in typical ones as its numbers of each SI unit."""
+        units, scaled = np.array(self.units), (size.T * self.sizes).T
+        return {unit: scaled[units == unit] for unit in dict.fromkeys(self.units)}
 
 
 class Catalogue:
@@ -98,7 +95,7 @@ class Catalogue:
     def __init__(self, fit: WhitenedFit) -> None:
         self.fit = fit
         self.hypotheses: list[Hypothesis] = []
-        self.always = Candidates(np.ones((1, fit.n)))
+        self.always = Candidates(np.ones((1, fit.n)), np.array([[0, fit.n]]))
         self.drifts = drifts_of(fit)
         knots = away_from_edges(np.unique(np.linspace(0, fit.n, KNOTS).astype(np.intp)), fit)
         spans = np.stack([knots[edge] for edge in np.triu_indices(knots.size, 1)], axis=1)

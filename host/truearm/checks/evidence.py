@@ -28,7 +28,7 @@ from truearm.types import Floats, Indices, Mask
 SCALES = np.array([0.2, 1.0, 5.0])  # of the typical size, equally probable
 SHOWN = 3.0  # standard deviations
 SEEN = 1e-8  # share of a column's square that must remain after the parameters
-LEAST = 1e-280  # probability that is exact to rounding
+LEAST = 1e-300  # probability whose logarithm matters
 WIDEST = 30.0  # of the typical size: the prior of a finding, which the rows have shown already
 
 
@@ -232,9 +232,7 @@ def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:
     """Return the log probability that noise gives such drops (c,) of χ²; 0 without a degree of freedom."""
     d = np.maximum(freedom, 1).astype(float)
     if design.kernel.declared:
-        p, half_drop = special.chdtrc(d, drop), np.maximum(drop, 1e-300) / 2.0
-        tail = (d / 2.0 - 1.0) * np.log(half_drop) - half_drop - special.gammaln(d / 2.0)
-        log_p = np.where(p < LEAST, tail, np.log(np.maximum(p, LEAST)))
+        log_p = np.log(np.maximum(special.chdtrc(d, drop), LEAST))
     else:
         # F(d, ν − d) of drop/d over the remaining variance; its tail is an incomplete beta function of the remaining χ².
         a = np.maximum(design.freedom - d, 0.5) / 2.0
@@ -243,10 +241,9 @@ def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:
 
 
 def log_beta(a: Floats, b: Floats, x: Floats) -> Floats:
-    """Return the logarithm of the regularised incomplete beta function; far out, that of its first term."""
-    x = np.clip(x, 1e-300, 1.0 - 1e-15)  # rounding can make a drop exceed χ²
-    p, first = special.betainc(a, b, x), a * np.log(x) + (b - 1.0) * np.log1p(-x) - np.log(a) - special.betaln(a, b)
-    return np.asarray(np.where(p < LEAST, first, np.log(np.maximum(p, LEAST))))
+    """Return the logarithm of the regularised incomplete beta function, at least that of LEAST."""
+    p = special.betainc(a, b, np.maximum(x, 0.0))  # rounding can make a drop exceed χ²
+    return np.asarray(np.log(np.maximum(p, LEAST)))
 
 
 class Amount(NamedTuple):

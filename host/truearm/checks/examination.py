@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truearm.checks.averaging import Average, Part, averaged, unseen
-from truearm.checks.catalogue import LAST_MOVE, catalogue
+from truearm.checks.catalogue import LAST_MOVE
 from truearm.checks.evidence import Design, Weighed, amount_of, build_design
 from truearm.checks.held_out import gain, left_out
 from truearm.checks.search import RIVAL, Search, checked, columns_of
@@ -94,7 +94,7 @@ def examined(
     fit = whitened_fit(problem, estimate.value, estimate.free, how, estimate.law_parameters)
     if is_distorted(fit):
         return None
-    result = checked(fit, catalogue(fit))
+    result = checked(fit)
     gram = tool_gram(chain, rig, table.select(fitted), estimate, any_base)
     average = averaged(result, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)])
     kernel = result.design.kernel
@@ -122,7 +122,7 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     fit = replace(fit, jac=fit.jac @ ways.matrix, prior=prior, wide_prior=prior, arm={})
     if is_distorted(fit):
         return ()
-    result = checked(fit, catalogue(fit))
+    result = checked(fit)
     return diagnoses(result, averaged(result, np.zeros((k, k)), np.zeros((k, k))), table)
 
 
@@ -185,18 +185,15 @@ def deciding(options: Sequence[Part], design: Design, table: ObservationTable) -
 def at_the_end(weighed: Weighed) -> Floats:
     """Return the columns (m, d) of an explanation if all rows were measured again at the end of their session."""
     candidates = weighed.hypothesis.candidates
-    if candidates.spans is None:
-        return weighed.columns
     row = candidates.spans[weighed.best, 1] - 1 if candidates.drifts else -1
-    return np.asarray(weighed.hypothesis.columns * candidates.of_profiles(candidates.profiles)[weighed.best, row])
+    profile = candidates.of_profiles(candidates.profiles)[weighed.best]
+    return np.asarray(weighed.hypothesis.columns[:, : weighed.hypothesis.sizes.size] * profile[row])
 
 
 def rows_of(weighed: Weighed) -> tuple[int, int] | None:
     """Return the rows [first, after last) of the user's table that an explanation concerns; None for all of a session."""
     candidates, how = weighed.hypothesis.candidates, weighed.hypothesis.fit.how
-    if candidates.spans is None or candidates.drifts:
-        return None
-    return how.in_table(*candidates.spans[weighed.best].tolist())
+    return None if candidates.pairs is None else how.in_table(*candidates.spans[weighed.best].tolist())
 
 
 def apply_name(weighed: Weighed) -> str:
@@ -209,24 +206,22 @@ def apply_name(weighed: Weighed) -> str:
         drift = candidates.drifts[weighed.best]
         if drift is None:
             return f"{hypothesis.item}.bent_{hypothesis.form}"
-    elif candidates.spans is None and hypothesis.form != "offset" and drift is None:
+    elif candidates.pairs is None and hypothesis.form != "offset" and drift is None:
         return hypothesis.name
     if all(cause.name != hypothesis.item for cause in hypothesis.fit.causes):
         return hypothesis.name
-    first, last = (0, how.total) if candidates.spans is None else how.in_table(*candidates.spans[weighed.best].tolist())
+    first, last = how.in_table(*candidates.spans[weighed.best].tolist())
     return str(Effect(hypothesis.item, first, None if last == how.total else last, drift))
 
 
 def sizes_of(weighed: Weighed, design: Design) -> tuple[Size, ...]:
     """Return the size of an explanation over its numbers of each unit."""
     value, root, _ = amount_of(weighed, design.variance)
-    typical, out = weighed.hypothesis.sizes, []
-    for unit in dict.fromkeys(weighed.hypothesis.units):
-        mine = np.array([other == unit for other in weighed.hypothesis.units])
-        of_unit = (value * typical)[mine]
-        size = float(np.linalg.norm(of_unit))
-        along = of_unit / max(size, 1e-300)
-        out.append(Size(unit, size, float(np.linalg.norm(along @ (root * typical[:, None])[mine]))))
+    out = []
+    for unit, numbers in weighed.hypothesis.by_unit(np.column_stack([value, root])).items():
+        size = float(np.linalg.norm(numbers[:, 0]))
+        along = numbers[:, 0] / max(size, 1e-300)
+        out.append(Size(unit, size, float(np.linalg.norm(along @ numbers[:, 1:]))))
     return tuple(out)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from truearm.checks.catalogue import LEAST_ROWS, Hypothesis, rows_used, spans_of
+from truearm.checks.catalogue import LEAST_ROWS, Hypothesis, catalogue, rows_used, spans_of
 from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, weigh
 from truearm.checks.held_out import gain, left_out, left_out_blocks
 from truearm.checks.noise import learned_noise
@@ -61,11 +61,12 @@ def columns_of(detections: Sequence[Detection], fit: WhitenedFit) -> Floats:
     return np.concatenate([np.zeros((fit.residual.size, 0)), *(each.best.columns for each in detections)], axis=1)
 
 
-def checked(fit: WhitenedFit, hypotheses: Sequence[Hypothesis]) -> Search:
+def checked(fit: WhitenedFit) -> Search:
     """Return the findings under the declared noise; where that does not describe the rows, under a noise learned from them.
 
     That noise is learned beside the findings if these explain more than it does without them.
     """
+    hypotheses = catalogue(fit)
     bare = build_design(fit, DECLARED, fit.wide_prior)
     fitted = build_design(fit, DECLARED, fit.prior)
     plain = searched(bare, hypotheses, fitted)
@@ -155,9 +156,9 @@ def refined(best: Weighed, design: Design) -> Weighed:
     number. A large error has its ends at certain rows, and between two knots far less evidence.
     """
     hypothesis, n = best.hypothesis, design.fit.n
-    spans = hypothesis.candidates.spans
-    if spans is None or hypothesis.candidates.drifts:
+    if hypothesis.candidates.pairs is None:
         return best
+    spans = hypothesis.candidates.spans
     rows, span = rows_used(hypothesis.columns, design.fit), spans[best.best]
     for side in (0, 1, 0):
         if span[side] in (0, n):
