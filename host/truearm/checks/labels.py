@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice, pairwise, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,17 +43,16 @@ FLOOR = 0.05  # of a drawing's tolerance: residuals are not taken for more exact
 Labels = Mapping[str, str]  # by column
 
 
-@dataclass(frozen=True)
-class WrongLabels:
-    """Rows [first, last) of the given ones that fit other labels by ``gain`` nats, or none at all (None)."""
+class WrongLabels(NamedTuple):
+    """Rows [first, last) of the given ones that fit another ``label``, a number, by ``gain`` nats; the last one is none."""
 
     first: int
     last: int
-    labels: Labels | None
+    label: int
     gain: float
 
 
-def relabelled(inputs: Alternative) -> tuple[Alternative, tuple[WrongLabels, ...]]:
+def relabelled(inputs: Alternative) -> tuple[Alternative, Sequence[WrongLabels]]:
     """Return the given rows with labels as they fit best, without rows that fit none; and the runs that change.
 
     There are none if the given labels fit, or if more than half of the rows would change.
@@ -62,7 +61,7 @@ def relabelled(inputs: Alternative) -> tuple[Alternative, tuple[WrongLabels, ...
     possible = possible_labels(inputs.rig, table)
     original = own_labels(table, possible)
     labels = changed = original
-    runs: list[tuple[int, int, int, float]] = []
+    runs: list[WrongLabels] = []
     for attempt in range(ROUNDS):
         current = with_labels(inputs.rig, table, possible, labels)
         score = scores(inputs, current, labels < len(possible), possible, every_subset=attempt == 0)
@@ -74,34 +73,32 @@ def relabelled(inputs: Alternative) -> tuple[Alternative, tuple[WrongLabels, ...
         labels = changed
     if not runs or (changed != original).mean() > 0.5:
         return inputs, ()
-    fits = changed < len(possible)
-    out = tuple(WrongLabels(*run[:2], possible[run[2]] if run[2] < len(possible) else None, run[3]) for run in runs)
-    whole = np.full(len(inputs.table), -1)
-    whole[inputs.rows] = np.where(changed == original, -1, changed)
-    restored = with_labels(inputs.rig, inputs.table, possible, np.where(whole < len(possible), whole, -1))
-    only_apart = all(run.labels is None for run in out)
-    spans = [f"{inputs.rows[run.first] + 1}:{inputs.rows[run.last - 1] + 1}" for run in out]
-    values: dict[str, Any] = {"runs": [_named(table, run) for run in out], "leave_out": spans}
-    values |= {
+    fits, differs = changed < len(possible), changed != original
+    whole = np.full(len(inputs.table), len(possible))
+    whole[inputs.rows[differs]] = changed[differs]
+    restored = with_labels(inputs.rig, inputs.table, possible, whole)
+    values = {
+        "runs": [_named(table, run, [*possible, {}][run.label]) for run in runs],
+        "leave_out": [f"{inputs.rows[run.first] + 1}:{inputs.rows[run.last - 1] + 1}" for run in runs],
         "bar": bool((restored.bar != inputs.table.bar).any()),
-        "n": int((changed != original).sum()),
-        "others": int((changed == original).sum()),
+        "n": int(differs.sum()),
+        "others": int((~differs).sum()),
     }
-    code = "rows-apart" if only_apart else "wrong-labels"
+    code = "wrong-labels" if (differs & fits).any() else "rows-apart"
     price = len(runs) * math.log(len(table) * (len(possible) + 1))
-    return replace(inputs, code=code, values=values, table=restored, rows=inputs.rows[fits], price=price), out
+    return replace(inputs, code=code, values=values, table=restored, rows=inputs.rows[fits], price=price), runs
 
 
-def _named(table: ObservationTable, run: WrongLabels) -> str:
+def _named(table: ObservationTable, run: WrongLabels, labels: Labels) -> str:
     """Return the rows of a run, and the labels that they fit instead of their own."""
     rows = slice(run.first, run.last)
     first, last = (row_name(table, row) for row in (run.first, run.last - 1))
     span = first if first == last else f"{first} to {last}"
-    if run.labels is None:
+    if not labels:
         return f"{span}: none of the rig"
     changes = [
         f"{column} {name}, not {' or '.join(sorted(set(table[column][rows]) - {name}))}"
-        for column, name in run.labels.items()
+        for column, name in labels.items()
         if (~np.isin(table[column][rows], ["", name])).any()
     ]
     return f"{span}: {' and '.join(changes)}"
@@ -130,27 +127,22 @@ def possible_labels(rigs: Rigs, table: ObservationTable) -> list[Labels]:
 
 def own_labels(table: ObservationTable, possible: Sequence[Labels]) -> Indices:
     """Return which (n,) of the possible labels each row has; an empty name agrees with all."""
-    out = np.zeros(len(table), dtype=np.intp)
-    for number, labels in reversed(list(enumerate(possible))):
-        out[np.all([(table[column] == name) | (table[column] == "") for column, name in labels.items()], axis=0)] = (
-            number
-        )
-    return out
+    fits = np.ones((len(possible), len(table)), dtype=bool)
+    for number, labels in enumerate(possible):
+        for column, name in labels.items():
+            fits[number] &= (table[column] == name) | (table[column] == "")
+    return np.asarray(np.argmax(fits, axis=0))
 
 
 def with_labels(rigs: Rigs, table: ObservationTable, possible: Sequence[Labels], labels: Indices) -> ObservationTable:
-    """Return the table with the possible labels of these numbers (n,); rows keep their own where there is none."""
-    names = {column: [labels_of_row[column] for labels_of_row in possible] for column in possible[0]}
-    has = (labels >= 0) & (labels < len(possible))
-    every = np.where(has, labels, 0)
-    return renamed(
-        rigs, table, {column: np.where(has, np.array(of)[every], table[column]) for column, of in names.items()}
-    )
+    """Return the table with the possible labels of these numbers (n,); rows keep their own for that after the last."""
+    names = {column: np.array([*(names[column] for names in possible), ""])[labels] for column in possible[0]}
+    return renamed(rigs, table, names)
 
 
 def renamed(rigs: Rigs, table: ObservationTable, names: Mapping[str, NDArray[Any]]) -> ObservationTable:
-    """Return the table with other names (n,) in some columns, where rows have any; a length follows from its bar's name."""
-    names = {column: np.where(table[column] == "", "", new) for column, new in names.items()}
+    """Return the table with other names (n,) in some columns, where rows have one and get one; a length follows from its bar."""
+    names = {column: np.where((table[column] == "") | (new == ""), table[column], new) for column, new in names.items()}
     if "bar" not in names or (names["bar"] == table.bar).all():
         return table.replace(**names)
     value = table.value.copy()
@@ -216,7 +208,7 @@ def _valid(rigs: Rigs, table: ObservationTable, labels: Labels) -> NDArray[np.bo
     out = np.ones(len(table), dtype=bool)
     for name, rig in rigs_by_name(rigs).items():
         known = rig_names(rig)
-        if any(column in known and label not in known[column] for column, label in labels.items()):
+        if any(label not in known.get(column, (label,)) for column, label in labels.items()):
             out &= table.rig != name
     return out
 
@@ -238,8 +230,8 @@ def likelihood(square: Floats, scale: float) -> Floats:
     return np.asarray(-1.5 * np.log1p(square / (2.0 * scale**2)))
 
 
-def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[tuple[int, int, int, float]]]:
-    """Return labels (n,) and the runs in which they are not the ``original`` ones: first row, after last, label, gain.
+def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[WrongLabels]]:
+    """Return labels (n,) and the runs in which they are not the ``original`` ones.
 
     The last label stands for none, which fewer than LEAST_APART rows do not get. A run begins at any of n rows and has any
     of l + 1 labels, so that one of them gains ``sure`` by chance with a probability of at most LEVEL.
@@ -259,7 +251,9 @@ def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[tuple[i
     gains = score[labels, row] - score[original, row] - PRICE
     edges = [0, *np.flatnonzero(np.diff(np.where(labels == original, -1, labels))) + 1, labels.size]
     return labels, [
-        (a, b, int(labels[a]), float(gains[a:b].sum())) for a, b in pairwise(edges) if labels[a] != original[a]
+        WrongLabels(a, b, int(labels[a]), float(gains[a:b].sum()))
+        for a, b in pairwise(edges)
+        if labels[a] != original[a]
     ]
 
 
