@@ -6,7 +6,7 @@ Each is an ``Alternative``: the table or rig transformed, and the finding to rep
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain as chained
 from itertools import combinations, islice, permutations, product
@@ -20,9 +20,10 @@ from truearm.estimate.problem import build_problem
 from truearm.kinds.quantities import LARGEST_NOISE, POINT, TURN, Quantity
 from truearm.kinds.registry import identifiers, kinds, points
 from truearm.model.chain import Chain
+from truearm.model.poses import pose_of, six_of
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.results import Effect
-from truearm.types import Floats, Indices, Mask, Rig, Rigs
+from truearm.types import Floats, Indices, Mask, Rig, rigs_by_name
 from truearm.units import DEG, MM, UNITS
 
 INCH = 0.0254  # m
@@ -84,11 +85,9 @@ def units(inputs: Alternative) -> Iterator[Alternative]:
 
 def joints(inputs: Alternative) -> Iterator[Alternative]:
     """Return joints in other orders and with other signs: exchanges of two, cycles, the reverse; all signs."""
-    names = [joint.name for joint in inputs.chain.joints]
-    same, units_of = list(range(len(names))), list(inputs.chain.joint_units)
-    exchanges = [[b if k == a else a if k == b else k for k in same] for a, b in combinations(same, 2)]
-    cycles = [same[shift:] + same[:shift] for shift in same[1:]]
-    for order in [*exchanges, *cycles, same[::-1]] if len(names) > 2 else exchanges:
+    names, units_of = [joint.name for joint in inputs.chain.joints], list(inputs.chain.joint_units)
+    same = tuple(range(len(names)))
+    for order in list(dict.fromkeys([same, *exchanges_and_cycles(same), same[::-1]]))[1:]:
         if [units_of[i] for i in order] == units_of:
             values = {"order": [names[order.index(k)] for k in same]}
             yield with_joints(inputs, np.ones(len(names)), order, "joints-ordered", values)
@@ -115,22 +114,17 @@ def rotations(inputs: Alternative) -> Iterator[Alternative]:
         return
     v = turn[rows]
     x, y, z = (rotation(v[:, [k]] * np.eye(3)[k]) for k in range(3))
+    roll_pitch_yaw = np.array([six_of(pose)[:2:-1] for pose in pose_of(np.zeros_like(v), v)])
     for are, called, changed in (
         ("roll, pitch and yaw (about fixed axes x, y, z)", "rotation vectors", rotation_vector(z @ y @ x)),
         ("angles about the moving axes x, y, z", "rotation vectors", rotation_vector(x @ y @ z)),
-        ("rotation vectors taken for roll, pitch and yaw", "as measured", _roll_pitch_yaw(rotation(v))),
+        ("rotation vectors taken for roll, pitch and yaw", "as measured", roll_pitch_yaw),
         ("of the device in the tool's axes", "of the tool in the device's", -v),
     ):
         whole = turn.copy()
         whole[rows] = changed
         values = {"are": are, "called": called}
         yield replace(inputs, code="other-rotations", values=values, table=inputs.table.replace(rotation=whole))
-
-
-def _roll_pitch_yaw(r: Floats) -> Floats:
-    """Return angles (n, 3) about fixed axes of rotations (n, 3, 3)."""
-    pitch = np.arcsin(np.clip(-r[:, 2, 0], -1.0, 1.0))
-    return np.stack([np.arctan2(r[:, 2, 1], r[:, 2, 2]), pitch, np.arctan2(r[:, 1, 0], r[:, 0, 0])], axis=1)
 
 
 def mirrored(inputs: Alternative) -> Iterator[Alternative]:
@@ -154,28 +148,17 @@ def mirrored(inputs: Alternative) -> Iterator[Alternative]:
 def with_points(
     inputs: Alternative, entry: str, name: str, factors: Floats, code: str, values: Mapping[str, Any]
 ) -> Iterator[Alternative]:
-    """Return the rig, or rigs, with coordinates of one point, or of all of a type, multiplied; nothing if that changes none."""
-
-    def changed(rig: Rig) -> Rig | None:
-        found = {key: point for key, point in rig.named(entry).items() if name in ("", key)}
-        moved = {key: np.array(point.xyz) * factors for key, point in found.items()}
-        differs = any((moved[key] != np.array(point.xyz)).any() for key, point in found.items())
-        if not differs or max(np.abs(xyz).max() for xyz in moved.values()) > UNITS["m"].largest:
-            return None
-        others = {key: replace(point, xyz=tuple(moved[key].tolist())) for key, point in found.items()}
-        return rig.with_named(entry, {**rig.named(entry), **others})
-
-    rigs = _each_rig(inputs.rig, changed)
-    if rigs is not None:
-        yield replace(inputs, code=code, values=values, rig=rigs)
-
-
-def _each_rig(rigs: Rigs, change: Callable[[Rig], Rig | None]) -> Rigs | None:
-    """Return rigs, each changed if it can be; None if none can."""
-    if isinstance(rigs, Rig):
-        return change(rigs)
-    changed = {name: other for name, rig in rigs.items() if (other := change(rig)) is not None}
-    return {**rigs, **changed} if changed else None
+    """Return the rigs with coordinates of one point, or of all of a type, multiplied; nothing if that changes none."""
+    rigs, changed = rigs_by_name(inputs.rig), {}
+    for key, rig in rigs.items():
+        points = {label: point for label, point in rig.named(entry).items() if name in ("", label)}
+        xyz = {label: tuple(np.multiply(point.xyz, factors).tolist()) for label, point in points.items()}
+        differs = any(xyz[label] != tuple(point.xyz) for label, point in points.items())
+        if differs and np.abs(list(xyz.values())).max() <= UNITS["m"].largest:
+            moved = {label: replace(point, xyz=xyz[label]) for label, point in points.items()}
+            changed[key] = rig.with_named(entry, {**rig.named(entry), **moved})
+    if changed:
+        yield replace(inputs, code=code, values=values, rig={**rigs, **changed})
 
 
 def _is_measured(inputs: Alternative, quantity: Quantity) -> bool:
@@ -201,38 +184,28 @@ def names_exchanged(inputs: Alternative) -> Iterator[Alternative]:
     columns = [column for column in identifiers() if any(column in kind.labels for kind in kinds().values())]
     for rig in np.unique(table.rig):
         here = table.rig == rig
-        changes = [
-            [(column, change) for change in _permutations(sorted(set(table[column][here]) - {""}))]
-            for column in columns
-        ]
-        single = [(change,) for column_changes in changes for change in column_changes]
-        double = [pair for a, b in combinations(changes, 2) for pair in product(a, b)]
-        for change in islice(chained(single, double), MOST_RENAMINGS):
-            names = {
+        changes = []
+        for column in columns:
+            names = sorted(set(table[column][here]) - {""})
+            few = len(names) <= MOST_PERMUTED
+            orders = list(permutations(names))[1:] if few else exchanges_and_cycles(names)
+            changes.append([{column: dict(zip(names, order, strict=True))} for order in orders])
+        pairs = (first | second for a, b in combinations(changes, 2) for first, second in product(a, b))
+        for change in islice(chained(*changes, pairs), MOST_RENAMINGS):
+            whole = {
                 column: np.where(here, [new.get(name, name) for name in table[column]], table[column])
-                for column, new in change
+                for column, new in change.items()
             }
-            values = {
-                "names": [
-                    f"{column} {old} is {name}" for column, new in change for old, name in new.items() if old != name
-                ],
-                "bar": any(column == "bar" for column, _ in change),
-            }
-            yield replace(inputs, code="names-exchanged", values=values, table=renamed(inputs.rig, table, names))
+            renamings = [(column, *pair) for column, new in change.items() for pair in new.items()]
+            texts = [f"{column} {old} is {name}" for column, old, name in renamings if old != name]
+            values = {"names": texts, "bar": "bar" in change}
+            yield replace(inputs, code="names-exchanged", values=values, table=renamed(inputs.rig, table, whole))
 
 
-def _permutations(names: Sequence[str]) -> list[dict[str, str]]:
-    """Return renamings of names to one another: all for few names, otherwise exchanges of two and cycles."""
-    if len(names) <= MOST_PERMUTED:
-        orders = [list(order) for order in permutations(names)][1:]
-    else:
-        swapped = {
-            tuple(b if name == a else a if name == b else name for name in names) for a, b in combinations(names, 2)
-        }
-        orders = [list(order) for order in sorted(swapped)] + [
-            [*names[shift:], *names[:shift]] for shift in range(1, len(names))
-        ]
-    return [dict(zip(names, order, strict=True)) for order in orders]
+def exchanges_and_cycles(items: Sequence[Any]) -> list[tuple[Any, ...]]:
+    """Return other orders of some items: two of them exchanged, and cycles."""
+    exchanges = [tuple(b if k == a else a if k == b else k for k in items) for a, b in combinations(items, 2)]
+    return exchanges + [(*items[shift:], *items[:shift]) for shift in range(1, len(items))]
 
 
 def stuck(inputs: Alternative) -> Iterator[Alternative]:
@@ -244,15 +217,12 @@ def stuck(inputs: Alternative) -> Iterator[Alternative]:
         first, last = edges[longest : longest + 2].tolist()
         if LEAST_ROWS <= last - first < len(q) and np.delete(np.ptp(q[first:last], axis=0), joint).any():
             name = inputs.chain.joints[joint].name
-            yield without(inputs, first, last, "stuck-joint", {"joint": name})
-
-
-def without(inputs: Alternative, first: int, last: int, code: str, values: Mapping[str, Any]) -> Alternative:
-    """Return all but some consecutive ones of the given rows."""
-    rows = inputs.rows[first:last]
-    named = {"n": rows.size, "first": row_name(inputs.table, rows[0]), "last": row_name(inputs.table, rows[-1])}
-    values = {**values, **named, "others": inputs.rows.size - rows.size, "leave_out": [f"{rows[0] + 1}:{rows[-1] + 1}"]}
-    return replace(inputs, code=code, values=values, rows=np.delete(inputs.rows, np.arange(first, last)))
+            rows = inputs.rows[first:last]
+            where = {"first": row_name(inputs.table, rows[0]), "last": row_name(inputs.table, rows[-1])}
+            values = {"joint": name, "n": rows.size, "others": inputs.rows.size - rows.size, **where}
+            values["leave_out"] = [f"{rows[0] + 1}:{rows[-1] + 1}"]
+            others = np.delete(inputs.rows, np.arange(first, last))
+            yield replace(inputs, code="stuck-joint", values=values, rows=others)
 
 
 def other_robots(inputs: Alternative, robots: Robots) -> Iterator[Alternative]:

@@ -68,7 +68,8 @@ def checked_inputs(
     inputs = Alternative(chain, rig, table, free, np.flatnonzero(estimate.fitted))
     explanations: tuple[Explanation, ...] = ()
     tried = 0
-    doubtful = _absurd(estimate) or is_elsewhere(estimate) or estimate.chi2_reduced > GROSS**2
+    beyond = _unconverged(estimate) or _beyond(estimate, "weak_sigma")  # what correct inputs hardly give
+    doubtful = beyond or is_elsewhere(estimate) or estimate.chi2_reduced > GROSS**2
     misfit = not estimate.faults and estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT)
     original = fitted(inputs) if doubtful or misfit else None
     if original is not None and original.freedom >= 1.0:
@@ -104,13 +105,8 @@ def explanations_of(
     if not any(trial.reduced < HUNDREDFOLD * original.reduced for trial in trials):
         labels, runs = relabelled(inputs)  # pays for each run: one mistake that explains all rows is more probable
         trials = explaining(original, [*(trial.alternative for trial in trials), *[labels] * bool(runs)], tried)
-    rivals = [
-        _explanation(original, trial, tried)
-        for trial in trials
-        if evidence(original, trial) > evidence(original, trials[0]) - RIVALS
-    ]
-    distinct = {(rival.code, str(rival.values)): rival for rival in reversed(rivals)}
-    return tuple(reversed(distinct.values())), tried
+    rivals = [trial for trial in trials if evidence(original, trial) > evidence(original, trials[0]) - RIVALS]
+    return tuple(_explanation(original, trial, tried) for trial in rivals), tried
 
 
 def other_set_up(original: Trial) -> tuple[tuple[Explanation, ...], int]:
@@ -145,18 +141,14 @@ def _explanation(original: Trial, after: Trial, count: int) -> Explanation:
     chance = math.exp(min(min(by_fit, by_place) + math.log(count), 0.0))
     values = dict(inputs.values)
     for effect in inputs.effects:
-        off = {name: after.off[name] for name in after.off if name == str(effect) or name.startswith(f"{effect}.")}
-        values["off"] = [f"{name.rpartition('.')[2]} {_sized(name, size, after)}" for name, size in off.items()]
+        values["off"] = [
+            f"{name.rpartition('.')[2]} {UNITS[unit].scale.text(size, '.3g')}"
+            for name, unit, size in zip(
+                after.problem.names, after.problem.units, after.x - after.problem.start, strict=True
+            )
+            if name == str(effect) or name.startswith(f"{effect}.")
+        ]
     return Explanation(inputs.code, values, inputs.rows.size, original.rms, after.rms, chance)
-
-
-def _sized(name: str, size: float, trial: Trial) -> str:
-    return UNITS[trial.units[name]].scale.text(size, ".3g")
-
-
-def _absurd(estimate: Estimate) -> bool:
-    """Return whether correct inputs hardly give such a fit: not converged, or residuals beyond a drawing's tolerances."""
-    return _unconverged(estimate) or _beyond(estimate, "weak_sigma")
 
 
 def is_elsewhere(estimate: Estimate) -> bool:

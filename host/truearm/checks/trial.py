@@ -29,7 +29,7 @@ from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Effect, Figures
-from truearm.types import Floats, Indices, Mask, Residuals, Rigs, thinned
+from truearm.types import Floats, Indices, Mask, Rigs, thinned
 from truearm.units import UNITS
 
 FEW_ROWS = 60  # that rank interpretations before the robot is fitted
@@ -67,22 +67,24 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Trial:
-    """A fit of an alternative to ``n_residuals`` residuals: χ²/ν, ν, RMS by SI unit, and parameters by name.
+    """A fit of an alternative that ended at x (P,): χ²/ν, ν and RMS by SI unit.
 
     ``moved`` is the displacement of base or tool, and of an item of the rig with an effect, from the described place;
-    ``shifted`` that of any other parameter of the robot; both in tolerances of manual mounting. ``off`` is how far each
-    parameter is from its start.
+    ``shifted`` that of any other parameter of the robot; both in tolerances of manual mounting.
     """
 
     alternative: Alternative
+    problem: Problem
+    x: Floats
     reduced: float
     freedom: float
     rms: Mapping[str, float]
-    parameters: Mapping[str, float]
-    off: Mapping[str, float]
-    units: Mapping[str, str]
     moved: float
     shifted: float
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        return dict(zip(self.problem.names, self.x.tolist(), strict=True))
 
     @property
     def displacement(self) -> float:
@@ -146,8 +148,7 @@ def placed(
 
     ``start``: parameters after fewer steps.
     """
-    trial = _trial(replace(alternative, free=np.zeros_like(alternative.free)), FEW_ROWS, steps, start=start)
-    return trial and replace(trial, alternative=alternative)
+    return _trial(alternative, np.zeros_like(alternative.free), FEW_ROWS, steps, start=start)
 
 
 def fitted(alternative: Alternative, goal: float = 0.0, start: Mapping[str, float] | None = None) -> Trial | None:
@@ -157,42 +158,42 @@ def fitted(alternative: Alternative, goal: float = 0.0, start: Mapping[str, floa
     """
     if start is None and (trial := placed(alternative)) is not None:
         start = trial.parameters
-    return _trial(alternative, MOST_ROWS, STEPS, goal, start)
+    return _trial(alternative, alternative.free, MOST_ROWS, STEPS, goal, start)
 
 
 def _trial(
-    alternative: Alternative, most: int, steps: int, goal: float = 0.0, start: Mapping[str, float] | None = None
+    alternative: Alternative,
+    free: Mask,
+    most: int,
+    steps: int,
+    goal: float = 0.0,
+    start: Mapping[str, float] | None = None,
 ) -> Trial | None:
+    """Return a fit of the ``free`` parameters to at most so many rows; None if they define no problem."""
+    rows = alternative.rows[thinned(alternative.rows.size, most)]
+    table, effects = alternative.table.select(rows), alternative.effects
+    rescaled = alternative.rescaled.items()
     try:
         with np.errstate(all="ignore"):
-            trial = _fitted(alternative, most, steps, goal, start or {})
+            problem, columns, placing = trial_problem(alternative.chain, alternative.rig, table, free, effects)
+            n = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
+            log_jacobian = sum(np.isfinite(table[name]).sum() * math.log(factor) for name, factor in rescaled)
+            price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike fit in any larger unit
+            solution = fit(problem, columns, problem.at(start or {}), idle_options(steps, goal * n / price))
+            shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
+            quality = goodness(*of_data(problem, columns, solution), shares)
     except (ProblemError, np.linalg.LinAlgError):
         return None
-    return trial if np.isfinite(trial.reduced) else None
-
-
-def _fitted(alternative: Alternative, most: int, steps: int, goal: float, start: Mapping[str, float]) -> Trial:
-    chain, free = alternative.chain, alternative.free
-    table = alternative.table.select(alternative.rows[thinned(alternative.rows.size, most)])
-    problem, columns, placing = trial_problem(chain, alternative.rig, table, free, alternative.effects)
-    n = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
-    log_jacobian = sum(
-        np.isfinite(table[name]).sum() * math.log(factor) for name, factor in alternative.rescaled.items()
-    )
-    price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike would fit in any larger unit
-    solution = fit(problem, columns, problem.at(start), idle_options(steps, goal * n / price))
-    shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
-    quality = goodness(*of_data(problem, columns, solution), shares)
-    off = solution.x - problem.start
-    moves = np.abs(off) / np.array([UNITS[unit].wide_sigma for unit in problem.units])
+    if not np.isfinite(quality.reduced):
+        return None
+    moves = np.abs(solution.x - problem.start) / np.array([UNITS[unit].wide_sigma for unit in problem.units])
     return Trial(
         alternative,
+        problem,
+        solution.x,
         price * quality.reduced,
         quality.freedom,
         {unit: figures.rms for unit, figures in Figures.by_unit(solution.information.residual).items()},
-        dict(zip(problem.names, solution.x.tolist(), strict=True)),
-        dict(zip(problem.names, off.tolist(), strict=True)),
-        dict(zip(problem.names, problem.units, strict=True)),
         float(moves[placing].max(initial=0.0)),
         float(moves[: free.size][~placing[: free.size]].max(initial=0.0)),
     )
@@ -220,9 +221,6 @@ def misfit(chain: Chain, rig: Rigs, table: ObservationTable, parameters: Mapping
     """
     problem = build_problem(chain, rig, table)
     nothing = np.zeros(len(problem.names), dtype=bool)
-    return _square(observe(problem, problem.at(parameters), nothing).residual)
-
-
-def _square(residual: Residuals) -> Floats:
-    parts = [(of_unit / UNITS[unit].weak_sigma) ** 2 for unit, of_unit in residual.items()]
-    return np.asarray(np.nansum(parts, axis=0))
+    residual = observe(problem, problem.at(parameters), nothing).residual
+    squares = [(of_unit / UNITS[unit].weak_sigma) ** 2 for unit, of_unit in residual.items()]
+    return np.asarray(np.nansum(squares, axis=0))
