@@ -5,7 +5,8 @@ import pytest
 from ur10_bench import RIG, ROBOT
 
 from truearm.estimate.law_candidates import candidates, gravity_of
-from truearm.estimate.law_fit import GATE, law_problem, learn, posterior
+from truearm.estimate.law_choice import GATE
+from truearm.estimate.law_fit import law_problem, learn, posterior
 from truearm.estimate.law_rows import law_rows
 from truearm.estimate.mean_error import left_out_errors
 from truearm.estimate.measured_order import poses
