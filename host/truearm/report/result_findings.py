@@ -443,7 +443,8 @@ def _parts(document: Document) -> dict[str, Any]:
     claim = document.get("claim")
     if claim is None or document["predicted_error"] is None:
         return dict.fromkeys(("parameters", "unnamed", "scatter", "faults", "names"))
-    of_faults, scatter = math.hypot(claim["rivals_mm"], claim["shift_mm"]), document["predicted_error"].get("scatter_mm")
+    of_faults = math.hypot(claim["rivals_mm"], claim["shift_mm"])
+    scatter = document["predicted_error"].get("scatter_mm")
     return {
         "parameters": {"mm": claim["parameters_mm"]},
         "unnamed": {"mm": claim["unnamed_mm"]},
