@@ -19,7 +19,6 @@ from truearm.checks.alternatives import Robots, other_interpretations
 from truearm.checks.examination import GROSS
 from truearm.checks.labels import relabelled
 from truearm.checks.trial import (
-    AS_WELL,
     FAR,
     HUNDREDFOLD,
     Alternative,
@@ -124,10 +123,9 @@ def other_set_up(original: Trial) -> tuple[tuple[Explanation, ...], int]:
 
 def explaining(original: Trial, alternatives: Sequence[Alternative], count: int) -> list[Trial]:
     """Return the trials of alternatives that explain the rows, the most probable first, of those best in quick fits."""
-    goal = (AS_WELL if original.displacement > FAR else HUNDREDFOLD) * original.reduced
     quick = _ranked(original, [placed(alternative, STEPS_TO_RANK) for alternative in alternatives])[:MOST_PLACED]
     best = _ranked(original, [placed(trial.alternative, start=trial.parameters) for trial in quick])[:MOST_FITTED]
-    trials = _ranked(original, [fitted(trial.alternative, goal, trial.parameters) for trial in best])
+    trials = _ranked(original, [fitted(trial.alternative, trial.parameters) for trial in best])
     return [trial for trial in trials if explains(original, trial, count)]
 
 

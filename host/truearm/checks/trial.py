@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,6 @@ MOST_ROWS = 200  # of a fit of the robot
 STEPS = 20
 STEPS_TO_PLACE = 8  # if only base, tool and rig are placed
 WORTH = 0.01  # of χ², by all of the last steps: wrong inputs are wrong by centimetres
-RECENT = 3  # steps, of which the best one is taken for all those left
 LEVEL = 1e-3  # probability that any interpretation explains correct inputs
 HUNDREDFOLD = 0.01  # of χ²
 FAR, NEAR = 10.0, 3.0  # tolerances of manual mounting: 100 mm or 0.5 rad, 30 mm or 0.16 rad
@@ -148,26 +146,21 @@ def placed(
 
     ``start``: parameters after fewer steps.
     """
-    return _trial(alternative, np.zeros_like(alternative.free), FEW_ROWS, steps, start=start)
+    return _trial(alternative, np.zeros_like(alternative.free), FEW_ROWS, steps, start)
 
 
-def fitted(alternative: Alternative, goal: float = 0.0, start: Mapping[str, float] | None = None) -> Trial | None:
+def fitted(alternative: Alternative, start: Mapping[str, float] | None = None) -> Trial | None:
     """Return the fit of the robot, base, tool and rig to some rows; None if they define no problem.
 
-    ``start`` are parameters after ``placed``. A fit that will not reach a χ²/ν of ``goal`` may end early.
+    ``start`` are parameters after ``placed``.
     """
     if start is None and (trial := placed(alternative)) is not None:
         start = trial.parameters
-    return _trial(alternative, alternative.free, MOST_ROWS, STEPS, goal, start)
+    return _trial(alternative, alternative.free, MOST_ROWS, STEPS, start)
 
 
 def _trial(
-    alternative: Alternative,
-    free: Mask,
-    most: int,
-    steps: int,
-    goal: float = 0.0,
-    start: Mapping[str, float] | None = None,
+    alternative: Alternative, free: Mask, most: int, steps: int, start: Mapping[str, float] | None
 ) -> Trial | None:
     """Return a fit of the ``free`` parameters to at most so many rows; None if they define no problem."""
     rows = alternative.rows[thinned(alternative.rows.size, most)]
@@ -179,7 +172,7 @@ def _trial(
             n = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
             log_jacobian = sum(np.isfinite(table[name]).sum() * math.log(factor) for name, factor in rescaled)
             price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike fit in any larger unit
-            solution = fit(problem, columns, problem.at(start or {}), idle_options(steps, goal * n / price))
+            solution = fit(problem, columns, problem.at(start or {}), idle_options(steps))
             shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
             quality = goodness(*of_data(problem, columns, solution), shares)
     except (ProblemError, np.linalg.LinAlgError):
@@ -199,19 +192,9 @@ def _trial(
     )
 
 
-def idle_options(steps: int, goal: float = 0.0) -> Options:
-    """Return the options of a fit that only distinguishes right from wrong inputs, which by a χ² above ``goal`` are wrong."""
-    idles = idle(WORTH)
-
-    def ends(chi2: Sequence[float]) -> bool:
-        if idles(chi2):
-            return True
-        if len(chi2) <= RECENT:
-            return False
-        best = min(b / a for a, b in pairwise(chi2[-1 - RECENT :]))
-        return chi2[-1] * best ** (steps + 1 - len(chi2)) > goal > 0.0
-
-    return Options(max_iterations=steps, correctors=0, ends=ends)
+def idle_options(steps: int) -> Options:
+    """Return the options of a fit that only distinguishes right from wrong inputs."""
+    return Options(max_iterations=steps, correctors=0, ends=idle(WORTH))
 
 
 def misfit(chain: Chain, rig: Rigs, table: ObservationTable, parameters: Mapping[str, float]) -> Floats:
