@@ -56,6 +56,10 @@ class Average:
         """Return the mean step (k,) of each finding."""
         return [np.asarray(sum(part.weight * part.step for part in options)) for options in self.choices]
 
+    def steps(self) -> list[list[Floats]]:
+        """Return the steps (k,) of each finding: of its explanations, and the mean."""
+        return [[*(part.step for part in parts), mean] for parts, mean in zip(self.choices, self.means(), strict=True)]
+
     def moves(self, root: Floats) -> float:
         """Return the RMS motion [m] of the tool by a step (k,), or its RMS error by a ``root`` (k, r) of that of parameters."""
         return math.sqrt(max(float(np.sum(root * (self.gram @ root))), 0.0))

@@ -78,10 +78,11 @@ class Hypothesis:
         """Return the number of candidates."""
         return len(self.candidates.profiles if self.candidates.pairs is None else self.candidates.pairs)
 
-    def candidate(self, number: int) -> Floats:
-        """Return the columns (m, d) of a candidate."""
+    def candidate(self, number: int, row: int | None = None) -> Floats:
+        """Return the columns (m, d) of a candidate; with a ``row``, as if all were measured when that one was."""
         profile = self.candidates.of_profiles(self.candidates.profiles)[number]
-        return np.asarray(self.columns[:, : self.sizes.size] * profile[self.fit.row, None])
+        along = profile[self.fit.row, None] if row is None else profile[row]
+        return np.asarray(self.columns[:, : self.sizes.size] * along)
 
     def by_unit(self, size: Floats) -> dict[str, Floats]:
         """Return a ``size`` (d, …) in typical ones as its numbers of each SI unit."""
@@ -147,8 +148,7 @@ def catalogue(fit: WhitenedFit) -> list[Hypothesis]:
 def add_item(out: Catalogue, cause: Cause) -> None:
     """Add an item of the rig, the base or the tool in the forms that its kind declares, and its drift."""
     fit, fault = out.fit, cause.fault
-    index = fit.errors.indices(cause.numbers)
-    columns, units = fit.fault_jac[:, index], [fit.errors.units[i] for i in index]
+    columns, units = fit.by_numbers(cause.numbers)
     if fault.moved or rows_used(columns, fit).size < 2 * LEAST_ROWS:  # joints have functions of their own
         return
     if is_constant(cause, fit):
@@ -167,21 +167,21 @@ def is_constant(cause: Cause, fit: WhitenedFit) -> bool:
 
 def add_groups(out: Catalogue) -> None:
     """Add "all chucks", "all spheres": several items of one type that are off from the start."""
-    constant = [cause for cause in out.fit.causes if is_constant(cause, out.fit) and len(cause.numbers) > 1]
-    types = dict.fromkeys(cause.name.rpartition(".")[0] for cause in constant)
-    for prefix in filter(None, types):
-        rows = [number for cause in constant if cause.name.rpartition(".")[0] == prefix for number in cause.numbers]
-        index = out.fit.errors.indices(rows)
-        columns = out.fit.fault_jac[:, index]
-        if len(rows) > len(constant[0].numbers) and columns.any():
-            out.add(f"{prefix}.all", "offset", columns, [out.fit.errors.units[i] for i in index], out.always)
+    groups: dict[str, list[Sequence[str]]] = {}
+    for cause in out.fit.causes:
+        if is_constant(cause, out.fit) and len(cause.numbers) > 1:
+            groups.setdefault(cause.name.rpartition(".")[0], []).append(cause.numbers)
+    for prefix, items in groups.items():
+        if prefix and len(items) > 1:
+            columns, units = out.fit.by_numbers([number for numbers in items for number in numbers])
+            out.add(f"{prefix}.all", "offset", columns, units, out.always)
 
 
 def add_tilt(out: Catalogue) -> None:
     """Add a base that tilts about its level axes: the usual one of its six motions, and so a hypothesis by itself."""
-    columns = out.fit.fault_jac[:, out.fit.errors.indices(["base.rx", "base.ry"])]
-    out.add("base.tilt", "step", columns, ["rad"] * 2, out.steps(columns))
-    out.add("base.tilt", "drift", columns, ["rad"] * 2, out.drifts)
+    columns, units = out.fit.by_numbers(["base.rx", "base.ry"])
+    out.add("base.tilt", "step", columns, units, out.steps(columns))
+    out.add("base.tilt", "drift", columns, units, out.drifts)
 
 
 def add_joints(out: Catalogue) -> None:
@@ -190,8 +190,7 @@ def add_joints(out: Catalogue) -> None:
     q = fit.how.table.q[fit.how.row]
     joints = [cause.name for cause in fit.causes if cause.fault.moved]
     for number, name in enumerate(joints):
-        index = fit.errors.indices([name])
-        columns, units = fit.fault_jac[:, index], [fit.errors.units[index[0]]]
+        columns, units = fit.by_numbers([name])
         reading = q[:, number][fit.row]
         z = (reading - reading.mean()) / max(float(reading.std()), 1e-9)
         polynomial = columns * np.stack([z, z**2, z**3], axis=1) * TYPICAL[units[0]]
@@ -229,8 +228,8 @@ def add_loose_flange(out: Catalogue) -> None:
     ends = [cause for cause in fit.causes if points & set(cause.name.split(".")[:-1])]
     if not ends:
         return
-    columns = sum(fit.fault_jac[:, fit.errors.indices(cause.numbers)] for cause in ends)
-    out.add("tool", "loose", np.asarray(columns) * side[fit.row], ["m"] * 3, out.always)
+    columns = np.sum([fit.by_numbers(cause.numbers)[0] for cause in ends], axis=0)
+    out.add("tool", "loose", columns * side[fit.row], ["m"] * 3, out.always)
 
 
 def drifts_of(fit: WhitenedFit) -> Candidates:

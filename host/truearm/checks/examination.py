@@ -51,13 +51,11 @@ class Examination:
         steps: dict[int, Floats] = {}
         for name in names:
             mine = {
-                number: part.step
-                for number, (fault, options) in enumerate(zip(self.faults, self.average.choices, strict=True))
-                for rival, part in zip(fault.rivals, options, strict=True)
+                number: step
+                for number, (fault, rival_steps) in enumerate(zip(self.faults, self.average.steps(), strict=True))
+                for rival, step in zip((*fault.rivals, fault.mean), rival_steps, strict=True)
                 if rival.apply == name
             }
-            if name == MEAN:
-                mine = dict(enumerate(self.average.means()))
             if not mine:
                 names = [rival.apply for fault in self.faults for rival in fault.rivals if rival.apply]
                 known = f"name one of {', '.join(names)}" if names else "these rows show no fault"
@@ -136,13 +134,13 @@ def is_distorted(fit: WhitenedFit) -> bool:
 def diagnoses(result: Search, average: Average, table: ObservationTable) -> tuple[Diagnosis, ...]:
     """Return the findings of a search, each with its rivals and what applying one of them, or their mean, gives."""
     out = []
-    for number, (detection, options) in enumerate(zip(result.detections, average.choices, strict=True)):
+    every = zip(result.detections, average.choices, average.steps(), strict=True)
+    for number, (detection, options, steps) in enumerate(every):
         beside = result.fitted.extended(result.beside(detection))
         before = left_out(beside, result.block)
         after = [left_out(beside.extended(part.weighed.columns), result.block) for part in options]
         mean = np.sum([part.weight * residual for part, residual in zip(options, after, strict=True)], axis=0)
         names = [(part.weighed.name, apply_name(part.weighed), rows_of(part.weighed), part.weight) for part in options]
-        steps = [*(part.step for part in options), average.means()[number]]
         *rivals, whole = (
             Rival(*name, average.moves(step), average.error({number: step}), *gain(before, residual, result.block))
             for name, step, residual in zip([*names, (MEAN, MEAN, None, 1.0)], steps, [*after, mean], strict=True)
@@ -185,9 +183,8 @@ def deciding(options: Sequence[Part], design: Design, table: ObservationTable) -
 def at_the_end(weighed: Weighed) -> Floats:
     """Return the columns (m, d) of an explanation if all rows were measured again at the end of their session."""
     candidates = weighed.hypothesis.candidates
-    row = candidates.spans[weighed.best, 1] - 1 if candidates.drifts else -1
-    profile = candidates.of_profiles(candidates.profiles)[weighed.best]
-    return np.asarray(weighed.hypothesis.columns[:, : weighed.hypothesis.sizes.size] * profile[row])
+    row = int(candidates.spans[weighed.best, 1]) - 1 if candidates.drifts else -1
+    return weighed.hypothesis.candidate(weighed.best, row)
 
 
 def rows_of(weighed: Weighed) -> tuple[int, int] | None:
@@ -198,17 +195,14 @@ def rows_of(weighed: Weighed) -> tuple[int, int] | None:
 
 def apply_name(weighed: Weighed) -> str:
     """Return the ``Effect`` that an explanation is, which a fit can estimate; otherwise its name; "" without a remedy."""
-    hypothesis, candidates = weighed.hypothesis, weighed.hypothesis.candidates
-    how, drift = hypothesis.fit.how, LAST_MOVE.get(hypothesis.form)
+    hypothesis, candidates, how = weighed.hypothesis, weighed.hypothesis.candidates, weighed.hypothesis.fit.how
     if hypothesis.item.endswith(EVERY) or hypothesis.form == LASTING:
         return ""
-    if candidates.drifts:
-        drift = candidates.drifts[weighed.best]
-        if drift is None:
-            return f"{hypothesis.item}.bent_{hypothesis.form}"
-    elif candidates.pairs is None and hypothesis.form != "offset" and drift is None:
-        return hypothesis.name
-    if all(cause.name != hypothesis.item for cause in hypothesis.fit.causes):
+    drift = candidates.drifts[weighed.best] if candidates.drifts else LAST_MOVE.get(hypothesis.form)
+    if candidates.drifts and drift is None:
+        return f"{hypothesis.item}.bent_{hypothesis.form}"
+    is_effect = drift is not None or candidates.pairs is not None or hypothesis.form == "offset"
+    if not is_effect or all(cause.name != hypothesis.item for cause in hypothesis.fit.causes):
         return hypothesis.name
     first, last = how.in_table(*candidates.spans[weighed.best].tolist())
     return str(Effect(hypothesis.item, first, None if last == how.total else last, drift))

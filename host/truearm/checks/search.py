@@ -34,11 +34,6 @@ class Detection:
     rivals: tuple[Weighed, ...]
     aliases: tuple[str, ...]
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return all names that the rows do not decide between, the most probable first."""
-        return (self.best.name, *(rival.name for rival in self.rivals))
-
 
 @dataclass(frozen=True)
 class Search:
@@ -117,7 +112,7 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
         if bare.kernel.declared or special.stdtr(np.unique(block).size - 1, -held_out.t) < UNCONFIRMED:
             detections.append(detection)
         else:
-            refused = detection.names
+            refused = tuple(weighed.name for weighed in (detection.best, *detection.rivals))
 
 
 def is_significant(weighed: Weighed, log_count: float) -> bool:

@@ -63,6 +63,11 @@ class WhitenedFit:
     def n(self) -> int:
         return int(self.how.row.size)
 
+    def by_numbers(self, names: Sequence[str]) -> tuple[Floats, list[str]]:
+        """Return the derivatives (m, d) by some numbers that can be off, and their SI units."""
+        index = self.errors.indices(names)
+        return self.fault_jac[:, index], [self.errors.units[i] for i in index]
+
     def extended(self, columns: Floats, widest: float) -> WhitenedFit:
         """Return the fit with further ``columns`` (m, f) as parameters, within ``widest`` of 0."""
         f, k = columns.shape[1], self.jac.shape[1]
