@@ -282,7 +282,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     # joint laws
     "no-law": Statement(
         NOTE,
-        "[Joint laws: {reason}.][Tried and dropped, with their evidence in nats (6 are needed): {dropped}.][{tried:!}No joint law is supported by the evidence ({tried:#law} tried): the geometry alone is fitted.][{none:!}No joint law is used: the geometry alone is fitted.]",
+        "[Joint laws: {reason}.][Tried and dropped for too little evidence (fewer than 6 nats) or because they make regions left out worse, with their evidence in nats: {dropped}.][{tried:!}No joint law is supported by the evidence ({tried:#law} tried): the geometry alone is fitted.][{none:!}No joint law is used: the geometry alone is fitted.]",
     ),
     "law-kept": Statement(
         NOTE,

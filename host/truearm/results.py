@@ -410,7 +410,7 @@ class Period(NamedTuple):
 
 @dataclass(frozen=True)
 class TriedLaw:
-    """A joint law that was tried. It raises the log evidence by ``nats`` and is ``kept`` if that is enough.
+    """A joint law that was tried. It raises the log evidence by ``nats``; ``estimate.law_choice`` says when it is ``kept``.
 
     ``rms`` [rad] is the RMS, about its mean, of its contribution to the joint angle over the fitted poses; NaN unless
     the law is kept. Of a curve that is kept, ``covered`` are the intervals of readings [rad] that it is known in,
@@ -431,7 +431,7 @@ class TriedLaw:
 
 
 class LawStep(NamedTuple):
-    """A fit for comparison ("geometry", "sag" or "curves"): RMS residual of the fitted rows, and held-out error."""
+    """A fit for comparison ("geometry" or "laws"): RMS residual of the fitted rows, and held-out error."""
 
     name: str
     rms_after: Mapping[str, float]  # by SI unit

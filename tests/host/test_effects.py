@@ -20,7 +20,7 @@ from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation
 from truearm.results import Effect
 from truearm.types import Point
-from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.identify import IdentifyOptions, Selection, identified, rejudged
 from truearm.workflows.selection import parse_effect
 
 UNMOVED = np.eye(4)
@@ -62,6 +62,19 @@ def test_rows_without_the_item_of_an_effect_can_judge():
     options = SolverOptions(effects=(Effect("chuck.c0", 60),))
     estimate = identify(CHAIN, RIG, rows, free=FREE, hold_out=rows.chuck == "c2", options=options)
     assert estimate.held_out.n == (rows.chuck == "c2").sum()
+
+
+def test_rows_are_judged_again_with_the_effects_of_the_fit():
+    """Rows 61 to 120 of a chuck that moved, some of them held out: without the effect they would err by its motion."""
+    rows = random_table(120, np.random.default_rng(12), SIGMA)
+    rows.value[60:] += 2e-3 * (rows.chuck[60:] == "c0")
+    effects = (Effect("chuck.c0", 60),)
+    estimate = identify(
+        CHAIN, RIG, rows, free=FREE, hold_out=np.arange(120) % 4 == 0, options=SolverOptions(effects=effects)
+    )
+    again = rejudged(CHAIN, RIG, rows, estimate, effects)
+    assert again.held_out.figures["m"].rms == pytest.approx(estimate.held_out.figures["m"].rms, rel=1e-6)
+    assert rejudged(CHAIN, RIG, rows, estimate, ()).held_out.figures["m"].rms > 2.0 * again.held_out.figures["m"].rms
 
 
 def test_held_effects_have_the_derivatives_that_the_fit_uses():

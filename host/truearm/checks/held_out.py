@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 from truearm.checks.evidence import Design
 from truearm.types import Floats, Indices
@@ -19,9 +19,7 @@ LEAST = 1e-9  # share of a direction that other rows determine: less is rounding
 class Gain(NamedTuple):
     """The share of the squares of left-out rows that a finding removes, and its size in standard errors over the blocks.
 
-    The standard errors are those of the gains or of their signed ranks (Wilcoxon), whichever are more: a step in few
-    rows gives their blocks far more than all others. NaN with fewer than FEWEST_BLOCKS: one place says nothing about
-    others.
+    NaN with fewer than FEWEST_BLOCKS: one place says nothing about others.
     """
 
     share: float
@@ -52,9 +50,28 @@ def left_out(design: Design, block: Indices) -> Floats:
 
 def gain(before: Floats, after: Floats, block: Indices) -> Gain:
     """Return the gain of the residuals (m,) of left-out blocks after something was added to the fit."""
-    squares, less = (np.bincount(block, weights)[np.unique(block)] for weights in (before**2, before**2 - after**2))
+    squares, less = _by_block(before, after, block)
     if less.size < FEWEST_BLOCKS:
         return Gain(math.nan, math.nan)
-    ranks = np.sign(less) * stats.rankdata(np.abs(less))
-    t = max(float(each.mean() / max(each.std(ddof=1), 1e-12)) for each in (less, ranks))
-    return Gain(float(less.sum() / squares.sum()), t * math.sqrt(less.size))
+    error = float(less.std(ddof=1)) / math.sqrt(less.size)
+    return Gain(float(less.sum() / squares.sum()), float(less.mean() / max(error, 1e-12)))
+
+
+def chance(before: Floats, after: Floats, block: Indices) -> float:
+    """Return the probability that chance gives such a gain: the smaller one of two tests over the blocks, doubled.
+
+    Student's t suits gains of equal size. A step in few rows gives their blocks far more than all others, which
+    Wilcoxon's signed ranks do not mind. NaN with fewer than FEWEST_BLOCKS.
+    """
+    _, less = _by_block(before, after, block)
+    if less.size < FEWEST_BLOCKS:
+        return math.nan
+    by_t = special.stdtr(less.size - 1, -gain(before, after, block).t)
+    return float(2.0 * min(by_t, stats.wilcoxon(less, alternative="greater", method="exact").pvalue))
+
+
+def _by_block(before: Floats, after: Floats, block: Indices) -> tuple[Floats, Floats]:
+    """Return the sum of squares before of each block, and by how much it is less after."""
+    numbers = np.unique(block)
+    squares, later = (np.bincount(block, residual**2)[numbers].astype(float) for residual in (before, after))
+    return squares, squares - later

@@ -102,12 +102,12 @@ def with_joint_laws(
     Both are returned unchanged if nothing was requested, if ``auto`` has nothing to do, if the rows cannot determine
     laws, or if no law is worthwhile. ``Estimate.joint_laws`` records which; it is None in the first two cases.
     """
-    if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(estimate, table)):
+    if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(chain, estimate, table)):
         return chain, estimate
     gravity = gravity_of(table.select(estimate.fitted), request.gravity)
     payloads = tuple(dict.fromkeys(payloads_of(rig, table.select(estimate.fitted))))
     laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity, payloads)
-    why_none = _why_none(estimate, request.faults)
+    why_none = _why_none(chain, estimate)
     if why_none:
         laws = []
     work = _Work(chain, rig, table, estimate, request)
@@ -153,9 +153,10 @@ def with_joint_laws(
     return with_laws(chain, kept), replace(found, joint_laws=report)
 
 
-def _nothing_to_explain(estimate: Estimate, table: ObservationTable) -> bool:
+def _nothing_to_explain(chain: Chain, estimate: Estimate, table: ObservationTable) -> bool:
     """Return whether the declared noise explains the residuals, or the fit is unsuitable for adding laws.
 
+    A fault of a joint, such as an eccentric code wheel, is what laws describe.
     If observations of one kind have one unit, their sigmas may all be too large, which hides what laws would explain.
     If there are several, only some may be: the single factor learned from all of them would be too small for the
     others, and laws would follow their noise.
@@ -163,21 +164,28 @@ def _nothing_to_explain(estimate: Estimate, table: ObservationTable) -> bool:
     low, high = estimate.chi2_band
     of_one = np.unique(table.kind[estimate.fitted]).size == len(estimate.residual) == 1
     too_large = estimate.chi2_reduced < low and of_one
-    explained = (estimate.chi2_reduced <= high and not too_large) or estimate.without_bad_rows is not None
+    explained = estimate.chi2_reduced <= high and not (too_large or _joint_errs(chain, estimate))
+    explained = explained or estimate.without_bad_rows is not None
     return bool(explained or estimate.unusable or estimate.status != "converged" or not _takes_laws(estimate))
+
+
+def _joint_errs(chain: Chain, estimate: Estimate) -> bool:
+    """Return whether a fault that the rows show is most probably of a joint."""
+    joints = {joint.name for joint in chain.joints}
+    return any(fault.rivals[0].name.rpartition(".")[0] in joints for fault in estimate.faults)
 
 
 def _takes_laws(estimate: Estimate) -> bool:
     return SOLVERS[estimate.solver].has_loss and estimate.loss == Loss.LINEAR
 
 
-def _why_none(estimate: Estimate, faults: Sequence[Effect]) -> str:
+def _why_none(chain: Chain, estimate: Estimate) -> str:
     """Return why no laws are tried at all; "" if they are."""
     if not _takes_laws(estimate):
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
-    if faults and estimate.covariance_explains:
+    if estimate.faults and estimate.covariance_explains and not _joint_errs(chain, estimate):
         return ERRORS_EXPLAIN
     if estimate.without_bad_rows is not None:
         return "bad rows, named above, explain the residuals; correct them or leave them out first"

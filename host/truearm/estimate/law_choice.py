@@ -60,7 +60,9 @@ def supported(
     while laws:
         units = _units(laws)
         gain = [sum(found.nats[law] for law in unit) for unit in units]
-        gone = [law for unit, nats in zip(units, gain, strict=True) if nats < GATE for law in unit]
+        weak = sorted((i for i, nats in enumerate(gain) if nats < GATE), key=gain.__getitem__)
+        # Two laws of one error leave little evidence for each, so the strongest is judged without the others.
+        gone = [law for i in (weak[:-1] or weak) for law in units[i]]
         doubtful = [i for i, unit in enumerate(units) if gain[i] < EARNEST and unit not in sure and not gone]
         if doubtful:
             gone = list(units[min(doubtful, key=gain.__getitem__)])

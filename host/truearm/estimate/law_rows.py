@@ -17,7 +17,7 @@ from truearm.results import ResidualParts
 from truearm.types import Floats, Indices, Residuals
 from truearm.units import UNITS
 
-LEAST_SHARE = 1e-9  # of a pose's variance that must remain after fitting the unknowns
+LEAST_SHARE = 1e-9  # of a pose's variance that remains after fitting the unknowns: less is rounding
 
 
 class LawRows(NamedTuple):
@@ -51,8 +51,9 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = 
         cov, residual = poses.covariances(noise), poses.rows[..., -1]
         spread = spread_of(poses.rows, posterior)
         values, vectors = np.linalg.eigh(cov - spread if fitted else cov + spread)
-        values = np.maximum(values, LEAST_SHARE * cov[:, range(w), range(w)].max(axis=1, keepdims=True))
-        weighed = (vectors @ (vectors.swapaxes(1, 2) @ residual[..., None] / values[..., None]))[..., 0]
+        alone = values <= LEAST_SHARE * cov[:, range(w), range(w)].max(axis=1, keepdims=True)  # nothing contradicts it
+        inverse = np.where(alone, 0.0, 1.0 / np.where(alone, 1.0, values))
+        weighed = (vectors @ (vectors.swapaxes(1, 2) @ residual[..., None] * inverse[..., None]))[..., 0]
         root = noise_root(poses.declared)
         without = _in_units(root, poses.expanded((cov @ weighed[..., None])[..., 0]).reshape(-1, width))
         with_all = _in_units(root, poses.expanded(residual).reshape(-1, width))

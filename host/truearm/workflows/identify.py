@@ -278,6 +278,7 @@ def with_average(
     estimate: Estimate,
     examination: Examination | None,
     causes: Sequence[str] = (),
+    effects: tuple[Effect, ...] = (),
 ) -> Estimate:
     """Return the estimate with some causes of faults applied, and its error averaged over all that may be wrong.
 
@@ -294,17 +295,21 @@ def with_average(
     if not causes:
         return estimate
     estimate = replace(estimate, applied=tuple(causes), claim=replace(examination.claim, shift=shift))
-    return rejudged(chain, rig, table, estimate)
+    return rejudged(chain, rig, table, estimate, effects)
 
 
-def rejudged(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Estimate:
-    """Return the estimate with the errors of its held-out rows at its values; unchanged if none was held out."""
+def rejudged(
+    chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, effects: tuple[Effect, ...]
+) -> Estimate:
+    """Return the estimate, which has ``effects``, with the errors of its held-out rows at its values; unchanged if none is."""
     held = ~(estimate.fitted | estimate.left_out)
     if not held.any():
         return estimate
-    problem = build_problem(chain, rig, table.select(estimate.fitted))
+    modelled = modelled_of(chain, rig, table, effects)
+    fitted = [effect.select(estimate.fitted) for effect in modelled]
+    problem = build_problem(chain, rig, table.select(estimate.fitted), effects=fitted)
     x = problem.at(dict(zip(estimate.parameter_names, estimate.value, strict=True)))
-    held_out, error = judged(problem, x, rig, table, held, ())
+    held_out, error = judged(problem, x, rig, table, held, modelled)
     residual = {unit: of.copy() for unit, of in estimate.residual.items()}
     unfitted = {unit: of.copy() for unit, of in estimate.unfitted_error.items()}
     for unit, of in error.items():
@@ -396,7 +401,7 @@ def identified(
         return with_scale(chain, estimate)
 
     def with_laws(estimate: Estimate) -> tuple[Chain, Estimate]:
-        estimate = checked(examine_misfit(estimate))
+        estimate = checked(with_faults(estimate, examine_once(chain, estimate)))
         faults, _ = split_causes(chain, rig, fitted, rivals_of_laws(chain, estimate))
         request = LawRequest(LawMode(options.joint_laws), sigma, effects, faults, robot.gravity)
         with step("fitting joint laws"):
@@ -411,7 +416,7 @@ def identified(
     if not estimate.unusable:
         examination = examine_once(chain, estimate)
         estimate = with_faults(estimate, examination)
-        estimate = with_average(chain, rig, table, estimate, examination, causes)
+        estimate = with_average(chain, rig, table, estimate, examination, causes, effects)
     estimate = with_gain(table, estimate)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
