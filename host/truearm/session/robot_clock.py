@@ -11,7 +11,7 @@ The **bound** covers the rest: how far the estimate may be from the shortest lat
 link may hold up every packet for a minute without any sign. It is twice the mean height of the fastest packets of the
 minute around above the estimate. The very fastest of 60 such packets lies above the shortest latency by a fraction of
 that height: about a sixtieth if latencies near the shortest are as likely as elsewhere, a seventh if their density
-vanishes linearly there, a quarter if quadratically. A rate drift of 1 ppm per minute (DRIFT) is added.
+vanishes linearly there, a quarter if quadratically. With half as many, at the ends, it lies higher by √2 (linearly). A rate drift of 1 ppm per minute (DRIFT) is added.
 
 **Where a clock steps or is slewed**, the estimate follows the lowest arrivals and the others lie above it. The bound is
 therefore also at least 1.75 times the height that all packets of any eight consecutive seconds keep. This holds if every
@@ -23,6 +23,7 @@ If controller time runs backward, the controller restarted: another segment with
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,7 +40,7 @@ NODE_S = 10.0  # between the nodes of a clock: a drift of 1 ppm a minute bends i
 AROUND_S = 30.0  # before and after a node, for its bound
 RUN = 8  # seconds that contain a packet nearly as fast as possible
 TILTED = 1.75  # factor on a run's height: a change tilts the estimate
-LEAST_SECONDS = 16  # with fewer, the bound grows in proportion
+SECONDS = 2.0 * AROUND_S  # around a node: with fewer, their fastest packet lies higher
 ROUNDING_NS = 1000.0  # stamps are printed to the microsecond
 DRIFT = 1e-6 / 60.0  # 1/s: a rate changes by no more than 1 ppm a minute
 
@@ -207,7 +208,7 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
 
 def _bound(height: Floats, mean_height: Floats) -> float:
     """Return the bound [ns] from the heights of the fastest readings of some seconds, and of all of their readings."""
-    typical = float(np.mean(height)) * max(1.0, LEAST_SECONDS / height.size)
+    typical = float(np.mean(height)) * math.sqrt(max(1.0, SECONDS / height.size))
     if height.size < 3:
         typical = float(np.mean(mean_height))
     lasting = float(np.max(np.min(sliding_window_view(height, min(RUN, height.size)), axis=1)))
