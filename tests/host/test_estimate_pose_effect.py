@@ -63,7 +63,7 @@ def test_both_variances_are_found():
     """Of 60 worlds of 40 poses: unbiased, so the mean is within its own standard error of the truth."""
     rng = np.random.default_rng(0)
     found = [effect_of(tracked(rng, 40, 3.0 * NOISE, 2.0 * NOISE))[3].error for _ in range(60)]
-    variance, row = np.array([of.sigma**2 for of in found]) / NOISE**2, np.array([of.row for of in found])
+    variance, row = np.array([of.sigma**2 for of in found]) / NOISE**2, np.array([of.row_variance for of in found])
     assert variance.mean() == pytest.approx(9.0, abs=3.0 * variance.std() / np.sqrt(60))
     assert row.mean() == pytest.approx(4.0, abs=3.0 * row.std() / np.sqrt(60))
     assert all(of.n == 40 for of in found)
