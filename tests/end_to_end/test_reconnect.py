@@ -145,7 +145,9 @@ def test_cable_and_network(tmp_path, monkeypatch):
         assert n0[0] == 0
         assert np.array_equal(n0[1:], n0[:-1] + n[:-1])
     stream = joints.finish()
-    assert back["robot-back"]["lost"] == stream.lost > 0
+    assert (
+        back["robot-back"]["lost"] == stream.lost
+    )  # none if the link is back before the first reading of the new life
     assert stream.lost <= 50 * (back["robot-back"]["away_s"] + 0.1)  # 50 readings a second
     assert stream.restarts == 1
 
