@@ -121,11 +121,11 @@ def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimat
     """Return the mean square (n,) [m²] of the arm's own scatter at the measured points, where it was learned; 0 elsewhere.
 
     It is the error that the poses do not share: of each joint, and of a motion of the last link. With laws, the split of
-    the noise into sensor and arm is believed only if the declared noise does not explain the residuals. Faults that were
-    found pass for scatter, and are stated for themselves.
+    the noise into sensor and arm is believed only if the declared noise does not explain the residuals. Faults that
+    explain the residuals pass for scatter, and are stated for themselves.
     """
     shared, turned, joints, laws = 0.0, 0.0, np.zeros(len(chain.joints)), estimate.joint_laws
-    if estimate.faults:
+    if estimate.covariance_explains:
         return np.zeros(len(table))
     if laws is not None and laws.kept and estimate.chi2_reduced > estimate.chi2_band[1]:
         shared, turned = laws.noise_shared, laws.noise_turned
