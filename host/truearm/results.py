@@ -396,9 +396,8 @@ class OtherFit(NamedTuple):
     value: Floats  # (p,) of all parameters
     rms_after: Mapping[str, float]  # by SI unit
     chi2_reduced: float
-    tool_moves: Annotated[float, MM] = (
-        math.nan
-    )  # m, RMS distance of the end from where the estimate has it, over the fitted poses
+    # m, RMS distance of the end from where the estimate has it, over the fitted poses
+    tool_moves: Annotated[float, MM] = math.nan
 
 
 class Period(NamedTuple):
@@ -465,8 +464,9 @@ class JointLaws:
 class PredictedError(NamedTuple):
     """Predicted error of the measured point on the end, over the measured poses: by the parameters' covariance and ``scatter``.
 
-    ``scatter`` is that of the arm itself, learned from the rows; 0 if it was not. If ``relative``, it excludes the part that moves all poses as one rigid body, which observations in sockets or by a
-    device of unknown pose cannot determine.
+    ``scatter`` is that of the arm itself, learned from the rows; 0 if it was not. If ``relative``, the error excludes the
+    part that moves all poses as one rigid body, which observations in sockets or by a device of unknown pose cannot
+    determine.
     """
 
     rms: float  # m, over the poses

@@ -36,7 +36,7 @@ GATE = 6.0  # nats
 EARNEST = 25.0  # nats
 ABSENT = 0.05  # nats: without such a law, variances and noise are those that were learned with it
 HALVINGS = 3  # of the joint space: 8 regions
-LEAST_POSES = 4  # in a region
+LEAST_OF_REGION = 4  # poses
 PRIVATE = 1e-9  # of its information, all that other regions have of an unknown
 
 Unit = tuple[Law, ...]  # stands or falls as a whole
@@ -99,7 +99,7 @@ def regions(table: ObservationTable, pose: Indices) -> Indices:
     for _ in range(HALVINGS):
         for part in np.unique(region):
             mine = np.flatnonzero(region == part)
-            if mine.size >= 2 * LEAST_POSES:
+            if mine.size >= 2 * LEAST_OF_REGION:
                 joint = int(np.argmax(np.std(q[mine], axis=0)))
                 order = mine[np.argsort(q[mine, joint], kind="stable")]
                 region[order[order.size // 2 :]] = region.max() + 1

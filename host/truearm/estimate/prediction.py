@@ -127,7 +127,7 @@ def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimat
     shared, turned, joints, laws = 0.0, 0.0, np.zeros(len(chain.joints)), estimate.joint_laws
     if estimate.covariance_explains:
         return np.zeros(len(table))
-    if laws is not None and laws.kept and estimate.chi2_reduced > estimate.chi2_band[1]:
+    if laws is not None and laws.kept:
         shared, turned = laws.noise_shared, laws.noise_turned
         joints = np.array([laws.noise_joint.get(joint.name, 0.0) for joint in chain.joints])
     elif estimate.pose_error is not None:
