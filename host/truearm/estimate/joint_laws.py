@@ -44,6 +44,7 @@ from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import with_laws
 from truearm.results import (
+    Diagnosis,
     Effect,
     Estimate,
     HeldOut,
@@ -169,10 +170,13 @@ def _nothing_to_explain(chain: Chain, estimate: Estimate, table: ObservationTabl
     return bool(explained or estimate.unusable or estimate.status != "converged" or not _takes_laws(estimate))
 
 
+def is_of_joint(chain: Chain, fault: Diagnosis) -> bool:
+    """Return whether a fault is most probably one of a joint, which laws describe."""
+    return fault.rivals[0].name.rpartition(".")[0] in {joint.name for joint in chain.joints}
+
+
 def _joint_errs(chain: Chain, estimate: Estimate) -> bool:
-    """Return whether a fault that the rows show is most probably of a joint."""
-    joints = {joint.name for joint in chain.joints}
-    return any(fault.rivals[0].name.rpartition(".")[0] in joints for fault in estimate.faults)
+    return any(is_of_joint(chain, fault) for fault in estimate.faults)
 
 
 def _takes_laws(estimate: Estimate) -> bool:

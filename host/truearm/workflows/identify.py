@@ -19,7 +19,7 @@ from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.gain import with_gain
 from truearm.estimate.identify import SolverOptions, judged, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
-from truearm.estimate.joint_laws import LawRequest, with_joint_laws
+from truearm.estimate.joint_laws import LawRequest, is_of_joint, with_joint_laws
 from truearm.estimate.law_outliers import fitted_without_outliers
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
@@ -237,9 +237,8 @@ def rivals_of_laws(chain: Chain, estimate: Estimate) -> tuple[str, ...]:
     In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows. In any order a
     chuck that slipped or is elsewhere can be followed by curves to some extent.
     """
-    joints = {joint.name for joint in chain.joints}
-    causes = [fault.rivals[0] for fault in estimate.faults]
-    return tuple(cause.apply for cause in causes if cause.apply and cause.name.rpartition(".")[0] not in joints)
+    causes = [fault.rivals[0] for fault in estimate.faults if not is_of_joint(chain, fault)]
+    return tuple(cause.apply for cause in causes if cause.apply)
 
 
 def examine(
