@@ -10,6 +10,7 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from tests.host.findings_bench import listed
 from tests.refusals import ended
 
+import truearm
 from truearm.correct.inverse import inverse
 from truearm.estimate.identify import identify
 from truearm.files.observation_table import read_table, write_table
@@ -131,13 +132,15 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
     )
 
 
-def test_ill_conditioned_tables_are_refused(result, tmp_path, run):
-    for form in ("dh", "mdh"):
-        code, _, err = run("export", result, "--format", form, "--out", tmp_path / "t.toml")
-        assert code == 2
-        assert "from parallel:" in err
-        assert err.count("\n") == 1
-        assert not (tmp_path / "t.toml").exists()
+@pytest.mark.parametrize("form", ["dh", "mdh"])
+def test_rows_of_an_arm_with_parallel_axes_hold_everything(result, tmp_path, run, form):
+    out = tmp_path / "rows.toml"
+    assert run("export", result, "--format", form, "--out", out, "--json")[0] == 0
+    calibration, again = truearm.read_result(result), load_robot(str(out)).chain
+    q = np.random.default_rng(3).uniform(-2.0, 2.0, (50, 6))
+    np.testing.assert_allclose(
+        forward(again, again.params_nominal, q), forward(calibration.chain, calibration.identified, q), atol=1e-9
+    )
 
 
 BOMB = '<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>'

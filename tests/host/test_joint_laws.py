@@ -13,7 +13,7 @@ from truearm.cli.map_text import map_findings
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
-from truearm.errors import InputError, ProblemError, RobotError
+from truearm.errors import InputError, ProblemError
 from truearm.estimate import joint_laws
 from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, coefficients, learned, seen_by, weigh
 from truearm.estimate.frame_choice import mounting
@@ -693,7 +693,7 @@ def test_no_coefficient_of_a_law_passes_for_how_base_or_tool_are_mounted():
     assert not whole[plain.size :].any()
 
 
-@pytest.mark.parametrize("form", ["urdf", "ur", "sheth-uicker"])
+@pytest.mark.parametrize("form", ["urdf", "ur", "sheth-uicker", "dh"])
 def test_exporters_say_which_laws_a_format_lacks_and_what_that_costs(learned_arm, form):
     found, _ = learned_arm
     over = found.table.q[found.estimate.fitted]
@@ -703,18 +703,6 @@ def test_exporters_say_which_laws_a_format_lacks_and_what_that_costs(learned_arm
     assert told.fitted.dropped.mean() > told.fitted.left.mean() > 1e-4  # curves of 0.4 mrad at a metre, and sag
     assert "joint1.curve" in str(told)
     assert "curve.3" not in str(told)
-
-
-@pytest.mark.parametrize("form", ["dh", "mdh"])
-def test_a_format_that_refuses_the_robot_says_what_the_laws_would_cost(learned_arm, form):
-    """Joints 2 and 3 of a UR10 are nearly parallel, which these rows cannot hold; nor can they hold laws."""
-    found, _ = learned_arm
-    cost = exported(found, "dh-hayati").rms
-    with pytest.raises(RobotError, match="from parallel") as caught:
-        exported(found, form)
-    laws = str(caught.value).partition("no place for ")[2]
-    assert all(law in laws for law in ("joint2.sag", "joint3.sag", "joint1.curve"))
-    assert f"{1e3 * cost:.3f} mm RMS" in str(caught.value)
 
 
 def test_a_file_is_refitted_where_the_curves_are_known(gap_arm, monkeypatch):

@@ -5,9 +5,11 @@ common normal from axis i, with x along that normal. Frame n lies on the last ax
 The remaining transforms at both ends go into base and tool. The direction of x follows the nominal robot, where it is
 chosen to make θ smallest, as manufacturers do.
 
-Nearly parallel axes have no well-defined normal: with an angle of δ between them, an error e moves its foot by e/δ.
-Such a table is meaningless to a reader and loses digits. It is rejected, or written with Hayati's β and d = 0
-(``model.dh``). Exactly parallel axes have d = 0.
+Nearly parallel axes have a distant normal: with an angle of δ and a distance of e between them, its foot is e/δ away,
+hundreds of metres for an arm as built. Such offsets d of successive rows cancel. Each row therefore begins at the frame
+that the rows before it give in floating-point numbers, and the rows predict the arm to 1e-15 of the largest d. With
+``hayati``, rows whose nominal axes are nearly parallel have Hayati's β and d = 0 instead (``model.dh``). Exactly
+parallel axes have d = 0.
 """
 
 from __future__ import annotations
@@ -17,14 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import RobotError
 from truearm.export.link_frames import LinkFrames
 from truearm.model.poses import inverted
+from truearm.model.transforms import elementary
 from truearm.types import Floats
-from truearm.units import DEG
 
-PARALLEL = 1e-9  # sine of the angle below which axes are parallel
-NEARLY = math.sin(math.radians(1.0))  # one millimetre then becomes 57 mm of d
+PARALLEL = 1e-8  # sine of the angle below which axes are parallel: d is at most 1e8 m
+NEARLY = math.sin(math.radians(1.0))  # of nominal axes that have β: one millimetre would become 57 mm of d
 
 
 class DhRows(NamedTuple):
@@ -40,13 +41,13 @@ class DhRows(NamedTuple):
 
 
 def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhRows:
-    """Return the rows of a robot. ``hayati``: with β where axes are nearly parallel; otherwise RobotError is raised."""
-    ways = _ways(nominal)
+    """Return the rows of a robot. ``hayati``: with β where the nominal axes are nearly parallel."""
+    ways, parallel = _ways(nominal)
     axes = _axes(robot)
     base = _frame_on(axes[0], np.eye(4))
     frame, rows = base, []
     for i in range(len(robot.joints) - 1):
-        row, frame = _row(i, frame, axes[i + 1], ways[i], hayati)
+        row, frame = _row(frame, axes[i + 1], ways[i], hayati and parallel[i])
         rows.append(row)
     end = _end(robot)
     last = _frame_on(frame, end)
@@ -56,18 +57,19 @@ def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhR
     return DhRows(theta, d, a, alpha, beta, base, inverted(last) @ end)
 
 
-def _ways(nominal: LinkFrames) -> list[Floats]:
-    """Return the nominal x axes of frames 1 to n − 1, in the direction with the smallest θ."""
+def _ways(nominal: LinkFrames) -> tuple[list[Floats], list[bool]]:
+    """Return the nominal x axes of frames 1 to n − 1 with the smallest θ, and whether axes are nearly parallel there."""
     axes = _axes(nominal)
-    frame, ways = _frame_on(axes[0], np.eye(4)), []
-    for i in range(len(nominal.joints) - 1):
-        ways.append(_normal(frame, axes[i + 1])[1])
-        theta = _angle_about(frame, ways[i])
+    frame, ways, parallel = _frame_on(axes[0], np.eye(4)), [], []
+    for axis in axes[1:]:
+        _, x, sine = _normal(frame, axis)
+        parallel.append(sine < NEARLY)
+        x = _toward(frame, axis)[1] if parallel[-1] else x
+        theta = _angle_about(frame, x)
         # A quarter turn either way is equally small: then choose a positive a.
-        if abs(theta) > 0.5 * math.pi + 1e-6:
-            ways[i] = -ways[i]
-        frame = _row(i, frame, axes[i + 1], ways[i], hayati=True)[1]
-    return ways
+        ways.append(-x if abs(theta) > 0.5 * math.pi + 1e-6 else x)
+        frame = _row(frame, axis, ways[-1], parallel[-1])[1]
+    return ways, parallel
 
 
 def _axes(robot: LinkFrames) -> list[Floats]:
@@ -109,35 +111,35 @@ def _normal(frame: Floats, axis: Floats) -> tuple[Floats, Floats, float]:
     sine = float(np.linalg.norm(across))
     between = axis[:3, 3] - frame[:3, 3]
     if sine < PARALLEL:
-        way = between - z * (z @ between)
-        far = float(np.linalg.norm(way))
-        return frame[:3, 3], way / far if far > 1e-9 else frame[:3, 0], sine
+        return frame[:3, 3], _toward(frame, axis)[1], sine
     way = across / sine
     foot = frame[:3, 3] + z * (np.cross(between, z_next) @ across / sine**2)
     return foot, way if way @ between >= -1e-9 else -way, sine
 
 
-def _row(i: int, frame: Floats, axis: Floats, way: Floats, hayati: bool) -> tuple[tuple[float, ...], Floats]:
-    """Return θ, d, a, α, β of joint i, and the frame after it, whose x axis points in the nominal direction."""
-    foot, x, sine = _normal(frame, axis)
+def _toward(frame: Floats, axis: Floats) -> tuple[float, Floats]:
+    """Return distance and direction to the point where a nearly parallel axis meets the plane across the frame's z axis."""
     z, z_next = frame[:3, 2], axis[:3, 2]
-    near = PARALLEL <= sine < NEARLY
-    if near and not hayati:
-        d = float(z @ (foot - frame[:3, 3]))
-        raise RobotError(
-            f"the axes of joints {i + 1} and {i + 2} are {DEG.of(math.asin(sine)):.4f}° from parallel: the offset d between them would be "
-            f"{d:.3f} m, which has no meaning; use dh-hayati or another format"
-        )
-    if near:
-        return _hayati_row(frame, axis, way)
-    x = x if x @ way >= 0.0 else -x
-    d = float(z @ (foot - frame[:3, 3]))
-    to_axis = axis[:3, 3] - foot
-    along = 0.0 if sine < PARALLEL else _foot_along(to_axis, z, z_next)
-    origin = axis[:3, 3] + (along * z_next if sine >= PARALLEL else -z_next * (z_next @ to_axis))
-    a = float(x @ (origin - foot))
-    alpha = math.atan2(float(x @ np.cross(z, z_next)), float(z @ z_next))
-    return (_angle_about(frame, x), d, a, alpha, math.nan), _frame(origin, x, z_next)
+    way = axis[:3, 3] + z_next * (z @ (frame[:3, 3] - axis[:3, 3])) / (z @ z_next) - frame[:3, 3]
+    distance = float(np.linalg.norm(way))
+    return distance, way / distance if distance > 1e-6 else frame[:3, 0]
+
+
+def _row(frame: Floats, axis: Floats, way: Floats, with_beta: bool) -> tuple[tuple[float, ...], Floats]:
+    """Return θ, d, a, α, β of a joint, and the frame after it, whose x axis points in the nominal direction."""
+    if with_beta:
+        row = _hayati_row(frame, axis, way)
+    else:
+        foot, x, sine = _normal(frame, axis)
+        x = x if x @ way >= 0.0 else -x
+        z, z_next = frame[:3, 2], axis[:3, 2]
+        to_axis = axis[:3, 3] - foot
+        end = axis[:3, 3] + z_next * (-(z_next @ to_axis) if sine < PARALLEL else _foot_along(to_axis, z, z_next))
+        alpha = math.atan2(float(x @ np.cross(z, z_next)), float(z @ z_next))
+        row = _angle_about(frame, x), float(z @ (foot - frame[:3, 3])), float(x @ (end - foot)), alpha, math.nan
+    for motion, amount in zip(("rz", "tz", "tx", "rx", "ry"), row, strict=True):
+        frame = frame if math.isnan(amount) else frame @ elementary(motion, amount)
+    return row, frame
 
 
 def _foot_along(to_axis: Floats, z: Floats, z_next: Floats) -> float:
@@ -146,19 +148,15 @@ def _foot_along(to_axis: Floats, z: Floats, z_next: Floats) -> float:
     return float(np.cross(to_axis, z) @ across / (across @ across))
 
 
-def _hayati_row(frame: Floats, axis: Floats, way: Floats) -> tuple[tuple[float, ...], Floats]:
+def _hayati_row(frame: Floats, axis: Floats, way: Floats) -> tuple[float, ...]:
     """Return a row with d = 0: the next axis meets the plane across this one, and x points from here to that point."""
     z, z_next = frame[:3, 2], axis[:3, 2]
-    origin = axis[:3, 3] + z_next * (z @ (frame[:3, 3] - axis[:3, 3])) / (z @ z_next)
-    x = origin - frame[:3, 3]
-    far = float(np.linalg.norm(x))
-    x = x / far if far > 1e-6 else frame[:3, 0]
+    far, x = _toward(frame, axis)
     x, far = (x, far) if x @ way >= 0.0 else (-x, -far)
     y = np.cross(z, x)
     beta = math.asin(float(np.clip(x @ z_next, -1.0, 1.0)))
     alpha = math.atan2(-float(y @ z_next), float(z @ z_next))
-    x_next = math.cos(beta) * x + math.sin(beta) * (math.sin(alpha) * y - math.cos(alpha) * z)
-    return (_angle_about(frame, x), 0.0, far, alpha, beta), _frame(origin, x_next, z_next)
+    return _angle_about(frame, x), 0.0, far, alpha, beta
 
 
 def _angle_about(frame: Floats, x: Floats) -> float:

@@ -32,7 +32,7 @@ def write_sheth_uicker(what: RobotToWrite) -> str:
 
 
 def write_dh(what: RobotToWrite) -> str:
-    """Return a robot file of distal rows. Raises RobotError for nearly parallel axes."""
+    """Return a robot file of distal rows."""
     return dh_table(what.robot, what.described, comment=what.comment)
 
 
@@ -42,7 +42,7 @@ def write_dh_hayati(what: RobotToWrite) -> str:
 
 
 def write_mdh(what: RobotToWrite) -> str:
-    """Return a robot file of Craig's rows. Raises RobotError for nearly parallel axes."""
+    """Return a robot file of Craig's rows."""
     return modified_dh_table(what.robot, what.described, what.comment)
 
 
@@ -58,7 +58,7 @@ def sheth_uicker_table(robot: LinkFrames, comment: str = "") -> str:
 
 
 def dh_table(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False, comment: str = "") -> str:
-    """Return distal rows, with β if ``hayati`` and needed. Raises RobotError for a robot that rows describe poorly."""
+    """Return distal rows, with β if ``hayati`` and needed. Raises RobotError for prismatic joints."""
     rows = _rows(robot, nominal, hayati)
 
     def constants(i: int) -> list[str]:

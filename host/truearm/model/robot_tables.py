@@ -27,6 +27,7 @@ MAX_JOINTS = 64
 MAX_TRANSFORMS = 1000
 MAX_NAME = 100  # characters
 LARGEST = {"rad": 1e4, "1": 1e6}  # larger than for any arm; for other units, see UNITS
+LARGEST_D = 1e9  # m, of a row between nearly parallel axes, where d of the rows cancel (export.dh)
 KIND = Choice(("revolute", "prismatic"))
 MOTION = Choice(tuple(MOTIONS))
 NAME = Text(
@@ -83,13 +84,13 @@ class AmountValue(ReadOnly):
         return values, held
 
 
-def robot_number(unit: str) -> Number:
-    """Return the schema of a number of a robot file, in an SI unit."""
-    return Number(unit, most=LARGEST.get(unit), spelled=tuple(suffixes(unit, ("m", "cm", "mm", "rad", "deg"))))
+def robot_number(unit: str, most: float | None = None) -> Number:
+    """Return the schema of a number of a robot file, in an SI unit; ``most`` replaces the unit's usual limit."""
+    return Number(unit, most=most or LARGEST.get(unit), spelled=tuple(suffixes(unit, ("m", "cm", "mm", "rad", "deg"))))
 
 
 def _amount(name: str, unit: str, *, optional: bool = False) -> Key:
-    return Key(name, AmountValue(robot_number(unit)), optional)
+    return Key(name, AmountValue(robot_number(unit, LARGEST_D if name == "d" else None)), optional)
 
 
 def _moving_keys(kind: str) -> tuple[Key, ...]:
