@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs pictures notebooks device-check pytest collect soak bench benchmark micropython wire uf2 release chip hardware hardware-check micropython-if-possible browser-if-possible kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint docs pictures notebooks device-check pytest collect soak bench benchmark micropython view3d wire uf2 release chip hardware hardware-check micropython-if-possible browser-if-possible kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-22s %s\n", $$1, $$2}'
@@ -83,6 +83,9 @@ build/bench-venv/installed: $(wildcard bench/peers/*.txt)
 
 micropython: .venv/python ## a MicroPython for the simulated box (found, else downloaded; nothing is installed)
 	@PYTHONPATH=hil_sim $(BIN)/python -m truearm_sim.micropython --get
+
+view3d: ## the 3-D view of the pages, host/truearm/report/view3d/bundle.js (needs Node and npm; users and tests need neither)
+	@host/truearm/report/view3d/build.sh $(CURDIR)/build/view3d
 
 wire: .venv/installed ## layout and golden vectors of the wire, from protocol/frames.cddl
 	@$(BIN)/python protocol/make_layout.py

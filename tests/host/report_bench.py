@@ -15,6 +15,7 @@ from truearm.kinds.registry import NAMES, kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.calibration_page import CalibrationPage
 from truearm.report.certificate import MOST, Certificate, Recording, facts_of, more, sensor_facts
+from truearm.report.scene_view import Points, Scene
 from truearm.results import Estimate, Figures, HeldOut, NullDirection, Observability, PredictedError
 from truearm.workflows.certificates import ALWAYS_EXCLUDED
 
@@ -267,6 +268,33 @@ CERTIFICATE = Certificate(
     ),
     (*ALWAYS_EXCLUDED, *(f"Sentence {i} about what the errors do not include, with its reason." for i in range(3))),
 )
+
+
+def view(n=30):
+    """Return a 3-D view of two joints, with a value missing."""
+    rng = np.random.default_rng(0)
+    gap = 1e-3 * rng.standard_normal((n, 3))
+    value = np.where(np.arange(n) == 3, np.nan, np.linalg.norm(gap, axis=1))
+    points = Points(
+        "measured poses",
+        rng.uniform(0.2, 0.8, (n, 3)),
+        rng.uniform(-1.0, 1.0, (n, 2)),
+        ["a long name " * 6] * n,
+        {"residual after": value, "error before": 10.0 * value},
+        {"error before": 10.0 * gap, "residual after": np.where(np.isnan(value)[:, None], np.nan, gap)},
+        [0] * n,
+    )
+    joints = np.array([[1, 0, 0, 0.3, 0, 0, 1], [0, 0.3, 0, 0.3, 0, 1, 0]])
+    links = np.array([[0, 0, 0, 0, 0, 0, 0.3, 0.06], [1, 0, 0, 0.3, 0.3, 0, 0.3, 0.05]])
+    return Scene(
+        "two joints",
+        "Error before: the nominal robot's. " * 4,
+        joints,
+        links,
+        links[1:],
+        {"chuck.c1": np.ones(3)},
+        (points,),
+    )
 
 
 def full_page():

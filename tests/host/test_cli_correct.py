@@ -197,6 +197,10 @@ def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
         assert printed == pytest.approx(errors[: len(printed)], abs=6e-5)
         written = [float(row["before_mm"]) for row in csv.DictReader((tmp_path / "o.csv").open())]
         assert written == pytest.approx(errors, abs=1e-5)
+        scene = json.loads(re.search(r'id="scene">(.*?)</script>', (tmp_path / "r.html").read_text())[1])
+        vectors = np.array(scene["clouds"][0]["vectors"][0]["mm"])
+        # the error at the corrected joints, not at the nominal ones
+        assert np.linalg.norm(vectors, axis=1) == pytest.approx(errors, rel=0.05)
         rms = np.sqrt(np.mean(np.square(errors)))
         tile = re.search(r"error without correction, RMS</p>.*?>([\d.]+)<", (tmp_path / "r.html").read_text())
         assert float(tile[1]) == pytest.approx(rms, abs=0.05)  # three digits

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
@@ -42,7 +43,8 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     """(31) at the joints of every row, the end in its cell, in the plane, elbow up."""
     out, picture = tmp_path / "map.csv", tmp_path / "map.svg"
     section = ["map", result, "--at", "0,0,0,0,0,0", "--cell-mm", 40, "--task", "300x200"]
-    code, said, err = run(*section, "--out", out, "--picture-out", picture)
+    page = tmp_path / "map.html"
+    code, said, err = run(*section, "--out", out, "--picture-out", picture, "--report", page)
     assert code == 0, err
     rows = list(csv.DictReader(out.open()))
     assert len(rows) > 300
@@ -63,6 +65,10 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     root = ElementTree.fromstring(picture.read_text())
     squares = [e for e in root.iter("{http://www.w3.org/2000/svg}rect") if e.get("style")]
     assert len(squares) == len(rows) + 60  # and the scale
+    (cloud,) = json.loads(re.search(r'id="scene">(.*?)</script>', page.read_text())[1])["clouds"]
+    assert len(cloud["points"]) == min(len(rows), 4000)
+    lengths = np.linalg.norm(cloud["vectors"][0]["mm"], axis=1)
+    np.testing.assert_allclose(lengths, error, atol=1e-3)
     assert "Best place for" in said
     code, said, err = run(*section, "--json")
     assert code == 0, err

@@ -2,11 +2,12 @@
 
 import html
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, printed
-from report_bench import CERTIFICATE, full_page, make_page
+from report_bench import CERTIFICATE, full_page, make_page, view
 
 from truearm.findings import Finding, entries
 from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page, validation_page
@@ -125,7 +126,7 @@ def pages(tmp_path_factory):
     """By name, the file of each kind of page."""
     folder = tmp_path_factory.mktemp("pages")
     made = {
-        "report.html": calibration_page.render(full_page()),
+        "report.html": calibration_page.render(replace(full_page(), scene=view())),
         "unusable.html": unusable(),
         "gauge.html": gauge(),
         "validation.html": validation(),

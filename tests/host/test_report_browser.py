@@ -70,8 +70,7 @@ UNITLESS = {
 
 
 @needs_browser
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)], ids=["light", "dark"])
 def test_in_a_browser(tmp_path, width, dark):
     page = full_page()
     seen = look(page, tmp_path, width, dark)

@@ -49,6 +49,8 @@ def map_(
         File to write: the cells as a table (.csv).
     picture_out : FILE
         Write the map as a picture (.svg).
+    report : FILE
+        Write a report (.html): the errors, the picture, and the arm with the cells in 3-D.
     vary : I,J
         The two joints that span the section; their axes must be parallel.
     at : Q1,Q2,...
@@ -58,18 +60,18 @@ def map_(
         Size of a cell.
     task : WxH
         Find the best place for a task of this size [mm].
-    within : U0:U1,V0:V1
-        Range of the search for --task, along the section's axes [mm]. Default: the whole section.
 
     Expert options
     --------------
     elbow
         Configuration of the elbow. Default: as measured.
+    within : U0:U1,V0:V1
+        Range of the search for --task, along the section's axes [mm]. Default: the whole section.
     """
     from truearm.cli.findings_text import show
     from truearm.cli.map_text import map_findings
     from truearm.workflows.calibration import read_usable
-    from truearm.workflows.map import MapTask, Section, axis, map_files
+    from truearm.workflows.map import MapTask, Section, axis, map_files, write_map_page
 
     if task is None and within is not None:
         raise InputError("needs-option", place="--within", needed="--task WxH")
@@ -79,8 +81,10 @@ def map_(
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, None if elbow is None else elbow is Elbow.up, MM.to_si(cell_mm), own_frames)
     found = map_files(calibration, files, section, wanted)
-    written = [path for path in (files.out, files.picture_out) if path is not None]
     findings = map_findings(found, section.cell, task, calibration.simulated)
+    if files.report is not None:
+        write_map_page(files.report, findings, found, calibration, own_frames)
+    written = [path for path in (files.out, files.picture_out, files.report) if path is not None]
     if json:
         spans = {} if found.region is None else {"u_mm": found.region.u, "v_mm": found.region.v}
         region = {name: [MM.of(end) for end in span] for name, span in spans.items()} or None

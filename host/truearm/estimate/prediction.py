@@ -139,21 +139,26 @@ def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimat
 
 
 def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
-    """Return the distances (n,) [m] of the nominal robot's measured points from those of the identified robot, over their poses.
+    """Return the distances (n,) [m] of the nominal robot's measured points from those of the identified robot, over their poses."""
+    few = table.select(thinned(len(table), MOST_POSES))
+    return np.asarray(np.linalg.norm(nominal_gap(chain, rig, few, estimate), axis=1))
+
+
+def nominal_gap(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
+    """Return the vectors (n, 3) [m], in the base frame, from the nominal robot's measured points to those of the identified robot.
 
     The nominal robot's base is placed by all points, and its point on the end too: how they are mounted does not count.
     """
-    few = table.select(thinned(len(table), MOST_POSES))
     params = estimate.value[: estimate.n_robot_parameters]
-    places, _ = measured_points(rig, few, estimate)
-    points, nominal = (point_forward(chain, p, few.q, places) for p in (params, estimate.nominal[: len(params)]))
+    places, _ = measured_points(rig, table, estimate)
+    points, nominal = (point_forward(chain, p, table.q, places) for p in (params, estimate.nominal[: len(params)]))
     turned = (nominal - nominal.mean(axis=0)) @ nearest_rotation(
         (points - points.mean(axis=0)).T @ (nominal - nominal.mean(axis=0)), np.eye(3)
     ).T
     gap = (points - points.mean(axis=0) - turned).ravel()
-    mounting = np.concatenate([body_motion(points), forward(chain, params, few.q)[:, :3, :3].reshape(-1, 3)], axis=1)
+    mounting = np.concatenate([body_motion(points), forward(chain, params, table.q)[:, :3, :3].reshape(-1, 3)], axis=1)
     gap -= mounting @ np.linalg.lstsq(mounting, gap, rcond=None)[0]
-    return np.asarray(np.linalg.norm(gap.reshape(-1, 3), axis=1))
+    return np.asarray(gap.reshape(-1, 3))
 
 
 class EndSigmas(NamedTuple):

@@ -33,6 +33,7 @@ from truearm.report.page_tables import fact_list, parameter_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
 from truearm.report.result_words import before_words
+from truearm.report.scene_view import Scene, script, view_section
 from truearm.results import Estimate, PredictedError
 from truearm.text import counted
 from truearm.types import Floats
@@ -64,6 +65,7 @@ class CalibrationPage:
     curves: tuple[SampledCurve, ...] = ()
     certificate: Certificate | None = None  # shown on page one
     findings: tuple[Finding, ...] = ()  # the verdict first
+    scene: Scene | None = None
 
     def __post_init__(self) -> None:
         n = len(self.table)
@@ -78,6 +80,7 @@ def render(page: CalibrationPage) -> str:
     sections = (
         certificate_section(page.certificate) if page.certificate else "",
         _verdict(page),
+        view_section(page.scene),
         _notes(page),
         _pictures(page),
         _parameters(page.estimate),
@@ -86,9 +89,9 @@ def render(page: CalibrationPage) -> str:
         section("The recording", fact_list(page.facts)) if page.facts else "",
         _making(page),
     )
-    if page.table.simulated:
-        return html_page("truearm", f"{page.title} (simulated)", page.subtitle, sections, watermark="simulated")
-    return html_page("truearm", page.title, page.subtitle, sections)
+    simulated = page.table.simulated
+    title, watermark = page.title + " (simulated)" * simulated, "simulated" * simulated
+    return html_page("truearm", title, page.subtitle, sections, watermark, script(page.scene))
 
 
 def _verdict(page: CalibrationPage) -> str:

@@ -1,8 +1,7 @@
 """The HTML report of a correction: the shifts, the expected remaining error, and what to check before running the
 program.
 
-It shows the document of the correction (docs/reference/target-format.md). Like the other pages it is a single file
-without a script.
+It shows the document of the correction (docs/reference/target-format.md), and the targets in a 3-D view.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from truearm.report.figures import Figure, drawn
 from truearm.report.page_parts import finding_parts, html_page, picture, pictures, section, table_of, tiles
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import ABSENT, escape, figures, number
+from truearm.report.scene_view import Scene, script, view_section
 from truearm.text import counted, one_line
 from truearm.types import Floats, rms, thinned
 from truearm.units import MM
@@ -33,7 +33,7 @@ _MOVES = ("to", "from", "deviation [mm]", "nearest joint limit", "singular value
 _EXPECTED = "by the parameters' covariance and by what the calibration leaves unexplained"
 
 
-def render(document: Document) -> str:
+def render(document: Document, scene: Scene | None = None) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
     refused = [
         (f"{move['file']}:{move['line']}", move["statement"], Reason(move["reason"], move["values"]).text(option))
@@ -41,6 +41,7 @@ def render(document: Document) -> str:
     ]
     sections = [
         _summary(document),
+        view_section(scene),
         section("Not corrected", _rows(_REFUSED, refused, "statements not corrected")) if refused else "",
         section("Shifts", pictures(map(picture, _pictures(document)))),
         section("Targets", _targets(document)),
@@ -49,7 +50,7 @@ def render(document: Document) -> str:
     ]
     simulated = any(finding["code"] == "simulated" for finding in document["findings"])
     title, subtitle = f"{one_line(document['file'])} corrected", f"written to {one_line(document['out'])}"
-    return html_page("truearm correct", title, subtitle, sections, watermark="simulated" * simulated)
+    return html_page("truearm correct", title, subtitle, sections, "simulated" * simulated, script(scene))
 
 
 def _facts(document: Document) -> tuple[tuple[str, str], ...]:

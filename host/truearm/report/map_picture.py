@@ -42,8 +42,12 @@ def map_picture(
     title: str,
     task_mm: tuple[float, float, float, float] | None = None,
     labels: Sequence[str] = ("u [mm]", "v [mm]"),
+    styled: bool = True,
 ) -> str:
-    """Return the SVG file of errors, pale outside the fitted readings; ``task_mm`` is a rectangle u0, u1, v0, v1."""
+    """Return the SVG of errors, pale outside the fitted readings; ``task_mm`` is a rectangle u0, u1, v0, v1.
+
+    ``styled``: a file of its own, otherwise a part of a page.
+    """
     u_mm, v_mm, error_mm, sigma_mm, outside = cells
     cell = float(u_mm[1] - u_mm[0]) if u_mm.size > 1 else 1.0
     ends = [(float(values[0]) - cell, float(values[-1]) + cell) for values in (u_mm, v_mm)]
@@ -58,7 +62,7 @@ def map_picture(
     plot = Plot(x, y, up + TOP + BOTTOM, LEFT + across + right, LEFT, right, TOP, BOTTOM)
     errors = float(np.nanmin(error_mm)), float(np.nanmax(error_mm))
     scale = linear_axis("error [mm]", *errors, intervals=min(6.0, up / TICK_SPACE[1]))
-    parts = [f"<style>{STYLE}</style>", axes(plot), label(plot.left, 18, title, "name")]
+    parts = [f"<style>{STYLE}</style>" * styled, axes(plot), label(plot.left, 18, title, "name")]
     for i, j in zip(*np.nonzero(~np.isnan(error_mm)), strict=True):
         left, top = plot.px(u_mm[j] - 0.5 * cell), plot.py(v_mm[i] + 0.5 * cell)
         sure = f" ± {sigma_mm[i, j]:.3f}" if np.isfinite(sigma_mm[i, j]) else ""

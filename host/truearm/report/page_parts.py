@@ -1,12 +1,14 @@
 """The parts of every page: its frame, sections, tables and pictures.
 
-A page is a single HTML file: style and pictures are included, there is no script, and a Content-Security-Policy
-prevents the browser from loading anything. It opens from disk without a network, follows the reader's light or dark
+A page is a single HTML file: style and pictures are included, and a Content-Security-Policy prevents the browser from
+loading anything and from running any script but that of its 3-D view (report/scene_view.py). It opens from disk without a network, follows the reader's light or dark
 setting, can be printed, and fits a phone.
 """
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
 
@@ -19,22 +21,28 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
 
 
-def html_page(program: str, title: str, subtitle: str, sections: Iterable[str], watermark: str = "") -> str:
+def html_page(
+    program: str, title: str, subtitle: str, sections: Iterable[str], watermark: str = "", script: str = ""
+) -> str:
     """Return a complete page as HTML text, to be written as UTF-8.
 
-    ``program`` is shown above its title. ``watermark`` is a word across each page, on screen and on paper.
+    ``program`` is shown above its title. ``watermark`` is a word across each page, on screen and on paper. ``script`` runs
+    when all of the page has been read.
     """
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = f"{POLICY}; script-src 'sha256-{digest}'" if script else POLICY
+    run = f"<script>{script}</script>\n" if script else ""
     across = f'<p class="watermark" aria-hidden="true">{escape(watermark)}</p>\n' if watermark else ""
     style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{GENERATOR}\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
         f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{across}"
         f'<header><p class="brand">{program}</p><h1>{escape(title)}</h1>'
         f'<p class="subtitle">{escape(subtitle, 400)}</p></header>\n'
-        f"<main>\n{''.join(sections)}</main>\n</body>\n</html>\n"
+        f"<main>\n{''.join(sections)}</main>\n{run}</body>\n</html>\n"
     )
 
 

@@ -37,6 +37,7 @@ def write_page(
     from truearm.report.law_words import law_steps
     from truearm.report.residual_rows import row_name
     from truearm.report.result_findings import result_findings
+    from truearm.workflows.scene import calibration_scene
 
     table, estimate = found.table, found.estimate
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
@@ -58,6 +59,7 @@ def write_page(
         facts=(*facts_of(recordings), *_facts(table)),
         certificate=certificate,
         findings=tuple(result_findings(found.document)),
+        scene=None if found.estimate.unusable else calibration_scene(found),
     )
     write_atomic(path, render(page))
 

@@ -48,6 +48,7 @@ from truearm.workflows.program_files import (
     write_program_files,
 )
 from truearm.workflows.requests import CorrectFiles
+from truearm.workflows.scene import correction_scene
 from truearm.workflows.undetermined import undetermined
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -134,7 +135,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
             calibration, how.pair, done.targets, done.moves, stated, done.refused, names, configurations
         )
         if files.report is not None:
-            page = render(document)
+            page = render(document, correction_scene(calibration, how.pair, done.targets, document))
     if programs is None:
         write_atomic(files.out, done.table)
     else:

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from truearm.errors import Argument, InputError
 from truearm.files.disk import check_outputs, write_atomic
 from truearm.findings import Finding
 from truearm.progress import step
+from truearm.report.map_page import render
 from truearm.report.map_picture import Cells, map_picture
 from truearm.text import one_line
 from truearm.types import Floats
@@ -27,6 +29,7 @@ from truearm.workflows.calibration import (
     chosen_mountings,
 )
 from truearm.workflows.requests import MapFiles
+from truearm.workflows.scene import map_scene
 from truearm.workflows.undetermined import undetermined, unseen_within
 
 SOME = 12  # cells at which the reason for an unknown error is sought
@@ -76,8 +79,8 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
 
     Raises InputError with a one-line message.
     """
-    check_names(files.out, files.picture_out)
-    outputs = [("map", files.out), ("picture", files.picture_out)]
+    check_names(files.out, files.picture_out, files.report)
+    outputs = [("map", files.out), ("picture", files.picture_out), ("page", files.report)]
     check_outputs(outputs, files.force, [files.result, *files.robot.files])
     found = mapped(calibration, section)
     region = None if task is None else best_region(found, *task.size, task.within)
@@ -99,12 +102,14 @@ def _outside_everywhere(calibration: Calibration, found: ErrorMap) -> tuple[str,
     return tuple(joint.name for joint, out in zip(calibration.chain.joints, outside.T, strict=True) if out.all())
 
 
+def _pair(calibration: Calibration, own_frames: bool) -> ModelPair:
+    mountings = chosen_mountings(calibration, own_frames)
+    return ModelPair(calibration.chain, calibration.nominal, calibration.identified, mountings)
+
+
 def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     """Return the map of a section. Raises InputError for joints that the robot does not have or cannot reach."""
-    chain = calibration.chain
-    pair = ModelPair(
-        chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames)
-    )
+    pair, chain = _pair(calibration, section.own_frames), calibration.chain
     q, seen = check_joints("at", section.at, calibration.chain), calibration.stored.joint_range
     if q is None:
         q = np.zeros(len(chain.joints)) if seen is None else 0.5 * (np.array(seen.lower) + np.array(seen.upper))
@@ -140,6 +145,15 @@ def _within_readings(found: ErrorMap) -> ErrorMap:
     return replace(found, u=found.u[columns], v=found.v[rows], **cells)
 
 
+def write_map_page(
+    path: Path, findings: Sequence[Finding], found: Mapped, calibration: Calibration, own_frames: bool
+) -> None:
+    """Write the page of a map: its findings, the arm with the cells in 3-D, the picture."""
+    scene = map_scene(calibration, _pair(calibration, own_frames), found.map)
+    picture = _picture(found.map, found.region, calibration, styled=False)
+    write_atomic(path, render(calibration.chain.name, findings, picture, scene))
+
+
 def _table(found: ErrorMap, calibration: Calibration) -> str:
     """Return one row per reachable cell; u, v are the cell's centre, x, y, z the nominal end position.
 
@@ -163,7 +177,7 @@ def _table(found: ErrorMap, calibration: Calibration) -> str:
     return text.getvalue()
 
 
-def _picture(found: ErrorMap, region: BestRectangle | None, calibration: Calibration) -> str:
+def _picture(found: ErrorMap, region: BestRectangle | None, calibration: Calibration, styled: bool = True) -> str:
     task = None if region is None else MM.of(np.array([*region.u, *region.v])).tolist()
     labels = [f"{axis(direction)} [mm]" for direction in found.axes]
     title = (
@@ -171,7 +185,7 @@ def _picture(found: ErrorMap, region: BestRectangle | None, calibration: Calibra
     )
     outside = np.zeros(found.error.shape, dtype=bool) if found.outside is None else found.outside
     cells = Cells(MM.of(found.u), MM.of(found.v), MM.of(found.error), MM.of(found.sigma), outside)
-    return map_picture(cells, title, task, labels)
+    return map_picture(cells, title, task, labels, styled)
 
 
 def axis(direction: Floats) -> str:

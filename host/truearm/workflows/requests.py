@@ -242,6 +242,7 @@ class MapFiles:
     robot: RobotChoice = NO_ROBOT
     out: Path | None = None
     picture_out: Path | None = None
+    report: Path | None = None
     force: bool = False
 
 
