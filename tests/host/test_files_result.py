@@ -25,12 +25,12 @@ from truearm.files.result_file import (
     Covariance,
     Input,
     RobotFrames,
-    format_document,
     input_of,
     parse_result,
     read_result,
     write_result,
 )
+from truearm.files.strict_json import strict_json
 from truearm.kinds.registry import ORIGINS, identifiers
 from truearm.report.result_findings import result_findings
 from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Unusable
@@ -103,7 +103,7 @@ def refuse(constant: str) -> None:
 @given(estimates())
 def test_any_estimate_is_strict_json_and_comes_back(estimate: Estimate) -> None:
     result = result_of(estimate, TABLE, ROBOT)
-    text = format_document(result.document)
+    text = strict_json(result.document)
     assert json.loads(text, parse_constant=refuse) == result.document
     assert parse_result(text, "r.json") == result
     assert result.robot == ROBOT
@@ -168,7 +168,7 @@ json_values = st.recursive(
 
 @given(json_values)
 def test_the_layout_changes_nothing(value: object) -> None:
-    assert json.loads(format_document(value)) == value
+    assert json.loads(strict_json(value)) == value
 
 
 def test_a_result_is_written_whole_or_not_at_all(tmp_path: Path) -> None:

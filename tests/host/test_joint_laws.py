@@ -23,9 +23,10 @@ from truearm.estimate.pose_noise import PoseNoise, PoseSample, noise_change
 from truearm.estimate.problem import build_problem
 from truearm.export.writing import fit_to
 from truearm.files.observation_table import format_table, parse_table
-from truearm.files.result_file import format_document, parse_result
+from truearm.files.result_file import parse_result
 from truearm.files.rig_file import format_rig, parse_rig
 from truearm.files.robot_file import RobotChoice
+from truearm.files.strict_json import strict_json
 from truearm.findings import Finding
 from truearm.kinds.position import nearest_rotation
 from truearm.kinds.table import ObservationTable
@@ -271,7 +272,7 @@ def test_curves_are_centred_over_the_poses_and_predictions_do_not_move(learned_a
 
 def test_the_result_file_brings_the_laws_back(learned_arm):
     found, _ = learned_arm
-    text = format_document(found.document)
+    text = strict_json(found.document)
     again = calibration_of(parse_result(text, "r.json"), ROBOT, "ur10", "r.json")
     assert again.chain.parameter_names == found.chain.parameter_names
     np.testing.assert_allclose(again.identified, found.identified, rtol=0.0, atol=0.0)
@@ -394,7 +395,7 @@ def test_a_payload_that_was_not_measured_is_predicted(loaded_arm):
 
 def test_a_result_carries_the_payload_of_a_program(loaded_arm):
     found, table, true_points = loaded_arm
-    again = calibration_of(parse_result(format_document(found.document), "r.json"), ROBOT, "ur10", "r.json")
+    again = calibration_of(parse_result(strict_json(found.document), "r.json"), ROBOT, "ur10", "r.json")
     q = table.q[:50]
     empty, full = (
         point_forward(one.chain, again.identified, q, np.array(POINT))
@@ -444,7 +445,7 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert all(0.3 < law["range_share"] <= 1.0 for law in found.document["joint_laws"]["tried"] if law["kept"])
         assert [of.values for of in law_findings(found.document) if of.code == "sag-payload"] == [HELD_SAG]
-    again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
+    again = calibration_of(parse_result(strict_json(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
     assert again.payload_findings() == [Finding("sag-payload", HELD_SAG)]
     assert "other-payload" not in listed(validated(again, rig, without_payload(table)).document)
     masses = np.where(np.arange(160) < 30, 4.0, 0.0)
@@ -498,7 +499,7 @@ def gap_arm():
 def test_a_gap_in_the_readings_is_not_covered(gap_arm, tmp_path):
     """In the result, the table of curves, the words, the report, a correction and a map."""
     found = gap_arm
-    text = format_document(found.document)
+    text = strict_json(found.document)
     again = calibration_of(parse_result(text, "r.json"), ROBOT, "ur10", "r.json")
     law = next(law for law in again.stored.laws if isinstance(law, CurveKnots) and law.joint == 0)
     (_, left), (right, _) = law.covered

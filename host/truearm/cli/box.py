@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import typer
 
 from truearm.box.conversation import conversation, ident_of, one_line_of
-from truearm.cli.box_config import config
-from truearm.cli.box_flash import flash
-from truearm.cli.box_gauge import gauge
-from truearm.cli.box_monitor import monitor
-from truearm.cli.command import command
-from truearm.cli.output import command_group, print_result
-from truearm.cli.project import ProjectCommand
-from truearm.errors import InputError, TruearmError
+from truearm.box.requests import FlashOptions, GaugeOptions
+from truearm.cli.command import Answer, command
+from truearm.cli.output import print_lines
+from truearm.cli.project import ProjectCommand, command_group
+from truearm.errors import ConfigError, InputError, TruearmError
 from truearm.exit_codes import ExitCode
 from truearm.live.choose_box import choose_box
 
+SHOW_S, PLAIN_S = 0.5, 1.0  # between two views of the monitor
 _LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it runs
 
 app = command_group(
@@ -26,6 +27,12 @@ app = command_group(
     "Find, flash, test, configure, calibrate and monitor a sensor box.",
     "Example: truearm box test --box /dev/ttyACM0",
 )
+config = command_group(
+    "config",
+    "Read and change a box's configuration: rates, channels, calibrations, magnetostrictive sensor.",
+    "Example: truearm box config get --box /dev/ttyACM0 --out box.toml",
+)
+app.add_typer(config, name="config")
 
 
 @app.command("list", cls=ProjectCommand)
@@ -33,8 +40,7 @@ app = command_group(
 def list_boxes(
     *,
     all: bool = False,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """List the boxes that are plugged in.
 
     truearm asks every serial port with the USB identity of a Pico. A box that is being recorded is listed as in use. Boot drives
@@ -55,7 +61,7 @@ def list_boxes(
     ports = [port for port in usb_ports() if port.candidate or all]
     rows = [_asked(port) for port in ports]
     drives = [str(drive) for chip in CHIPS.values() for drive in find_drives(chip.board)]
-    print_result({"ports": rows, "boot_drives": drives}, port_lines(rows, drives), json)
+    return Answer({"ports": rows, "boot_drives": drives}, port_lines(rows, drives))
 
 
 def _asked(port: Any) -> dict[str, Any]:
@@ -77,8 +83,7 @@ def _asked(port: Any) -> dict[str, Any]:
 def info(
     *,
     box: str | None = None,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Print the description that a box gives of itself: firmware, streams, channels, calibrations, faults.
 
     Example: truearm box info --box /dev/ttyACM0
@@ -87,7 +92,7 @@ def info(
 
     with conversation(choose_box(box, sys.stderr)) as connected:
         ident = ident_of(connected)
-    print_result(ident.document, ident_lines(ident), json)
+    return Answer(ident.document, ident_lines(ident))
 
 
 @app.command("test", cls=ProjectCommand)
@@ -96,8 +101,7 @@ def self_test(
     *,
     box: str | None = None,
     stop: bool = False,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Run the self-test of a box, and print each result with what to do about it.
 
     The exit code is 1 if a test failed. A warning marks what was not measured or is near its limit.
@@ -116,9 +120,7 @@ def self_test(
     faults = [fault for fault in ident.faults if not fault.startswith("the box says 'self-test")]
     counts = f"{len(found) - failed - warned} passed, {warned} with a warning, {failed} failed"
     lines = [one_line_of(ident), *finding_lines(found), *(f"warning: {fault}" for fault in faults), counts]
-    print_result([vars(f) for f in found], lines, json)
-    if failed:
-        raise typer.Exit(ExitCode.FAILED)
+    return Answer([vars(f) for f in found], lines, end=ExitCode.FAILED if failed else ExitCode.DONE)
 
 
 @app.command(cls=ProjectCommand)
@@ -140,7 +142,251 @@ def reset(
     typer.echo(f"{device}: the box restarts")
 
 
-app.command(cls=ProjectCommand)(flash)
-app.command(cls=ProjectCommand)(gauge)
-app.command(cls=ProjectCommand)(monitor)
-app.add_typer(config, name="config")
+@config.command(cls=ProjectCommand)
+@command()
+def get(
+    *,
+    box: str | None = None,
+    out: Path | None = None,
+    force: bool = False,
+    stop: bool = False,
+) -> Answer:
+    """Print a box's configuration as TOML.
+
+    Example: truearm box config get --box /dev/ttyACM0 --out box.toml
+
+    Options
+    -------
+    out : FILE
+        File to write: the configuration (.toml), instead of printing it.
+    """
+    from truearm.box.configuration import format_config
+    from truearm.files.disk import check_writable, write_atomic
+
+    if out is not None:
+        check_writable(out, force, kind="configuration")
+    device = choose_box(box, sys.stderr)
+    with conversation(device, stop=stop) as connected:
+        found = connected.config()
+    text = format_config(found)
+    if out is None:
+        return Answer(found, text.splitlines())
+    write_atomic(out, text)
+    return Answer(found, [f"{out}: the configuration of {device}"])
+
+
+@config.command("set", cls=ProjectCommand)
+@command()
+def put(
+    changes: list[str],
+    *,
+    box: str | None = None,
+    dry_run: bool = False,
+    stop: bool = False,
+) -> Answer:
+    """Change a box's configuration; print what changes.
+
+    Values that you do not give stay unchanged; KEY= without a value removes an optional value, such as
+    channel.lvdt.over. The box stores the new configuration at once. If the power fails meanwhile, it
+    keeps either the old or the new one.
+
+    Example:
+      truearm box config set osr=2048 channel.lvdt.gain=2 magnetostrictive.us_per_inch=9.031 --box /dev/ttyACM0
+
+    Arguments
+    ---------
+    changes : FILE.toml | KEY=VALUE...
+        A file that truearm box config get wrote, or single values.
+
+    Options
+    -------
+    dry_run
+        Show what would change, and change nothing.
+    """
+    from truearm.box.configuration import change_lines, checked_config
+
+    texts = _read(changes)
+    device = choose_box(box, sys.stderr)
+    with conversation(device, stop=stop) as connected:
+        before = checked_config(connected)
+        after = _changed(before, texts)
+        changed = change_lines(before, after)
+        stored = bool(changed) and not dry_run
+        if stored:
+            connected.put_config(after)
+    kept = "unchanged (--dry-run)" if changed else "nothing changes"
+    outcome = "stored; the box uses it from now on" if stored else kept
+    return Answer({"changes": changed, "stored": stored, "config": after}, [*changed, f"{device}: {outcome}"])
+
+
+def _read(changes: list[str]) -> list[tuple[str, str | None]]:
+    """(name of a file, its text) or (KEY=VALUE, None) of each argument."""
+    from truearm.box.configuration import MAX_BYTES
+    from truearm.files.disk import read_text
+
+    found: list[tuple[str, str | None]] = []
+    for change in changes:
+        is_value = "=" in change and not Path(change).is_file()
+        if "=" not in change and not change.endswith(".toml") and not Path(change).exists():
+            raise ConfigError(f"{change[:60]!r} is neither KEY=VALUE, such as osr=2048, nor a file")
+        found.append((change, None if is_value else read_text(Path(change), MAX_BYTES, ConfigError)))
+    return found
+
+
+def _changed(config: dict[str, Any], texts: list[tuple[str, str | None]]) -> dict[str, Any]:
+    from truearm.box.configuration import check_ratios, with_assignment, with_file
+    from truearm.box.configuration_schema import check
+
+    for name, text in texts:
+        config = with_assignment(config, name) if text is None else with_file(config, text, name)
+    check_ratios(check(config))
+    return config
+
+
+@app.command(cls=ProjectCommand)
+@command()
+def flash(options: FlashOptions) -> None:
+    """Flash a box, then check that it answers.
+
+    truearm checks the image first. An installed truearm contains its own; in a checkout, make uf2 builds it. With --box, a running
+    box is asked to enter its boot loader. Without it, hold BOOTSEL while you plug in a new Pico: its drive is found, or given with
+    --drive. The stored configuration and calibrations of a box are kept.
+
+    Examples:
+      truearm box flash
+      truearm box flash --box /dev/ttyACM0
+      truearm box flash truearm-0.4.0.uf2 --drive /media/RPI-RP2
+
+    Arguments
+    ---------
+    image : IMAGE.uf2
+        The image. Default: the one of this version.
+
+    Options
+    -------
+    box : DEVICE
+        Port of a running box. Default: the boot drive of a new one.
+    drive : FOLDER
+        Folder of the boot drive, now or once it is mounted. Default: found automatically.
+
+    Expert options
+    --------------
+    timeout_s : S
+        How long to wait for the drive and the box.
+    no_check
+        Do not wait for the box to answer.
+    """
+    from truearm.box.flash import flash_box
+
+    print_lines(flash_box(options))
+
+
+@app.command(cls=ProjectCommand)
+@command()
+def gauge(options: GaugeOptions) -> None:
+    """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
+
+    Set the reference, type its reading, and do not touch it while the box samples. Measure at least five places over the whole
+    travel, preferably there and back. An empty line ends the measurement if the places are enough; "undo" drops the last place. With
+    --references, Enter samples the place that is asked for, "s" skips it, and "q" ends the measurement. truearm chooses the
+    lowest order of the polynomial that is not significantly worse than the best in cross-validation. For the magnetostrictive sensor, the velocity of sound and the
+    delay are estimated. The report shows the remaining errors. If you agree, the box stores the calibration with its date and
+    temperature. If a run ends early, the same command continues from the places that were measured.
+
+    Example:
+      truearm box gauge lvdt --box /dev/ttyACM0 --instrument "micrometer head 164-163, certificate 4711" --uncertainty-um 2
+
+    Arguments
+    ---------
+    channel : CHANNEL
+        Channel to calibrate: lvdt, transverse_a, magnetostrictive …
+
+    Options
+    -------
+    references : FILE
+        The references in order (.csv with a column reference_mm, _um or _in).
+    unit : UNIT
+        Unit of what you type: mm, um or in.
+    sample_s : S
+        How long to sample at each place.
+    serial : TEXT
+        Serial number of the sensor. Default: unchanged.
+    out : FILE
+        File to write: the report (.html; default: gauge-CHANNEL.html).
+    instrument : TEXT
+        The reference, for the report: type, serial number and certificate.
+    uncertainty_um : UM
+        Expanded uncertainty (k = 2) of the reference, from its certificate.
+    operator : TEXT
+        Name of the operator, for the report.
+    yes
+        Store the calibration without asking.
+
+    Expert options
+    --------------
+    order : N
+        Order of the polynomial. Default: chosen by cross-validation.
+    stroke_mm : MM
+        Stroke of the sensor; references farther apart are refused. Default: 100, and for the magnetostrictive sensor as
+        far as its pulses reach.
+    """
+    from truearm.box.gauge_run import gauge_channel
+
+    gauge_channel(choose_box(options.box, sys.stderr), options, _Terminal(), options.stop)
+
+
+class _Terminal:
+    """The operator of ``gauge`` at standard input and output."""
+
+    def say(self, text: str) -> None:
+        typer.echo(text)
+
+    def ask(self, prompt: str) -> str | None:
+        typer.echo(prompt, nl=False)
+        try:
+            return input().strip()
+        except EOFError:
+            typer.echo()
+            return None
+
+
+@app.command(cls=ProjectCommand)
+@command()
+def monitor(
+    *,
+    box: str | None = None,
+    duration_s: float | None = None,
+    plain: bool = False,
+) -> None:
+    """Show what a box measures: values in physical units with their noise, rates, losses, clock, temperature.
+
+    Starts the box, and stops it at the end (Ctrl-C or --duration-s). Nothing is recorded.
+
+    Example: truearm box monitor --box /dev/ttyACM0
+    """
+    from truearm.box.monitor import monitor_box
+
+    with ExitStack() as stack:
+        plain = plain or not sys.stdout.isatty()
+        show = _plain if plain else _live(stack)
+        print_lines(monitor_box(choose_box(box, sys.stderr), duration_s, PLAIN_S if plain else SHOW_S, show))
+
+
+def _plain(rows: list[tuple[str, str]]) -> None:
+    print("; ".join(f"{name} {value}" for name, value in rows), flush=True)
+
+
+def _live(stack: ExitStack) -> Callable[[list[tuple[str, str]]], None]:
+    from rich.live import Live
+    from rich.table import Table
+    from rich.text import Text
+
+    live = stack.enter_context(Live(auto_refresh=False, transient=False))
+
+    def show(rows: list[tuple[str, str]]) -> None:
+        table = Table.grid(padding=(0, 2))
+        for name, value in rows:
+            table.add_row(Text(name), Text(value))
+        live.update(table, refresh=True)
+
+    return show

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from truearm.bounds import Within
-from truearm.cli.command import command
-from truearm.cli.output import print_json
+from truearm.cli.command import Answer, command
 from truearm.errors import InputError
 from truearm.units import MM
 from truearm.workflows.requests import CharacterizeFiles
@@ -20,9 +19,7 @@ def characterize(
     files: CharacterizeFiles,
     *,
     within_mm: Annotated[list[float] | None, Within(0.0001, 100.0)] = None,
-    details: bool = False,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, each with its 95 % interval.
 
     The session is a recording of a plan of truearm plan characterize; files that continue it (truearm record
@@ -42,8 +39,7 @@ def characterize(
         Print how the arm settles, the noise of joints and sensor, and a table of the joints. Difference: the mean reading
         of a joint that comes from below, minus from above. Scatter: the sigma of its readings from one side.
     """
-    from truearm.cli.findings_text import show, table_of
-    from truearm.findings import findings_of
+    from truearm.cli.findings_text import table_of
     from truearm.report.repeatability_findings import JOINTS, joint_rows
     from truearm.workflows.characterize import characterize_files
 
@@ -51,7 +47,4 @@ def characterize(
         raise InputError("wrong-suffix", place="-", what="the result")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     document = characterize_files(files, bands)
-    if json:
-        print_json(document)
-        return
-    show(findings_of(document), [table_of(JOINTS, joint_rows(document))] if details else None, [files.out])
+    return Answer(document, tables=[table_of(JOINTS, joint_rows(document))], written=[files.out])

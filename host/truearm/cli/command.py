@@ -23,6 +23,8 @@ A field is in SI: the name of its option, such as ``dwell_s`` of the field ``dwe
 
 What the command does not describe, such as ``force``, is described in ``cli/options.py``; a name without a text only
 moves it below another heading.
+
+A command that returns an ``Answer`` gets ``--json``, and ``--details`` if it describes it.
 """
 
 from __future__ import annotations
@@ -32,16 +34,24 @@ import inspect
 import math
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import is_dataclass
-from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import typer
 
 from truearm import units
 from truearm.bounds import OneOf, Within
 from truearm.cli import options
+from truearm.cli.output import print_json, print_lines
+from truearm.errors import TruearmError
+from truearm.exit_codes import ExitCode
+from truearm.findings import Finding, findings_of
 from truearm.model.builtin import builtin_names
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -78,6 +88,41 @@ def described(docstring: str | None, texts: Mapping[str, str]) -> tuple[str, dic
 SHARED = described(options.__doc__, options.TEXTS)[1]
 
 
+@dataclass(frozen=True)
+class Answer:
+    """What a command answers: the ``document`` of ``--json``, and what is printed without it.
+
+    These are ``lines``, or findings, the document's by default, with the ``tables`` of ``--details`` and the files that were ``written``.
+    ``more`` says how to get the rest. ``end`` is the exit code, or the error that is raised after printing.
+    """
+
+    document: Any
+    lines: Iterable[str] | None = None
+    findings: Sequence[Finding] | None = None
+    tables: Iterable[Table | str] = ()
+    written: Iterable[Path | None] = ()
+    more: str | None = None
+    end: ExitCode | TruearmError = ExitCode.DONE
+
+    def show(self, as_json: bool, details: bool | None) -> None:
+        """Print it; ``details`` is None for a command that has none."""
+        from truearm.cli.findings_text import show
+
+        if as_json:
+            print_json(self.document)
+        elif self.lines is not None:
+            print_lines(self.lines)
+        else:
+            usual = "" if details is None else "All notes and tables: --details"
+            more = usual if self.more is None else self.more
+            findings = findings_of(self.document) if self.findings is None else self.findings
+            show(findings, self.tables if details else None, self.written, more)
+        if isinstance(self.end, TruearmError):
+            raise self.end
+        if self.end is not ExitCode.DONE:
+            raise typer.Exit(ExitCode(self.end))
+
+
 def command(**texts: str) -> Callable[[F], F]:
     """Return a decorator that declares a function's options for typer; ``{name}`` in a description stands for a text.
 
@@ -88,12 +133,16 @@ def command(**texts: str) -> Callable[[F], F]:
         page, entries = described(function.__doc__, {**options.TEXTS, **texts})
         known = {**SHARED, **entries}
         hints = get_type_hints(function, include_extras=True)
-        hints.pop("return", None)
+        answers = hints.pop("return", None) is Answer
+        keyword, declared = inspect.Parameter.KEYWORD_ONLY, dict(inspect.signature(function).parameters)
+        switches = [name for name in ("details", "json") if answers and (name == "json" or (True, name) in entries)]
+        for name in switches:
+            declared.setdefault(name, inspect.Parameter(name, keyword, default=False))
         parameters: list[inspect.Parameter] = []
-        for name, parameter in inspect.signature(function).parameters.items():
-            is_option = parameter.kind is inspect.Parameter.KEYWORD_ONLY
-            field = [(name, hints[name], parameter.default, is_option)]
-            fields = _fields(hints[name], known, parameter.default) if is_record(hints[name]) else field
+        for name, parameter in declared.items():
+            is_option, kind = parameter.kind is keyword, hints.get(name, bool)
+            field = [(name, kind, parameter.default, is_option)]
+            fields = _fields(kind, known, parameter.default) if is_record(kind) else field
             for option, hint, default, is_option in fields:
                 shared, own = (of.pop((is_option, option), Entry()) for of in (dict(SHARED), entries))
                 entry = Entry(*(mine or theirs for mine, theirs in zip(own, shared, strict=True)))
@@ -102,13 +151,14 @@ def command(**texts: str) -> Callable[[F], F]:
         if entries:
             raise TypeError(f"{function.__name__}() has no parameter {[name for _, name in entries]}")
 
-        def run(**given: Any) -> Any:
+        def run(**given: Any) -> None:
             records = {name: fill(hint, given) for name, hint in hints.items() if is_record(hint)}
-            return function(**{name: value for name, value in given.items() if name in hints}, **records)
+            answer = function(**{name: value for name, value in given.items() if name in hints}, **records)
+            if answers:
+                answer.show(given["json"], given.get("details"))
 
         run.__name__, run.__doc__ = function.__name__, EXAMPLE.sub("\b\n", page)
         run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        keyword = inspect.Parameter.KEYWORD_ONLY
         run.__signature__ = inspect.Signature([one.replace(kind=keyword) for one in parameters])  # type: ignore[attr-defined]
         return cast(F, run)
 

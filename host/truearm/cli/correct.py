@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from truearm.bounds import Within
-from truearm.cli.command import command, fill
+from truearm.cli.command import Answer, command, fill
 from truearm.cli.options import frame_of, joints_of, numbers_of, payload_of
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_lines
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
@@ -39,11 +39,10 @@ def correct(
     strict: bool = False,
     unchanged: list[str] | None = None,
     home: str | None = None,
-    details: bool = False,
     allow_unusable: bool = False,
     json: bool = False,
     margin: Annotated[float, Within(0.0001, 1.0)] = 0.05,
-) -> None:
+) -> Answer:
     """Correct targets so that the real robot reaches them.
 
     In a program, only the numbers of targets change. Numbers change only if every use of every name that leads to them is the target of a corrected move; other moves get numbers of their own.
@@ -104,7 +103,6 @@ def correct(
         of 0.5 m).
     """
     from truearm.cli.correct_text import refused_lines, tables
-    from truearm.cli.findings_text import show
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.correct import CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
@@ -134,13 +132,11 @@ def correct(
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise
-    if json:
-        print_json(found.document)
-    else:
+    if not json:
         print_lines(refused_lines(found.refused))
-        show(found.findings, tables(found) if details else None, (files.out, files.report))
-    if found.refused:
-        raise typer.Exit(ExitCode.INCOMPLETE)
+    end = ExitCode.INCOMPLETE if found.refused else ExitCode.DONE
+    written = files.out, files.report
+    return Answer(found.document, findings=found.findings, tables=tables(found), written=written, end=end)
 
 
 def _named(option: str, given: list[str] | None) -> dict[str, Six]:

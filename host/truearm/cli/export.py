@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from truearm.cli.command import command
-from truearm.cli.output import print_json
+from truearm.cli.command import Answer, command
 from truearm.export.formats import formats_help
 from truearm.findings import entries
 from truearm.workflows.requests import ExportFiles
 
 
 @command(formats=formats_help())
-def export(
-    files: ExportFiles,
-    *,
-    json: bool = False,
-) -> None:
+def export(files: ExportFiles) -> Answer:
     """Write a calibrated robot for other programs.
 
     If the format has no place for a parameter, or --adjust excludes it, the other parameters are refitted to compensate. The
@@ -41,12 +36,9 @@ def export(
         Poses over which to refit: a table or a plan (.csv). Default: random poses within the joint limits, or within
         the fitted readings if the result has joint laws.
     """
-    from truearm.cli.findings_text import show
     from truearm.workflows.export import export_file
 
     found = export_file(files)
     written = [path for path in (files.out, files.curves_out) if path is not None]
-    if json:
-        print_json({"format": files.format, "findings": entries(found.findings), "written": list(map(str, written))})
-    else:
-        show(found.findings, written=written, more="")
+    document = {"format": files.format, "findings": entries(found.findings), "written": list(map(str, written))}
+    return Answer(document, written=written)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from truearm.bounds import LINE_POINTS
-from truearm.cli.command import command
+from truearm.cli.command import Answer, command
 from truearm.cli.options import rigs_of
 from truearm.cli.output import warn
 from truearm.cli.project import typed
@@ -38,13 +38,11 @@ def identify(
     options: FitOptions,
     out: Path | None = None,
     force: bool = False,
-    json: bool = False,
     table_out: Path | None = None,
     report: Path | None = None,
     line_points: Annotated[int | None, LINE_POINTS] = None,
     allow_damaged: bool = False,
-    details: bool = False,
-) -> None:
+) -> Answer:
     """Identify a robot's parameters from observations.
 
     Prints whether the result is usable, the error of the tool, what to look at, and what to do next; with --details also
@@ -104,8 +102,8 @@ def identify(
     table_out : FILE
         Write all observations as one table (.csv).
     """
-    from truearm.cli.identify_text import show_result
-    from truearm.files.result_file import format_document
+    from truearm.cli.identify_text import tables
+    from truearm.report.result_findings import result_findings
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.inputs import Sources
     from truearm.workflows.selection import held_out_fraction
@@ -121,9 +119,11 @@ def identify(
         results.append(Path(kept))
     files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line, force)
     document = identify_files(files, hold_out or [], IdentifyOptions(**vars(options))).document
-    if json:
-        typer.echo(format_document(document))
-    else:
-        show_result(document, inputs, (*results, table_out, report), details)
-    if not document["usable"]:
-        raise typer.Exit(ExitCode.UNUSABLE)
+    return Answer(
+        document,
+        findings=result_findings(document, {path.name: str(path) for path in inputs}),
+        tables=tables(document),
+        written=(*results, table_out, report),
+        more="Parameters, residuals and all notes: --details, or --report report.html",
+        end=ExitCode.DONE if document["usable"] else ExitCode.UNUSABLE,
+    )

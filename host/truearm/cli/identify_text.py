@@ -1,20 +1,19 @@
-"""What ``truearm identify`` prints: the findings, the verdict first; with ``--details`` also the tables.
+"""The tables of ``truearm identify --details``.
 
 All of it comes from the content of result.json, so that what is printed and what is stored cannot differ.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from rich.table import Table
 
-from truearm.cli.findings_text import show, table_of
+from truearm.cli.findings_text import table_of
 from truearm.report.law_words import law_steps
 from truearm.report.parameter_cells import parameter_cells
-from truearm.report.result_findings import has_little_freedom, result_findings
+from truearm.report.result_findings import has_little_freedom
 from truearm.report.result_words import direction_text, kind_name
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, title
@@ -24,16 +23,7 @@ Document = Mapping[str, Any]
 MAX_DIRECTIONS = 6
 
 
-def show_result(
-    document: Document, inputs: Sequence[Path], written: Iterable[Path | None], details: bool = False
-) -> None:
-    """Print the findings of a result.json and the files that were written; with ``details`` all of them, and the tables."""
-    findings = result_findings(document, {path.name: str(path) for path in inputs})
-    more = "Parameters, residuals and all notes: --details, or --report report.html"
-    show(findings, _tables(document) if details else None, written, more)
-
-
-def _tables(document: Document) -> Iterator[Table | str]:
+def tables(document: Document) -> Iterator[Table | str]:
     """Return the parameters, the combinations that are unidentifiable, the errors and the joint laws."""
     yield _parameter_table(document)
     for field, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):

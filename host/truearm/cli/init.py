@@ -12,9 +12,8 @@ from typing import Annotated, TypeVar
 import typer
 
 from truearm.bounds import OneOf, Within
-from truearm.cli.command import command
+from truearm.cli.command import Answer, command
 from truearm.cli.options import branch_given, numbers_of
-from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.file_names import missing_file
 from truearm.model.builtin import builtin_names
@@ -43,8 +42,7 @@ def init(
     bars_mm: str | None = None,
     measured_with: Annotated[str | None, OneOf((NOTHING, *INSTRUMENTS))] = None,
     minutes: Annotated[float, Within(0.0, 1000.0)] = 30.0,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Create a project: truearm.toml, rig.toml and a first plan.
 
     On a terminal, truearm asks for robot, address and what the rig is measured with if you do not give --model; Enter accepts
@@ -78,10 +76,9 @@ def init(
     --------------
     json
     """
-    from truearm.cli.findings_text import show
     from truearm.files.project_file import Project
     from truearm.files.robot_file import is_urdf
-    from truearm.findings import findings_of
+    from truearm.findings import findings_of, option
     from truearm.workflows.project import ProjectWanted, create
 
     asking = model is None and sys.stdin is not None and sys.stdin.isatty()
@@ -129,14 +126,11 @@ def init(
     bounds = branch_given(branch or None)
     wanted = ProjectWanted(project, _lengths(bars_mm or ""), instrument, chucks, spheres, minutes or None, bounds)
     created = create(folder, wanted)
-    if json:
-        print_json({"written": [str(path) for path in created.written], "plan": created.plan})
-        return
-    print_lines(f"{path.name:<16}{path}" for path in created.written)
-    if created.plan is not None:
-        show(findings_of(created.plan)[:1], more="")
     then = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
-    typer.echo(f"\nnext: put what you measured of the rig into {folder / project.rig}; then {then}")
+    lines = [f"{path.name:<16}{path}" for path in created.written]
+    lines += [finding.text(option) for finding in findings_of(created.plan)[:1]] if created.plan else []
+    lines.append(f"\nnext: put what you measured of the rig into {folder / project.rig}; then {then}")
+    return Answer({"written": [str(path) for path in created.written], "plan": created.plan}, lines)
 
 
 def _from_folder(model: str, folder: Path) -> str:

@@ -7,9 +7,8 @@ from enum import StrEnum
 from typing import Annotated
 
 from truearm.bounds import CELL
-from truearm.cli.command import command
+from truearm.cli.command import Answer, command
 from truearm.cli.options import joints_of, numbers_of, payload_of, spans_of
-from truearm.cli.output import print_json
 from truearm.errors import InputError
 from truearm.findings import entries
 from truearm.units import MM
@@ -36,8 +35,7 @@ def map_(
     own_frames: bool = False,
     payload: str | None = None,
     allow_unusable: bool = False,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Map the error of the uncalibrated robot over a section of its workspace, with the uncertainty of the map.
 
     Example:
@@ -68,7 +66,6 @@ def map_(
     within : U0:U1,V0:V1
         Range of the search for --task, along the section's axes [mm]. Default: the whole section.
     """
-    from truearm.cli.findings_text import show
     from truearm.cli.map_text import map_findings
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.map import MapTask, Section, axis, map_files, write_map_page
@@ -85,14 +82,11 @@ def map_(
     if files.report is not None:
         write_map_page(files.report, findings, found, calibration, own_frames)
     written = [path for path in (files.out, files.picture_out, files.report) if path is not None]
-    if json:
-        spans = {} if found.region is None else {"u_mm": found.region.u, "v_mm": found.region.v}
-        region = {name: [MM.of(end) for end in span] for name, span in spans.items()} or None
-        axes = [axis(direction) for direction in found.map.axes]
-        document = {"axes": axes, "best_region": region, "findings": entries(findings)}
-        print_json({**document, "written": list(map(str, written))})
-    else:
-        show(findings, written=written, more="")
+    spans = {} if found.region is None else {"u_mm": found.region.u, "v_mm": found.region.v}
+    region = {name: [MM.of(end) for end in span] for name, span in spans.items()} or None
+    axes = [axis(direction) for direction in found.map.axes]
+    document = {"axes": axes, "best_region": region, "findings": entries(findings)}
+    return Answer({**document, "written": list(map(str, written))}, written=written)
 
 
 def _joints_of(text: str) -> tuple[int, int]:

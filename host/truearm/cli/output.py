@@ -10,23 +10,8 @@ from typing import Any
 import typer
 
 from truearm.cli.progress_line import CLEAR
-from truearm.cli.project import CommandGroup
 from truearm.files.strict_json import strict_json
 from truearm.text import one_line
-
-
-def command_group(name: str, text: str, epilog: str) -> typer.Typer:
-    """Return an app without commands that prints its help if it is called without one."""
-    app = typer.Typer(
-        name=name, cls=CommandGroup, help=text, epilog=epilog, rich_markup_mode=None, add_completion=False
-    )
-
-    @app.callback(invoke_without_command=True)
-    def print_help(context: typer.Context) -> None:
-        if context.invoked_subcommand is None:
-            typer.echo(context.get_help())
-
-    return app
 
 
 def print_lines(lines: Iterable[str]) -> None:
@@ -37,7 +22,7 @@ def print_lines(lines: Iterable[str]) -> None:
 
 def print_json(document: Any) -> None:
     """Print a document as JSON on standard output; a number that is not finite is null."""
-    typer.echo(strict_json(document, indent=2))
+    typer.echo(strict_json(document))
 
 
 def print_result(document: Any, lines: Iterable[str], as_json: bool) -> None:

@@ -15,11 +15,9 @@ from truearm.bounds import (
     OneOf,
     Within,
 )
-from truearm.cli.command import command
+from truearm.cli.command import Answer, command
 from truearm.cli.options import spans_of
-from truearm.cli.output import command_group, print_json
-from truearm.cli.project import ProjectCommand
-from truearm.findings import findings_of
+from truearm.cli.project import ProjectCommand, command_group
 from truearm.plan.criteria import Criterion
 from truearm.units import MM, MM_S
 from truearm.workflows.requests import PlanFiles, PoseOptions
@@ -46,15 +44,10 @@ def _region_of(text: str | None) -> Region | None:
     return Region(np.array(lower), np.array(upper))
 
 
-def _print(document: dict[str, Any], details: bool, json: bool) -> None:
-    from truearm.cli.findings_text import show
+def _answer(document: dict[str, Any]) -> Answer:
     from truearm.cli.plan_text import tables
 
-    if json:
-        print_json(document)
-        return
-    more = "All notes and tables: --details" if "parameters" in document else ""
-    show(findings_of(document), tables(document) if details else None, map(Path, document["written"]), more)
+    return Answer(document, tables=tables(document), written=map(Path, document["written"]))
 
 
 @app.command("ballbar", cls=ProjectCommand)
@@ -66,9 +59,7 @@ def ballbar(
     minutes: Annotated[float | None, MINUTES] = None,
     chosen: PoseOptions,
     region: str | None = None,
-    details: bool = False,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Plan ball-bar poses around the chucks.
 
     A pairing is one bar between one chuck (a magnetic cup on the table) and one sphere (a ball on the robot's end). With
@@ -109,8 +100,7 @@ def ballbar(
     from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
 
     options = BallBarOptions(**vars(chosen), region=_region_of(region))
-    document = plan_ball_bar_files(files, Budget(poses, minutes), options)
-    _print(document, details, json)
+    return _answer(plan_ball_bar_files(files, Budget(poses, minutes), options))
 
 
 @app.command("line", cls=ProjectCommand)
@@ -130,9 +120,7 @@ def line(
     region: str | None = None,
     candidates: Annotated[int, Within(1, 5000)] = option_defaults.LINE_CANDIDATES,
     seed: Annotated[int, SEED] = option_defaults.SEED,
-    details: bool = False,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Plan lines for a line device, driven there and back, preferably where the expected error is large.
 
     Example:
@@ -177,8 +165,7 @@ def line(
 
     shape = Shape(MM.to_si(length_mm), MM.to_si(transverse_mm), MM_S.to_si(speed_mm_s), points)
     wanted = LinesWanted(lines, minutes, shape, passes, candidates, criterion, seed)
-    document = plan_line_files(files, wanted, _region_of(region), target)
-    _print(document, details, json)
+    return _answer(plan_line_files(files, wanted, _region_of(region), target))
 
 
 @app.command("characterize", cls=ProjectCommand)
@@ -195,8 +182,7 @@ def characterize(
     reserve_mm: Annotated[float | None, TRAVEL, MM] = None,
     dwell_s: Annotated[float, DWELL] = option_defaults.DWELL,
     seed: Annotated[int, SEED] = option_defaults.SEED,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Plan a short run that measures how well the robot repeats: a few poses, reached from both sides of every joint.
 
     Record it, then run truearm characterize on the session.
@@ -231,5 +217,5 @@ def characterize(
 
     wanted = ApproachesWanted(poses, rounds, long_dwell_s, seed=seed)
     reserve = None if reserve_mm is None else MM.to_si(reserve_mm)
-    document = plan_approaches_files(files, wanted, {"bar": bar, "chuck": chuck, "sphere": sphere}, dwell_s, reserve)
-    _print(document, False, json)
+    mounted = {"bar": bar, "chuck": chuck, "sphere": sphere}
+    return _answer(plan_approaches_files(files, wanted, mounted, dwell_s, reserve))

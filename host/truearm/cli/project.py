@@ -140,6 +140,20 @@ class CommandGroup(TyperGroup):
         return super().get_short_help_str(max(limit, SUMMARY))
 
 
+def command_group(name: str, text: str, epilog: str) -> typer.Typer:
+    """Return an app without commands that prints its help if it is called without one."""
+    app = typer.Typer(
+        name=name, cls=CommandGroup, help=text, epilog=epilog, rich_markup_mode=None, add_completion=False
+    )
+
+    @app.callback(invoke_without_command=True)
+    def print_help(context: typer.Context) -> None:
+        if context.invoked_subcommand is None:
+            typer.echo(context.get_help())
+
+    return app
+
+
 def typed(context: typer.Context, name: str) -> Any:
     """Return an option's value if it was typed, None if it is a default or from truearm.toml."""
     return context.params[name] if _source(context, name) == "COMMANDLINE" else None

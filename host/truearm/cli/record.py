@@ -9,8 +9,7 @@ from typing import Any
 
 import typer
 
-from truearm.cli.command import command
-from truearm.cli.output import print_json
+from truearm.cli.command import Answer, command
 from truearm.cli.project import ProjectCommand, project_model, typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
@@ -28,11 +27,7 @@ class RecordCommand(ProjectCommand):
 
 
 @command()
-def record(
-    request: RecordOptions,
-    *,
-    json: bool = False,
-) -> None:
+def record(request: RecordOptions) -> Answer:
     """Record a sensor box and a robot into a session file.
 
     Without --box, truearm uses the box that is plugged in. The recording ends with Ctrl-C, with q and Enter, after --duration-s, when the
@@ -67,9 +62,7 @@ def record(
     unchecked
         Record even if the box cannot measure what the plan or rig requires.
     """
-    from truearm.cli.findings_text import show
     from truearm.cli.record_text import document
-    from truearm.findings import findings_of
     from truearm.workflows.record import record_request
 
     if request.duration is not None and request.duration <= 0:
@@ -78,19 +71,14 @@ def record(
         raise InputError(f"--patience-s {request.patience:g} is not a duration; give seconds, or 0 not to wait")
     request = replace(request, project_model=project_model(Path.cwd()))
     recorded = record_request(request, sys.stderr, lambda text: typer.echo(text, err=True))
-    summary = document(recorded)
-    if json:
-        print_json(summary)
-    else:
-        show(findings_of(summary), more="")
+    interrupted = recorded.summary.reason == "interrupted"
+    end: ExitCode | IncompleteError = ExitCode.INTERRUPTED if interrupted else ExitCode.DONE
     if recorded.trouble:
         typer.echo(recorded.trouble, err=True)
-    interrupted = recorded.summary.reason == "interrupted"
     if interrupted and not recorded.kept:
         typer.echo("interrupted before the box had started; nothing was recorded", err=True)
     elif recorded.missing:
         where = f"; the received data are in {recorded.out}" if recorded.kept else "; nothing was recorded"
         named = recorded.kept and str(recorded.out) in recorded.missing
-        raise IncompleteError(recorded.missing if named else f"{recorded.missing}{where}")
-    if interrupted:
-        raise typer.Exit(ExitCode.INTERRUPTED)
+        end = IncompleteError(recorded.missing if named else f"{recorded.missing}{where}")
+    return Answer(document(recorded), end=end)

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from truearm.bounds import LINE_POINTS, Within
-from truearm.cli.command import command
+from truearm.cli.command import Answer, command
 from truearm.cli.options import issue_of, rigs_of
-from truearm.cli.output import print_result, warn
+from truearm.cli.output import warn
 from truearm.files.robot_file import NO_ROBOT, RobotChoice
 from truearm.text import one_line
 
@@ -29,8 +29,7 @@ def report(
     tolerance_mm: Annotated[float | None, Within(1e-3, 100.0)] = None,
     line_points: Annotated[int | None, LINE_POINTS] = None,
     force: bool = False,
-    json: bool = False,
-) -> None:
+) -> Answer:
     """Write the report on a result, with a certificate as its first page.
 
     The fit is repeated from the files of the result, with the same options. If the files differ, or the outcome does, no report is written.
@@ -67,4 +66,4 @@ def report(
     files = IdentifyFiles(robot, sources, command=command_line, force=force)
     certificate = report_files(result, files, out, issue_of(number, tolerance_mm))
     lines = [f"{certificate.heading}: {certificate.decision}", f"Written: {one_line(str(out))}"]
-    print_result({"report": str(out), "decision": certificate.decision}, lines, json)
+    return Answer({"report": str(out), "decision": certificate.decision}, lines)

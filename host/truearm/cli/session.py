@@ -2,19 +2,250 @@
 
 from __future__ import annotations
 
-from truearm.cli.add_joints import add_joints
-from truearm.cli.export_session import export_session
-from truearm.cli.output import command_group
-from truearm.cli.project import ProjectCommand
-from truearm.cli.recover import recover
-from truearm.cli.relabel import relabel
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from truearm.bounds import OneOf
+from truearm.cli.command import Answer, command, fill
+from truearm.cli.output import warn_of_further_parts
+from truearm.cli.project import ProjectCommand, command_group
+from truearm.record.robots.sources import FileOptions, files_help
+from truearm.text import counted, one_line
+from truearm.workflows.requests import ExportSession
+
+if TYPE_CHECKING:
+    from truearm.record.recover import Recovered
 
 app = command_group(
     "session",
     "Repair session files, and convert them for other programs.",
     "Example: truearm session recover session.mcap",
 )
-app.command("recover", cls=ProjectCommand)(recover)
-app.command("relabel", cls=ProjectCommand)(relabel)
-app.command("add-joints", cls=ProjectCommand)(add_joints)
-app.command("export", cls=ProjectCommand)(export_session)
+
+
+@app.command("recover", cls=ProjectCommand)
+@command()
+def recover(
+    session: Path,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+) -> Answer:
+    """Write all intact data of a damaged or unfinished session to a new file that every command reads.
+
+    For a file whose recorder was killed, whose disk was full, or whose bytes were damaged. The file itself is not changed. Saved
+    and lost data are listed by place, time and topic; gaps are not filled. An intact file is left alone. Exit code 0 if the data
+    were saved, however many are lost, or if the file is intact; 2 if nothing could be saved.
+
+    Example:
+      truearm session recover session.mcap --out recovered.mcap
+
+    Options
+    -------
+    out : FILE
+        File to write: a session (default: NAME-recovered.mcap for NAME.mcap).
+    """
+    from truearm.workflows.recover import recover_file, recovered_name
+
+    out = out or recovered_name(session)
+    found = recover_file(session, out, force)
+    if found is None:
+        text = f"{one_line(str(session))}: is intact; there is nothing to recover, and nothing was written"
+        return Answer({"whole": True, "out": None}, [text])
+    warn_of_further_parts(session, f"later commands do not find them from {one_line(out.name)}; name each file")
+    reading = "every command reads it" if found.samples else "but no sample in it can be used"
+    written = f"{one_line(str(out))}: written, with all data that are intact; {reading}"
+    return Answer({"whole": False, "out": str(out), **asdict(found)}, [*lines(found), written])
+
+
+def lines(found: Recovered) -> list[str]:
+    """What was saved and what was lost, for people."""
+    from truearm.report.session_findings import damage_finding
+
+    messages = sum(account.saved for account in found.topics.values())
+    text = [
+        f"saved  {counted(messages, 'message')} over {found.seconds:.1f} s, {counted(found.samples, 'sample')}, "
+        f"{_named(found.attachments, 'attachment')}"
+    ]
+    width = max((len(topic) for topic in found.topics), default=0)
+    for topic, account in found.topics.items():
+        lost = f", {account.lost} lost" if account.lost else ""
+        text.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
+    for damage in found.damage[:SHOWN]:
+        text.append(f"lost   {damage_finding(vars(damage)).text()}")
+    if len(found.damage) > SHOWN:
+        text.append(f"lost   and in {counted(len(found.damage) - SHOWN, 'place')} more")
+    if found.undescribed:
+        lost = counted(found.undescribed, "block of samples", "blocks of samples")
+        text.append(f"lost   what {lost} mean: the box's description of its channels was in a damaged place")
+    if found.cut_off:
+        text.append(
+            f"lost   the end of the file, after {found.seconds:.1f} s: its length is unknown (at most a second if the "
+            "recorder was killed)"
+        )
+    text.append(f"       {counted(found.unread_bytes, 'byte is', 'bytes are')} outside intact records")
+    return text
+
+
+def _named(names: tuple[str, ...], what: str) -> str:
+    return f"{what} {', '.join(map(one_line, names))}" if names else f"no {what}"
+
+
+@app.command("relabel", cls=ProjectCommand)
+@command()
+def relabel(
+    session: Path,
+    *,
+    model: str | None = None,
+    base: str | None = None,
+    tip: str | None = None,
+    rig: Path | None = None,
+    trust: Annotated[str | None, OneOf(("plan", "typed", "evidence"))] = None,
+    mounted: list[str] | None = None,
+) -> Answer:
+    """Decide what was mounted at each dwell of a session where plan, operator and readings disagree.
+
+    The session itself is not changed: the labels are written beside it, to NAME.labels.json, and all later commands use them;
+    without that file, plan and confirmations apply again. A dwell is a rest of the robot at one pose. With --trust evidence it is
+    labelled if one pairing of bar, chuck and sphere has a probability of at least 99.8 %, otherwise it is left out. Without --trust
+    and --mounted, the doubtful dwells are printed, and nothing is written.
+
+    Example:
+      truearm session relabel session.mcap --model puma560
+      truearm session relabel session.mcap --model puma560 --trust evidence --mounted 12:14=bar46,c1,s2
+
+    Options
+    -------
+    trust
+        Accept the plan, the typed confirmations, or the evidence of both and the readings together (needs --model).
+        Default: none of them, where they disagree.
+    mounted : DWELLS=BAR,CHUCK,SPHERE
+        What was mounted at some dwells, numbered as printed: 12:14=bar46,c1,s2; of a further part, "s.2.mcap 12=...".
+    """
+    from truearm.files.rig_file import read_rig
+    from truearm.files.robot_file import RobotChoice
+    from truearm.workflows.relabel import relabel as relabel_session
+
+    robot = RobotChoice(model, base, tip).load() if model else None
+    document = relabel_session(session, robot, trust, mounted or (), read_rig(rig) if rig else None)
+    left_out, saved = document["left_out"], document["saved"]
+    sessions, dwells = ", ".join(map(one_line, document["sessions"])), counted(document["dwells"], "dwell")
+    summary = f"{sessions}: {dwells}, {document['with_reading']} with a reading within the stroke; "
+    text = [summary + (f"{len(left_out)} left out:" if left_out else "none is left out")]
+    text += [f"  {one_line(row['session'])} dwell {row['dwell']}: {one_line(row['detail'])}" for row in left_out]
+    if saved:
+        text.append(f"Written: {', '.join(map(one_line, saved))}. To undo this, delete it.")
+    else:
+        text.append("Nothing was written. Give --trust, or what was mounted, as --mounted 12:14=BAR,CHUCK,SPHERE.")
+    return Answer(document, text)
+
+
+@app.command("add-joints", cls=ProjectCommand)
+@command(files=files_help())
+def add_joints(
+    session: Path,
+    source: Path,
+    *,
+    out: Path,
+    topic: str = "/joint_states",
+    joints: str | None = None,
+    model: str | None = None,
+    base: str | None = None,
+    tip: str | None = None,
+    columns: str | None = None,
+    zero_s: float | None = None,
+    replace: bool = False,
+    allow_damaged: bool = False,
+    force: bool = False,
+) -> Answer:
+    """Add joint readings from a table or a ROS 2 bag to a session, as a new file.
+
+    truearm did not see these readings arrive, so each is placed in time by the controller's clock. The new file records that
+    its readings were added in this way.
+
+    Example:
+      truearm session add-joints session.mcap joints.csv --zero-s 3.2 --out with_joints.mcap
+      truearm session add-joints session.mcap rtde.csv --columns t_s=timestamp,q{}_rad=actual_q_{} --zero-s 3.2 --out with_joints.mcap
+
+    Arguments
+    ---------
+    source : FILE
+        Joint readings: {files}.
+
+    Options
+    -------
+    out : FILE
+        File to write: a session (.mcap).
+    topic : NAME
+        Topic of the joint states in a bag.
+    joints : LIST
+        Names of a bag's joints, from the base on: a,b,c. Default: those of --model.
+    columns : OURS=THEIRS,…
+        Names of a table's columns, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. Other columns are
+        skipped.
+    zero_s : S
+        When the controller's time was 0, in seconds after the first message of the session. Default: the controller's
+        time is UTC.
+    replace
+        Replace the joint readings that the session has.
+    """
+    from truearm.files.robot_file import RobotChoice
+    from truearm.record.robots.joint_columns import parse_renames
+    from truearm.workflows.add_joints import AddJoints, add_joints_file, joint_names
+
+    joint_list = joint_names(joints, RobotChoice(model, base, tip))
+    renames = () if columns is None else parse_renames(columns)
+    files = fill(AddJoints, locals(), options=FileOptions(topic, joint_list, allow_damaged, renames))
+    count = add_joints_file(files, force)
+    times = "UTC" if zero_s is None else "from --zero-s"
+    by = "their own times" if zero_s is None else "their own times and --zero-s"
+    warn_of_further_parts(
+        session,
+        f"add the joints to each of them; later commands do not find the new files from {one_line(out.name)}, so name each file",
+    )
+    text = f"{out}: {count} joint readings added, placed by {by}"
+    return Answer({"out": str(out), "readings": count, "times": times}, [text])
+
+
+@app.command("export", cls=ProjectCommand)
+@command()
+def export_session(request: ExportSession) -> Answer:
+    """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
+
+    Writes one file per stream; with --format mcap one file with one channel per stream, all on one time axis. A sample has the
+    box's time, the synchronised host time with its error bound, the counts, and the value in the SI unit that its column names.
+    Gaps are marked, not filled. session.json lists losses and describes the columns. --model determines which joints are prismatic;
+    without it all are revolute.
+
+    Example:
+      truearm session export session.mcap --out tables --format parquet
+      truearm session export session.mcap --out viewers --format mcap
+
+    Options
+    -------
+    out : FOLDER
+        Folder to write: the tables; it must be new or empty.
+    format : KIND
+        csv, npz, parquet (needs truearm[parquet]), or mcap: JSON for Foxglove and PlotJuggler.
+    rate : HZ
+        With --format mcap: largest number of samples per second of a stream; 0: all. Default: 100.
+    """
+    from truearm.workflows.export_session import export_session_files
+
+    tables = export_session_files(request)
+    lines = (f"{one_line(str(request.out))}/{name}: {_size(table)}" for name, table in tables.items())
+    rows = {name: table["rows"] for name, table in tables.items()}
+    warn_of_further_parts(request.session, "export each part separately: each has clocks of its own")
+    return Answer({"folder": str(request.out), "rows": rows}, lines)
+
+
+def _size(table: Mapping[str, Any]) -> str:
+    """Return the number of samples, which ``truearm inspect`` prints too, or of rows; and how many of them were written."""
+    size = counted(table["session_rows"], "sample" if "gap" in table["columns"] else "row")
+    thinned = table["rows"] < table["session_rows"]
+    return f"{table['rows']} of {size} (--rate 0 writes all)" if thinned else size
+
+
+SHOWN = 10  # damaged places that are listed

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from truearm.cli.command import command
-from truearm.cli.output import print_result
+from truearm.cli.command import Answer, command
 from truearm.errors import InputError
 from truearm.files.project_folder import FILE, find_project
 from truearm.text import counted, one_line, outcome, page
@@ -17,7 +16,7 @@ State = dict[str, Any]
 
 
 @command()
-def status(*, json: bool = False) -> None:
+def status() -> Answer:
     """Show the files of this folder's project, and the command that comes next.
 
     \b
@@ -30,8 +29,8 @@ def status(*, json: bool = False) -> None:
     if file is None:
         raise InputError("no-project", file=FILE)
     state = state_of(file)
-    command, why = _next(state)
-    print_result({**state, "next": command, "why": why}, [*_lines(state), f"next      {command} ({why})"], json)
+    following, why = _next(state)
+    return Answer({**state, "next": following, "why": why}, [*_lines(state), f"next      {following} ({why})"])
 
 
 def _lines(state: State) -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from truearm.bounds import Within
-from truearm.cli.command import command
+from truearm.cli.command import Answer, command
 from truearm.cli.options import issue_of, rigs_of
 from truearm.cli.output import warn
 from truearm.errors import Argument, InputError
@@ -26,13 +26,11 @@ def validate(
     rig: list[str] | None = None,
     keep_rig: bool = False,
     report: Path | None = None,
-    details: bool = False,
     number: str = "",
     tolerance_mm: Annotated[float | None, Within(1e-3, 100.0)] = None,
-    json: bool = False,
     allow_damaged: bool = False,
     force: bool = False,
-) -> None:
+) -> Answer:
     """Judge a calibration by other measurements: errors with and without it, in parts of the workspace, and a verdict.
 
     The robot's parameters stay as identified. The unknowns of the rig are estimated from the new rows, with and without the
@@ -57,9 +55,6 @@ def validate(
         Hold the rig at its identified values: trackers, targets, chucks, bars, and the faults that --apply estimated
         over all rows (without @FIRST). Only if nothing was moved since.
     """
-    from truearm.cli.findings_text import show
-    from truearm.files.result_file import format_document
-    from truearm.findings import findings_of
     from truearm.report.validation_findings import error_lines
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
@@ -72,7 +67,4 @@ def validate(
     command_line = shlex.join(["truearm", *(context.obj or [])])
     files = IdentifyFiles(robot, sources, report=report, command=command_line, force=force)
     document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
-    if json:
-        typer.echo(format_document(document))
-    else:
-        show(findings_of(document), error_lines(document) if details else None, [report], "Errors by region: --details")
+    return Answer(document, tables=error_lines(document), written=[report], more="Errors by region: --details")

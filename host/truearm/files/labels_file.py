@@ -75,7 +75,7 @@ def write_labels(session: Path, decision: Decision) -> None:
     """Write the labels of a session atomically. Raises InputError."""
     name = session.name.encode(errors="backslashreplace").decode()
     document = _document(Labels(name, sha256(session), (decision,)))
-    write_atomic(labels_path(session), strict_json(document, indent=1) + "\n")
+    write_atomic(labels_path(session), strict_json(document) + "\n")
 
 
 def _document(labels: Labels) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from truearm.estimate.solvers import Loss, Prior
 from truearm.files.disk import read_text, sha256, write_atomic
 from truearm.files.earlier_results import converted
 from truearm.files.result_covariance import Covariance, Name, Names, Size
+from truearm.files.strict_json import strict_json
 from truearm.results import Addition, Defaults, NullDirection, Unusable
 from truearm.types import Law, Payload
 from truearm.units import MM, UNITS
@@ -265,17 +266,6 @@ def _checked(document: Any, name: str) -> Result:
     return msgspec.convert(converted(document), Result)
 
 
-def format_document(value: Any, indent: int = 0) -> str:
-    """Return JSON with one line for each innermost list or object."""
-    items = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
-    if not any(isinstance(item, dict | list) for item in items):
-        return json.dumps(value, allow_nan=False)
-    names = [f"{json.dumps(name)}: " for name in value] if isinstance(value, dict) else [""] * len(items)
-    pad, (first, last) = "\n" + " " * indent, "{}" if isinstance(value, dict) else "[]"
-    lines = (f"{pad}  {name}{format_document(item, indent + 2)}" for name, item in zip(names, items, strict=True))
-    return f"{first}{','.join(lines)}{pad}{last}"
-
-
 def write_result(path: Path, result: Result) -> None:
     """Write result.json atomically. Raises InputError if it cannot be written there."""
-    write_atomic(path, format_document(result.document) + "\n")
+    write_atomic(path, strict_json(result.document) + "\n")

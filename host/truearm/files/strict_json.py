@@ -28,6 +28,16 @@ def without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def strict_json(value: Any, indent: int) -> str:
-    """Return a value as JSON text; a number that does not exist is null."""
-    return json.dumps(without_nan(value), indent=indent, allow_nan=False)
+def strict_json(value: Any) -> str:
+    """Return a value as JSON text with one line for each innermost list or object; a number that does not exist is null."""
+    return _text(without_nan(value), 0)
+
+
+def _text(value: Any, indent: int) -> str:
+    items = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
+    if not any(isinstance(item, dict | list) for item in items):
+        return json.dumps(value, allow_nan=False)
+    names = [f"{json.dumps(name)}: " for name in value] if isinstance(value, dict) else [""] * len(items)
+    pad, (first, last) = "\n" + " " * indent, "{}" if isinstance(value, dict) else "[]"
+    lines = (f"{pad}  {name}{_text(item, indent + 2)}" for name, item in zip(names, items, strict=True))
+    return f"{first}{','.join(lines)}{pad}{last}"

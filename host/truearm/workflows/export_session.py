@@ -49,7 +49,7 @@ def export_session_files(wanted: ExportSession) -> dict[str, dict[str, Any]]:
             whole.mkdir()
             document = _export(opened, whole, wanted, given, units)
             document["sha256"] = sha256(wanted.session)
-            (whole / SAID).write_text(strict_json(document, indent=2) + "\n", encoding="utf-8")
+            (whole / SAID).write_text(strict_json(document) + "\n", encoding="utf-8")
             if out.exists():
                 out.rmdir()
             os.replace(whole, out)
