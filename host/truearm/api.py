@@ -40,8 +40,7 @@ from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.identify import Identification, IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.plan import BallBarOptions, Budget
-from truearm.workflows.session_arrays import channel_samples, joint_readings
-from truearm.workflows.session_observations import is_session
+from truearm.workflows.session_observations import channel_samples, is_session, joint_readings
 from truearm.workflows.session_parts import session_parts
 from truearm.workflows.validate import Validation, validated
 

@@ -18,7 +18,7 @@ from truearm.record.robots.add_readings import Anchors
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
-from truearm.workflows.add_joints import joint_names
+from truearm.workflows.session_copies import joint_names
 from truearm.workflows.session_observations import observations_of_session
 
 NAMES = [f"joint{i}" for i in range(6)]

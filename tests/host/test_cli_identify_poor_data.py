@@ -32,7 +32,7 @@ from truearm.files.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.types import Device, Point, Rig
-from truearm.workflows.informative_rows import check_rows
+from truearm.workflows.selection import check_rows
 
 UNITS = ("rad",) * 6
 

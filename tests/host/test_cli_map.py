@@ -13,7 +13,6 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from result_schema import signed
 from tests.refusals import ended
 
-from truearm.cli.map_text import map_findings
 from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import RobotError
@@ -21,9 +20,8 @@ from truearm.files.result_file import read_result
 from truearm.findings import Finding
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
-from truearm.workflows.calibration import NEAR_OBSERVED, read_calibration
-from truearm.workflows.map import Mapped, Section, mapped
-from truearm.workflows.undetermined import unseen_within
+from truearm.workflows.calibration import NEAR_OBSERVED, read_calibration, unseen_within
+from truearm.workflows.map import Mapped, Section, map_findings, mapped
 
 P = len(CHAIN.parameters)
 NONE = np.zeros((P, 0))

@@ -28,8 +28,7 @@ from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.model.robot import builtin_robot
 from truearm.types import Device, Point, Rig
-from truearm.workflows.configuration_notes import configuration_notes
-from truearm.workflows.correction_findings import unexplained_error
+from truearm.workflows.correction_findings import configuration_notes, unexplained_error
 
 SIGMA, TURN = 0.05e-3, 0.1e-3  # m, rad of a tracker's pose
 SAME = "0,0,0,0,0,0"

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from truearm.kinds.table import ObservationTable
-from truearm.workflows.hold_out import all_held_out, proposed_hold_out
-from truearm.workflows.selection import held_out_rows
+from truearm.workflows.selection import all_held_out, held_out_rows, proposed_hold_out
 
 
 def bars(*pairings):

@@ -9,7 +9,6 @@ from scipy import stats
 from tests.host.findings_bench import listed
 from ur10_bench import RIG, ROBOT
 
-from truearm.cli.map_text import map_findings
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
@@ -44,7 +43,7 @@ from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import CorrectOptions, correct_file
 from truearm.workflows.export import curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
-from truearm.workflows.map import Section, map_files, mapped
+from truearm.workflows.map import Section, map_files, map_findings, mapped
 from truearm.workflows.requests import CorrectFiles, MapFiles
 from truearm.workflows.validate import validated
 

@@ -18,8 +18,7 @@ from truearm.model.robot import builtin_robot
 from truearm.session.dwells import NEED_DECISION
 from truearm.types import BAR_MOUNTED
 from truearm.workflows.inputs import Sources, read_sources
-from truearm.workflows.record import unsettled
-from truearm.workflows.recorded_dwells import recorded_dwells
+from truearm.workflows.record import recorded_dwells, unsettled
 from truearm.workflows.relabel import relabel
 from truearm_sim.world import standard_plan, standard_rig
 

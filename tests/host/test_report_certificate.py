@@ -33,8 +33,7 @@ from truearm.session.session_file import open_session
 from truearm.types import rms
 from truearm.units import MM
 from truearm.workflows.correction_findings import unexplained_error
-from truearm.workflows.inputs import Sources, read_sources
-from truearm.workflows.recordings import sensors_of
+from truearm.workflows.inputs import Sources, read_sources, sensors_of
 
 SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
 OPTIONS = ["--hold-out", "0.2", "--seed", "3", "--solver", "map", "--freeze", "link2.y"]

@@ -120,7 +120,7 @@ class Answer:
         if isinstance(self.end, TruearmError):
             raise self.end
         if self.end is not ExitCode.DONE:
-            raise typer.Exit(ExitCode(self.end))
+            raise typer.Exit(self.end)
 
 
 def command(**texts: str) -> Callable[[F], F]:

@@ -27,12 +27,11 @@ from truearm.cli.identify import identify
 from truearm.cli.init import init
 from truearm.cli.inspect import inspect
 from truearm.cli.map import map_
-from truearm.cli.missing_file import missing_file
 from truearm.cli.names import option_for
 from truearm.cli.output import print_json
 from truearm.cli.plan import app as plan
 from truearm.cli.progress_line import shown_progress
-from truearm.cli.project import CommandGroup, ProjectCommand, defaults
+from truearm.cli.project import CommandGroup, ProjectCommand, defaults, missing_file
 from truearm.cli.record import RecordCommand, record
 from truearm.cli.report import report
 from truearm.cli.reproduce import reproduce

@@ -66,9 +66,8 @@ def map_(
     within : U0:U1,V0:V1
         Range of the search for --task, along the section's axes [mm]. Default: the whole section.
     """
-    from truearm.cli.map_text import map_findings
     from truearm.workflows.calibration import read_usable
-    from truearm.workflows.map import MapTask, Section, axis, map_files, write_map_page
+    from truearm.workflows.map import MapTask, Section, axis, map_files, map_findings, write_map_page
 
     if task is None and within is not None:
         raise InputError("needs-option", place="--within", needed="--task WxH")

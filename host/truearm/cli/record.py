@@ -62,8 +62,7 @@ def record(request: RecordOptions) -> Answer:
     unchecked
         Record even if the box cannot measure what the plan or rig requires.
     """
-    from truearm.cli.record_text import document
-    from truearm.workflows.record import record_request
+    from truearm.workflows.record import record_request, recording_document
 
     if request.duration is not None and request.duration <= 0:
         raise InputError(f"--duration-s {request.duration:g} is not a duration; give seconds above 0")
@@ -81,4 +80,4 @@ def record(request: RecordOptions) -> Answer:
         where = f"; the received data are in {recorded.out}" if recorded.kept else "; nothing was recorded"
         named = recorded.kept and str(recorded.out) in recorded.missing
         end = IncompleteError(recorded.missing if named else f"{recorded.missing}{where}")
-    return Answer(document(recorded), end=end)
+    return Answer(recording_document(recorded), end=end)

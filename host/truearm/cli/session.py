@@ -47,7 +47,7 @@ def recover(
     out : FILE
         File to write: a session (default: NAME-recovered.mcap for NAME.mcap).
     """
-    from truearm.workflows.recover import recover_file, recovered_name
+    from truearm.workflows.session_copies import recover_file, recovered_name
 
     out = out or recovered_name(session)
     found = recover_file(session, out, force)
@@ -193,7 +193,7 @@ def add_joints(
     """
     from truearm.files.robot_file import RobotChoice
     from truearm.record.robots.joint_columns import parse_renames
-    from truearm.workflows.add_joints import AddJoints, add_joints_file, joint_names
+    from truearm.workflows.session_copies import AddJoints, add_joints_file, joint_names
 
     joint_list = joint_names(joints, RobotChoice(model, base, tip))
     renames = () if columns is None else parse_renames(columns)

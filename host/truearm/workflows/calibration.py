@@ -1,4 +1,4 @@
-"""The result of an identification as used by later commands: a result.json and its robot."""
+"""The result of an identification as used by later commands: a result.json and its robot, and what it did not determine."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from numpy.typing import ArrayLike, NDArray
 from truearm.arguments import converted, floats
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
+from truearm.estimate.frame_choice import mounting
 from truearm.files.result_file import Result, read_result
 from truearm.files.robot_file import NO_ROBOT, RobotChoice, is_urdf, load_robot
 from truearm.files.strict_json import number_or_null
 from truearm.findings import Finding
 from truearm.model.builtin import builtin_names
-from truearm.model.chain import Chain
+from truearm.model.chain import Chain, point_jacobians
 from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
 from truearm.model.robot import Robot, poses
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_findings import verdict
-from truearm.results import weights_of
+from truearm.report.result_words import direction_text
+from truearm.results import MOVES, NullDirection, weights_of
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
 
@@ -356,3 +358,76 @@ def unseen_of(stored: Result, names: Sequence[str]) -> Floats:
     Other fixtures may see either.
     """
     return weights_of((*stored.null_space, *stored.defaults.frames), names)
+
+
+SHOWN, TERMS = 3, 3  # combinations, and parameters of each
+# In names of the rig's numbers, such as "sphere.s1.x", and in words.
+ITEMS = {
+    "chuck": "chucks",
+    "socket": "sockets",
+    "tracker": "trackers",
+    "line": "line devices",
+    "plane": "planes",
+    "sphere": "spheres on the end",
+    "target": "targets on the end",
+}
+
+
+def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[Finding]:
+    """Return what the observations did not determine of the end's position at joints q (n, j); empty if nothing.
+
+    The pose of the base is left out with ``own_frames``: it moves all targets with the robot.
+    """
+    chain = calibration.chain
+    jac = point_jacobians(chain, calibration.identified, q, np.zeros(3))[1]
+
+    def moving(directions: Sequence[NullDirection]) -> list[NullDirection]:
+        return [
+            one for one in directions if np.abs(jac @ weights_of([one], chain.parameter_names)).max(initial=0.0) > MOVES
+        ]
+
+    findings = []
+    places, defaults = mounting(chain, calibration.nominal), calibration.stored.defaults
+    own = np.array(chain.parameter_names)
+    base = set(own[places.base].tolist())
+    held = moving(calibration.stored.defaults.frames)
+    for key, what, mask, outside in (
+        ("base", "pose of the base", places.base, own_frames),
+        ("tool", "mounting of the tool", places.tool, False),
+    ):
+        names = set(getattr(defaults, key) or own[mask].tolist())
+        directions = [direction for direction in held if names.intersection(direction.names)]
+        if directions and not outside:
+            held_names = [name for name in own.tolist() if name in names]
+            values = {"what": what, "base": key == "base", **_held(held_names, directions)}
+            findings.append(Finding("mounting-held", values))
+            if key == "base":
+                findings.append(Finding("own-frames-next"))
+    null = moving(calibration.stored.null_space)
+    if own_frames:  # a turn of the base together with the rig moves no target relative to the robot
+        null = [direction for direction in null if set(own.tolist()).intersection(direction.names) - base]
+    if null:
+        values = {
+            "terms": [direction_text(direction.weights, direction.names, TERMS) for direction in null[:SHOWN]],
+            "more": max(len(null) - SHOWN, 0),
+        }
+        findings.append(Finding("null-space-moves-end", values))
+    return findings
+
+
+def unseen_within(calibration: Calibration) -> tuple[Floats, tuple[str, ...]]:
+    """Return the directions (p, d) that the observations did not determine, without those that only place base or tool,
+    and which of the two they place: errors are then relative to it.
+    """
+    unseen, places = calibration.unseen, mounting(calibration.chain, calibration.nominal)
+    within = (unseen[~places.either] != 0.0).any(axis=0)
+    placed = (unseen[:, ~within] != 0.0).any(axis=1)
+    return unseen[:, within], tuple(name for name in ("base", "tool") if placed[getattr(places, name)].any())
+
+
+def _held(names: Sequence[str], directions: Sequence[NullDirection]) -> dict[str, object]:
+    """Return the names of a choice of frame; items of the rig, such as "sphere.s1.x", tell why there was one."""
+    parts = {part for direction in directions for name in direction.names for part in name.split(".")[:-1]}
+    items = [words for item, words in ITEMS.items() if item in parts]
+    moved = {name for direction in directions for name in direction.names}
+    return {"names": [name for name in names if name in moved], "items": " and ".join(items)}

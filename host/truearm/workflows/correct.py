@@ -1,4 +1,4 @@
-"""Correct targets or refuse them (``truearm correct``): read, correct, write."""
+"""Correct targets or refuse them (``truearm correct``): read, correct, write. Programs are a file or a folder."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from truearm.correct.correction import MARGIN, Configuration, Correction, at_too
 from truearm.correct.inverse import several_fit
 from truearm.correct.methods import Method, entry, with_steps
 from truearm.correct.model_pair import ModelPair
-from truearm.correct.programs.languages import ALL_SUFFIXES
+from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of
 from truearm.errors import Argument, InputError, RobotError, TargetError
-from truearm.files.disk import check_outputs, write_atomic
+from truearm.files.disk import check_new_folder, check_outputs, check_writable, read_bytes, write_atomic, write_folder
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.target_table import check_is_table, format_corrected, read_targets
 from truearm.finding_texts import UNDETERMINED
@@ -26,7 +26,14 @@ from truearm.model.robot_mounting import mountings
 from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.types import Floats
-from truearm.workflows.calibration import Calibration, check_joints, check_names, chosen_mountings, mounting_values
+from truearm.workflows.calibration import (
+    Calibration,
+    check_joints,
+    check_names,
+    chosen_mountings,
+    mounting_values,
+    undetermined,
+)
 from truearm.workflows.correct_program import (
     CalibrationFrames,
     Corrected,
@@ -41,15 +48,8 @@ from truearm.workflows.correction_findings import (
     correction_findings,
     document_of,
 )
-from truearm.workflows.program_files import (
-    check_program_out,
-    is_program,
-    read_program_files,
-    write_program_files,
-)
 from truearm.workflows.requests import CorrectFiles
 from truearm.workflows.scene import correction_scene
-from truearm.workflows.undetermined import undetermined
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
@@ -262,3 +262,57 @@ def _frames(calibration: Calibration, own_frames: bool) -> Finding:
     held = not own_frames and np.allclose(mountings(*frames), np.eye(4), rtol=0.0, atol=NOTHING)
     values = {"own": own_frames, "held": held, "corrected": not own_frames and not held}
     return Finding("targets-frames", {**values, **mounting_values(*frames)})
+
+
+MAX_BYTES = 64 * 2**20  # of all files together
+
+
+class ProgramFiles(NamedTuple):
+    """Program files by their names: of a file its own, in a folder the path within it with slashes."""
+
+    path: Path
+    language: ProgramLanguage
+    contents: Mapping[str, bytes]
+
+
+def is_program(path: Path) -> bool:
+    """Return whether a path is a folder or, by its suffix, a robot program."""
+    return path.is_dir() or path.suffix.lower() in ALL_SUFFIXES
+
+
+def read_program_files(path: Path) -> ProgramFiles:
+    """Read a program, or all programs of a folder and its folders. Raises InputError."""
+    files = {path.name: path}
+    if path.is_dir():
+        files = {file.relative_to(path).as_posix(): file for file in sorted(path.rglob("*")) if file.is_file()}
+    try:
+        language = language_of(files)
+    except InputError as exc:
+        raise exc.within(path) from exc
+    if language is None:
+        raise InputError("no-program", place=path, suffixes=list(ALL_SUFFIXES))
+    names = [name for name in files if name.lower().endswith(SUFFIXES[language])]
+    contents: dict[str, bytes] = {}
+    room = MAX_BYTES
+    for name in names:
+        contents[name] = read_bytes(files[name], room, InputError)
+        room -= len(contents[name])
+    return ProgramFiles(path, language, contents)
+
+
+def check_program_out(out: Path, programs: ProgramFiles, inputs: list[Path]) -> None:
+    """Raise InputError unless corrected programs can be written to a new file or folder."""
+    if programs.path.is_dir():
+        check_new_folder(out, programs.path)
+        return
+    check_writable(out, inputs=inputs, suffixes=SUFFIXES[programs.language])
+    if out.exists():
+        raise InputError("file-exists", place=out)
+
+
+def write_program_files(out: Path, programs: ProgramFiles, contents: Mapping[str, bytes]) -> None:
+    """Write corrected programs, all of them or none."""
+    if programs.path.is_dir():
+        write_folder(out, contents)
+    else:
+        write_atomic(out, contents[programs.path.name])

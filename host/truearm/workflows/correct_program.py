@@ -41,8 +41,13 @@ from truearm.model.chain import joint_jacobian
 from truearm.model.poses import Six, apart, frame_of, inverted
 from truearm.text import counted
 from truearm.types import Floats
-from truearm.workflows.configuration_notes import configuration_notes
-from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets, OtherConfigurations, Refused
+from truearm.workflows.correction_findings import (
+    CorrectedMoves,
+    CorrectedTargets,
+    OtherConfigurations,
+    Refused,
+    configuration_notes,
+)
 
 N_JOINTS = 6  # of a robot that a pose in a program determines
 SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution

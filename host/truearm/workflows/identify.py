@@ -40,11 +40,18 @@ from truearm.results import Effect, Estimate, PredictedError
 from truearm.types import Mask, Rigs
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
-from truearm.workflows.hold_out import all_held_out, proposed_hold_out
-from truearm.workflows.informative_rows import check_rows
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.requests import FitOptions
-from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
+from truearm.workflows.selection import (
+    all_held_out,
+    check_rows,
+    free_parameters,
+    held_out_rows,
+    matching,
+    parse_effect,
+    parse_rows,
+    proposed_hold_out,
+)
 
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 

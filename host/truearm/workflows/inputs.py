@@ -1,13 +1,20 @@
-"""Inputs of an identification: files are named, checked, read as one table, and hashed."""
+"""Inputs of an identification: files are named, checked, read as one table, and hashed.
+
+A session contains the rig with which it was recorded, so several sessions of one robot may have several rigs. Each rig
+then has unknowns of its own (``monday.sphere.s1.x``), and only the robot's parameters are shared. A session is named
+after its file without the suffix: ``--rig monday=FILE`` replaces the rig inside monday.mcap.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from truearm.errors import Argument, InputError, SessionError
+from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.files.disk import check_outputs, same_file
 from truearm.files.labels_file import labels_path
 from truearm.files.noise_file import check_against_rigs, read_noise, with_noise
@@ -19,25 +26,26 @@ from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
 from truearm.progress import step
-from truearm.report.certificate import Recording
+from truearm.report.certificate import Facts, Recording, between
 from truearm.session.dwells import DOUBTFUL
 from truearm.text import one_line
 from truearm.types import Rig
-from truearm.workflows.label_evidence import borne_out_rows
-from truearm.workflows.recordings import recording_of
+from truearm.units import NS, UM, US
+from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
     Say,
     SessionOptions,
+    attached_rig,
     is_session,
     labels_of,
     nothing_observed,
     observations_of_opened,
     silent,
 )
-from truearm.workflows.session_parts import SETUP, is_part
-from truearm.workflows.session_rigs import Assigned, session_rigs
+from truearm.workflows.session_parts import SETUP, first_stem, is_part
 
 if TYPE_CHECKING:
+    from truearm.session.observations import SyncResult
     from truearm.session.session_file import Session
 
 
@@ -260,3 +268,111 @@ def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
         *(input_of("noise", noise) for noise in [sources.noise] if noise),
         *(input_of("robot", file) for file in robot.files),
     ]
+
+
+def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Recording:
+    """Return the facts of one session; ``count`` has its dwells."""
+    idents, losses, reports = list(result.survey.idents.values()), result.losses, result.clock_reports
+    uid = ", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents))
+    firmware = ", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents))
+    begun = _utc(session.metadata.get("session", {}).get("utc_ns", ""))
+    lost = losses.samples_lost + losses.samples_overrun
+    facts = [("begun", begun or "not known"), ("box", f"{uid or 'without a uid'}, firmware {firmware or 'not known'}")]
+    if count.with_bar or not count.lines:  # otherwise the dwells are stops between lines
+        rejected = ", ".join(f"{n} {reason}" for reason, n in count.rejected.items()) or "none"
+        facts.append(("dwells", f"{count.dwells}, of these rejected: {rejected}"))
+        facts += [("stops for mounting", str(count.mountings))] if count.mountings else []
+    facts += [("passes along lines", str(count.lines))] if count.lines else []
+    facts.append(("samples", f"{result.samples_seen:,} received, {lost:,} lost; {losses.frames_lost:,} frames lost"))
+    bound = US.text(max(NS.to_si(report.bound_ns) for report in reports), ".0f") if reports else "not known"
+    facts.append(("error of the box's clock, at most", bound))
+    read = [(one_line(name) or "unnamed", one.extremes) for name, one in result.survey.thermometers.items()]
+    temperatures = tuple((name, *degc) for name, degc in read if degc is not None)
+    facts += [(f"temperature of the {name}", between(*degc)) for name, *degc in temperatures]
+    sensors = tuple(dict.fromkeys(sensor for ident in idents for sensor in sensors_of(ident.document)))
+    return Recording(one_line(session.path.name), begun, tuple(facts), sensors, lost, temperatures)
+
+
+def _utc(nanoseconds: str) -> str:
+    """Format a time as text; "" for none."""
+    if not nanoseconds.isdecimal() or len(nanoseconds) > 19:
+        return ""
+    return datetime.fromtimestamp(NS.to_si(int(nanoseconds)), UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def sensors_of(document: Mapping[str, Any]) -> Facts:
+    """Return the calibrated channels named by a box, each with its calibration."""
+    streams = (stream for stream in document.get("streams") or [] if isinstance(stream, dict))
+    channels = (channel for stream in streams for channel in stream.get("channels") or [])
+    calibrated = (channel for channel in channels if isinstance(channel, dict) and channel.get("calibration"))
+    return tuple(_sensor(channel) for channel in calibrated if isinstance(channel["calibration"], dict))
+
+
+def _sensor(channel: Mapping[str, Any]) -> tuple[str, str]:
+    calibration = channel["calibration"]
+    serial, date, reference = (
+        one_line(str(calibration.get(key) or "")[:80]) for key in ("serial", "date", "reference")
+    )
+    degc = calibration.get("temperature_mdegc")
+    sigma, reference_sigma = (_sigma(calibration, key) for key in ("sigma", "reference_sigma"))
+    words = (
+        f"serial {serial}" * bool(serial),
+        f"calibrated {date or 'on an unknown date'}",
+        f"at {degc // 100 / 10:.1f} °C" if type(degc) is int else "",
+        "" if sigma is None else f"residuals of {UM.text(sigma, '.1f')}",
+        f"against {reference or 'a reference that is not named'}",
+        "of unknown uncertainty" if reference_sigma is None else f"± {UM.text(2.0 * reference_sigma, '.1f')} (k = 2)",
+    )
+    return f"sensor {one_line(str(channel.get('name', ''))[:40])}", ", ".join(filter(None, words))
+
+
+def _sigma(calibration: Mapping[str, Any], key: str) -> float | None:
+    """Return a standard deviation [m] of a calibration; None if the box does not report it as a length."""
+    pair = calibration.get(key)
+    if calibration.get("unit") != "m" or not (isinstance(pair, list) and len(pair) == 2):
+        return None
+    mantissa, exponent = pair
+    known = type(mantissa) is int and type(exponent) is int and abs(exponent) < 30
+    return float(mantissa * 10.0**exponent) if known else None
+
+
+LONGEST = 64  # letters in a name, as for a table's identifiers
+Assigned = tuple[str, Rig]  # name, "" for the common rig, and the rig
+
+
+def session_name(path: Path) -> str:
+    """Return a session's name for use with rigs: its first file's name without the suffix, valid in a table's column."""
+    return re.sub(r"[^\w-]", "_", first_stem(path), flags=re.ASCII)[:LONGEST]
+
+
+def session_rigs(sessions: Mapping[Path, Session], given: Mapping[str, Rig]) -> dict[Path, Assigned]:
+    """Return name and rig of every session; ``given`` holds the rigs given by the user, by name.
+
+    If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
+    a name. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
+    """
+    if "" in given:
+        return dict.fromkeys(sessions, ("", given[""]))
+    recorded = {path: attached_rig(one, path) for path, one in sessions.items() if session_name(path) not in given}
+    for path, rig in recorded.items():
+        if rig is None:
+            name = f" {session_name(path)}=FILE" * bool(given)
+            raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"), name)
+    own = {path: rig for path, rig in recorded.items() if rig is not None}
+    if not given and all(rig == next(iter(own.values())) for rig in own.values()):
+        return {path: ("", rig) for path, rig in own.items()}
+    named = {path: (session_name(path), given[session_name(path)]) for path in sessions if path not in own}
+    return named | _named_apart(own)
+
+
+def _named_apart(own: Mapping[Path, Rig]) -> dict[Path, Assigned]:
+    """Return each session's own rig under the session's name; sessions recorded with the same rig share the first
+    one's.
+    """
+    named: dict[Path, Assigned] = {}
+    for path, rig in own.items():
+        same = next((name for name, other in named.values() if other == rig), session_name(path))
+        if any(name == same and other != rig for name, other in named.values()):
+            raise InputError(f"{path}: another session is also named {same} but has another rig; rename one of them")
+        named[path] = same, rig
+    return named

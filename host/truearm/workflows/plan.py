@@ -37,11 +37,10 @@ from truearm.report.plan_findings import approach_findings, forecast_findings
 from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
-from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.identify import DEFAULTS, default_prior
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.requests import PlanFiles, PoseOptions
-from truearm.workflows.selection import held_out_rows
+from truearm.workflows.selection import all_held_out, held_out_rows, proposed_hold_out
 from truearm.workflows.session_parts import with_parts
 
 LEAST_CHECKS = 3  # fewer reveal little about a drift, and a short plan has no pose to spare

@@ -54,7 +54,7 @@ def sessions_of(folder: Path) -> list[Path]:
 
     Parts that continue a session are read with it and are not listed, nor are recovered copies.
     """
-    from truearm.workflows.recover import recovered_name
+    from truearm.workflows.session_copies import recovered_name
     from truearm.workflows.session_parts import first_stem
 
     every = by_time(folder.glob("*.mcap"))

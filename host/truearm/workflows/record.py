@@ -1,29 +1,32 @@
-"""Carry out ``truearm record`` according to its options."""
+"""Carry out ``truearm record`` according to its options, and count the dwells of what was recorded."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
 
 from truearm.box.configuration_schema import MODULATOR_NS, OSRS
 from truearm.box.readiness import Purpose
 from truearm.errors import Argument, IncompleteError, InputError, TruearmError, WriteError
+from truearm.findings import Finding, entries
 from truearm.interrupt import asked_to_stop
 from truearm.live.choose_box import choose_box
 from truearm.live.mounted_parts import check_mounted, parse_mounted
 from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import showing
+from truearm.record.status import Counters
 from truearm.text import counted, one_line
 from truearm.types import Move
 from truearm.units import NS
-from truearm.workflows.recorded_dwells import RecordedDwells, recorded_dwells
-from truearm.workflows.recover import recovered_name
 from truearm.workflows.requests import RecordOptions
+from truearm.workflows.session_copies import recovered_name
 from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
 
 if TYPE_CHECKING:
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
 
     from truearm.record.links import Clock
     from truearm.record.status import RecordSummary
+    from truearm.session.observations import SyncResult
     from truearm.types import Plan, Rig
 
 # The converter's modulator runs at 125 MHz / 15 / 2; a sample takes osr of its periods.
@@ -281,3 +285,117 @@ def _plan_row(plan: Plan, pose: int) -> dict[str, Any]:
     if plan.lines[pose]:
         row |= {"line": str(plan.line[pose]), "target": str(plan.target[pose]), "speed_m_s": float(plan.speed[pose])}
     return row | {"q": plan.q[pose].tolist()}
+
+
+@dataclass(frozen=True)
+class RecordedDwells:
+    """Account of the stops at poses of the plan, or, without a plan, of all sufficiently long stops.
+
+    ``unusable``: rejected for other reasons, with the number for each. ``lost``: poses of the plan that were visited
+    and gave no observation.
+    """
+
+    dwells: int
+    usable: int
+    need_decision: int
+    unusable: dict[str, int]
+    lost: int
+
+
+def recorded_dwells(session: Path) -> RecordedDwells | None:
+    """Return the account of a session; None if it has no rig with a ball-bar or cannot be read."""
+    from truearm.session.session_file import open_session
+    from truearm.workflows.session_observations import SessionOptions, attached_rig, observations_of_session
+
+    try:
+        rig = attached_rig(open_session(session), session)
+        if rig is None or not rig.bars:
+            return None
+        return counted_dwells(observations_of_session(session, rig, SessionOptions(may_be_empty=True)))
+    except TruearmError:  # identify reports what is wrong with it
+        return None
+
+
+def counted_dwells(result: SyncResult) -> RecordedDwells:
+    """Return the account of a session's dwells."""
+    from truearm.session.dwells import DwellRules, needs_decision
+
+    plan = result.survey.marks.plan()
+    counts: dict[str, int] = {}
+    visited, measured = set[int](), set[int]()
+    total = 0
+    for dwell in result.dwells:
+        if plan is None:
+            if dwell.reason == "too short":
+                continue
+        else:
+            away = np.max(np.abs(plan.q - dwell.q), axis=1) if plan.q.shape[1] == dwell.q.size else np.array([np.inf])
+            if away.min() > DwellRules().pose_tolerance:
+                continue
+            visited.add(int(away.argmin()))
+            if not dwell.reason:
+                measured.add(int(away.argmin()))
+        total += 1
+        counts[dwell.reason] = counts.get(dwell.reason, 0) + 1
+    usable = counts.pop("", 0)
+    words = sum(counts.pop(reason) for reason in list(counts) if needs_decision(reason, plan is not None))
+    return RecordedDwells(total, usable, words, dict(sorted(counts.items())), len(visited - measured))
+
+
+DISTURBANCES = {  # counters of what a recording survives
+    "restarts": ("restart of the box", "restarts of the box"),
+    "link_losses": ("loss of the link to the box", "losses of the link to the box"),
+    "robot_losses": ("loss of the robot", "losses of the robot"),
+    "robot_other_joints": ("reading of another number of joints", "readings of another number of joints"),
+    "robot_foreign": ("datagram from another address, not stored", "datagrams from other addresses, not stored"),
+    "held_up": ("delay of the storing", "delays of the storing"),
+}
+
+
+def recording_document(recorded: Recorded) -> dict[str, Any]:
+    """Return a recording as JSON; ``dwells`` is None where it has no robot or no rig with a ball-bar."""
+    summary = recorded.summary
+    return {
+        "out": str(recorded.out) if recorded.kept else None,
+        "duration_s": summary.duration_s,
+        "ended": summary.reason,
+        "why": summary.text,
+        "counters": asdict(summary.counters),
+        "faults": summary.faults,
+        "dwells": None if recorded.dwells is None else asdict(recorded.dwells),
+        "missing": recorded.missing,
+        "findings": entries(_findings(recorded)) if recorded.kept else [],
+    }
+
+
+def _findings(recorded: Recorded) -> Iterator[Finding]:
+    """Return what is in the file and why the recording ended, then what it survived."""
+    summary, dwells = recorded.summary, recorded.dwells
+    values: dict[str, Any] = {
+        "file": str(recorded.out),
+        "duration": {"s": summary.duration_s},
+        "samples": summary.counters.samples,
+        "lost": summary.counters.lost_frames,
+        "readings": summary.counters.robot_lines,
+        "dwells": dwells.dwells if dwells else 0,
+        "ended": summary.reason,
+        "why": summary.text if summary.reason == "robot closed" else "",
+    }
+    if dwells:
+        unusable = [f"{n} {reason}" for reason, n in dwells.unusable.items()]
+        values |= {"usable": str(dwells.usable), "need_decision": dwells.need_decision, "unusable": unusable}
+    yield Finding("recorded", values)
+    events = [*_disturbances(summary.counters), *summary.faults]
+    if events:
+        counts = {name: getattr(summary.counters, name) for name in DISTURBANCES}
+        yield Finding("recording-disturbed", {"events": events, **counts})
+
+
+def _disturbances(counters: Counters) -> Iterator[str]:
+    for name, words in DISTURBANCES.items():
+        if n := getattr(counters, name):
+            yield counted(n, *words)
+    if counters.robot_missing or counters.robot_dropped or counters.robot_unstored:
+        yield "the robot sent more than could be stored"
+    elif counters.robot_held_up:
+        yield "the robot sent faster than could be stored for a time; no reading is missing"

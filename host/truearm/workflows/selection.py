@@ -1,4 +1,7 @@
-"""Parse the user's selections: the rows to hold out and the parameters to identify."""
+"""Parse the user's selections: the rows to hold out and the parameters to identify.
+
+Propose a hold-out that leaves enough of everything, and refuse rows that cannot identify a robot.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +10,21 @@ import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import Argument, InputError
+from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.measured_order import poses
-from truearm.kinds.registry import GROUPS, drawn_from, identifiers
+from truearm.kinds.quantities import POINT, Quantity
+from truearm.kinds.registry import ANYWHERE, GROUPS, drawn_from, identifiers, kinds
 from truearm.kinds.table import ObservationTable
+from truearm.model.chain import Chain, forward
 from truearm.model.joint_terms.gain import Gain
 from truearm.results import DriftWith, Effect
 from truearm.text import listed
-from truearm.types import Mask
+from truearm.types import Floats, Mask
 
 HOLD_OUT, FIT_ONLY, APPLY, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "apply", "leave_out"))
 
@@ -230,3 +235,100 @@ def parse_rows(text: str, sources: NDArray[np.str_]) -> list[tuple[int, int]]:
     if len(files := {parts[i][0] for i in found}) > 1:
         raise InputError(LEAVE_OUT, f" {text!r} names rows of {len(files)} files of this name; give the path too")
     return [(row, row + 1) for row in found]
+
+
+FRACTIONS = (0.2, 0.1)
+SEEDS = 8  # number of seeds tried
+LEFT = 0.5  # at least this share of the rows of each combination
+
+
+class HoldOutProposal(NamedTuple):
+    """A share of the rows, drawn by a seed.
+
+    It holds out ``rows`` rows and leaves at least half of each of the ``combinations`` of names.
+    """
+
+    fraction: float
+    seed: int
+    rows: int
+    combinations: int
+
+
+def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> HoldOutProposal | None:
+    """Return the first share of the rows that leaves enough of everything to fit; None if there are too few poses.
+
+    ``unused`` (n,) are rows that are not judged, such as copies.
+    """
+    of_row = _combinations(table)
+    size, n_poses = np.bincount(of_row), np.unique(poses(table)).size
+    for fraction in FRACTIONS:
+        if round(fraction * n_poses) < 1:  # poses are drawn, not rows
+            break
+        for seed in range(SEEDS):
+            held = held_out_rows(table, [str(fraction)], seed)
+            if held is not None and np.all(np.bincount(of_row[~held], minlength=size.size) >= LEFT * size):
+                return HoldOutProposal(
+                    fraction, seed, int((held if unused is None else held & ~unused).sum()), size.size
+                )
+    return None
+
+
+def named_columns(table: ObservationTable) -> list[str]:
+    """Return the columns that name what is mounted, as far as rows have names: bar, chuck and sphere, or socket and
+    target.
+    """
+    return [name for name in identifiers() if name not in ANYWHERE[1:] and np.any(table[name] != "")]
+
+
+def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
+    """Return the names without any row left in the fit: ``sphere=s1``."""
+    found = []
+    for column in named_columns(table):
+        names = table[column]
+        gone = np.setdiff1d(names[held], names[~held])
+        found += [f"{column}={name}" for name in gone.tolist() if name]
+    return found
+
+
+def _combinations(table: ObservationTable) -> NDArray[np.intp]:
+    """Return (n,) the number of each row's combination of kind, names and rig."""
+    return numbered([table.kind, *(table[name] for name in (*named_columns(table), "rig"))])
+
+
+IN_SPACE = 0.01  # m, standard deviation in the direction of least motion
+LEAST_ROWS = 5  # of a kind, which must not all be equal
+
+
+def check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
+    """Raise ProblemError for ``rows`` (n,) without information: a single row, or readings that never change though the
+    robot moves.
+
+    A single coordinate of a point may stay the same while the end moves in a plane, but not while it moves in space.
+    """
+    if rows.sum() == 1:
+        more = "measure more poses" if len(table) == 1 else f"hold out or leave out fewer of the {len(table)}"
+        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; {more}")
+    for name, kind in kinds().items():
+        mine = table.select(rows & (table.kind == name))
+        if len(mine) < LEAST_ROWS or not np.ptp(mine.q, axis=0).max() > 0.0:
+            continue
+        for quantity in (column for column in kind.needs if isinstance(column, Quantity)):
+            values = mine[quantity.field].reshape(len(mine), -1)
+            if not np.ptp(values, axis=0).any():
+                are = "are" if " and " in quantity.words else "is"
+                text = f"{quantity.words} {are} the same in all {len(mine)} {name} rows though the joints move"
+                raise ProblemError(f"{mine.source[0]}: {text}; check that the sensor was read")
+            same = [one for one, span in zip(quantity.columns, np.ptp(values, axis=0), strict=False) if not span]
+            if quantity == POINT and same and _moves_in_space(chain, mine.q):
+                are = "are" if len(same) > 1 else "is"
+                text = f"{' and '.join(same)} {are} the same in all {len(mine)} {name} rows though the joints move the end in space"
+                column = f"column{'s' if len(same) > 1 else ''} of {' and '.join(same)}"
+                raise ProblemError(f"{mine.source[0]}: {text}; check what the device wrote to the {column}")
+
+
+def _moves_in_space(chain: Chain, q: Floats) -> bool:
+    """Return whether the nominal end moves in all three directions, at readings q (n, j)."""
+    if q.shape[1] != len(chain.joints) or not np.isfinite(q).all():
+        return False  # ``build_problem`` names these errors
+    points = forward(chain, chain.params_nominal, q)[:, :3, 3]
+    return bool(np.sqrt(np.linalg.eigvalsh(np.cov(points.T))[0]) > IN_SPACE)

@@ -1,22 +1,32 @@
-"""Read observations from a session file: the interface between the file (record) and its evaluation (sync)."""
+"""Read observations from a session file: the interface between the file (record) and its evaluation (sync).
+
+Also its samples and joint readings as arrays, and the possible effect of temperature on its lengths.
+"""
 
 from __future__ import annotations
 
+import math
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from truearm.errors import RigError, SessionError
-from truearm.text import counted, one_line
-from truearm.workflows.session_parts import SUFFIX
+import numpy as np
+
+from truearm.box.readiness import FAR, LVDT, LVDT_DRIFT, STEEL
+from truearm.errors import Argument, InputError, RigError, SessionError
+from truearm.session.session_tables import UNKNOWN, Batch, Columns, tabulate
+from truearm.text import counted, one_line, page
+from truearm.types import Floats
+from truearm.units import DEGC, MM, PPM_PER_K
+from truearm.workflows.session_parts import SUFFIX, open_finished
 
 if TYPE_CHECKING:
     from truearm.session.message_columns import Source
     from truearm.session.observations import Survey, SyncResult
     from truearm.session.session_file import Session
-    from truearm.types import DwellLabel, Rig
+    from truearm.types import BallBar, DwellLabel, Rig
 
 RIG = "rig.toml"
 SAID = 3  # damaged places reported; inspect lists all
@@ -128,7 +138,6 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     from truearm.report.session_findings import damage_finding
     from truearm.session.line_passes import LineRules
     from truearm.session.observations import observations
-    from truearm.workflows.temperature_warning import temperature_warning
 
     path = session.path
     if session.damage:
@@ -151,3 +160,101 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     if warning := temperature_warning(result, rig):
         options.say(one_line(f"{path}: {warning}"))
     return result
+
+
+COUNTS = "_counts"
+
+
+def channel_samples(parts: Sequence[Path], channel: str, allow_damaged: bool = False) -> tuple[Floats, Floats]:
+    """Return the host times (n,) [s] and the values (n,) of a channel of the box.
+
+    A value is a length [m] or in the channel's calibrated unit, or without a calibration what the converter measured,
+    usually [V]. Raises InputError, naming the channels of the session, if it does not have this one.
+    """
+    channels: dict[str, None] = {}
+    times, values = [np.zeros(0)], [np.zeros(0)]
+    for table, columns in _batches(parts, allow_damaged):
+        if table.startswith("box_"):
+            channels |= dict.fromkeys(title.removesuffix(COUNTS) for title in columns if title.endswith(COUNTS))
+            if channel + COUNTS in columns:
+                titles = [title for title in columns if title.startswith(f"{channel}_") and title != channel + COUNTS]
+                times.append(_host_seconds(columns))
+                values.append(columns[min(titles, key=_rank, default=channel + COUNTS)].astype(float))
+    if channel not in channels:
+        names = ", ".join(sorted(channels)) or "none"
+        raise InputError(Argument("channel"), f": the session has no samples of {channel!r}; its channels are {names}")
+    return np.concatenate(times), np.concatenate(values)
+
+
+def joint_readings(parts: Sequence[Path], allow_damaged: bool = False) -> tuple[Floats, Floats]:
+    """Return the host times (n,) [s] and the joint readings (n, j) [rad, m] of a session."""
+    times, readings = [], []
+    for table, columns in _batches(parts, allow_damaged):
+        if table.startswith("joints"):
+            q = [column for title, column in columns.items() if title[:1] == "q" and title[1:2].isdigit()]
+            times.append(_host_seconds(columns))
+            readings.append(np.column_stack(q))
+    if not times:
+        raise InputError("no-joint-readings", place=parts[0])
+    return np.concatenate(times), np.concatenate(readings)
+
+
+def _batches(parts: Sequence[Path], allow_damaged: bool) -> Iterator[Batch]:
+    for part in parts:
+        yield from tabulate(surveyed(open_finished(part, allow_damaged)))
+
+
+def _rank(title: str) -> int:
+    """Return how far a column of a channel is from a calibrated value."""
+    return 0 if title.endswith("_m") else 1 if title.endswith("_calibrated") else 2
+
+
+def _host_seconds(columns: Columns) -> Floats:
+    """Return host times [s], as in an ObservationTable; NaN where unknown."""
+    time = columns["host_time_ns"]
+    return np.where(time == UNKNOWN, np.nan, 1e-9 * time)
+
+
+def temperature_warning(result: SyncResult, rig: Rig) -> str:
+    """Return a sentence on the possible error of the lengths, "" if no warning is needed.
+
+    A warning is needed if the session was measured FAR from the box's temperature at which the ball-bar's channel was calibrated,
+    and rows lack the bar's temperature.
+    """
+    table = result.table.select(result.table.kind == "ball_bar")
+    noted = [
+        one.calibrated_degc
+        for ident in result.survey.idents.values()
+        for stream in ident.streams.values()
+        for one in stream.channels
+        if one.name == LVDT and math.isfinite(one.calibrated_degc)
+    ]
+    unread = ~np.isfinite(table.bar_temperature)
+    warmer = table.temperature[unread] - (noted[0] if noted else np.nan)
+    if not np.isfinite(warmer).any():
+        return ""
+    most = float(warmer[np.nanargmax(np.abs(warmer))])
+    if abs(most) < FAR:
+        return ""
+    used = [rig.bars[name] for name in np.unique(table.bar[unread]).tolist() if name in rig.bars]
+    bar = max(used, key=lambda one: possible_error(one, most))
+    expansion, drift = coefficients(bar)
+    return (
+        f"the box was up to {DEGC.text(abs(most), '.1f')} {'warmer' if most > 0.0 else 'colder'} than when {LVDT} was calibrated, "
+        f"and no thermometer was read on the bar: lengths may be off by {MM.text(possible_error(bar, most), '.3f')} "
+        f"({PPM_PER_K.text(expansion)} of {MM.text(bar.zero, '.0f')}, {PPM_PER_K.text(drift)} of {MM.text(0.5 * bar.travel, '.1f')}); "
+        f"put a thermometer on the bar ({page('Build and measure the rig')}), or calibrate the box at this temperature"
+    )
+
+
+def coefficients(bar: BallBar) -> tuple[float, float]:
+    """Return the expansion of a bar and the drift of its sensor's gain [1/K] from the rig, or usual values."""
+    return bar.expansion or STEEL, bar.gain_drift or LVDT_DRIFT
+
+
+def possible_error(bar: BallBar, warmer: float) -> float:
+    """Return the possible error of a length [m] if bar and sensor are warmer by these kelvins, at the end of the
+    stroke.
+    """
+    expansion, drift = coefficients(bar)
+    return abs(warmer) * (abs(expansion) * bar.zero + abs(drift) * 0.5 * bar.travel)
