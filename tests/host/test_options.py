@@ -73,6 +73,8 @@ def test_every_word_of_the_page_is_an_option():
         ("identify t.csv --allow joint1", "--apply"),
         ("inspect s.mcap --allow-truncated", "--allow-damaged"),
         ("demo --device x", "--device"),  # it has no box
+        ("record --duration 3", "--duration-s"),
+        ("map --tolerance 3", "truearm report and truearm validate have --tolerance-mm"),
         ("recover session.mcap", "truearm session recover"),
         ("export-session session.mcap --out x", "truearm session export"),
     ],
@@ -80,6 +82,11 @@ def test_every_word_of_the_page_is_an_option():
 def test_an_earlier_word_is_refused_and_the_new_one_named(typed, now, capsys):
     assert main(typed.split()) == 2
     ended(capsys.readouterr().err, "usage", reason=now)
+
+
+def test_an_unknown_option_is_not_answered_by_another_word(capsys):
+    assert main(["map", "--tolerance", "3"]) == 2
+    assert "--force" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("typed", ["correct targets.csv r.json --out c.csv", "validate poses.csv r.json"])

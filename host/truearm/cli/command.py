@@ -151,11 +151,12 @@ def command(**texts: str) -> Callable[[F], F]:
         if entries:
             raise TypeError(f"{function.__name__}() has no parameter {[name for _, name in entries]}")
 
-        def run(**given: Any) -> None:
+        def run(**given: Any) -> Any:
             records = {name: fill(hint, given) for name, hint in hints.items() if is_record(hint)}
             answer = function(**{name: value for name, value in given.items() if name in hints}, **records)
             if answers:
                 answer.show(given["json"], given.get("details"))
+            return answer
 
         run.__name__, run.__doc__ = function.__name__, EXAMPLE.sub("\b\n", page)
         run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}

@@ -146,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _complain(exc.text(_option_of(arguments)), exc.finding, arguments)
         return exc.exit_code
     except _UsageError as exc:
-        message = _renamed(exc) or _missing(exc, arguments) or _plain(exc.format_message())
+        message = _unknown_option(exc) or _missing(exc, arguments) or _plain(exc.format_message())
         command = exc.ctx.command_path if exc.ctx else _command_of(arguments)
         finding = Finding("usage", {"reason": message, "command": command})
         _complain(finding.text("--{}".format), finding, arguments)
@@ -201,10 +201,12 @@ def _command_of(arguments: Sequence[str]) -> str:
     return " ".join(["truearm", *(word for word in arguments[:1] if word in COMMANDS)])
 
 
-def _renamed(exc: typer.BadParameter) -> str | None:
-    """Return the message for an option that was renamed, None for any other error."""
+def _unknown_option(exc: typer.BadParameter) -> str | None:
+    """Return the message for an option that the command does not have, None for any other error."""
     option = getattr(exc, "option_name", None)  # only of unknown options
-    return None if option is None or exc.ctx is None else option_for(exc.ctx.command, exc.ctx.info_name or "", option)
+    if option is None or exc.ctx is None:
+        return None
+    return option_for(command_tree(), exc.ctx.command, exc.ctx.info_name or "", option)
 
 
 def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from difflib import get_close_matches
 from typing import Any
+
+ALIKE = 0.75  # of two names, by difflib: less is another word
+MOST_OWNERS = 2  # commands that are named for an option
 
 # Earlier names are refused with a message that gives the new one. An option after a command is one of that command only.
 EARLIER = {
@@ -19,16 +23,8 @@ EARLIER = {
     "--allow-truncated": "--allow-damaged",
     "--allow": "--apply",
     "--save-table": "--table-out",
-    "--picture": "--picture-out",
-    "--program": "--program-out",
-    "--curves": "--curves-out",
-    "--duration": "--duration-s",
-    "--patience": "--patience-s",
-    "--timeout": "--timeout-s",
     "--seconds": "--sample-s",
     "--long-s": "--long-dwell-s",
-    "--zero": "--zero-s",
-    "--cell": "--cell-mm",
     "--known-mm": "--measured-with",
 }
 REMOVED = {
@@ -68,22 +64,35 @@ def command_for(root: Any, word: str) -> str | None:
     """Return why there is no command ``word`` and which one is meant, None if nothing is known about it."""
     if word in EARLIER:
         return f"truearm {word} is now truearm {EARLIER[word]}"
-    subcommands = [path for path in _paths(root) if path.endswith(f" {word}")]
+    subcommands = [path for path, _ in _commands(root) if path.endswith(f" {word}")]
     meant = subcommands or [name for name, words in MEANINGS.items() if word.lower() in words.split()]
     commands = " or ".join(f"truearm {path}" for path in meant)
     return f"truearm has no command {word!r}; use {commands}" if meant else None
 
 
-def option_for(command: Any, path: str, word: str) -> str | None:
-    """Return what is used instead of an earlier option ``word`` of the command at ``path``, None if nothing is."""
+def option_for(root: Any, command: Any, path: str, word: str) -> str:
+    """Return why the command at ``path`` has no option ``word``, and what is used instead: one like it, or another command."""
     if word in REMOVED:
         return f"{word}: {REMOVED[word]}"
-    now = EARLIER.get(f"{path} {word}", EARLIER.get(word))
-    return f"{word} is now {now}" if any(now in option.opts for option in command.params) else None
+    options = [name for option in command.params for name in option.opts]
+    if (now := EARLIER.get(f"{path} {word}", EARLIER.get(word))) in options:
+        return f"{word} is now {now}"
+    if alike := get_close_matches(word, options, cutoff=ALIKE):
+        return f"No such option: {word}; did you mean {' or '.join(alike)}?"
+    others: dict[str, list[str]] = {}
+    for name, other in _commands(root):
+        for option in (one.opts[0] for one in other.params):
+            if option == word or option.startswith(f"{word}-"):
+                others.setdefault(option, []).append(f"truearm {name}")
+    owners = [
+        f"{' and '.join(names[:MOST_OWNERS])} {'have' if names[1:] else 'has'} {option}"
+        for option, names in others.items()
+    ]
+    return "; ".join([f"No such option: {word}", *owners])
 
 
-def _paths(group: Any, path: str = "") -> Iterator[str]:
-    """Yield every command below a group, such as "box config get"."""
+def _commands(group: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every command below a group by its name, such as "box config get"."""
     for name, command in getattr(group, "commands", {}).items():
-        yield f"{path} {name}".strip()
-        yield from _paths(command, f"{path} {name}".strip())
+        yield f"{path} {name}".strip(), command
+        yield from _commands(command, f"{path} {name}".strip())
