@@ -172,9 +172,9 @@ def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Seque
     """Return the errors without correction and the expected errors with it, in the order of the file."""
     order = np.asarray(chosen, dtype=float) + 1.0
     before, due = (_column(document, key)[chosen] for key in ("error_before_mm", "expected_mm"))
-    known = np.isfinite(due)
+    known, last = np.isfinite(due), max(float(len(document["targets"])), 2.0)
     plot = svg.Plot(
-        svg.linear_axis("target", 1.0, float(len(document["targets"]))),
+        svg.linear_axis("target", 1.0, last, max(svg.round_step(last / 6.0), 1.0)),
         svg.log_axis("error [mm]", np.concatenate([before, due[known]])),
     )
     tips = [

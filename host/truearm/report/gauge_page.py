@@ -96,11 +96,12 @@ def _orders(page: GaugePage) -> Figure:
 
 
 def _table(page: GaugePage) -> str:
+    unit = f"[{page.unit}]"
     titles = (
         "",
         "reference [mm]",
-        f"reading [{page.unit}]",
-        "its noise",
+        f"reading {unit}",
+        f"noise {unit}",
         "residual [µm]",
         "residual to a fit of the others [µm]",
     )
@@ -108,6 +109,6 @@ def _table(page: GaugePage) -> str:
     rows = []
     for place, (y, x, noise, residual, left_out) in enumerate(zip(*columns, strict=True), 1):
         cells = (number(MM.of(y), 4), figures(x, 8), figures(noise, 2))
-        errors = (number(UM.of(residual), 2, sign=True), number(UM.of(left_out), 2, sign=True))
+        errors = (number(UM.of(residual), 3, sign=True), number(UM.of(left_out), 3, sign=True))
         rows.append((str(place), *cells, *errors))
     return table_of([escape(title) for title in titles], rows, "places")
