@@ -10,13 +10,14 @@ import pytest
 from report_bench import Strict, both, cells_of, drawings, make_page, rms, titles, with_rotation
 from scipy import stats
 
+from truearm.estimate.kind_errors import errors_by_kind
 from truearm.files.file_kind import KINDS
 from truearm.findings import Finding
 from truearm.kinds.plane import PlaneRows
 from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import render
 from truearm.report.page_text import figures, number
-from truearm.report.residual_rows import law_of, rows_by_kind, summaries
+from truearm.report.residual_rows import law_of, rows_by_kind
 from truearm.results import Figures, HeldOut, NullDirection, Observability, PredictedError
 
 # --- the page
@@ -126,12 +127,12 @@ def test_residuals_of_each_rig_and_kind():
     assert head[1] == "rig"
     assert [row[:2] for row in rows] == [[k, r] for r in ("monday", "tuesday") for k in ("ball-bar", "line")]
     mine = (rig == "tuesday") & (page.table.kind == "line")
-    found = summaries(e, page.table)[3]
-    assert (found.fitted, found.held_out) == (int((mine & e.fitted).sum()), int((mine & ~e.fitted).sum()))
-    assert found.after == pytest.approx(rms(e.residual["m"][mine & e.fitted]))
-    assert found.before == pytest.approx(100 * found.after)
-    assert found.validation == pytest.approx(rms(e.residual["m"][mine & ~e.fitted]))
-    assert rows[3][4] == figures(1e3 * found.after)
+    found = errors_by_kind(e, page.table)[3]
+    np.testing.assert_array_equal([found.fitted, found.held_out], [mine & e.fitted, mine & ~e.fitted])
+    assert found.after["m"].rms == pytest.approx(rms(e.residual["m"][mine & e.fitted]))
+    assert found.before["m"].rms == pytest.approx(100 * found.after["m"].rms)
+    assert found.judged["m"].rms == pytest.approx(rms(e.residual["m"][mine & ~e.fitted]))
+    assert rows[3][4] == figures(1e3 * found.after["m"].rms)
     assert "monday: c1 · s1" in render(page)  # groups of the pictures say of which rig they are
 
 

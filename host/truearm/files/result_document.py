@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from truearm import __version__
 from truearm.estimate.gain import gain_of
+from truearm.estimate.kind_errors import errors_by_kind
 from truearm.files.result_covariance import Covariance
 from truearm.files.result_file import Parameter, Result, RobotFrames
 from truearm.kinds import registry
@@ -32,7 +33,6 @@ from truearm.results import (
     Rival,
     ToolClaim,
 )
-from truearm.types import Residuals
 from truearm.units import MM, MRAD, UNITS, key, named, shown
 
 
@@ -179,23 +179,13 @@ def residual_units(estimate: Estimate) -> list[str]:
 def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
     entries = []
     columns = [column for column in registry.identifiers() if column not in registry.ORIGINS]
-    for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
-        rows = (table.rig == rig) & (table.kind == kind)
-        fitted, held_out = rows & estimate.used, rows & ~estimate.fitted
-        if estimate.left_out.size:
-            held_out &= ~estimate.left_out
-        entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
-        entry |= {f"{column}s": len(set(table[column][fitted].tolist()) - {""}) for column in columns}
-        entry |= _rms("rms_before", estimate.residual_before, fitted, units)
-        entry |= _rms("rms_after", estimate.residual, fitted, units)
-        entry |= _rms("rms_held_out", estimate.residual, held_out, units)
-        entries.append(entry)
+    for rows in errors_by_kind(estimate, table):
+        counts = {"fitted": int(rows.fitted.sum()), "held_out": int(rows.held_out.sum())}
+        names = {f"{column}s": len(set(table[column][rows.fitted].tolist()) - {""}) for column in columns}
+        errors = {"rms_before": rows.before, "rms_after": rows.after, "rms_held_out": rows.judged}
+        rms = {name: {si: figures.rms for si, figures in of.items()} for name, of in errors.items()}
+        entries.append({"rig": rows.rig, "kind": rows.kind, **counts, **names, **_entries(units, **rms)})
     return entries
-
-
-def _rms(name: str, residual: Residuals, rows: NDArray[np.bool_], units: Sequence[str]) -> dict[str, Any]:
-    figures = Figures.by_unit(residual, rows)
-    return {key(name, si): shown(figures[si].rms, si) if si in figures else None for si in units}
 
 
 def _parameters(estimate: Estimate) -> list[dict[str, Any]]:

@@ -31,7 +31,7 @@ from truearm.report.page_parts import (
 )
 from truearm.report.page_tables import fact_list, parameter_table, visibility
 from truearm.report.page_text import escape, figures, size
-from truearm.report.residual_rows import rows_by_kind, summaries
+from truearm.report.residual_rows import rows_by_kind
 from truearm.report.result_words import before_words
 from truearm.report.scene_view import Scene, script, view_section
 from truearm.results import Estimate, PredictedError
@@ -127,7 +127,7 @@ def _pictures(page: CalibrationPage) -> str:
     shown = [picture(figure, rows.title if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
     several = len(e.rms_history) > 1
     shown += [picture(of, symbol(si) if several else "") for si, of in zip(e.rms_history, convergences(e), strict=True)]
-    content = residual_table(summaries(e, table)) + (suspect_table(e, table) if e.suspect.any() else "")
+    content = residual_table(e, table) + (suspect_table(e, table) if e.suspect.any() else "")
     return section("Residuals", content + pictures(shown))
 
 

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from truearm.estimate.kind_errors import KindErrors, errors_by_kind
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.page_parts import table_of
 from truearm.report.page_text import ABSENT, escape, figures, number
-from truearm.report.residual_rows import Summary, row_name
+from truearm.report.residual_rows import row_name
 from truearm.report.result_words import OBSERVABILITY, kind_name, residual_words
 from truearm.results import Estimate, Figures
 from truearm.text import counted
@@ -19,29 +20,27 @@ from truearm.units import shown, symbol, title, tolerances
 MAX_ROWS = 40  # suspect rows that are listed
 
 
-def residual_table(found: Sequence[Summary]) -> str:
+def residual_table(e: Estimate, table: ObservationTable) -> str:
     """Return a table per unit: RMS and largest residual of each kind, by rig if there are several, with definitions."""
-    tables = [_residuals_in(si, [s for s in found if s.si == si]) for si in dict.fromkeys(s.si for s in found)]
-    words = " ".join(residual_words(kind) for kind in kinds() if any(s.kind == kind for s in found))
-    return f"<p>{escape(words, 1200)}</p>" + "".join(tables)
+    errors = errors_by_kind(e, table)
+    units = dict.fromkeys(si for rows in errors for si in (*rows.after, *rows.judged))
+    words = " ".join(residual_words(kind) for kind in kinds() if any(rows.kind == kind for rows in errors))
+    return f"<p>{escape(words, 1200)}</p>" + "".join(_residuals_in(si, errors) for si in units)
 
 
-def _residuals_in(si: str, found: Sequence[Summary]) -> str:
-    several = any(s.rig for s in found)
+def _residuals_in(si: str, errors: Sequence[KindErrors]) -> str:
+    several, none = any(rows.rig for rows in errors), Figures.of(np.zeros(0))
     titles = ["observations", *["rig"] * several, "fitted rows", title("RMS before", si), title("RMS after", si)]
     titles += [title("largest after", si), "held-out rows", title("RMS held out", si)]
-    rows = [
-        [
-            escape(kind_name(s.kind)),
-            *[escape(s.rig) or ABSENT] * several,
-            str(s.fitted),
-            *(figures(shown(value, si)) for value in (s.before, s.after, s.largest)),
-            str(s.held_out),
-            figures(shown(s.validation, si)),
-        ]
-        for s in found
-    ]
-    return table_of(titles, rows, f"residuals {symbol(si)}")
+    cells = []
+    for rows in errors:
+        if si in rows.after or si in rows.judged:
+            before, after, judged = (of.get(si, none) for of in (rows.before, rows.after, rows.judged))
+            sizes = [figures(shown(value, si)) for value in (before.rms, after.rms, after.max, judged.rms)]
+            names = [escape(kind_name(rows.kind)), *[escape(rows.rig) or ABSENT] * several]
+            counts = [str(int(chosen.sum())) for chosen in (rows.fitted, rows.held_out)]
+            cells.append([*names, counts[0], *sizes[:3], counts[1], sizes[3]])
+    return table_of(titles, cells, f"residuals {symbol(si)}")
 
 
 def suspect_table(e: Estimate, table: ObservationTable) -> str:

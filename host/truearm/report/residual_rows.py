@@ -21,7 +21,7 @@ from truearm.estimate.measured_order import mountings
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.result_words import PARTS, kind_name
-from truearm.results import Estimate, Figures
+from truearm.results import Estimate
 from truearm.types import Floats, Indices
 from truearm.units import DEG, shown, symbol, title
 
@@ -93,20 +93,6 @@ class Law(NamedTuple):
         return np.asarray(self.sigma * np.sqrt(2.0 * special.gammaincinv(self.width / 2.0, share)))
 
 
-class Summary(NamedTuple):
-    """The residuals of one kind and SI unit at one rig: number of rows, RMS and largest; NaN where there are none."""
-
-    rig: str
-    kind: str
-    si: str
-    fitted: int
-    held_out: int
-    before: float  # RMS of the fitted rows
-    after: float
-    largest: float  # of the fitted rows after
-    validation: float  # RMS of the held-out rows after
-
-
 def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[ResidualRows]:
     """Return the observations of each kind and unit for display, without rows that have no finite residual."""
     group, source, found = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
@@ -142,20 +128,6 @@ def _groups(table: ObservationTable) -> NDArray[np.str_]:
     if np.unique(table.rig).size > 1:
         names = np.array([f"{rig}: {name}" if rig else name for rig, name in zip(table.rig, names, strict=True)])
     return names.astype(np.str_)
-
-
-def summaries(estimate: Estimate, table: ObservationTable) -> list[Summary]:
-    """Return a line for each rig, kind and unit, in the order of their names."""
-    found = []
-    for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
-        mine = (table.rig == rig) & (table.kind == kind)
-        fit, val = mine & estimate.used, mine & ~estimate.fitted
-        for si in Figures.by_unit(estimate.residual, mine):
-            before, after = Figures.of(estimate.residual_before[si][fit]), Figures.of(estimate.residual[si][fit])
-            validation = Figures.of(estimate.residual[si][val]).rms
-            counts = int(fit.sum()), int(val.sum())
-            found.append(Summary(rig, kind, si, *counts, before.rms, after.rms, after.max, validation))
-    return found
 
 
 def law_of(rows: ResidualRows) -> Law:
