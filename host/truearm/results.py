@@ -444,7 +444,8 @@ class JointLaws:
     ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` explain, in sentences,
     why other laws, or all of them, were not tried. The noise per pose is estimated from the residuals by evidence: a
     factor on the declared variances, and the standard deviations of a displacement [m] and a rotation [rad] shared by the
-    rows of a pose, and of an error of each revolute joint [rad].
+    rows of a pose, and of an error of each revolute joint [rad]. ``noise_nats`` is by how much these errors of the arm
+    raise the log evidence over a factor alone.
     """
 
     mode: str  # one of ``estimate.solvers.LawMode``
@@ -459,6 +460,7 @@ class JointLaws:
     noise_shared: float = math.nan
     noise_turned: float = math.nan
     noise_joint: Mapping[str, float] = field(default_factory=dict)
+    noise_nats: float = math.nan
 
 
 class PredictedError(NamedTuple):

@@ -25,7 +25,7 @@ from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_choice import regions, supported, without_absent
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
 from truearm.estimate.law_elsewhere import nearer_geometry
-from truearm.estimate.law_fit import LawProblem, Learned, Posterior, law_problem, learn, posterior
+from truearm.estimate.law_fit import LawProblem, Learned, Posterior, law_problem, learn, nats_of_scatter, posterior
 from truearm.estimate.law_outliers import outlying_beside_laws
 from truearm.estimate.law_rows import law_rows, with_predicted
 from truearm.estimate.mean_error import mean_errors
@@ -150,6 +150,7 @@ def with_joint_laws(
         noise_shared=math.sqrt(noise.shared),
         noise_turned=math.sqrt(noise.turned),
         noise_joint={joint.name: sigma for joint, sigma in joints if joint.kind == "revolute"},
+        noise_nats=nats_of_scatter(best.of, best.learned),
     )
     return with_laws(chain, kept), replace(found, joint_laws=report)
 

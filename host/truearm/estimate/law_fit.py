@@ -51,6 +51,7 @@ FOR_NOISE = (1000, 3000)  # of these, for the noise
 MOST_OF_POSE = 72  # residuals of a pose that count among these: repeats must not take the place of poses
 LEAST_ROUNDS = 3  # without anything learned before
 ROUNDS = 12  # of linearising, learning the variances and learning the noise
+WITHOUT_SCATTER = 2  # of them: laws and robot are already those of the rows
 STEPS = 8  # of the variances in a round
 NOISE_END = 0.01  # the last round changes the variance of the rows by less
 SHARED_START = 1e-10  # m² and rad²
@@ -167,6 +168,12 @@ def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS) -> L
             break
     nats = {law: block_nats(weighed, b, v) for law, b, v in zip(of.laws, blocks, values, strict=True)}
     return Learned(dict(zip(of.laws, values, strict=True)), noise, nats, here.evidence, x)
+
+
+def nats_of_scatter(of: LawProblem, found: Learned) -> float:
+    """Return how much the learned noise raises the log evidence over that of the sensors alone, declared times a factor."""
+    alone = PoseNoise.of(found.noise.sensor, found.noise.joint.size)
+    return found.evidence - learn(of, found._replace(noise=alone), WITHOUT_SCATTER).evidence
 
 
 def posterior(of: LawProblem, found: Learned) -> Posterior:

@@ -236,6 +236,7 @@ def _joint_laws(laws: JointLaws | None, units: Sequence[str]) -> dict[str, Any] 
         "factor": laws.noise_factor,
         "shared_mm": MM.of(laws.noise_shared),
         "turned_mrad": MRAD.of(laws.noise_turned),
+        "nats": laws.noise_nats,
     }
     noise |= {f"{joint}_mrad": MRAD.of(sigma) for joint, sigma in laws.noise_joint.items()}
     return {**_entry(laws, units), "laws": laws.kept, "noise": noise}

@@ -45,7 +45,10 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
     terms = [f"{noise['factor']:.2g} times the declared variances"]
     if noise["shared_mm"]:
         terms.append(f"{noise['shared_mm']:.2g} mm shared by the rows of a pose")
-    joints = {name.removesuffix("_mrad"): sigma for name, sigma in noise.items() if name.endswith("_mrad") and sigma}
+    if noise["turned_mrad"]:
+        terms.append(f"{noise['turned_mrad']:.2g} mrad of rotation shared by the rows of a pose")
+    of_joints = {name.removesuffix("_mrad"): sigma for name, sigma in noise.items() if name.endswith("_mrad")}
+    joints = {joint: sigma for joint, sigma in of_joints.items() if joint != "turned" and sigma}
     terms += [f"{sigma:.2g} mrad in {one_line(joint)}" for joint, sigma in joints.items()]
     yield Finding("law-noise", {"terms": terms})
 
