@@ -25,7 +25,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.results import weights_of
-from truearm.types import BallBar, Device, Plane, Point, Rig
+from truearm.types import BallBar, Device, Plane, Point, Rig, rms
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
@@ -249,11 +249,11 @@ def test_points_are_as_uncertain_as_robot_and_rig_say_in_60_worlds(kind):
     assert 0.93 <= coverage(60, kind)[0] <= 0.97
 
 
-def test_sag_does_not_hide_the_error_of_the_tool():
-    """With sag the parameters move by milliradians. The geometry's own null space, taken before, then moves the tool by 0.2 mm."""
+def sagging(n: int, sensor: float, declared: float, joint: float = 0.0):
+    """Return what identifies an arm that sags in joint 2, with noise of sensor (m, an axis) and joints (rad), and its scatter (m)."""
     robot = load_robot(str(MUKCA / "panda.urdf"), None, "ball_link")
     rng = np.random.default_rng(3)
-    n, chain, tracker = 40, robot.chain, np.array([1.5, 0.2, 0.5])
+    chain, tracker = robot.chain, np.array([1.5, 0.2, 0.5])
     truth = chain.params_nominal + np.where(robot.free, weak_prior(chain) * rng.standard_normal(robot.free.size), 0.0)
     lower, upper = np.clip(chain.limits, -2.0, 2.0)
     q = rng.uniform(lower, upper, (n, len(chain.joints)))
@@ -261,12 +261,35 @@ def test_sag_does_not_hide_the_error_of_the_tool():
     lever = point_forward(chain, truth, q, np.zeros(3)) - frames[:, 1, :3, 3]
     true = q.copy()
     true[:, 1] -= 5e-3 * np.cross(frames[:, 1, :3, 2], lever)[:, 2]
-    points = point_forward(chain, truth, true, np.zeros(3)) - tracker + 5e-5 * rng.standard_normal((n, 3))
-    table = ObservationTable(q=q, kind=np.full(n, "position"), xyz=points, tracker=np.full(n, "t"))
+    still = point_forward(chain, truth, true, np.zeros(3))
+    noise = rng.standard_normal((n, 3))
+    points = point_forward(chain, truth, true + joint * rng.standard_normal(q.shape), np.zeros(3))
+    table = ObservationTable(
+        q=q, kind=np.full(n, "position"), xyz=points - tracker + sensor * noise, tracker=np.full(n, "t")
+    )
     rig = Rig(
-        trackers={"t": Device("t", (2.5e-9 * np.eye(3)).tolist())}, targets={"ball": Point("ball", (0.0,) * 3, 0.0)}
+        trackers={"t": Device("t", (declared**2 * np.eye(3)).tolist())},
+        targets={"ball": Point("ball", (0.0,) * 3, 0.0)},
     )
     result = identified(robot, rig, table, Selection(robot.free), IdentifyOptions(joint_laws="sag"))
     assert result.estimate.joint_laws.kept
+    return result, rms(np.linalg.norm(points - still, axis=1))
+
+
+def test_sag_does_not_hide_the_error_of_the_tool():
+    """With sag the parameters move by milliradians. The geometry's own null space, taken before, then moves the tool by 0.2 mm."""
+    result, _ = sagging(40, sensor=5e-5, declared=5e-5)
     assert result.estimate.null_space
     assert result.predicted.rms == pytest.approx(3e-5, rel=0.4)
+
+
+def test_scatter_of_the_arm_counts_although_the_declared_noise_explains_it():
+    """A tracker declared at what its readings scatter by, arm included: the rows tell the two apart, χ² does not."""
+    result, scatter = sagging(300, sensor=2e-5, declared=6e-5, joint=6e-5)
+    assert result.estimate.covariance_explains
+    assert result.predicted.scatter == pytest.approx(scatter, rel=0.25)
+
+
+def test_noise_of_the_tracker_is_not_scatter_of_the_arm():
+    result, _ = sagging(300, sensor=5e-5, declared=5e-5)
+    assert result.predicted.scatter == 0.0

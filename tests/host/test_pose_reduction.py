@@ -10,10 +10,10 @@ from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_choice import GATE
 from truearm.estimate.law_fit import law_problem, learn, posterior
 from truearm.estimate.law_rows import law_rows
-from truearm.estimate.mean_error import left_out_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_noise import PoseNoise, RowsByPose
 from truearm.estimate.problem import build_problem
+from truearm.estimate.row_errors import left_out_errors
 from truearm.estimate.solvers import LawMode
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward

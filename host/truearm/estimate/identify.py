@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from truearm import option_defaults
 from truearm.errors import ProblemError
 from truearm.estimate.bad_rows import MOST as MOST_BAD
 from truearm.estimate.bad_rows import without_bad_rows
-from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
@@ -29,7 +29,7 @@ from truearm.estimate.identifiability import (
 )
 from truearm.estimate.information import half, observe, of_rows, spectrum, with_prior
 from truearm.estimate.levenberg_marquardt import idle
-from truearm.estimate.mean_error import left_out_errors, mean_errors
+from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.other_fits import with_all_rows, without_bad
 from truearm.estimate.outliers import gross_rows, weightless, without_outliers
@@ -43,17 +43,18 @@ from truearm.estimate.problem import (
     without_effect_priors,
     without_knowledge,
 )
+from truearm.estimate.row_errors import left_out_errors, row_errors
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
-from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
+from truearm.estimate.whitened_rows import only, weighted_chi2
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
-from truearm.types import Floats, Indices, Residuals, Rigs, not_left_out
+from truearm.types import Floats, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
@@ -145,7 +146,8 @@ def identify(
     elif rejects:
         gross, x_raw = gross_rows(problem, of_rig, x_raw)
     raw = observe(problem, x_raw, columns).residual if gross.any() else raw
-    x_before, before, mounts = _before(problem, columns, x_raw, raw, gross)
+    pose = poses(table.select(fitted))
+    nominal = _before(problem, columns, x_raw, raw, gross)
     how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
     # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
     start = x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
@@ -163,7 +165,8 @@ def identify(
     shares = prior_shares(half(parts), found.prior_sigma)
     unweighted = goodness(*of_data(problem, columns, found), shares)
     loss = Loss(options.loss)
-    distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
+    rows = row_errors(problem, x, columns, half(parts), found.weight, pose)
+    distance, beyond = rows.distance, rows.beyond
     fit_quality, bad = unweighted, None
     if rejects and found is every and found.status == "converged" and not fit_quality.explained:
         bad = without_bad_rows(problem, columns, found, fit_quality, how_to)
@@ -174,7 +177,7 @@ def identify(
     still = settled(taken, x)
     data = of_rows(still, x, columns)
     names = problem.names_of(columns)
-    sight = determined(taken, x, columns, modelled)
+    sight = determined(still, x, columns, modelled, data.root)
     suggested = suggested_free(data.root, int(free.sum()), prefer[free])
     unit = weak_prior(chain)[free]
     weak = hardly_seen(data.root, suggested.size, unit, names)
@@ -184,22 +187,24 @@ def identify(
     known = dict(zip(problem.names, x, strict=True))
     if bad is not None:
         distance, beyond = bad.distance, bad.bad
-    pose = poses(table.select(fitted))
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise
     shared = pose_effect(taken, x, columns, half(parts), pose) if as_declared else None
     matrix[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
-    held_before, error_before = judged(problem, x_before, rig, table, held, modelled)
+    held_before, error_before = judged(problem, nominal.x, rig, table, held, modelled)
     held_after, error_after = judged(problem, x, rig, table, held, modelled)
     if held_after is not None:
         unfitted, unfitted_before = (merged({}, error, fitted, held) for error in (error_after, error_before))
     else:
-        inliers = taken if loss is Loss.LINEAR else only(problem, ~beyond)
-        robots = (left_out_errors(inliers, x, columns, half(parts), pose), _left_out(inliers, x_before, mounts, pose))
-        unfitted, unfitted_before = (merged(error, {}, fitted, held) for error in robots)
-    if not np.any(columns & ~mounts):
+        inliers, error = taken, rows.left_out
+        if loss is not Loss.LINEAR:
+            inliers = only(problem, ~beyond)
+            error = left_out_errors(inliers, x, columns, half(parts), pose)
+        robots = error, left_out_errors(inliers, nominal.x, nominal.mounts, nominal.root, pose)
+        unfitted, unfitted_before = (merged(each, {}, fitted, held) for each in robots)
+    if not np.any(columns & ~nominal.mounts):
         unfitted_before = {}
     unexplained: Mapping[str, MeanError] = {}
     if not fit_quality.explained:
@@ -223,7 +228,7 @@ def identify(
         rank=sight.rank,
         rank_gap=sight.gap,
         null_space=sight.null_space,
-        rms_before=rms_of(before, used),
+        rms_before=rms_of(nominal.residual, used),
         rms_raw=rms_of(raw, used),
         rms_after=rms_of(information.residual, used),
         rms_history={unit: tuple(rms[unit] for rms in (rms_of(raw), *history)) for unit in raw},
@@ -231,7 +236,7 @@ def identify(
         held_out=held_after,
         held_out_before=held_before,
         residual=merged(information.residual, error_after, fitted, held),
-        residual_before=merged(before, error_before, fitted, held),
+        residual_before=merged(nominal.residual, error_before, fitted, held),
         fitted=fitted,
         left_out=left_out,
         seconds=0.0,
@@ -252,7 +257,7 @@ def identify(
         unfitted_error_before=unfitted_before,
         with_outliers=None if found is every else with_all_rows(problem, columns, every, found),
         without_bad_rows=None if bad is None else without_bad(bad, chain, x, table.q[fitted]),
-        parts=residual_parts(taken, x, columns, half(parts)),
+        parts=rows.parts,
         pose_error=None if shared is None else shared.error,
         unseen=sight.unseen,
     )
@@ -277,9 +282,15 @@ def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]
     return out
 
 
-def determined(problem: Problem, x: Floats, columns: NDArray[np.bool_], effects: Sequence[Modelled]) -> Identifiability:
-    """Return what the rows determine of x[columns], linearised at x. Its ``unseen`` (P, d) has a row for each unknown."""
-    root = of_rows(without_effect_priors(settled(problem, x), effects), x, columns).root
+def determined(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], effects: Sequence[Modelled], root: Floats | None = None
+) -> Identifiability:
+    """Return what the rows determine of x[columns], linearised at x. Its ``unseen`` (P, d) has a row for each unknown.
+
+    ``problem`` is ``settled``; ``root`` (k, k) is that of its rows with the priors of effects, where it was computed.
+    """
+    if root is None or effects:
+        root = of_rows(without_effect_priors(problem, effects), x, columns).root
     sight = identifiability(root, int(columns[: problem.n_robot].sum()), problem.names_of(columns))
     unseen = np.zeros((x.size, sight.unseen.shape[1]))
     unseen[columns] = sight.unseen
@@ -320,27 +331,33 @@ def _raw(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
     return found.x, found.information.residual
 
 
+class _Nominal(NamedTuple):
+    """The nominal robot with base and tool placed: x (P,), residuals, the fitted columns (P,), the root of their covariance."""
+
+    x: Floats
+    residual: Residuals
+    mounts: NDArray[np.bool_]
+    root: Floats
+
+
 def _before(
     problem: Problem, columns: NDArray[np.bool_], x: Floats, raw: Residuals, gross: NDArray[np.bool_]
-) -> tuple[Floats, Residuals, NDArray[np.bool_]]:
-    """Return x (P,) and residuals of the nominal robot, with base and tool placed by the rows that are not gross.
+) -> _Nominal:
+    """Return the nominal robot, with base and tool placed by the rows that are not gross.
 
     Starts from the result of ``_raw``. The mounting of base and tool is not an error of the robot either. Only the free
-    parameters that move nothing else are fitted; with the rig's unknowns, they are the columns (P,) returned last.
+    parameters that move nothing else are fitted, with the rig's unknowns.
     """
     mounted = mounting(problem.chain, x[: problem.n_robot]).either & columns[: problem.n_robot]
-    mounts = problem.columns(mounted)
-    if not mounted.any():
-        return x, raw, mounts
-    x = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH))).x
-    return x, observe(problem, x, mounts).residual, mounts
-
-
-def _left_out(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices) -> Residuals:
-    """Return the magnitude (n_rows,) of each row's error in a fit of x[columns] without its pose, by SI unit."""
-    prior = (problem.start - x)[columns], problem.prior_sigma[columns]
-    root = with_prior(observe(problem, x, columns), *prior).root
-    return left_out_errors(problem, x, columns, half(spectrum(root)), pose)
+    mounts, residual = problem.columns(mounted), raw
+    if mounted.any():
+        found = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH)))
+        x, information = found.x, found.information
+        residual = observe(problem, x, mounts).residual if gross.any() else information.residual
+    else:
+        prior = (problem.start - x)[mounts], problem.prior_sigma[mounts]
+        information = with_prior(observe(problem, x, mounts), *prior)
+    return _Nominal(x, residual, mounts, half(spectrum(information.root)))
 
 
 def judged(

@@ -33,7 +33,7 @@ from truearm.estimate.measured_order import poses
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise, pose_information
-from truearm.estimate.problem import build_problem, modelled_of, without_knowledge
+from truearm.estimate.problem import build_problem, modelled_of, settled, without_knowledge
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
@@ -276,7 +276,7 @@ class _Work:
 
         covariance = np.zeros((x.size, x.size))
         covariance[np.ix_(of.columns, of.columns)] = found.covariance
-        sight = determined(problem, x, of.columns & ~is_law, self.effects)
+        sight = determined(settled(problem, x), x, of.columns & ~is_law, self.effects)
         covariance = _without_null(covariance, sight.unseen, problem.units)
         identifiable = np.insert(before.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)

@@ -171,9 +171,9 @@ def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS) -> L
 
 
 def nats_of_scatter(of: LawProblem, found: Learned) -> float:
-    """Return how much the learned noise raises the log evidence over that of the sensors alone, declared times a factor."""
+    """Return how much the learned noise raises the log evidence over that of the sensors alone, as declared times a factor."""
     alone = PoseNoise.of(found.noise.sensor, found.noise.joint.size)
-    return found.evidence - learn(of, found._replace(noise=alone), WITHOUT_SCATTER).evidence
+    return max(found.evidence - learn(of, found._replace(noise=alone), WITHOUT_SCATTER).evidence, 0.0)
 
 
 def posterior(of: LawProblem, found: Learned) -> Posterior:

@@ -102,8 +102,12 @@ def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, wei
 
     An observation that alone determines an unknown has h = 1 and e = 0: nothing contradicts it, and its distance is 0.
     """
-    seen = jac @ covariance_root
-    if jac.shape[1] == 1:
+    return distance_without(jac @ covariance_root, residual, weight)
+
+
+def distance_without(seen: Floats, residual: Floats, weight: Floats) -> Floats:
+    """Return ``deleted_distance`` for ``seen`` (n, w, r) = J S."""
+    if seen.shape[1] == 1:
         h, along = np.einsum("nik,nik->ni", seen, seen), residual
     else:
         h, vectors = np.linalg.eigh(seen @ seen.swapaxes(1, 2))
@@ -117,14 +121,6 @@ def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, wei
 def gate(width: NDArray[np.intp] | int, level: float = GATE_LEVEL) -> Floats:
     """Return the squared distance that a clean row of ``width`` residuals exceeds with probability ``level``."""
     return np.asarray(special.chdtri(width, level))
-
-
-def standardised(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the distance (n_rows,) of each row from its prediction by all others, in σ, and whether it is beyond the gate."""
-    square, width = squared_distances(problem, x, columns, covariance_root, weight)
-    return np.sqrt(square), square > gate(width)
 
 
 def squared_distances(
