@@ -639,6 +639,20 @@ RECORDING: Mapping[str, Statement] = {
         RESULT,
         "{file}: {duration:.1f}, {samples:#sample}, {lost:#frame} lost[, {readings:#robot message}][; {dwells:#dwell}: {usable} usable][, {need_decision:#needs|need} a decision][, {unusable}]; ended: {ended}[ ({why})].",
     ),
+    "controller-read": Statement(
+        RESULT,
+        "{place}: the controller computes with its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f}, over {n:#random pose}[; checksums {checksums}].",
+    ),
+    "controller-unread": Statement(
+        WARNING,
+        "{reason}. The kinematics of the controller [{stored:!}could not be compared with {model}||were not read, so that the project has the drawing of {model}].",
+        "Read them with truearm robot read before you correct a program for this controller.",
+    ),
+    "controller-changed": Statement(
+        WARNING,
+        "{place}: the kinematics of the controller changed since {model} was read: the {joints:?checksum of joint|checksums of joints} {joints} {joints:?differs|differ}.",
+        "Read them again with truearm robot read, then measure and identify again: a result corrects for the kinematics it was identified with.",
+    ),
     "recording-disturbed": Statement(WARNING, "Disturbed by: {events}.", "What was lost is shown by truearm inspect."),
 }
 

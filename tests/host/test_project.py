@@ -266,7 +266,7 @@ def test_init_as_json_names_the_files_and_the_plan(tmp_path, run):
     code, out, err = run("init", tmp_path / "cell", "--model", "puma560", "--minutes", 0, "--json")
     assert code == 0, err
     files = [str(tmp_path / "cell" / name) for name in (FILE, "rig.toml")]
-    assert json.loads(out) == {"written": files, "plan": None}
+    assert json.loads(out) == {"written": files, "plan": None, "findings": []}
 
 
 def test_init_writes_over_nothing(project, run):

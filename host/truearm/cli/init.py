@@ -78,7 +78,7 @@ def init(
     """
     from truearm.files.project_file import Project
     from truearm.files.robot_file import is_urdf
-    from truearm.findings import findings_of, option
+    from truearm.findings import entries, findings_of, option
     from truearm.workflows.project import ProjectWanted, create
 
     asking = model is None and sys.stdin is not None and sys.stdin.isatty()
@@ -126,11 +126,14 @@ def init(
     bounds = branch_given(branch or None)
     wanted = ProjectWanted(project, _lengths(bars_mm or ""), instrument, chucks, spheres, minutes or None, bounds)
     created = create(folder, wanted)
+    controller = [] if created.controller is None else [created.controller]
     then = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
-    lines = [f"{path.name:<16}{path}" for path in created.written]
+    lines = [finding.text(option) for finding in controller]
+    lines += [f"{path.name:<16}{path}" for path in created.written]
     lines += [finding.text(option) for finding in findings_of(created.plan)[:1]] if created.plan else []
     lines.append(f"\nnext: put what you measured of the rig into {folder / project.rig}; then {then}")
-    return Answer({"written": [str(path) for path in created.written], "plan": created.plan}, lines)
+    document = {"written": [str(path) for path in created.written], "plan": created.plan}
+    return Answer({**document, "findings": entries(controller)}, lines)
 
 
 def _from_folder(model: str, folder: Path) -> str:

@@ -35,6 +35,7 @@ from truearm.cli.project import CommandGroup, ProjectCommand, defaults, missing_
 from truearm.cli.record import RecordCommand, record
 from truearm.cli.report import report
 from truearm.cli.reproduce import reproduce
+from truearm.cli.robot import app as robot
 from truearm.cli.session import app as session
 from truearm.cli.simulate import SimulateCommand, simulate
 from truearm.cli.status import status
@@ -52,7 +53,7 @@ TASKS: dict[str, tuple[Any, ...]] = {
     "Use": (correct, export),
     "Box": (box,),
 }
-UNLISTED = (reproduce,)
+UNLISTED = (reproduce, robot)
 COMMANDS = {
     getattr(command, "__name__", None) or command.info.name: (command, task)
     for task, commands in {**TASKS, "": UNLISTED}.items()

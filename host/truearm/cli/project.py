@@ -185,13 +185,14 @@ def defaults(folder: Path) -> dict[str, Any]:
 
 
 def project_model(folder: Path) -> str:
-    """Return the name of the robot, or of its file, of the project that contains ``folder``; "" without a project."""
+    """Return the robot, or the path of its file, of the project that contains ``folder``; "" without a project."""
     file = find_project(folder)
     if file is None:
         return ""
     from truearm.files.project_file import read_project
 
-    return Path(read_project(file).model).name
+    model = read_project(file).model
+    return str(file.parent / model) if (file.parent / model).is_file() else model
 
 
 def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
@@ -248,6 +249,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     return {
         "demo": robot,
         "simulate": {**robot, **branch, **planned},
+        "robot": {"read": {"address": text(project.address), "model": model}},
         "record": {
             **box,
             "address": text(project.address),

@@ -14,13 +14,12 @@ import numpy as np
 from truearm.errors import RobotError
 from truearm.export.link_frames import LinkFrames, check_gains
 from truearm.export.writing import RobotToWrite
+from truearm.model.controller_kinematics import KEYS, SEGMENTS
 from truearm.model.poses import inverted, six_of
 from truearm.model.transforms import elementary
 from truearm.types import Floats
 
-SEGMENTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 ROLLS = (0.0, 0.5 * np.pi, 0.0, 0.0, 0.5 * np.pi, -0.5 * np.pi)  # of the published files
-KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def write(what: RobotToWrite) -> str:

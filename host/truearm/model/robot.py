@@ -40,10 +40,11 @@ from truearm.model.chain import Chain, forward
 from truearm.model.elementary_transforms import chain_from_slots
 from truearm.model.robot_tables import MAX_NAME, Description, read_tables
 from truearm.model.workspace import BRANCH, CAPSULE, MAX_CAPSULES, Branch, Capsules, capsules_of, check_branch
-from truearm.schema import Key, List, Number, SchemaError, Text, load_toml, raising
+from truearm.schema import Key, List, Number, SchemaError, Text, Whole, load_toml, raising
 from truearm.text import counted
 from truearm.types import Floats
 
+CONTROLLER = "controller"  # the set of values that a controller computes with (workflows.controller_model)
 MAX_TEXT = 1_000_000  # characters; the PUMA's file has 3,000
 MAX_SOURCE = 2_000  # characters
 LINE = Text(MAX_NAME, one_line=True)
@@ -52,6 +53,7 @@ HEAD = (
     Key("source", Text(MAX_SOURCE, one_line=True), optional=True),
     Key("branch", BRANCH, optional=True),
     Key("gravity", List(Number("1"), 3), optional=True),
+    Key("checksums", List(Whole(0, 2**32 - 1), 6), optional=True),
     Key("capsule", List(CAPSULE, most=MAX_CAPSULES), optional=True),
 )
 
@@ -62,7 +64,8 @@ class Robot(Displayed):
 
     ``source`` is the origin of the numbers, "" if unknown. ``branch`` is required for plans. Without ``capsules``, links
     count as capsules of 50 mm radius there. Both are None if the file has none. ``file`` is the file that the robot was
-    read from (a URDF has the suffix .urdf or .xml), "" for a built-in robot.
+    read from (a URDF has the suffix .urdf or .xml), "" for a built-in robot. ``checksums`` of a Universal Robots
+    controller's joints identify the factory calibration that the nominal values are.
 
     Examples
     --------
@@ -80,6 +83,7 @@ class Robot(Displayed):
     capsules: Capsules | None = None
     file: str = ""
     gravity: tuple[float, float, float] | None = None  # its direction in the base frame; None: not in the file
+    checksums: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         return self._headline()
@@ -149,7 +153,8 @@ def parse_robot(text: str) -> Robot:
     values = {name: np.array([amount.values[name] for amount in amounts]) for name in sets}
     free = np.array([not amount.held for amount in amounts], dtype=bool)
     gravity = _gravity(head["gravity"]) if "gravity" in head else None
-    return Robot(chain, values, free, head.get("source", ""), branch, capsules, gravity=gravity)
+    text, checksums = head.get("source", ""), head.get("checksums", ())
+    return Robot(chain, values, free, text, branch, capsules, gravity=gravity, checksums=checksums)
 
 
 def _gravity(given: Sequence[float]) -> tuple[float, float, float]:

@@ -21,6 +21,7 @@ from truearm.progress import step
 from truearm.units import MM
 
 if TYPE_CHECKING:
+    from truearm.findings import Finding
     from truearm.model.workspace import Branch
     from truearm.types import BallBar, Point, Rig
 
@@ -43,10 +44,14 @@ class ProjectWanted(NamedTuple):
 
 
 class Created(NamedTuple):
-    """Files written by ``create``, and the forecast of the first plan (``plan_ball_bar_files``), None if none was made."""
+    """Files written by ``create``, and the forecast of the first plan (``plan_ball_bar_files``), None if none was made.
+
+    ``controller``: what was read of the robot's controller, None if the address is not that of one.
+    """
 
     written: tuple[Path, ...]
     plan: dict[str, Any] | None
+    controller: Finding | None = None
 
 
 def sessions_of(folder: Path) -> list[Path]:
@@ -136,6 +141,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
     from truearm.files.robot_file import RobotChoice
     from truearm.plan.branches import branch_of
     from truearm.plan.first_rig import first_rig
+    from truearm.workflows.controller_model import ROBOT_FILE, controller_choice
     from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
     from truearm.workflows.requests import PlanFiles
 
@@ -145,8 +151,14 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
         raise InputError(f"{paths['project']} already exists; edit it, or use another folder")
     model = Path(os.path.normpath(folder / project.model))  # the folder may not exist yet
     choice = RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
-    robot = choice.load()
     with _workplace(folder) as new:
+        read, controller = controller_choice(choice.robot or "", project.address, new)
+        if read is not None:
+            choice, project = read, replace(project, model=ROBOT_FILE)
+            paths["robot"] = folder / ROBOT_FILE
+            if paths["robot"].exists():
+                raise InputError("file-exists", place=paths["robot"])
+        robot = choice.load()
         rig, plan = paths["rig"], None
         if not rig.exists():
             rig = new / project.rig
@@ -162,7 +174,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
             (folder / name).mkdir(parents=True, exist_ok=True)
         written = [path for path in paths.values() if (new / path.name).exists()]
         _move(new, written)
-    return Created(tuple(written), plan)
+    return Created(tuple(written), plan, controller)
 
 
 @contextmanager

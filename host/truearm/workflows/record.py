@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from truearm.record.status import Counters
 from truearm.text import counted, one_line
 from truearm.types import Move
 from truearm.units import NS
+from truearm.workflows.controller_model import controller_findings
 from truearm.workflows.requests import RecordOptions
 from truearm.workflows.session_copies import recovered_name
 from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
@@ -70,6 +71,7 @@ class Recorded:
     trouble: str
     missing: str  # why the recording is incomplete, "" if it is complete
     dwells: RecordedDwells | None = None  # of a recording with a robot and a rig
+    findings: Sequence[Finding] = ()  # about the robot's controller
 
 
 def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], None]) -> Recorded:
@@ -78,7 +80,10 @@ def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], 
     for part in () if work.before is None else work.before.damaged:
         say(damaged_part(part))
     device = choose_box(request.box, output)
-    return _record(device, work, request, output)
+    findings = controller_findings(work.robot, request.project_model)
+    for finding in findings:
+        say(finding.text())
+    return replace(_record(device, work, request, output), findings=findings)
 
 
 def damaged_part(part: Path) -> str:
@@ -217,7 +222,7 @@ def _work(request: RecordOptions) -> RecordingWork:
         work = _going_on(work, request, before)
     setup = {"robot": work.robot or "", "osr": str(work.osr)}
     if request.project_model:
-        setup["model"] = request.project_model
+        setup["model"] = Path(request.project_model).name
     if before is not None:
         setup |= {"of": before.first.name, "part": str(before.part), "begun": before.begun}
     return replace(work, setup=setup)
@@ -389,6 +394,7 @@ def _findings(recorded: Recorded) -> Iterator[Finding]:
     if events:
         counts = {name: getattr(summary.counters, name) for name in DISTURBANCES}
         yield Finding("recording-disturbed", {"events": events, **counts})
+    yield from recorded.findings
 
 
 def _disturbances(counters: Counters) -> Iterator[str]:

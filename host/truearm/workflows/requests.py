@@ -164,7 +164,7 @@ class RecordOptions:
     """What to record from which ``box`` (None: the one that is plugged in) and from the robot at ``address``.
 
     ``resume``: the session to continue, in place of ``out``. ``duration`` [s]: None for no end. ``patience`` [s]: how long
-    to wait for a box or robot that was lost. ``project_model``: the robot of the project.
+    to wait for a box or robot that was lost. ``project_model``: the robot of the project, or the path of its file.
     """
 
     box: str | None = None

@@ -57,7 +57,7 @@ class RtdeLink:
     def __init__(self, url: str, clock: Clock, first_s: float | None = None) -> None:
         self.name = url
         self.numeric = True  # the recorder stores columns in place of lines
-        host, port, hz = _address(url)
+        host, port, hz = address_of(url)
         self._clock = clock
         self._packages = rtde.Packages()
         self._pending: Arrivals = []  # lines received during the set-up
@@ -187,7 +187,7 @@ class RtdeLink:
         return format_reading(t, seq, q, **{KEYS[name]: values[name] for name in WANTED if name in values})
 
 
-def _address(url: str) -> tuple[str, int, float | None]:
+def address_of(url: str) -> tuple[str, int, float | None]:
     """Return host, port and rate of an address. Raises InputError."""
     try:
         parts = urlsplit(url)

@@ -52,9 +52,10 @@ class FileOptions(NamedTuple):
     columns: Sequence[tuple[str, str]] = ()
 
 
+RTDE = "rtde"
 SOURCES: Mapping[str, SourceEntry] = {
     "tcp": SourceEntry("session_lines", "127.0.0.1:7008", "JSON lines"),
-    "rtde": SourceEntry("rtde", "192.168.0.2", "Universal Robots"),
+    RTDE: SourceEntry("rtde", "192.168.0.2", "Universal Robots"),
     "lines+tcp": SourceEntry("text_lines", "192.168.0.2:7008", "CSV, or JSON with names and units of its own"),
     "lines+udp": SourceEntry("text_lines", "0.0.0.0:7008", "the same in datagrams, sent to this computer"),
 }

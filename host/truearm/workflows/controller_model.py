@@ -1,0 +1,187 @@
+"""The model that a Universal Robots controller computes with, as a robot file (``truearm robot read``, ``truearm init``).
+
+The file is the one of the drawing with a further set of values, CONTROLLER, which becomes the nominal one. The rows with
+d of hundreds of metres become rows with Hayati's β (``export.dh``), which can be identified.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from truearm.errors import Argument, InputError, LinkError, RobotError
+from truearm.export.dh import dh_rows
+from truearm.export.link_frames import link_frames
+from truearm.files.disk import check_writable, read_text, write_atomic
+from truearm.files.robot_file import MAX_BYTES, RobotChoice, is_urdf, load_robot, robot_file
+from truearm.findings import Finding
+from truearm.model.builtin import builtin_text
+from truearm.model.chain import forward
+from truearm.model.controller_kinematics import (
+    JOINTS,
+    ControllerKinematics,
+    kinematics_of_conf,
+    kinematics_of_info,
+    kinematics_of_yaml,
+)
+from truearm.model.elementary_transforms import SIX
+from truearm.model.poses import six_of
+from truearm.model.robot import CONTROLLER, Robot, parse_robot
+from truearm.progress import step
+from truearm.record.robots.sources import RTDE
+from truearm.record.robots.ur_primary import kinematics_info
+from truearm.types import Floats, rms
+from truearm.units import MM, SUFFIXES
+
+ROBOT_FILE = "robot.toml"
+OTHER_ARM_M = 0.05  # the calibration of an arm differs from its drawing by less, other arms by more
+EXACT = 1e-9  # m, and of a rotation matrix
+N_POSES = 600
+PARAMETER = re.compile(r"^(\w+?)(?:_(m|cm|mm|rad|deg))? = \{ *(.*)")
+OWN = re.compile(rf"\b{CONTROLLER} *= *[^,}}\s]+ *,? *")
+
+
+@step("reading the controller's kinematics")
+def read_controller(source: str, model: str, out: Path, force: bool = False) -> Finding:
+    """Write the robot file of a controller and return how it differs from the drawing.
+
+    ``source``: an address rtde://HOST, a calibration.conf or a file of ur_calibration. ``model``: the built-in robot or
+    the robot file with the drawing. Raises InputError, LinkError, and then writes nothing.
+    """
+    live = source.startswith(f"{RTDE}://")
+    inputs = [path for path in (None if live else Path(source), robot_file(model)) if path is not None]
+    check_writable(out, force, inputs=inputs, kind="robot")
+    text = drawing_text(model)
+    drawing = parse_robot(text)
+    if live:
+        kinematics = kinematics_of_info(kinematics_info(source))
+    else:
+        content = read_text(Path(source), MAX_BYTES, InputError)
+        try:
+            is_conf = "delta_theta" in content
+            kinematics = kinematics_of_conf(content, _drawn_rows(drawing)) if is_conf else kinematics_of_yaml(content)
+        except RobotError as exc:
+            raise exc.within(Path(source)) from exc
+    written, apart = controller_text(text, drawing, kinematics)
+    write_atomic(out, written)
+    checksums = [f"{checksum:08x}" for checksum in kinematics.checksums]
+    values: dict[str, Any] = {"place": source, "model": drawing.chain.name, "n": N_POSES, "checksums": checksums}
+    return Finding(
+        "controller-read",
+        {**values, "rms": {"mm": float(MM.of(rms(apart)))}, "largest": {"mm": float(MM.of(apart.max()))}},
+    )
+
+
+def drawing_text(model: str) -> str:
+    """Return the text of a built-in robot or a robot file. Raises RobotError for a URDF."""
+    path = robot_file(model)
+    if path is not None and is_urdf(model):
+        raise RobotError(f"{path}: is a URDF; give a built-in robot or a robot file (.toml) with the drawing's values")
+    return builtin_text(model) if path is None else read_text(path, MAX_BYTES, RobotError)
+
+
+def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics) -> tuple[str, Floats]:
+    """Return a robot file with the controller's values as nominal ones, and its distances (n,) [m] from the drawing.
+
+    Raises RobotError if the controller is that of another arm, or if the file's convention cannot hold its kinematics.
+    """
+    chain = drawing.chain
+    name = next(name for name in (*drawing.parameter_sets, "") if name != CONTROLLER)
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (N_POSES, JOINTS))
+    if not name or [joint.kind for joint in chain.joints] != ["revolute"] * JOINTS:
+        raise RobotError(
+            "unsuited-robot",
+            place=f"robot {chain.name}",
+            reason="a controller of Universal Robots has six revolute joints",
+        )
+    design = drawing.parameter_sets[name]
+    ends = kinematics.forward(q)
+    apart = np.linalg.norm((ends - forward(chain, design, q))[:, :3, 3], axis=1)
+    if apart.max() > OTHER_ARM_M:
+        largest = MM.text(float(apart.max()), ".0f")
+        raise RobotError(
+            f"the controller's arm differs from {chain.name} by up to {largest}; give its own drawing as ",
+            Argument("robot"),
+        )
+    described = link_frames(chain, design, design)
+    rows = dh_rows(described._replace(links=kinematics.links), described, hayati=True)
+    values = {
+        f"{table}.{key}": value
+        for table, pose in (("base", rows.base), ("tool", rows.tool))
+        for (key, _), value in zip(SIX, six_of(pose), strict=True)
+    }
+    columns = zip(
+        ("offset", "d", "a", "alpha", "beta"), (rows.theta, rows.d, rows.a, rows.alpha, rows.beta), strict=True
+    )
+    values |= {f"joint{i + 1}.{key}": column[i] for key, column in columns for i in range(JOINTS)}
+    usual = dict(zip(chain.parameter_names, design, strict=True))
+    written = _with_set(
+        text, {key: float(values.get(key, value)) for key, value in usual.items()}, kinematics.checksums
+    )
+    again = parse_robot(written).chain
+    if np.abs(forward(again, again.params_nominal, q) - ends).max() > EXACT:
+        raise RobotError(
+            "unsuited-robot",
+            place=f"robot {chain.name}",
+            reason="its rows cannot hold the controller's; give a robot file like the built-in ur5e: dh, with beta at parallel axes",
+        )
+    return written, np.asarray(apart)
+
+
+def _with_set(text: str, values: dict[str, float], checksums: tuple[int, ...]) -> str:
+    """Return the text of a robot file whose parameters have the values [SI] as nominal ones."""
+    lines, table = [], ""
+    for line in text.splitlines():
+        if line.startswith("["):
+            table = line.strip("[] ").partition("]")[0]
+        entry = PARAMETER.match(line)
+        if entry and (name := f"{table}.{entry[1]}") in values:
+            value = SUFFIXES[entry[2] or ""].of(values[name])
+            line = f"{line[: entry.start(3)]}{CONTROLLER} = {value + 0.0!r}, {OWN.sub('', entry[3])}"
+        elif not table and line.startswith("checksums ="):
+            continue
+        elif not table and line.startswith("nominal ="):
+            line = f'nominal = "{CONTROLLER}"' + f"\nchecksums = {list(checksums)}" * bool(checksums)
+        lines.append(line)
+    return "\n".join([*lines, ""])
+
+
+def _drawn_rows(drawing: Robot) -> Floats:
+    """Return θ, a, d, α (4, 6) of the drawing."""
+    name = next((name for name in drawing.parameter_sets if name != CONTROLLER), CONTROLLER)
+    values = dict(zip(drawing.chain.parameter_names, drawing.parameter_sets[name].tolist(), strict=True))
+    keys = ("offset", "a", "d", "alpha")
+    return np.array([[values.get(f"joint{i + 1}.{key}", 0.0) for i in range(JOINTS)] for key in keys])
+
+
+def controller_findings(address: str | None, model: str) -> list[Finding]:
+    """Return whether a controller has other checksums than the robot file ``model``, or cannot be asked."""
+    if not (address or "").startswith(f"{RTDE}://") or not Path(model).is_file() or is_urdf(model):
+        return []
+    stored = load_robot(model).checksums
+    if not stored:
+        return []
+    try:
+        now = kinematics_of_info(kinematics_info(address or "")).checksums
+    except (LinkError, RobotError) as exc:
+        return [Finding("controller-unread", {"model": model, "reason": str(exc), "stored": True})]
+    changed = [str(i + 1) for i in range(JOINTS) if now[i] != stored[i]]
+    return [Finding("controller-changed", {"place": address, "model": model, "joints": changed})] if changed else []
+
+
+def controller_choice(model: str, address: str, folder: Path) -> tuple[RobotChoice | None, Finding | None]:
+    """Return the robot of the controller, written into a folder, and what was read; None without such a controller.
+
+    Raises RobotError for a controller of another arm.
+    """
+    if not address.startswith(f"{RTDE}://") or is_urdf(model):
+        return None, None
+    out = folder / ROBOT_FILE
+    try:
+        finding = read_controller(address, model, out)
+    except LinkError as exc:
+        return None, Finding("controller-unread", {"model": model, "reason": str(exc)})
+    return RobotChoice(str(out)), finding

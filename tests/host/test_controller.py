@@ -1,0 +1,236 @@
+"""The kinematics of a Universal Robots controller: read from its primary interface and its files, stored, compared again."""
+
+import json
+import struct
+import time
+
+import numpy as np
+import pytest
+from controller_peer import Controller, built_rows, drawn_rows, info, message, state
+from session_stream import RIG
+
+from truearm.errors import LinkError, RobotError
+from truearm.files.rig_file import write_rig
+from truearm.files.robot_file import load_robot
+from truearm.model.builtin import builtin_text
+from truearm.model.controller_kinematics import kinematics_of_conf, kinematics_of_info, kinematics_of_yaml
+from truearm.model.robot import builtin_robot
+from truearm.record.robots import ur_primary
+from truearm.workflows.controller_model import controller_findings, drawing_text
+
+UR5E = builtin_robot("ur5e")
+SEED = 6  # of an arm with d of 340 m
+
+
+@pytest.fixture
+def controller(monkeypatch):
+    """Return a function that starts a controller with data, which the real reader then finds on its port."""
+    started = []
+
+    def start(data, **how):
+        started.append(Controller(data, **how))
+        monkeypatch.setattr(ur_primary, "PORT", started[-1].port)
+        return "rtde://127.0.0.1"
+
+    yield start
+    for one in started:
+        one.close()
+
+
+def exact_forward(rows, q):
+    """Return the plain product of the rows' transforms in extended precision."""
+    ends = []
+    for reading in q.astype(np.longdouble):
+        end = np.eye(4, dtype=np.longdouble)
+        for turn, (theta, a, d, alpha) in zip(reading, rows.T.astype(np.longdouble), strict=True):
+            (ct, st), (ca, sa) = ((np.cos(v), np.sin(v)) for v in (turn + theta, alpha))
+            end = end @ np.array(
+                [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]],
+                dtype=np.longdouble,
+            )
+        ends.append(end)
+    return np.array(ends)
+
+
+@pytest.mark.parametrize("model", ["ur5e", "ur10e"])
+def test_a_controller_is_read_into_a_robot_file_that_predicts_what_it_computes(run, tmp_path, controller, model):
+    drawing = builtin_robot(model)
+    rows = built_rows(drawing.chain, SEED)
+    assert np.abs(rows[2]).max() > 100.0
+    address = controller(message() + state(bytes(60), kind=6) + state(info(rows)))
+    out = tmp_path / "arm.toml"
+    code, stdout, _ = run("robot", "read", address, "--model", model, "--out", out, "--json")
+    assert code == 0
+    robot = load_robot(str(out))
+    q = np.random.default_rng(0).uniform(-2 * np.pi, 2 * np.pi, (200, 6))
+    assert np.abs(robot.forward(q) - exact_forward(rows, q)).max() < 1e-12
+    assert robot.checksums == (1, 2, 3, 4, 5, 0xFFFFFFFF)
+    assert np.array_equal(robot.free, drawing.free)
+    np.testing.assert_array_equal(robot.branch.lower, drawing.branch.lower)
+    np.testing.assert_allclose(robot.parameter_sets["design"], drawing.chain.params_nominal, atol=1e-15)
+    values = json.loads(stdout)["findings"][0]["values"]
+    apart = np.linalg.norm((robot.forward(q) - drawing.forward(q))[:, :3, 3], axis=1)
+    assert values["rms"]["mm"] == pytest.approx(1e3 * np.sqrt((apart**2).mean()), rel=0.1)
+    # read again into a file that has the controller's values already
+    again = tmp_path / "again.toml"
+    assert run("robot", "read", address, "--model", out, "--out", again)[0] == 0
+    assert again.read_text() == out.read_text()
+
+
+def conf_of(rows, checksums="0x1, 0x2, 0x3, 0x4, 0x5, 0xffffffff"):
+    deltas = rows - drawn_rows(UR5E.chain)
+    lines = [f"delta_{name} = {row.tolist()}" for name, row in zip(("theta", "a", "d", "alpha"), deltas, strict=True)]
+    return "\n".join(["[mounting]", *lines, f"joint_checksum = [ {checksums} ]", "calibration_status = 0", ""])
+
+
+def test_a_calibration_conf_is_the_same_kinematics(run, tmp_path):
+    rows = built_rows(UR5E.chain, SEED)
+    (tmp_path / "calibration.conf").write_text(conf_of(rows))
+    out = tmp_path / "robot.toml"
+    assert run("robot", "read", tmp_path / "calibration.conf", "--model", "ur5e", "--out", out)[0] == 0
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (100, 6))
+    robot = load_robot(str(out))
+    assert np.abs(robot.forward(q) - exact_forward(rows, q)).max() < 1e-11  # digits lost in the differences
+    assert robot.checksums == (1, 2, 3, 4, 5, 0xFFFFFFFF)
+
+
+def test_a_file_of_ur_calibration_is_the_same_kinematics(run, tmp_path):
+    """U_i = Rz(θ)·Tz(d)·Tx(a)·Rx(α) of the row before, with frames along the axes moved as the file has them."""
+    rows = built_rows(UR5E.chain, SEED)
+    frames = kinematics_of_info(info(rows)).links[:6]
+    text = ["kinematics:"]
+    for name, link in zip(
+        ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"),
+        frames,
+        strict=True,
+    ):
+        x, y, z = (float(v) for v in link[:3, 3])
+        roll, pitch, yaw = (
+            float(np.arctan2(link[2, 1], link[2, 2])),
+            float(-np.arcsin(link[2, 0])),
+            float(np.arctan2(link[1, 0], link[0, 0])),
+        )
+        numbers = {"x": x, "y": y, "z": z, "roll": roll, "pitch": pitch, "yaw": yaw}
+        text += [f"  {name}:", *(f"    {key}: {value!r}" for key, value in numbers.items())]
+    (tmp_path / "calibration.yaml").write_text("\n".join([*text, "  hash: calib_1", ""]))
+    kinematics = kinematics_of_yaml((tmp_path / "calibration.yaml").read_text())
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (100, 6))
+    end = kinematics_of_info(info(rows)).links[6]
+    assert np.abs(kinematics.forward(q) @ end - exact_forward(rows, q)).max() < 1e-9
+    assert kinematics.checksums == ()
+
+
+HOSTILE = {
+    "huge package": struct.pack(">IB", 2**31, 16),
+    "negative package": struct.pack(">iB", -1, 16),
+    "tiny package": struct.pack(">IB", 4, 16),
+    "sub-package beyond its package": struct.pack(">IBIB", 10, 16, 500, 5),
+    "sub-package of no size": struct.pack(">IBIB", 10, 16, 0, 5),
+    "short kinematics": state(bytes(100)),
+    "not a number": state(info(np.full((4, 6), np.nan))),
+    "no arm": state(info(np.full((4, 6), 1e6))),
+    "closed": b"",
+    "text": b"HTTP/1.1 400 Bad Request\r\n\r\n",
+}
+
+
+@pytest.mark.parametrize("data", HOSTILE.values(), ids=HOSTILE)
+def test_what_is_no_controller_is_an_error_of_one_line_and_writes_nothing(run, tmp_path, controller, data):
+    out = tmp_path / "robot.toml"
+    code, _, err = run("robot", "read", controller(data), "--model", "ur5e", "--out", out)
+    assert code in (1, 2)
+    assert err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_controller_that_sends_no_kinematics_ends_after_a_time(controller, monkeypatch):
+    monkeypatch.setattr(ur_primary, "ANSWER_S", 0.2)
+    began = time.monotonic()
+    with pytest.raises(LinkError, match="no kinematics"):
+        ur_primary.kinematics_info(controller(state(bytes(60), kind=6), stays=True))
+    assert time.monotonic() - began < 2.0
+
+
+@pytest.mark.parametrize(
+    "text", ["", "delta_theta = [1, 2]", conf_of(drawn_rows(UR5E.chain)).replace("0.0", "nan"), "kinematics:\n  a:\n"]
+)
+def test_files_that_are_no_calibration_are_refused(run, tmp_path, text):
+    (tmp_path / "a.conf").write_text(text)
+    code, _, err = run("robot", "read", tmp_path / "a.conf", "--model", "ur5e", "--out", tmp_path / "r.toml")
+    assert code == 2
+    assert "a.conf" in err
+    assert err.count("\n") == 1
+
+
+def test_checksums_that_are_not_six_words_are_none():
+    drawing = drawn_rows(UR5E.chain)
+    assert kinematics_of_conf(conf_of(drawing, "0x1"), drawing).checksums == ()
+    assert kinematics_of_conf(conf_of(drawing, "1, 2, 3, 4, 5, 6"), drawing).checksums == ()
+
+
+def test_the_controller_of_another_arm_is_refused(run, tmp_path, controller):
+    address = controller(state(info(built_rows(builtin_robot("ur10e").chain))))
+    code, _, err = run("robot", "read", address, "--model", "ur5e", "--out", tmp_path / "robot.toml")
+    assert code == 2
+    assert "--model" in err
+    code, _, err = run("robot", "read", address, "--model", "iiwa14", "--out", tmp_path / "robot.toml")
+    assert code == 2
+    assert "six revolute" in err
+
+
+def test_a_project_has_the_controllers_kinematics_or_says_that_it_does_not(run, tmp_path, controller):
+    address = controller(state(info(built_rows(UR5E.chain))))
+    for name in ("cell", "b"):  # which need no first rig then
+        (tmp_path / name).mkdir()
+        write_rig(tmp_path / name / "rig.toml", RIG)
+    code, out, _ = run("init", tmp_path / "cell", "--model", "ur5e", "--address", address, "--minutes", "0", "--json")
+    assert code == 0
+    assert json.loads(out)["findings"][0]["code"] == "controller-read"
+    assert 'model = "robot.toml"' in (tmp_path / "cell" / "truearm.toml").read_text()
+    assert load_robot(str(tmp_path / "cell" / "robot.toml")).checksums
+    code, out, _ = run(
+        "init", tmp_path / "b", "--model", "ur5e", "--address", controller(b""), "--minutes", "0", "--json"
+    )
+    assert code == 0
+    assert json.loads(out)["findings"][0]["code"] == "controller-unread"
+    assert 'model = "ur5e"' in (tmp_path / "b" / "truearm.toml").read_text()
+
+
+def test_a_recording_warns_when_the_controllers_checksums_changed(run, tmp_path, controller):
+    rows, out = built_rows(UR5E.chain), tmp_path / "robot.toml"
+    address = controller(state(info(rows)))
+    assert run("robot", "read", address, "--model", "ur5e", "--out", out)[0] == 0
+    assert controller_findings(address, str(out)) == []
+    assert controller_findings("tcp://127.0.0.1:1", str(out)) == []
+    assert controller_findings(address, "ur5e") == []
+    changed = controller_findings(controller(state(info(rows, (1, 2, 9, 4, 5, 6)))), str(out))
+    assert [(f.code, f.values["joints"]) for f in changed] == [("controller-changed", ["3", "6"])]
+    assert "joint 3 and 6" in changed[0].text() or "joints 3" in changed[0].text()
+    assert [f.code for f in controller_findings(controller(b""), str(out))] == ["controller-unread"]
+
+
+def test_a_file_whose_rows_cannot_hold_the_controller_is_refused(run, tmp_path, controller):
+    without = "\n".join(
+        line for line in builtin_text("ur5e").splitlines() if not line.startswith("beta_deg = { design = 0.0 }")
+    )
+    (tmp_path / "mine.toml").write_text(
+        without.replace("[tool]", "[tool]\nbeta_deg = { design = 0.0 }").replace(
+            "[base]", "[base]\nbeta_deg = { design = 0.0 }"
+        )
+    )
+    code, _, err = run(
+        "robot",
+        "read",
+        controller(state(info(built_rows(UR5E.chain)))),
+        "--model",
+        tmp_path / "mine.toml",
+        "--out",
+        tmp_path / "r.toml",
+    )
+    assert code == 2
+    assert "cannot hold" in err
+
+
+def test_a_urdf_has_no_drawing_to_compare_with():
+    with pytest.raises(RobotError, match="URDF"):
+        drawing_text("arm.urdf")
