@@ -334,6 +334,7 @@ def test_samples_are_those_of_the_interval_by_signal_time():
     samples, reader = ChannelSamples(("lvdt",)), BoxReader()
     for begin in range(0, len(box.messages), 100):
         samples.keep(reader.feed(columns_of(box.messages[begin : begin + 100])))
+    samples.keep(reader.finish())
     samples.place(clocks)
     intervals = [(2 * 10**9, 3 * 10**9), (3_000_000_001, 3_000_500_000), (4 * 10**9, 60 * 10**9)]
     signal = 10**9 + np.arange(13 * 400) * PERIOD_NS - 1_500_000

@@ -76,6 +76,25 @@ class Frames:
     elements: dict[int, list[Any]]
     malformed: int
 
+    def followed_by(self, later: Frames, first: int) -> Frames:
+        """Return the frames from row ``first`` on, then all of ``later``; of the data, only samples are kept."""
+        count = len(self.table) - first
+        table = np.concatenate([self.table[first:], later.table])
+        held, later_at = table[:count], table["samples_at"][count:]
+        held = held[held["samples_at"] != NONE]
+        places = zip(held["samples_at"].tolist(), held["samples_bytes"].tolist(), strict=True)
+        samples = b"".join(self.data[begin : begin + n] for begin, n in places)
+        table["samples_at"][:count][table["samples_at"][:count] != NONE] = (
+            np.cumsum(held["samples_bytes"]) - held["samples_bytes"]
+        )
+        later_at[later_at != NONE] += len(samples)
+        elements = {k - first: frame for k, frame in self.elements.items() if k >= first}
+        elements |= {k + count: frame for k, frame in later.elements.items()}
+        return Frames(samples + later.data, table, elements, later.malformed)
+
+
+NO_FRAMES = Frames(b"", np.empty(0, FRAME), {}, 0)
+
 
 def frames_of(messages: Messages) -> Frames:
     """Return the frames among the messages of a box."""

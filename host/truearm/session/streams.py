@@ -1,15 +1,13 @@
 """Assign the frames of a box to its boots, and convert them to blocks of samples and exact losses.
 
 A link neither reorders nor doubles frames (SPEC §4). Within a boot, ``seq`` therefore counts up, and a gap is a loss. A
-frame that does not continue the count is held until the box states its boot id: heartbeats do once a second, and so does
-the ident that a box sends at boot.
+box states its boot id in a heartbeat once a second, and in the ident that it sends at boot. Frames are held until then,
+so that where batches end changes nothing.
 
-- If the boot id is another one, the box **restarted** at the held frame with the least ``seq``. A new **segment** begins
-  there, and its frames count from 0.
-- If it is the same, the held frames follow a loss.
-- If the count continues first, the held frames were out of place.
-
-A frame behind the count or out of place is **malformed**. It is counted and not used.
+- If the boot id is another one, the box **restarted** where ``seq`` departs most from the count. A new **segment**
+  begins there, and its frames count from 0.
+- Of the frames of one boot, the longest rising subsequence is used. The others are behind the count or out of place:
+  **malformed**. They are counted and not used.
 
 A batch of messages becomes ``Blocks``: tables with one row per data frame of one stream, segment and ident. Device time
 is valid within a segment. Samples are complete within a **run** (from one ``start`` to the next) between blocks marked
@@ -18,10 +16,11 @@ is valid within a segment. Samples are complete within a **run** (from one ``sta
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import groupby, pairwise
+from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from numpy.typing import NDArray
 from truearm.errors import ProtocolError
 from truearm.session.box_frames import Pages, is_boot, is_text, parse_exchange
 from truearm.session.box_ident import Ident, Stream, decode_ident
-from truearm.session.frames import NONE, Frames, frames_of
+from truearm.session.frames import NO_FRAMES, NONE, Frames, frames_of
 from truearm.session.losses import COUNTED, Heartbeats, Losses, StreamReport, StreamTrack, summary_of
 from truearm.session.message_columns import Messages
 from truearm.types import Ints
@@ -113,37 +112,6 @@ class Segment:
     )  # by thermometer, None for the box's own: device time [µs], m°C
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """Consecutive frames ``begin`` to ``end`` of a batch, at least one, with at most one boot id."""
-
-    frames: Frames
-    begin: int
-    end: int
-
-    @property
-    def message(self) -> int:
-        return int(self.frames.table["message"][self.begin])
-
-    @property
-    def seq(self) -> int:
-        return int(self.frames.table["seq"][self.begin])
-
-    @property
-    def next_seq(self) -> int:
-        return (self.seq + self.end - self.begin) % CIRCLE
-
-    @property
-    def times_us(self) -> Ints:
-        """Device times of the frames that have one."""
-        t_us = self.frames.table["t_us"][self.begin : self.end]
-        return np.asarray(t_us[t_us != NONE])
-
-    @property
-    def boot_id(self) -> int:
-        return int(self.frames.table["boot_id"][self.begin : self.end].max())
-
-
 class BoxReader:
     """Processes the messages of the box and the clock batch by batch.
 
@@ -154,9 +122,7 @@ class BoxReader:
         self.segments = [Segment(0, ident=ident)]
         self._count: Counter[str] = Counter()
         self._next: int | None = None  # seq of the next frame; None before the first
-        self._newest_us = 0  # newest device time of the boot
-        self._held: list[_Run] = []
-        self._due: list[tuple[_Run, int]] = []  # in order, and the frames lost before each
+        self._held = NO_FRAMES  # until the box states its boot id
         self._messages = 0  # so far
         self._heard: list[Ints] = [np.empty((0, 5), np.int64)]  # message, and times of an exchange
         self._streams: dict[int, StreamTrack] = {}
@@ -182,14 +148,17 @@ class BoxReader:
         frames.table["message"] += self._messages
         self._messages += len(messages)
         self._count["frames_malformed"] += frames.malformed
-        blocks: list[Blocks] = []
-        for run in self._runs(frames):
-            blocks += self._take(run)
-        return blocks + self._account()
+        frames = self._held.followed_by(frames, 0)
+        bounds = _bounds(frames.table)
+        if self._continues(frames.table[: bounds[-1]]):
+            bounds = [0, bounds[-1]]
+        self._held = frames.followed_by(NO_FRAMES, bounds[-1])
+        return self._use(frames, bounds)
 
     def finish(self) -> list[Blocks]:
         """Return the blocks that are still held, at the end of the session."""
-        return [*self._settle(), *self._account()]
+        frames, self._held = self._held, NO_FRAMES
+        return self._use(frames, [0, len(frames.table)])
 
     def exchanges(self, segment: Segment) -> Ints:
         """Return the clock exchanges of a segment (k, 4): times of host write, device receive, device send and arrival."""
@@ -208,101 +177,95 @@ class BoxReader:
 
     # ------------------------------------------------------------------------------------------------ boots
 
-    def _runs(self, frames: Frames) -> list[_Run]:
-        """Divide frames where ``seq`` does not count on, another boot id is stated, or the device time falls back."""
-        table = frames.table
-        if not len(table):
-            return []
-        cut = np.append(True, table["seq"][1:] != (table["seq"][:-1] + 1) % CIRCLE)
-        stated = np.flatnonzero(table["boot_id"] != NONE)
-        cut[stated[1:][np.diff(table["boot_id"][stated]) != 0]] = True
-        timed = np.flatnonzero(table["t_us"] != NONE)
-        cut[timed[1:][np.diff(table["t_us"][timed]) < -FELL_US]] = True
-        bounds = [*np.flatnonzero(cut).tolist(), len(table)]
-        return [_Run(frames, begin, end) for begin, end in pairwise(bounds)]
+    def _use(self, frames: Frames, bounds: Sequence[int]) -> list[Blocks]:
+        """Account for groups of frames, each from one of the bounds to the next."""
+        blocks: list[Blocks] = []
+        due: list[tuple[Ints, Ints]] = []  # rows of this segment, and the frames lost before each
+        for begin, end in pairwise(bounds):
+            restart = self._restart(frames.table[begin:end])
+            if restart is not None:
+                due.append(self._in_order(frames.table, begin, begin + restart))
+                blocks += self._contents(frames, due)
+                begin, due = begin + restart, []
+                self._begin_segment(int(frames.table["message"][begin]))
+            due.append(self._in_order(frames.table, begin, end))
+        return blocks + self._contents(frames, due)
 
-    def _take(self, run: _Run) -> list[Blocks]:
-        """Use a run that continues the count; hold any other one until the box states its boot id."""
-        follows_held = self._held and run.seq == self._held[-1].next_seq
-        ours = run.boot_id in (NONE, self.segment.boot_id) or self.segment.boot_id is None
-        if not follows_held and self._next in (None, run.seq) and ours and not self._fell(run):
-            self._count["frames_malformed"] += _frames_in(self._held)
-            self._held = []
-            self._use(run)
-            return []
-        self._held.append(run)
-        held = sum(run.end - run.begin for run in self._held)
-        # A single frame decides nothing: if the count continues behind it, it was out of place.
-        return (
-            self._settle() if (held > 1 and any(run.boot_id != NONE for run in self._held)) or held > MOST_HELD else []
-        )
+    def _continues(self, table: NDArray[Any]) -> bool:
+        """Return whether frames continue the count and are all of the same boot."""
+        if self._next is None or self.segment.boot_id is None or not len(table):
+            return False
+        same_boot = (table["boot_id"] == NONE) | (table["boot_id"] == self.segment.boot_id)
+        return bool(np.all(np.diff(table["seq"], prepend=self._next - 1) == 1) and np.all(same_boot))
 
-    def _fell(self, run: _Run) -> bool:
-        """Return whether the device time falls back with a run."""
-        return bool(np.any(run.times_us[:1] < self._newest_us - FELL_US))
+    def _restart(self, group: NDArray[Any]) -> int | None:
+        """Return the first frame of another boot, None if there is none: before and behind it, most frames count up.
 
-    def _settle(self) -> list[Blocks]:
-        """Use the held frames: after a loss, or those of a new boot from where the count begins again."""
-        held, self._held = self._held, []
-        stated = next((run.boot_id for run in reversed(held) if run.boot_id != NONE), self.segment.boot_id)
-        first = min(range(len(held)), key=lambda k: held[k].seq, default=0)  # a boot counts from 0
-        ahead = not held or _ahead(held[first].seq, self._next or 0) >= 0
-        if stated == self.segment.boot_id or (self.segment.boot_id is None and ahead):
-            self._use_ahead(held)
-            return []
-        self._use_ahead(held[:first])
-        blocks = self._account()
+        If that does not decide, it is where ``seq`` departs most from the count.
+        """
+        stated = group[group["boot_id"] != NONE]
+        if not len(stated) or stated["boot_id"][-1] == self.segment.boot_id:
+            return None
+        timed = group["t_us"][group["t_us"] != NONE]
+        if self.segment.boot_id is None and not np.any(np.diff(timed) < -FELL_US):
+            return None
+        before = np.append(0, _rise_lengths(*self._ahead(group["seq"])))[:-1]
+        behind = _rise_lengths(-group["seq"][::-1], -stated["seq"][-1])[::-1]
+        usable = np.maximum.accumulate(before) + np.maximum.accumulate(behind[::-1])[::-1]
+        expected = group["seq"][0] if self._next is None else self._next
+        departure = np.abs(np.diff(group["seq"], prepend=expected - 1) - 1)
+        return int(np.argmax(np.where(usable == usable.max(), departure, NONE)))
+
+    def _ahead(self, seq: Ints) -> tuple[Ints, int]:
+        """Return how far frames (n,) are ahead of the count, and the least that continues it."""
+        expected = seq[:1] if self._next is None else self._next
+        return (seq - expected + CIRCLE // 2) % CIRCLE - CIRCLE // 2, -CIRCLE if self._next is None else 0
+
+    def _begin_segment(self, message: int) -> None:
+        """Begin another boot, which counts from 0."""
         self._count["restarts"] += 1
-        self.segments.append(Segment(len(self.segments), held[first].message, booted=True, ident=self.segment.ident))
-        self._pages, self._next, self._newest_us = Pages(), 0, 0
+        self.segments.append(Segment(len(self.segments), message, booted=True, ident=self.segment.ident))
+        self._pages, self._next = Pages(), 0
         for stream in self._streams.values():
             stream.restart(self._count["frames_lost"])
-        self._use_ahead(held[first:])
-        return blocks
 
-    def _use_ahead(self, runs: Sequence[_Run]) -> None:
-        """Use the frames that are ahead of the count, in order; those ahead of the newest run are out of place."""
-        for run in runs:
-            next_seq = self._next or 0
-            behind = min(max(0, -_ahead(run.seq, next_seq)), run.end - run.begin)
-            if _ahead(run.seq, runs[-1].seq) > 0 and _ahead(runs[-1].next_seq, next_seq) > 0:
-                behind = run.end - run.begin
-            self._count["frames_malformed"] += behind
-            if behind < run.end - run.begin:
-                self._use(replace(run, begin=run.begin + behind))
-
-    def _use(self, run: _Run) -> None:
-        """Account for a run that is next in order."""
-        lost = 0 if self._next is None else (run.seq - self._next) % CIRCLE
-        self._count.update(frames=run.end - run.begin, frames_lost=lost, loss_events=int(lost > 0))
-        self._next = run.next_seq
-        self._newest_us = int(run.times_us.max(initial=self._newest_us))
-        if run.boot_id != NONE:
-            self.segment.boot_id = run.boot_id
-        self._due.append((run, self._count["frames_lost"]))
+    def _in_order(self, table: NDArray[Any], begin: int, end: int) -> tuple[Ints, Ints]:
+        """Return which frames of one boot count up, and the frames lost in the session before each."""
+        seq = table["seq"][begin:end]
+        ahead, least = self._ahead(seq)
+        rows = np.arange(len(seq))
+        if np.any(ahead != rows):
+            rows = _longest_rise(ahead, least)
+        used, ahead = begin + rows, ahead[rows]
+        gaps = np.diff(ahead, prepend=ahead[:1] - 1 if self._next is None else -1) - 1
+        lost = self._count["frames_lost"] + np.cumsum(gaps)
+        self._count["frames_malformed"] += len(seq) - len(rows)
+        self._count.update(frames=len(rows), frames_lost=int(gaps.sum()), loss_events=int(np.count_nonzero(gaps)))
+        if len(rows):
+            self._next = (int(table["seq"][used[-1]]) + 1) % CIRCLE
+        stated = table["boot_id"][used]
+        if np.any(stated != NONE):
+            self.segment.boot_id = int(stated.max())
+        return used, lost
 
     # ------------------------------------------------------------------------------------------------ contents
 
-    def _account(self) -> list[Blocks]:
-        """Evaluate the frames that are due, all of one segment."""
-        due, self._due = self._due, []
+    def _contents(self, frames: Frames, due: Sequence[tuple[Ints, Ints]]) -> list[Blocks]:
+        """Evaluate frames of one segment: their rows, and the frames lost before each."""
+        if not due:
+            return []
+        index, lost = map(np.concatenate, zip(*due, strict=True))
         blocks: list[Blocks] = []
-        for _, several in groupby(due, key=lambda run: id(run[0].frames)):
-            runs = list(several)
-            frames = runs[0][0].frames
-            index = np.concatenate([np.arange(run.begin, run.end) for run, _ in runs])
-            lost = np.repeat([lost for _, lost in runs], [run.end - run.begin for run, _ in runs])
-            begin = 0
-            for k in np.flatnonzero(np.isin(index, list(frames.elements))).tolist():
-                elements, kind = frames.elements[int(index[k])], int(frames.table["type"][index[k]])
-                if kind == wire.IDENT:  # the frames behind it are of another description
-                    blocks += self._samples(frames, index[begin:k], lost[begin:k])
-                    begin = k
-                    self._describe(elements)
-                elif kind != NONE:
-                    self._content(elements, kind)
-            blocks += self._samples(frames, index[begin:], lost[begin:])
-        return blocks
+        begin = 0
+        for k in np.flatnonzero(np.isin(index, list(frames.elements))).tolist():
+            elements, kind = frames.elements[int(index[k])], int(frames.table["type"][index[k]])
+            if kind == wire.IDENT:  # the frames behind it are of another description
+                blocks += self._samples(frames, index[begin:k], lost[begin:k])
+                begin = k
+                self._describe(elements)
+            elif kind != NONE:
+                self._content(elements, kind)
+        return blocks + self._samples(frames, index[begin:], lost[begin:])
 
     def _content(self, elements: list[Any], kind: int) -> None:
         """Take a frame that was decoded singly, except pages of an ident."""
@@ -373,10 +336,37 @@ def segment_at(segments: Sequence[Segment], message: Ints) -> Ints:
     return np.searchsorted([segment.begin for segment in segments[1:]], message, "right")
 
 
-def _frames_in(runs: Sequence[_Run]) -> int:
-    return sum(run.end - run.begin for run in runs)
+def _bounds(table: NDArray[Any]) -> list[int]:
+    """Return 0 and where groups of frames end.
+
+    That is behind a frame that states the boot id, if the count continues behind it or the next one states another id.
+    """
+    stated = np.flatnonzero(table["boot_id"] != NONE)
+    boot_id = table["boot_id"][stated]
+    following = table["seq"][np.minimum(stated + 1, len(table) - 1)]
+    ends = (following == (table["seq"][stated] + 1) % CIRCLE) | (np.diff(boot_id, append=boot_id[-1:]) != 0)
+    bounds = [0]
+    for end in [*(stated[ends] + 1).tolist(), len(table)]:
+        bounds += [*range(bounds[-1] + MOST_HELD, end, MOST_HELD), end]
+    return bounds[:-1]
 
 
-def _ahead(seq: int, before: int) -> int:
-    """Return how far a seq is ahead of another, around the circle."""
-    return (seq - before + CIRCLE // 2) % CIRCLE - CIRCLE // 2
+def _rise_lengths(numbers: Ints, least: int) -> Ints:
+    """Return the length of the longest rising subsequence that ends at each number; 0 at those below ``least``."""
+    lowest: list[int] = []  # last number of a rising subsequence, by its length
+    lengths = np.zeros(len(numbers), np.int64)
+    for row in np.flatnonzero(numbers >= least).tolist():
+        place = bisect_left(lowest, numbers[row])
+        lowest[place : place + 1] = [numbers[row]]
+        lengths[row] = place + 1
+    return lengths
+
+
+def _longest_rise(numbers: Ints, least: int) -> Ints:
+    """Return the rows of the longest rising subsequence of the numbers from ``least`` on, the lowest one of several."""
+    lengths = _rise_lengths(numbers, least)
+    rows: list[int] = []
+    for row in np.flatnonzero(lengths)[::-1].tolist():
+        if lengths[row] == lengths.max() - len(rows) and (not rows or numbers[row] < numbers[rows[-1]]):
+            rows.append(row)
+    return np.array(rows[::-1], np.int64)
