@@ -42,5 +42,5 @@ def test_the_rate_of_the_clocks_is_shown_once_the_exchanges_bound_it(seconds, wo
     for k in range(4 * seconds):
         host_ns = 250_000_000 * k
         device_us = round(250_000 * k * (1.0 + 37e-6))
-        watch.clock.add(host_ns, device_us + 600, device_us + 605, host_ns + 1_205_000)
+        watch.exchanges.append((host_ns, device_us + 600, device_us + 605, host_ns + 1_205_000))
     assert words in clock_words(watch)

@@ -17,19 +17,19 @@ from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
 from truearm.session.losses import COUNTERS
 from truearm.text import counted, faster, one_line
-from truearm.units import DEGC, MDEGC, MS, NS, US
+from truearm.units import DEGC, MDEGC, MS, NS, PPM, US
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from truearm.box.control import BoxControl, Sent
     from truearm.session.box_ident import Channel, Ident, Stream
-    from truearm.session.device_clock import OnlineClock
 
 WINDOW_S = 1.0  # averaging time of displayed values
 PROBE_S = 0.25
 Labelled = list[tuple[str, str]]  # label and value
 MAX_PROBES = 64  # pending
+LEAST_EXCHANGES, MOST_EXCHANGES = 3, round(60.0 / PROBE_S)
 RATE_KNOWN_PPM = 100.0  # a bound of the rate's error above it is worse than assuming equal clocks: crystals stay within
 TROUBLES = tuple(name for name in COUNTERS if name not in ("sent", "short_writes", "overruns"))
 
@@ -56,12 +56,6 @@ class LastSecond:
             self.samples -= len(self.blocks.popleft())
 
 
-def _clock() -> OnlineClock:
-    from truearm.session.device_clock import OnlineClock  # imports numpy, which --help does not need
-
-    return OnlineClock()
-
-
 @dataclass
 class Watch:
     """Observations of a box since it was started. Times in s and ns of the host's clock."""
@@ -70,7 +64,9 @@ class Watch:
     windows: dict[int, LastSecond] = field(default_factory=dict)
     heartbeat: dict[str, Any] = field(default_factory=dict)
     thermometers: dict[int, float] = field(default_factory=dict)  # °C
-    clock: OnlineClock = field(default_factory=_clock)
+    exchanges: deque[tuple[int, int, int, int]] = field(
+        default_factory=lambda: deque(maxlen=MOST_EXCHANGES)
+    )  # t0, t1, t2, t3
     probes: dict[int, int] = field(default_factory=dict)
     edges: int = 0
     restarts: int = 0
@@ -99,7 +95,7 @@ class Watch:
             self.edges += 1
         elif sent.kind == SYNC_REPLY and sent.fields["id"] in self.probes:
             t0_ns = self.probes.pop(sent.fields["id"])
-            self.clock.add(t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns)
+            self.exchanges.append((t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns))
 
 
 def monitor_box(device: str, duration: float | None, every_s: float, show: Callable[[Labelled], None]) -> Iterator[str]:
@@ -206,13 +202,21 @@ def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str
 
 def clock_words(watch: Watch) -> str:
     """Describe how well the host knows the box's clock from the exchanges of the last minute."""
-    now = watch.clock.estimate()
-    if now is None:
+    from truearm.session.device_clock import fit_clock
+
+    count = len(watch.exchanges)
+    fitted = fit_clock(0, np.array(watch.exchanges)) if count >= LEAST_EXCHANGES else None
+    if fitted is None:
         return "not known yet"
-    rate = f"host {faster(now.rate_ppm, 1)}" if now.rate_bound_ppm < RATE_KNOWN_PPM else "rate not known yet"
+    clock, report = fitted
+    # A few exchanges later it is known whether a clock stepped.
+    _, (bound_ns,) = clock.to_host_ns(np.array([watch.exchanges[max(count - 4, count // 2)][1]]))
+    first_us, last_us = report.device_us
+    rate_bound_ppm = PPM.of(2.0 * bound_ns / (1000.0 * max(1, last_us - first_us)))
+    rate = f"host {faster(report.rate_ppm, 1)}" if rate_bound_ppm < RATE_KNOWN_PPM else "rate not known yet"
     return (
-        f"± {US.text(NS.to_si(now.bound_ns), '.0f')}, {rate}, "
-        f"shortest round trip {US.text(NS.to_si(now.rtt_min_ns), '.0f')}"
+        f"± {US.text(NS.to_si(float(bound_ns)), '.0f')}, {rate}, "
+        f"shortest round trip {US.text(NS.to_si(report.rtt_min_ns), '.0f')}"
     )
 
 

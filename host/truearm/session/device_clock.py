@@ -1,4 +1,4 @@
-"""Convert device time to host time, from recorded exchanges or during recording.
+"""Convert device time to host time by clock exchanges.
 
 An exchange has four times: the host wrote at t0, the device received at t1, it answered at t2, and the host received
 the answer at t3. Nothing can arrive before it was sent, whatever the link does. The host time h(d) at device time d
@@ -11,7 +11,6 @@ the same.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,10 +24,6 @@ from truearm.types import Floats, Ints
 from truearm.units import PPM
 
 TICK_NS = 1000  # device time is in whole microseconds, rounded down
-WINDOW_US = 60_000_000
-MOST_EXCHANGES = 480  # a window has 240 at 4 Hz; it is shorter if the probe rate is higher
-LEAST_EXCHANGES = 3
-LATEST = 3  # exchanges after the estimate of a running recording: they show whether a clock stepped
 
 
 @dataclass(frozen=True)
@@ -113,64 +108,3 @@ def fit_clock(
 
 def _round_trips(sane: Ints) -> Ints:
     return np.asarray(sane[:, 3] - sane[:, 0] - 1000 * (sane[:, 2] - sane[:, 1]))
-
-
-@dataclass(frozen=True)
-class OnlineEstimate:
-    """The clock at the newest exchange with LATEST exchanges after it, or at the middle one of fewer. Times in ns."""
-
-    device_us: int
-    offset_ns: int  # host − device there
-    rate_ppm: float  # how much faster the host counts than the device
-    rate_bound_ppm: float  # of the rate's error: lines within the bound at both ends of the exchanges
-    bound_ns: float  # of the offset's error
-    half_asymmetry_ns: float  # half the shortest round trip: no exchange can show it; included in the bound
-    rtt_min_ns: int
-    exchanges: int
-    rejected: int
-
-
-class OnlineClock:
-    """Processes exchanges as they arrive. If device time steps back, the box restarted and earlier exchanges are
-    dropped.
-    """
-
-    def __init__(self) -> None:
-        self._window: deque[Exchange] = deque(maxlen=MOST_EXCHANGES)
-
-    def add(self, t0_ns: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
-        """Add an answered exchange: times of host write, device receive, device send and host arrival."""
-        window = self._window
-        if window and t1_us < window[-1].t1_us:
-            window.clear()
-        window.append(Exchange(t0_ns, t1_us, t2_us, t3_ns))
-        while window[0].t1_us < t1_us - WINDOW_US:
-            window.popleft()
-
-    def estimate(self) -> OnlineEstimate | None:
-        """Return the estimate as of a few exchanges ago; None before the third exchange or if none is usable.
-
-        For the newest exchanges it is not yet known whether a clock stepped.
-        """
-        if len(self._window) < LEAST_EXCHANGES:
-            return None
-        fitted = fit_clock(0, self._window)
-        if fitted is None:
-            return None
-        clock, report = fitted
-        count = len(self._window)
-        t_us = self._window[max(count - 1 - LATEST, count // 2)].t1_us
-        host, bound = clock.to_host_ns(np.array([t_us]))
-        return OnlineEstimate(
-            device_us=t_us,
-            offset_ns=int(host[0]) - 1000 * t_us,
-            rate_ppm=report.rate_ppm,
-            rate_bound_ppm=PPM.of(
-                2.0 * float(bound[0]) / (1000.0 * max(1, self._window[-1].t1_us - self._window[0].t1_us))
-            ),
-            bound_ns=float(bound[0]),
-            half_asymmetry_ns=report.half_asymmetry_ns,
-            rtt_min_ns=report.rtt_min_ns,
-            exchanges=report.exchanges,
-            rejected=report.rejected,
-        )
