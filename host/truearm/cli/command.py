@@ -36,6 +36,7 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
@@ -224,7 +225,8 @@ def _declared(name: str, hint: Any, is_option: bool, entry: Entry) -> Any:
             info.min, info.max = (_bound(end, scale) for end in (rule.least, rule.most))
         elif isinstance(rule, OneOf):
             info.metavar = f"<{'|'.join(rule.names)}>"
-            info.callback, info.autocompletion = one_of(rule.names), completed(rule.names)
+            choice = StrEnum("Choice", {name: name for name in rule.names})  # type: ignore[misc]
+            kind = choice | None if type(None) in get_args(kind) else choice
     return Annotated[kind, info]
 
 
@@ -235,20 +237,7 @@ def _bound(end: float, scale: units.Scale) -> float | None:
 
 def completed(names: Collection[str]) -> Callable[[str], list[str]]:
     """Return a function that completes a partly typed option value from ``names``."""
-    return lambda incomplete: [
-        name for name in names if name.startswith(incomplete)
-    ]  # typer requires this argument name
-
-
-def one_of(names: Collection[str]) -> Callable[[str | None], str | None]:
-    """Return a function that checks an option against ``names``. It raises typer.BadParameter for another name."""
-
-    def checked(text: str | None) -> str | None:
-        if text is not None and text not in names:
-            raise typer.BadParameter(f"{text!r} is not one of {', '.join(names)}")
-        return text
-
-    return checked
+    return lambda incomplete: [name for name in names if name.startswith(incomplete)]  # typer requires this name
 
 
 def fill(kind: Callable[..., R], given: Mapping[str, Any], **values: Any) -> R:

@@ -11,7 +11,7 @@ from typing import Any
 from rich.table import Table
 
 from truearm.cli.findings_text import table_of
-from truearm.report.law_words import law_steps
+from truearm.report.law_findings import law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_findings import has_little_freedom
 from truearm.report.result_words import direction_text, kind_name

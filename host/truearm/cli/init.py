@@ -77,8 +77,9 @@ def init(
     json
     """
     from truearm.files.project_file import Project
-    from truearm.files.robot_file import is_urdf
+    from truearm.files.robot_file import is_urdf, load_robot
     from truearm.findings import entries, findings_of, option
+    from truearm.plan.branches import branch_of
     from truearm.workflows.project import ProjectWanted, create
 
     asking = model is None and sys.stdin is not None and sys.stdin.isatty()
@@ -97,15 +98,27 @@ def init(
 
     model = ask(model, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", _model, "ur5e")
     if is_urdf(model):
+
+        def links(text: str) -> tuple[str, str]:
+            first, _, last = (part.strip() for part in text.partition(","))
+            if asking:
+                load_robot(model, first or None, last or None)
+            return first, last
+
+        def bounds_of(text: str) -> str:
+            if asking:
+                branch_of(load_robot(model, base or None, tip or None), branch_given(text or None))
+            return text
+
         base, tip = ask(
             f"{base},{tip}" if base or tip else None,
             "First and last link of the arm in the URDF, FIRST,LAST (Enter for its root and its only leaf)",
-            _links_of(model) if asking else _links,
+            links,
         )
         branch = ask(
             branch,
             "Bounds of every joint [deg], within which the arm keeps one configuration, LOW:HIGH,… from the base on",
-            _branch_of(model, base, tip) if asking else str,
+            bounds_of,
         )
     project = Project(
         model=_from_folder(model, folder),
@@ -151,33 +164,6 @@ def _model(text: str) -> str:
     elif not Path(text).is_file():
         raise missing_file(Path(text))
     return text
-
-
-def _links(text: str) -> tuple[str, str]:
-    base, _, tip = text.partition(",")
-    return base.strip(), tip.strip()
-
-
-def _links_of(model: str) -> Callable[[str], tuple[str, str]]:
-    from truearm.files.robot_file import load_robot
-
-    def read(text: str) -> tuple[str, str]:
-        base, tip = _links(text)
-        load_robot(model, base or None, tip or None)
-        return base, tip
-
-    return read
-
-
-def _branch_of(model: str, base: str, tip: str) -> Callable[[str], str]:
-    from truearm.files.robot_file import load_robot
-    from truearm.plan.branches import branch_of
-
-    def read(text: str) -> str:
-        branch_of(load_robot(model, base or None, tip or None), branch_given(text or None))
-        return text
-
-    return read
 
 
 def _address(text: str) -> str:

@@ -14,13 +14,18 @@ from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
-from truearm.report.calibration_tables import observability_table, residual_table, suspect_table
+from truearm.report.calibration_tables import (
+    observability_table,
+    parameter_table,
+    residual_table,
+    suspect_table,
+    visibility,
+)
 from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.correlation import correlation
 from truearm.report.figures import convergences, figures_of
-from truearm.report.law_figures import law_figures
 from truearm.report.page_parts import (
     command_block,
+    fact_list,
     finding_parts,
     html_page,
     picture,
@@ -29,8 +34,8 @@ from truearm.report.page_parts import (
     table_of,
     tiles,
 )
-from truearm.report.page_tables import fact_list, parameter_table, visibility
 from truearm.report.page_text import escape, figures, size
+from truearm.report.parameter_figures import correlation, law_figures
 from truearm.report.residual_rows import rows_by_kind
 from truearm.report.result_words import before_words
 from truearm.report.scene_view import Scene, script, view_section

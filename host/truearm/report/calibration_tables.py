@@ -1,7 +1,8 @@
-"""Tables of an identification: the residuals of each kind and rig, suspect rows, observability indices."""
+"""Tables of an identification: residuals by kind and rig, suspect rows, parameters, combinations, observability."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,13 +10,13 @@ import numpy as np
 from truearm.estimate.kind_errors import KindErrors, errors_by_kind
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
-from truearm.report.page_parts import table_of
+from truearm.report.page_parts import sentences, table, table_of
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.report.residual_rows import row_name
-from truearm.report.result_words import OBSERVABILITY, kind_name, residual_words
-from truearm.results import Estimate, Figures
+from truearm.report.result_words import OBSERVABILITY, direction_text, drawing, kind_name, residual_words
+from truearm.results import Estimate, Figures, NullDirection
 from truearm.text import counted
-from truearm.units import shown, symbol, title, tolerances
+from truearm.units import UNITS, shown, symbol, title, tolerances
 
 MAX_ROWS = 40  # suspect rows that are listed
 
@@ -86,3 +87,75 @@ def _suggested(e: Estimate, names: Sequence[str]) -> str:
         return ""
     listed = escape(", ".join(names), 4000)
     return f"<details><summary>the {counted(len(names), 'parameter')} that can be distinguished</summary><p>{listed}</p></details>"
+
+
+MAX_DIRECTIONS = 40
+MAX_TERMS = 6
+
+
+def parameter_table(estimate: Estimate, which: range) -> str:
+    """Return nominal, identified, change and σ of the parameters ``which``, in mm, deg or 1."""
+    titles = ("parameter", "nominal", "identified", "change", "σ", "unit", "")
+    return table(titles, "".join(_parameter_row(estimate, i) for i in which), "parameters", "numbers")
+
+
+def _parameter_row(estimate: Estimate, i: int) -> str:
+    unit = UNITS[estimate.units[i]]
+    nominal, value, sigma = (unit.factor * float(v[i]) for v in (estimate.nominal, estimate.value, estimate.sigma))
+    free, seen = bool(estimate.free[i]), bool(estimate.free[i] and estimate.identifiable[i])
+    said = free and (seen or estimate.units[i] != "s")  # an unidentifiable time offset may have any value
+    cells = [
+        number(nominal, unit.decimals),
+        number(value, unit.decimals) if said else ABSENT,
+        number(value - nominal, unit.decimals, sign=True) if said else ABSENT,
+        _sigma(sigma, unit.decimals) if seen else ABSENT,
+    ]
+    first = i > 0 and _owner(estimate.parameter_names[i]) != _owner(estimate.parameter_names[i - 1])
+    css, note = ("", "") if seen else ("unseen", "unidentifiable alone") if free else ("held", "held fixed")
+    numbers = "".join(f"<td>{cell}</td>" for cell in cells)
+    rest = f'<td class="unit">{unit.symbol or unit.si}</td><td class="note">{note}</td>'
+    name = f'<th scope="row">{escape(estimate.parameter_names[i])}</th>'
+    return f'<tr class="{css}{" first" if first else ""}">{name}{numbers}{rest}</tr>'
+
+
+def _owner(name: str) -> str:
+    return name.rpartition(".")[0]
+
+
+def _sigma(sigma: float, decimals: int) -> str:
+    """Return σ with the decimals of the value, or more if that would show zero."""
+    return number(sigma, decimals) if not sigma < 5.0 * 10.0**-decimals else figures(sigma, 2)
+
+
+def visibility(estimate: Estimate) -> str:
+    """Return rank, null space and weakly identifiable combinations in words, as HTML."""
+    free = int(estimate.free[: estimate.n_robot_parameters].sum())
+    held = estimate.n_robot_parameters - free
+    words = [
+        f"The observations determine <strong>{estimate.rank} of {free}</strong> combinations of the robot's free parameters."
+    ]
+    if math.isfinite(estimate.rank_gap):
+        gap = figures(estimate.rank_gap, 2)
+        words.append(f"The weakest of these is a factor of {gap} above the unidentifiable ones.")
+    if held:
+        words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
+    timed = any(unit == "s" and is_free for unit, is_free in zip(estimate.units, estimate.free, strict=True))
+    combinations = (
+        (
+            estimate.null_space,
+            "Unidentifiable (weights in m, rad and 1). Changes along these combinations do not change any prediction, so the values are one choice of many.",
+        ),
+        (
+            estimate.hardly_seen,
+            f"Weakly identifiable: the observations alone determine these combinations less accurately than a manufacturer's drawing ({drawing(timed)}).",
+        ),
+    )
+    listed = (f"<p>{text}</p>{_directions(directions)}" for directions, text in combinations if directions)
+    return f"<p>{' '.join(words)}</p>{''.join(listed)}"
+
+
+def _directions(directions: Sequence[NullDirection]) -> str:
+    texts = [direction_text(of.weights, of.names, MAX_TERMS) for of in directions[:MAX_DIRECTIONS]]
+    if len(directions) > MAX_DIRECTIONS:
+        texts.append(f"and {len(directions) - MAX_DIRECTIONS} more")
+    return sentences(texts, "directions")

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from truearm.report.page_parts import sentences
-from truearm.report.page_tables import fact_list
+from truearm.report.page_parts import fact_list, sentences
 from truearm.report.page_text import escape
 from truearm.text import counted
 from truearm.units import DEGC

@@ -14,8 +14,7 @@ import numpy as np
 from truearm.findings import Reason, findings_of, option
 from truearm.report import svg
 from truearm.report.figures import Figure, drawn
-from truearm.report.page_parts import finding_parts, html_page, picture, pictures, section, table_of, tiles
-from truearm.report.page_tables import fact_list
+from truearm.report.page_parts import fact_list, finding_parts, html_page, picture, pictures, section, table_of, tiles
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.report.scene_view import Scene, script, view_section
 from truearm.text import counted, one_line

@@ -14,8 +14,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from truearm.report.figures import Figure
-from truearm.report.page_parts import command_block, html_page, picture, pictures, section, table, table_of, tiles
-from truearm.report.page_tables import step_table
+from truearm.report.page_parts import (
+    command_block,
+    html_page,
+    picture,
+    pictures,
+    section,
+    step_table,
+    table,
+    table_of,
+    tiles,
+)
 from truearm.report.page_text import ABSENT, escape, figures
 
 REPRODUCED, NOT_REPRODUCED, IN_KIND, TRUEARM_ONLY = "reproduced", "not reproduced", "in kind", "not in the paper"

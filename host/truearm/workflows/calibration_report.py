@@ -34,7 +34,7 @@ def write_page(
     """
     from truearm.report.calibration_page import CalibrationPage, render
     from truearm.report.certificate import facts_of
-    from truearm.report.law_words import law_steps
+    from truearm.report.law_findings import law_steps
     from truearm.report.residual_rows import row_name
     from truearm.report.result_findings import result_findings
     from truearm.workflows.scene import calibration_scene

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -79,8 +80,8 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
         f"--plan {shlex.quote(str(folder / 'plan.csv'))} --rig {shlex.quote(str(folder / 'rig.toml'))} "
         f"--out {shlex.quote(str(folder / SESSION))}\n"
     )
-    try:
-        goes_on = "; its controller goes on, so end the recording with q" if options.protocol == "rtde" else ""
+    goes_on = "; its controller goes on, so end the recording with q" if options.protocol == "rtde" else ""
+    with closing(robot_end), closing(box_port), closing(box):
         serve(
             world,
             box,
@@ -90,10 +91,6 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
             ended=lambda: say(f"the robot's program has ended{goes_on}"),
             pace=of_box.pace,
         )
-    finally:
-        box.close()
-        box_port.close()
-        robot_end.close()
 
 
 def simulate_fast(options: SimulateOptions, say: Say) -> None:
@@ -105,18 +102,10 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
     _, _, rate = PROTOCOLS[options.protocol]
     world, of_box, box = _lab(options, rate, say, fast=True)
     started = time.perf_counter()
-    try:
-        record_virtually(
-            options.out,
-            world,
-            box,
-            nearest_osr(FAST_RATE_HZ if options.rate is None else options.rate),
-            options.seed,
-            step_ns=of_box.longest_step_ns,
-            model=Path(options.robot.robot or "").name,
-        )
-    finally:
-        box.close()
+    osr = nearest_osr(FAST_RATE_HZ if options.rate is None else options.rate)
+    with closing(box):
+        name = Path(options.robot.robot or "").name
+        record_virtually(options.out, world, box, osr, options.seed, of_box.longest_step_ns, name)
     say(f"{_visits_of(world)}, recorded in {time.perf_counter() - started:.1f} s: {options.out / SESSION}")
 
 
@@ -208,12 +197,8 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
     box_port, device, unused = _listening(options, box, 0, ("another port with ", Argument("port")))
     say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --box {device}\n")
     say(f"and set the reference here: type a position from {span}; q ends.")
-    try:
+    with closing(unused), closing(box_port), closing(box):
         serve(stage, box, box_port, unused, stop=set_by_hand, pace=of_box.pace)
-    finally:
-        box.close()
-        box_port.close()
-        unused.close()
 
 
 def _listening(
