@@ -55,7 +55,7 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
     [
         (["--plan", "{}/lines.csv", "--lines", "2"], "give one"),
         (["--rig", "{}/lines.toml"], "needs-option"),
-        (["--plan", "{}/short.csv"], "has 1 joints, robot puma560 has 6; choose another robot with --model"),
+        (["--plan", "{}/short.csv"], "other-robot"),
         (["--plan", "{}/lines.csv"], "not-in-rig"),
         (["--plan", "{}/none.csv"], "missing-file"),
         (
@@ -68,10 +68,10 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
         ),
         (
             ["--plan", "{}/nameless.csv", "--rig", "{}/ur5e.toml", "--model", "panda"],
-            "has 6 joints, robot panda has 7",
+            "other-robot",
         ),
         (["--model", "nope"], "wrong-value"),
-        (["--masses-kg", "1,2"], "--masses-kg: needs 6 masses, one per joint of puma560, has 2"),
+        (["--masses-kg", "1,2"], "wrong-value"),
         (["--masses-kg", "1,2,x"], "wrong-value"),
         (["--tolerance", "1"], "wrong-value"),
         (["--gear-periods-deg", "0"], "--gear-periods-deg:"),

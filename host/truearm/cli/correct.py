@@ -102,7 +102,7 @@ def correct(
         Refuse targets near a singularity, where the Jacobian's smallest singular value is below SIGMA (lengths in units
         of 0.5 m).
     """
-    from truearm.cli.correct_text import refused_lines, tables
+    from truearm.cli.details import correction_tables, refused_lines
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.correct import CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
@@ -136,7 +136,7 @@ def correct(
         print_lines(refused_lines(found.refused))
     end = ExitCode.INCOMPLETE if found.refused else ExitCode.DONE
     written = files.out, files.report
-    return Answer(found.document, findings=found.findings, tables=tables(found), written=written, end=end)
+    return Answer(found.document, findings=found.findings, tables=correction_tables(found), written=written, end=end)
 
 
 def _named(option: str, given: list[str] | None) -> dict[str, Six]:

@@ -102,7 +102,7 @@ def identify(
     table_out : FILE
         Write all observations as one table (.csv).
     """
-    from truearm.cli.identify_text import tables
+    from truearm.cli.details import result_tables
     from truearm.report.result_findings import result_findings
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.inputs import Sources
@@ -122,7 +122,7 @@ def identify(
     return Answer(
         document,
         findings=result_findings(document, {path.name: str(path) for path in inputs}),
-        tables=tables(document),
+        tables=result_tables(document),
         written=(*results, table_out, report),
         more="Parameters, residuals and all notes: --details, or --report report.html",
         end=ExitCode.DONE if document["usable"] else ExitCode.UNUSABLE,

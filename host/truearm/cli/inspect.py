@@ -28,8 +28,8 @@ def inspect(
     details
         Print rates, clocks and gaps, and tables of topics, streams, dwells and lines.
     """
+    from truearm.cli.details import session_tables
     from truearm.cli.findings_text import show
-    from truearm.cli.inspect_text import tables
     from truearm.report.session_findings import session_findings
     from truearm.session.session_file import open_session
     from truearm.workflows.inspect import describe
@@ -42,4 +42,4 @@ def inspect(
     for document in (first, *more):
         if document is not first:
             typer.echo(f"\n{one_line(document['file'])} continues it:")
-        show(session_findings(document), tables(document) if details else None)
+        show(session_findings(document), session_tables(document) if details else None)

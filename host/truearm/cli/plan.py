@@ -45,9 +45,9 @@ def _region_of(text: str | None) -> Region | None:
 
 
 def _answer(document: dict[str, Any]) -> Answer:
-    from truearm.cli.plan_text import tables
+    from truearm.cli.details import plan_tables
 
-    return Answer(document, tables=tables(document), written=map(Path, document["written"]))
+    return Answer(document, tables=plan_tables(document), written=map(Path, document["written"]))
 
 
 @app.command("ballbar", cls=ProjectCommand)

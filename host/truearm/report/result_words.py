@@ -1,13 +1,14 @@
-"""Words for the results of an identification: kinds of observation, observability indices."""
+"""Words for the results of an identification: kinds of observation, parameters, observability indices."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from truearm.kinds.registry import kinds
 from truearm.results import Estimate, largest_terms
 from truearm.text import one_line, with_article
-from truearm.units import MS, UNITS, tolerances
+from truearm.units import MS, UNITS, number, tolerances
 
 SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" would be shown
 MAX_TERMS = 4  # of a combination that are shown
@@ -54,3 +55,16 @@ def residual_words(kind: str) -> str:
     of = kinds()[kind]
     parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
     return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."
+
+
+def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
+    unit = UNITS[parameter["unit"]]
+    nominal, value, sigma = (parameter[key] for key in ("nominal", "value", "sigma"))
+    if parameter["unit"] == "s" and sigma is None:
+        value = None  # an unidentifiable time offset may have any value
+    change = value - nominal if None not in (nominal, value) else None
+    numbers = ["-" if v is None else number(v, unit.si) for v in (nominal, value)]
+    numbers.append("-" if change is None else f"{unit.scale.of(change):+.{unit.decimals}f}")
+    numbers.append("unidentifiable" if sigma is None else f"{unit.scale.of(sigma):.2g}")
+    return (one_line(parameter["name"]), *numbers, unit.symbol)

@@ -25,9 +25,8 @@ from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
 from truearm.model.robot import Robot, poses
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
-from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_findings import verdict
-from truearm.report.result_words import direction_text
+from truearm.report.result_words import direction_text, parameter_cells
 from truearm.results import MOVES, NullDirection, weights_of
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS

@@ -56,8 +56,13 @@ def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: 
         errors.append(GearError.drawn(truth.gear_error, truth.gear_periods, len(chain.joints), seed))
     if truth.masses is not None:
         if len(truth.masses) != len(chain.joints):
-            text = f": needs {len(chain.joints)} masses, one per joint of {chain.name}, has {len(truth.masses)}"
-            raise InputError(Argument("masses_kg"), text)
+            form = f"{len(chain.joints)} masses, one per joint"
+            raise InputError(
+                "wrong-value",
+                place=Argument("masses_kg"),
+                value=",".join(f"{mass:g}" for mass in truth.masses),
+                form=form,
+            )
         errors.append(Sag(chain, params, np.array(truth.masses), truth.stiffness_nm_rad))
     return SimulatedRobot(robot, params, replace(WORN if truth.worn else Arm(), errors=tuple(errors)))
 
@@ -80,8 +85,7 @@ def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
     chain = robot.chain
     check_robot(plan, chain.name, name, "; choose the robot to simulate with ", Argument("model"))
     if plan.q.shape[1] != len(chain.joints):
-        text = f"{name}: has {plan.q.shape[1]} joints, robot {chain.name} has {len(chain.joints)}; choose another robot with "
-        raise PlanError(text, Argument("model"))
+        raise PlanError("other-robot", place=name, joints=plan.q.shape[1], expected=len(chain.joints))
     check_against_rig(plan, rig, name)
     rows = np.flatnonzero(plan.dwells)
     if not rows.size:

@@ -1,0 +1,231 @@
+"""The tables of ``--details``: of a result, a plan, a session and a correction, from the documents that ``--json`` prints.
+
+So what is printed and what is stored cannot differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from truearm.cli.findings_text import table_of
+from truearm.findings import option
+from truearm.report.law_findings import law_steps
+from truearm.report.result_findings import has_little_freedom
+from truearm.report.result_words import direction_text, kind_name, parameter_cells
+from truearm.session.dwells import MOUNTING
+from truearm.text import counted, one_line
+from truearm.types import BAR_MOUNTED, Floats, rms_of_columns
+from truearm.units import MM_S, ONE, SUFFIXES, UM, UNITS, URAD, Scale, number, title
+
+if TYPE_CHECKING:
+    from truearm.workflows.correct import CorrectedFile
+    from truearm.workflows.correction_findings import Refused
+
+Document = Mapping[str, Any]
+
+MOST_DIRECTIONS = 6
+
+
+def result_tables(document: Document) -> Iterator[Table | str]:
+    """Return the parameters, the combinations that are unidentifiable, the errors and the joint laws."""
+    yield _parameter_table(document)
+    for field, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
+        directions = document[field]
+        if directions:
+            what = counted(len(directions), "combination")
+            yield f"{what} of parameters {'is' if len(directions) == 1 else 'are'} {words}; weights in m, rad and 1:"
+            yield from _directions(directions, field)
+    for suffix in document["residual_units"]:
+        yield _error_table(document, suffix)
+        if steps := law_steps(document, suffix):
+            yield table_of((f"joint laws [{SUFFIXES[suffix].symbol}]", "fitted, RMS", "held out, mean"), steps)
+
+
+def _parameter_table(document: Document) -> Table:
+    free = (parameter for parameter in document["parameters"] if parameter["free"] and not parameter.get("law", False))
+    return table_of(("parameter", "nominal", "value", "change", "sigma", "unit "), map(parameter_cells, free))
+
+
+def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
+    lines = [
+        f"  {direction_text(direction['weights'], direction['names'])}" for direction in directions[:MOST_DIRECTIONS]
+    ]
+    if len(directions) > MOST_DIRECTIONS:
+        lines.append(f"  and {len(directions) - MOST_DIRECTIONS} more ({field} in the JSON result)")
+    return lines
+
+
+def _error_table(document: Document, suffix: str) -> Table:
+    """Return the errors in the unit of ``suffix``: of the fitted rows, of each kind, of the held-out rows."""
+    scale = SUFFIXES[suffix]
+    before, after = f"rms_before_{suffix}", f"rms_after_{suffix}"
+    form = f".{UNITS[scale.si].decimals}f"
+    table = table_of((title("error", scale.si), "before", "after", "rows"), ())
+    entries = [entry for entry in document["observations"] if entry[after] is not None]
+    says_nothing = has_little_freedom(document)
+    if entries:
+        rows = str(sum(entry["fitted"] for entry in entries))
+        fitted = _number(None if says_nothing else document[after], form)
+        table.add_row("fitted, RMS", _number(document[before], form), fitted, rows)
+    for entry in entries if len(document["observations"]) > 1 else ():
+        fitted = _number(None if says_nothing else entry[after], form)
+        cells = (_number(entry[before], form), fitted, str(entry["fitted"]))
+        table.add_row(f"  {_kind_of(entry)}", *cells)
+    held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
+    if held_out.get(f"n_{suffix}"):
+        for figure, words in (("rms", "RMS"), ("mean", "mean"), ("max", "largest")):
+            numbers = (_number(errors.get(f"{figure}_{suffix}"), form) for errors in (held_out_before, held_out))
+            table.add_row(f"held out, {words}", *numbers, str(held_out[f"n_{suffix}"]))
+    return table
+
+
+def _kind_of(entry: Mapping[str, Any]) -> str:
+    """Return a kind of observation, and its rig if there are several."""
+    return one_line(f"{entry['rig']}: {kind_name(entry['kind'])}" if entry["rig"] else kind_name(entry["kind"]))
+
+
+PLANNED_LINES = ("line", "from/mm ", "to/mm ", "rotation_rad ", "expected error/mm")
+HOLD_OUTS = ("can be held out", "poses", "rank of the fitted", "none left with ")
+CURVES = ("error curve", "sigma/mrad", "in ranges/deg ", "not determined/deg ")
+
+
+def plan_tables(document: Document) -> Iterator[Table | str]:
+    """Return lines or pairings, what can be held out, the predicted sigmas, combinations, error curves."""
+    if "lines" in document:
+        yield table_of(PLANNED_LINES, map(_planned_line, document["lines"]))
+    else:
+        pairings = (([row[key] for key in BAR_MOUNTED], row["poses"]) for row in document["pairings"])
+        yield table_of(("pairing", "poses"), ((" ".join(names), poses) for names, poses in pairings))
+        if document["hold_outs"]:
+            yield table_of(HOLD_OUTS, map(_hold_out, document["hold_outs"]))
+    yield table_of(("parameter", "predicted sigma "), map(_sigma, document["parameters"]))
+    if document["null_space"] or document["hardly_seen"]:
+        yield "Combinations of parameters, with weights in m, rad and 1:"
+    for key, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
+        yield from (f"{words}: {direction_text(direction.values(), direction)}" for direction in document[key])
+    if document.get("curves"):
+        yield table_of(CURVES, map(_curve, document["curves"]))
+        yield "Outside these ranges, corrections use geometry and sag alone. Curves and sag add to the other sigmas."
+
+
+def _planned_line(row: Document) -> tuple[str, ...]:
+    ends = [", ".join(f"{v:.0f}" for v in row[end]) for end in ("from_mm", "to_mm")]
+    return row["line"], *ends, ", ".join(f"{v:.4f}" for v in row["rotation_rad"]), f"{row['a_priori_mm']:.1f}"
+
+
+def _hold_out(row: Document) -> tuple[object, ...]:
+    seed = f" --seed {row['seed']}" * (row["seed"] > 0)
+    gone = [name for name in row["all_held_out"] if name != row["hold_out"]]
+    return f"--hold-out {row['hold_out']}{seed}", row["poses"], row["rank"], ", ".join(gone) or "-"
+
+
+def _sigma(parameter: Document) -> tuple[str, str]:
+    name, unit, sigma = (parameter[key] for key in ("name", "unit", "sigma"))
+    return name, "unidentifiable" if sigma is None else f"± {UNITS[unit].scale.text(sigma, '.2g')}"
+
+
+def _curve(curve: Document) -> tuple[str, ...]:
+    ranges = [
+        f"{row['lower_deg']:.0f} to {row['upper_deg']:.0f} (± {row['sigma_mrad']:.2g})" for row in curve["ranges"]
+    ]
+    gaps = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in curve["unseen_deg"])
+    return curve["joint"], f"± {curve['sigma_mrad']:.2g}", ", ".join(ranges), gaps or "-"
+
+
+Rows = Sequence[Mapping[str, Any]]
+
+MOST_ROWS = 24  # of a table of dwells or passes
+TOPICS = ("topic", "messages", "rate/Hz", "longest gap/s", "bytes")
+STREAMS = ("stream", "channels ", "samples", "nominal/Hz", "by box/Hz", "by host/Hz", "pieces")
+DWELLS = ("dwell", "robot time/s", "settling/s", "used/s", "pose", "mounted ", "rejected ")
+PASSES = ("pass", "robot time/s", "mm/s", "points", "noise x, y, z/µm", "joints/µrad", "line ", "rejected ")
+
+
+def session_tables(document: Mapping[str, Any]) -> Iterator[Table | str]:
+    """Return topics, streams, the box's text, dwells and passes.
+
+    Names from the file have their control characters made visible; console text has so already.
+    """
+    yield table_of(TOPICS, (_topic(name, topic) for name, topic in document["topics"].items()))
+    if document["streams"]:
+        yield table_of(STREAMS, map(_stream, document["streams"]))
+    runs = document["console"]
+    yield from (f"  | {line}" for run in runs for line in run.splitlines())
+    if document["losses"]["console_runs"] > len(runs):
+        yield f"  | … {document['losses']['console_runs'] - len(runs)} more"
+    for titles, make, rows in (
+        (DWELLS, _dwell, document["dwells"]["table"]),
+        (PASSES, _pass, document["passes"]["table"]),
+    ):
+        shown = rows if len(rows) <= MOST_ROWS else [row for row in rows if row["reason"] not in ("", MOUNTING)]
+        if shown:
+            yield table_of(titles, map(make, shown[:MOST_ROWS]))
+        if len(shown) > MOST_ROWS:
+            yield f"… {len(shown) - MOST_ROWS} more; --json has all"
+
+
+def _topic(name: str, topic: Mapping[str, Any]) -> tuple[object, ...]:
+    rate = _number(topic["rate_hz"], ".2f")
+    return one_line(name), topic["messages"], rate, f"{topic['longest_silence_s']:.3f}", topic["bytes"]
+
+
+def _stream(stream: Mapping[str, Any]) -> tuple[object, ...]:
+    rates = (_number(stream[f"rate_{name}_hz"], ".4f") for name in ("nominal", "measured", "by_host"))
+    name, channels = one_line(stream["name"]), one_line(", ".join(stream["channels"]))
+    return name, channels, stream["samples"], *rates, stream["pieces"]
+
+
+def _dwell(row: Mapping[str, Any]) -> tuple[object, ...]:
+    mounted = " ".join(row[key] for key in BAR_MOUNTED if key in row)
+    times = f"{row['t_robot_s']:.1f}", f"{row['settling_s']:.2f}", f"{row['used_s']:.2f}"
+    reason = f"{row['reason']}: {row['detail']}" if row["detail"] else row["reason"]
+    return row["dwell"], *times, "-" if row["pose"] is None else row["pose"], one_line(mounted) or "-", one_line(reason)
+
+
+def _pass(row: Mapping[str, Any]) -> tuple[object, ...]:
+    noise = " ".join(_number(value, ".1f", UM) for value in row["noise_m"])
+    joints = _number(max(row["joint_noise"], default=None), ".1f", URAD)
+    direction = {1: ", y increases", -1: ", y decreases"}.get(row["direction"], "")
+    dropped = "".join(f", {counted(count, 'point')} not made: {reason}" for reason, count in row["dropped"].items())
+    figures = f"{row['t_robot_s']:.1f}", _number(row["speed_m_s"], ".1f", MM_S), row["points"], noise, joints
+    return row["pass"], *figures, one_line(row["line"]) + direction, row["reason"] + dropped
+
+
+def _number(value: float | None, form: str, scale: Scale = ONE) -> str:
+    return "-" if value is None else format(scale.of(value), form)
+
+
+MOST_REFUSED = 30  # shown one by one
+
+
+def correction_tables(done: CorrectedFile) -> Iterator[Table | str]:
+    """Return the errors of the first targets, and their RMS."""
+    from truearm.workflows.correct import SHOWN
+
+    before, after = done.correction.before, done.correction.after
+    names, errors = [*done.places[:SHOWN], "RMS"], [[*of[:SHOWN], rms_of_columns(of)] for of in (before, after)]
+    cells = map(_error_cells, *errors)
+    titles = ("target", "before [mm]", "after [mm]", "before [deg]", "after [deg]")
+    yield table_of(titles, ((name, *row) for name, row in zip(names, cells, strict=True)))
+    if len(done.places) > SHOWN:
+        yield f"RMS over these and {len(done.places) - SHOWN} more"
+
+
+def refused_lines(refused: Sequence[Refused]) -> list[str]:
+    """Return the statements of a program that move the robot or may move it and are not corrected, their number first."""
+    if not refused:
+        return []
+    rows = [
+        f"  {one_line(move.file)} line {move.line}: {one_line(move.statement)}: {move.reason.text(option)}"
+        for move in refused[:MOST_REFUSED]
+    ]
+    more = [f"  and {counted(len(refused) - MOST_REFUSED, 'more move')}"] * (len(refused) > MOST_REFUSED)
+    return [f"{counted(len(refused), 'move')} not corrected:", *rows, *more]
+
+
+def _error_cells(*errors: Floats) -> list[str]:
+    """Return errors of position and orientation without and with the correction."""
+    return [*(number(of[0], "m", 4) for of in errors), *(number(of[1], "rad", 5) for of in errors)]
