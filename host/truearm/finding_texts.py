@@ -253,6 +253,10 @@ IDENTIFICATION: Mapping[str, Statement] = {
         WARNING,
         "{n} of {fitted:#row} lie farther from the fit than their declared noise allows. These are too many to be outliers: the model is wrong, or the sigmas are too small.",
     ),
+    "audit": Statement(
+        RESULT,
+        "On rows not fitted: controller's model {controller} RMS, drawing {drawing}, identified {identified}.",
+    ),
     "before": Statement(
         NOTE,
         '"Before" is the nominal robot[ with {fitted} fitted][{placed:!}; with base and tool as described: {raw} RMS].',

@@ -566,6 +566,7 @@ class Estimate(Displayed):
     pose_error: PoseError | None = None  # shared by the rows of a pose, beyond chance; in ``covariance``
     joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested
     unseen: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # (p, d) the complete null space, in SI units
+    held_out_drawing: HeldOut | None = None  # of the drawing, if the nominal robot is the controller's
 
     def _headline(self) -> str:
         return f"{self.status}, rank {self.rank} of {int(self.free.sum())} free, {self.n_observations} observations"

@@ -67,6 +67,7 @@ OBJECTS = {
     "pose_error",
     "held_out",
     "held_out_before",
+    "held_out_drawing",
     "covariance",
     "observability",
     "predicted_error",

@@ -3,20 +3,23 @@
 import json
 import struct
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from controller_peer import Controller, built_rows, drawn_rows, info, message, state
 from session_stream import RIG
 
+import truearm
 from truearm.errors import LinkError, RobotError
 from truearm.files.rig_file import write_rig
 from truearm.files.robot_file import load_robot
 from truearm.model.builtin import builtin_text
+from truearm.model.chain import point_forward
 from truearm.model.controller_kinematics import kinematics_of_conf, kinematics_of_info, kinematics_of_yaml
-from truearm.model.robot import builtin_robot
+from truearm.model.robot import builtin_robot, parse_robot
 from truearm.record.robots import ur_primary
-from truearm.workflows.controller_model import controller_findings, drawing_text
+from truearm.workflows.controller_model import controller_findings, controller_text, drawing_text
 
 UR5E = builtin_robot("ur5e")
 SEED = 6  # of an arm with d of 340 m
@@ -234,3 +237,25 @@ def test_a_file_whose_rows_cannot_hold_the_controller_is_refused(run, tmp_path, 
 def test_a_urdf_has_no_drawing_to_compare_with():
     with pytest.raises(RobotError, match="URDF"):
         drawing_text("arm.urdf")
+
+
+def test_report_and_validation_tell_controller_drawing_and_identified_robot_apart():
+    """A true arm that is up to 0.3 mm off its controller's model, which is millimetres off the drawing."""
+    text, _ = controller_text(builtin_text("ur5e"), UR5E, kinematics_of_info(info(built_rows(UR5E.chain, SEED))))
+    robot, rng = parse_robot(text), np.random.default_rng(4)
+    off = np.where([p.unit == "m" for p in robot.chain.parameters] & robot.free, 2e-4, 0.0)
+    true = robot.chain.params_nominal + off * rng.normal(size=off.size)
+    q = rng.uniform(robot.branch.lower, robot.branch.upper, (120, 6))
+    xyz = point_forward(robot.chain, true, q, np.zeros(3)) + 2e-5 * rng.normal(size=(120, 3))
+    table = truearm.ObservationTable(q=q, kind=np.full(120, "position"), tracker=np.full(120, "t"), xyz=xyz)
+    tracker = truearm.Device("t", np.diag([4e-10] * 3), xyz=(0.0, 0.0, 0.0), sigma=0.0, turn_sigma=0.0)
+    rig, options = truearm.Rig(trackers={"t": tracker}), truearm.IdentifyOptions(joint_laws="none")
+    fitted, others = table.select(np.arange(120) < 90), table.select(np.arange(120) >= 90)
+    result = truearm.identify(robot, fitted, rig, hold_out=0.3, options=options)
+    judged = truearm.validate(result, others, rig)
+    for document in (result.document, judged.document):
+        error = next(finding["values"] for finding in document["findings"] if finding["code"] == "audit")
+        assert error["drawing"]["mm"] > 2.0 * error["controller"]["mm"] > 6.0 * error["identified"]["mm"]
+    drawn = truearm.identify(replace(UR5E, free=robot.free), fitted, rig, hold_out=0.3, options=options).document
+    assert result.document["held_out_drawing"]["rms_mm"] == pytest.approx(drawn["held_out_before"]["rms_mm"], rel=1e-3)
+    assert "audit" not in [finding["code"] for finding in drawn["findings"]]

@@ -114,6 +114,12 @@ class Robot(Displayed):
         return poses(self.chain, self.chain.params_nominal, q)
 
     @property
+    def drawing(self) -> Floats | None:
+        """Return the drawing's parameters (p,) of a robot whose nominal values are those of its controller, else None."""
+        names = [name for name in self.parameter_sets if name != CONTROLLER]
+        return self.parameter_sets[names[0]] if names and CONTROLLER in self.parameter_sets else None
+
+    @property
     def is_urdf(self) -> bool:
         """Return whether it was read from a URDF, which does not say which parameters are fixed: all but the gains are free."""
         return self.file.lower().endswith((".urdf", ".xml"))

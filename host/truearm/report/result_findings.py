@@ -64,6 +64,7 @@ def result_findings(document: Document, paths: Mapping[str, str] | None = None) 
     """
     findings = [
         verdict(document),
+        *audit(*(sizes(document[name] or {}, "rms") for name in ("held_out_before", "held_out_drawing", "held_out"))),
         *inputs(document),
         *little_freedom(document),
         *_doubts(document),
@@ -581,6 +582,12 @@ def outliers(document: Document) -> Iterator[Finding]:
         values |= {"chi2": all_rows["chi2_reduced"], "geometry": laws}
         values |= {"after": sizes(all_rows, "rms_after", document["residual_units"])}
     yield Finding("outliers", values)
+
+
+def audit(controller: Document, drawing: Document, identified: Document) -> Iterator[Finding]:
+    """Return the errors, by unit, of the controller's model, the drawing and the identified robot on rows not fitted."""
+    if drawing:
+        yield Finding("audit", {"controller": controller, "drawing": drawing, "identified": identified})
 
 
 def _held_out(document: Document) -> Iterator[Finding]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from truearm.findings import Finding, ordered
-from truearm.report.result_findings import FAR_OFF, SETTLED, copies, fault_findings, sizes
+from truearm.report.result_findings import FAR_OFF, SETTLED, audit, copies, fault_findings, sizes
 from truearm.results import chi2_text
 from truearm.text import one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, title
@@ -19,8 +19,17 @@ BY_PLACE = "radius "  # begins the name of a region of the space
 
 def validation_findings(document: Document, payload: Sequence[Finding] = ()) -> list[Finding]:
     """Return the verdict, what limits it, and notes; ``payload``: the findings about the payloads of the rows."""
+    units = document["residual_units"]
+    figures = (sizes(document, name, units) for name in ("rms_before", "rms_drawing", "rms_after"))
     return ordered(
-        [_verdict(document), *_limits(document), *fault_findings(document, True), *payload, *_notes(document)],
+        [
+            _verdict(document),
+            *audit(*figures),
+            *_limits(document),
+            *fault_findings(document, True),
+            *payload,
+            *_notes(document),
+        ],
         document["simulated"],
     )
 

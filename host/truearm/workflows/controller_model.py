@@ -89,15 +89,14 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
     Raises RobotError if the controller is that of another arm, or if the file's convention cannot hold its kinematics.
     """
     chain = drawing.chain
-    name = next(name for name in (*drawing.parameter_sets, "") if name != CONTROLLER)
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (N_POSES, JOINTS))
-    if not name or [joint.kind for joint in chain.joints] != ["revolute"] * JOINTS:
+    if [joint.kind for joint in chain.joints] != ["revolute"] * JOINTS:
         raise RobotError(
             "unsuited-robot",
             place=f"robot {chain.name}",
             reason="a controller of Universal Robots has six revolute joints",
         )
-    design = drawing.parameter_sets[name]
+    design = chain.params_nominal if drawing.drawing is None else drawing.drawing
     ends = kinematics.forward(q)
     apart = np.linalg.norm((ends - forward(chain, design, q))[:, :3, 3], axis=1)
     if apart.max() > OTHER_ARM_M:
@@ -151,8 +150,8 @@ def _with_set(text: str, values: dict[str, float], checksums: tuple[int, ...]) -
 
 def _drawn_rows(drawing: Robot) -> Floats:
     """Return θ, a, d, α (4, 6) of the drawing."""
-    name = next((name for name in drawing.parameter_sets if name != CONTROLLER), CONTROLLER)
-    values = dict(zip(drawing.chain.parameter_names, drawing.parameter_sets[name].tolist(), strict=True))
+    design = drawing.chain.params_nominal if drawing.drawing is None else drawing.drawing
+    values = dict(zip(drawing.chain.parameter_names, design.tolist(), strict=True))
     keys = ("offset", "a", "d", "alpha")
     return np.array([[values.get(f"joint{i + 1}.{key}", 0.0) for i in range(JOINTS)] for key in keys])
 

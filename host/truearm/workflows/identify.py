@@ -16,6 +16,8 @@ from truearm.checks.inputs import checked_inputs
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
+from truearm.estimate.fit import fit
+from truearm.estimate.frame_choice import mounting
 from truearm.estimate.gain import with_gain
 from truearm.estimate.identify import SolverOptions, judged, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
@@ -25,6 +27,7 @@ from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.robot_scale import with_scale
+from truearm.estimate.solution import Options
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.files.observation_table import write_table
 from truearm.files.result_document import copies_of, result_of
@@ -324,6 +327,21 @@ def rejudged(
     return replace(estimate, held_out=held_out, residual=residual, unfitted_error=unfitted)
 
 
+def with_drawing(robot: Robot, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Estimate:
+    """Return the estimate with the held-out errors of the drawing, of a robot whose nominal values are its controller's.
+
+    As for the nominal robot, base, tool and the rig's unknowns are fitted.
+    """
+    held, drawing = ~(estimate.fitted | estimate.left_out), robot.drawing
+    if drawing is None or not held.any():
+        return estimate
+    problem = build_problem(robot.chain, rig, table.select(estimate.fitted))
+    places = mounting(robot.chain, drawing).either & estimate.free[: drawing.size]
+    start = np.concatenate([drawing, problem.start[drawing.size :]])
+    x = fit(problem, problem.columns(places), start, Options()).x
+    return replace(estimate, held_out_drawing=judged(problem, x, rig, table, held, ())[0])
+
+
 def identified(
     robot: Robot,
     rig: Rigs,
@@ -423,7 +441,7 @@ def identified(
         examination = examine_once(chain, estimate)
         estimate = with_faults(estimate, examination)
         estimate = with_average(chain, rig, table, estimate, examination, causes, effects)
-    estimate = with_gain(table, estimate)
+    estimate = with_drawing(robot, rig, table, with_gain(table, estimate))
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
             "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or give the rig's chucks, spheres and sockets the sigma_mm that you know instead of unknown"

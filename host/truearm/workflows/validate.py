@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -176,7 +176,11 @@ def validated(
         names = [name for name, settled in zip(after.problem.names, after.settled, strict=True) if settled]
         text = f": the result identified no unknown of this rig, such as {names[0]}; use the names of the rig that it was identified with"
         raise InputError(Argument("keep_rig"), text)
-    before = _placed(calibration, rig, table, raw, kept, allowed)
+    before, drawing = _placed(calibration, rig, table, raw, kept, allowed), calibration.robot.drawing
+    drawn = None
+    if drawing is not None:
+        drawn = judge(chain, rig, table, drawing, kept, None, allowed)
+        drawn = _placed(replace(calibration, nominal=drawing), rig, table, drawn, kept, allowed)
     judging = before.judging & after.judging
     if not judging.any():
         raise InputError(
@@ -215,6 +219,10 @@ def validated(
         **{key("reference", si): _reference(calibration.document, si) for si in errors},
         **_figure_entries(*figures),
         "placed": before is not raw,
+        **{
+            key("rms_drawing", si): drawn and shown_or_null(rms(drawn.error[si][of.rows]), si)
+            for si, of in errors.items()
+        },
         **{key("rms_raw", si): shown_or_null(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
         "unseen": n_unseen,
         "expected": due_entries,
