@@ -44,7 +44,7 @@ docs: .venv/installed-test ## the documentation site, in build/site: every link 
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "docs: build/site/index.html; links to elsewhere in build/site/external-links.txt"
 
-pictures: .venv/installed-test notebooks demo ## the pictures of the documentation that are made of code (make benchmark and make hardware draw theirs)
+pictures: .venv/installed-test notebooks ## the pictures of the documentation that are made of code (make benchmark and make hardware draw theirs)
 	@$(BIN)/python docs/_site/architecture.py
 	@$(BIN)/python docs/_site/report_picture.py
 

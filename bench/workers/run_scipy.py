@@ -1,4 +1,4 @@
-"""scipy's least_squares with 2-point Jacobian on truearm's own forward model, in the same blocks of poses.
+"""scipy's least_squares with the analytic Jacobian of truearm's own model, in the same blocks of poses.
 
     .venv/bin/python bench/workers/run_scipy.py lm|trf ball_bar FILE RUNS
 
@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from data import CHUCKS, SPHERES
 from truearm.estimate.problem import BLOCK
-from truearm.model.chain import point_forward
+from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.robot import builtin_robot
 
 
@@ -34,9 +34,18 @@ def main(method: str, kind: str, path: str, runs: int) -> None:
             out[some] = np.sqrt((bar * bar).sum(axis=1)) - measured[some]
         return out
 
+    def jacobian(params):
+        out = np.empty((len(q), params.size))
+        for at in range(0, len(q), BLOCK):
+            some = slice(at, at + BLOCK)
+            point, by_params, _ = point_jacobians(chain, params, q[some], sphere[some])
+            bar = point - chuck[some]
+            out[some] = np.einsum("ni,nip->np", bar / np.sqrt((bar * bar).sum(axis=1))[:, None], by_params)
+        return out
+
     scale = {} if method == "lm" else {"x_scale": "jac"}
     found, seconds = timed(
-        lambda: least_squares(residual, chain.params_nominal, "2-point", method=method, **scale), runs, forget
+        lambda: least_squares(residual, chain.params_nominal, jacobian, method=method, **scale), runs, forget
     )
     error = held_out(kind, data, found.x)
     tell(seconds=seconds, held_out_mm=1e3 * error, iterations=found.nfev, status=found.message)

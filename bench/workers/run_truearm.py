@@ -1,4 +1,4 @@
-"""truearm on a problem file: the fit alone (``build_problem`` and ``lm``), or the whole of ``identify``.
+"""truearm on a problem file: the fit alone (``build_problem`` and ``lm``), or ``truearm.identify`` with all its checks.
 
 .venv/bin/python bench/workers/run_truearm.py lm|identify position|ball_bar FILE RUNS
 """
@@ -12,7 +12,6 @@ from measure import tell, timed
 
 from data import CHUCKS, SIGMA, SPHERES, TARGET
 from truearm.estimate.fit import fit
-from truearm.estimate.identify import identify
 from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solution import Options
@@ -21,6 +20,7 @@ from truearm.model.chain import point_forward
 from truearm.model.constant_folding import _folded
 from truearm.model.robot import builtin_robot
 from truearm.types import BallBar, Device, Point, Rig
+from truearm.workflows.identify import Selection, identified
 
 ROBOTS = {"position": "ur10e", "ball_bar": "puma560"}
 
@@ -64,7 +64,7 @@ def main(what: str, kind: str, path: str, runs: int) -> None:
 
     def run():
         if what == "identify":
-            return identify(chain, rig, table, free=free)
+            return identified(robot, rig, table, Selection(free, named=free)).estimate
         problem = build_problem(chain, rig, table)
         return fit(problem, free, problem.start, Options(), DAMPING_START)
 

@@ -209,7 +209,7 @@ def test_links_of_the_readme_are_absolute_where_the_repository_has_an_address(tm
     metadata = {}
     module.LinksHook(str(ROOT), {}).update(metadata)
     text = metadata["readme"]["text"]
-    assert "![Part of the report of make demo](https://example.org/truearm/raw/HEAD/docs/images/report.png)" in text
+    assert "](https://example.org/truearm/raw/HEAD/docs/images/arm.png)" in text
     assert "](https://example.org/truearm/blob/HEAD/docs/how-to/rig.md)" in text
     assert not re.findall(r"\]\((?!https?://|#)[^)]*\)", text)
     assert metadata["urls"]["Source"] == "https://example.org/truearm"

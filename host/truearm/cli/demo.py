@@ -76,7 +76,7 @@ def demo(
         answers = [
             finding
             for finding in result_findings(document)
-            if finding.severity is Severity.RESULT or finding.code == "simulated"
+            if finding.code == "simulated" or (finding.severity is Severity.RESULT and finding.code != "identified")
         ]
         show(answers, written=[page], more="")
     if open:
