@@ -186,6 +186,11 @@ IDENTIFICATION: Mapping[str, Statement] = {
         WARNING,
         "Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters do not model, or the sigmas are too small[{prior:!}, or the prior is too tight].[{declared:!} The sigmas of the parameters follow from the declared noise alone.]",
     ),
+    "outside-prior": Statement(
+        WARNING,
+        "{names}[ and {more} more] differ from the nominal robot by up to {times:.0f} times the sigma of the prior, which holds them back towards it.",
+        "Check robot, units and zeros of the joints; if the arm is so far from its drawing, [{wide:!}give {@prior} none||give {@prior} wide].",
+    ),
     # the error of the tool
     "tool-error": Statement(
         RESULT,

@@ -145,6 +145,16 @@ def test_too_few_observations_under_a_prior_are_judged_by_what_is_left(identifie
     assert 0.0 < result["chi2_freedom"] < 12.0
 
 
+@pytest.mark.parametrize(("prior", "outside"), [("weak", True), ("wide", False), ("none", False)])
+def test_a_robot_outside_its_prior_is_told(identified, prior, outside):
+    """This PUMA differs from its design by up to 12 σ of the weak prior."""
+    result, _ = identified(random_table(150, np.random.default_rng(7), SIGMA), RIG, "--prior", prior)
+    found = stated(result).get("outside-prior")
+    assert (found is not None) == outside
+    if found:
+        assert 8.0 < found.values["times"] < 13.0
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_all_poses_alike(identified, solver):
     """Six numbers place the end; nothing else can be identified, however often it is measured."""

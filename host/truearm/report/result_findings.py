@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from statistics import NormalDist
 from typing import Any, assert_never
 
 from truearm.estimate.outliers import MOST
@@ -25,6 +26,7 @@ FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, whereve
 MAX_COPIES = 5  # copied rows that are named
 MAX_ROWS = 6  # bad rows that are named
 MAX_TERMS = 4  # parameters that are named
+OUTSIDE = 1e-3  # chance that any parameter of an arm as its prior says lies outside it
 MAX_CHOICES = 6  # causes whose application is described
 SETTLED = "estimated from the rows that judge"  # unknowns of the rig
 EVERY = ".all"  # ends the name of all items of a type
@@ -218,6 +220,29 @@ def _doubts(document: Document) -> Iterator[Finding]:
             "declared": not reads_noise and document["pose_error"] is None,
         }
         yield Finding("doubtful-residuals", values)
+    yield from _outside_prior(document)
+
+
+def _outside_prior(document: Document) -> Iterator[Finding]:
+    """Return a warning about robot parameters farther from the nominal robot than their prior allows."""
+    prior = Prior(document["prior"])
+    if prior is Prior.NONE:
+        return
+    sigmas = {name: unit.wide_sigma if prior is Prior.WIDE else unit.weak_sigma for name, unit in UNITS.items()}
+    held = document["defaults"]["believed"] if prior is Prior.WHERE_NEEDED else None
+    robot = [
+        entry for entry in document["parameters"] if entry["of"] == "robot" and entry["free"] and "law" not in entry
+    ]
+    times = {
+        entry["name"]: abs(entry["value"] - entry["nominal"]) / sigmas[entry["unit"]]
+        for entry in robot
+        if held is None or entry["name"] in held
+    }
+    limit = NormalDist().inv_cdf(1.0 - OUTSIDE / (2.0 * max(len(times), 1)))
+    names = sorted((name for name in times if times[name] > limit), key=times.__getitem__, reverse=True)
+    if names:
+        values = {"names": names[:MAX_TERMS], "more": max(len(names) - MAX_TERMS, 0), "times": times[names[0]]}
+        yield Finding("outside-prior", values | {"wide": document["prior"] == Prior.WIDE})
 
 
 def joint_zeros(document: Document) -> list[Finding]:
