@@ -12,6 +12,9 @@ from session_stream import RIG
 
 import truearm
 from truearm.errors import LinkError, RobotError
+from truearm.export import ur
+from truearm.export.link_frames import predicted
+from truearm.export.writing import RobotToWrite
 from truearm.files.rig_file import write_rig
 from truearm.files.robot_file import load_robot
 from truearm.model.builtin import builtin_text
@@ -259,3 +262,27 @@ def test_report_and_validation_tell_controller_drawing_and_identified_robot_apar
     drawn = truearm.identify(replace(UR5E, free=robot.free), fitted, rig, hold_out=0.3, options=options).document
     assert result.document["held_out_drawing"]["rms_mm"] == pytest.approx(drawn["held_out_before"]["rms_mm"], rel=1e-3)
     assert "audit" not in [finding["code"] for finding in drawn["findings"]]
+
+
+def identified(robot):
+    """Return the robot to write, with identified values 0.2 mm and 0.2 mrad off, its mountings included."""
+    off = np.where(robot.free, 2e-4, 0.0) * np.random.default_rng(5).normal(size=robot.free.size)
+    chain = robot.chain
+    return RobotToWrite(chain, chain.params_nominal, chain.params_nominal + off, mountings=False, drawing=robot.drawing)
+
+
+@pytest.mark.parametrize("of", ["drawing", "controller"])
+def test_a_robot_is_given_back_as_the_files_of_its_maker(of):
+    text, _ = controller_text(builtin_text("ur5e"), UR5E, kinematics_of_info(info(built_rows(UR5E.chain, SEED))))
+    what = identified(UR5E if of == "drawing" else parse_robot(text))
+    q = np.random.default_rng(6).uniform(-np.pi, np.pi, (200, 6))
+    ends = predicted(what.robot, q)
+    drawing = drawn_rows(UR5E.chain)
+    for again in (kinematics_of_yaml(ur.write(what)), kinematics_of_conf(ur.write_conf(what), drawing)):
+        assert np.abs(again.forward(q) - ends).max() < 1e-9
+
+
+def test_a_calibration_conf_is_of_an_arm_between_its_own_base_and_flange():
+    for name in ("puma560", "irb120"):
+        with pytest.raises(RobotError):
+            ur.write_conf(identified(builtin_robot(name)))

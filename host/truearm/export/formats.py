@@ -32,6 +32,9 @@ class Format(NamedTuple):
 FORMATS: Mapping[str, Format] = {
     "urdf": Format("urdf:write", ".urdf", "the robot's own URDF with other origins, or a new one", ("offset",)),
     "ur": Format("ur:write", ".yaml", "Universal Robots' kinematics", ("offset",), mountings=False),
+    "calibration-conf": Format(
+        "ur:write_conf", ".conf", "Universal Robots' controller's own file", ("offset",), mountings=False
+    ),
     "dh": Format("toml_tables:write_dh", ".toml", "Denavit-Hartenberg rows", ("offset", "gain")),
     "dh-hayati": Format(
         "toml_tables:write_dh_hayati",

@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.link_frames import LinkFrames, check_gains
+from truearm.export.dh import dh_rows
+from truearm.export.link_frames import LinkFrames, check_gains, link_frames
 from truearm.export.writing import RobotToWrite
 from truearm.model.controller_kinematics import KEYS, SEGMENTS
 from truearm.model.poses import inverted, six_of
@@ -20,11 +21,36 @@ from truearm.model.transforms import elementary
 from truearm.types import Floats
 
 ROLLS = (0.0, 0.5 * np.pi, 0.0, 0.0, 0.5 * np.pi, -0.5 * np.pi)  # of the published files
+AS_BUILT = 0.1  # rad, of the axes of an arm as built from those of its drawing
+SMALL = 1e-6  # m, rad
 
 
 def write(what: RobotToWrite) -> str:
     """Return a kinematics file. Raises RobotError as ``ur_yaml`` does."""
     return ur_yaml(what.robot, what.described, what.comment)
+
+
+def write_conf(what: RobotToWrite) -> str:
+    """Return the part [mounting] of a controller's calibration.conf: differences from the drawing.
+
+    Raises RobotError unless the robot is an arm of Universal Robots between its controller's base and flange.
+    """
+    ur_yaml(what.robot, what.described)  # which checks the arrangement of the axes
+    drawing = what.nominal if what.drawing is None else what.drawing
+    drawn = link_frames(what.chain, drawing, drawing)
+    rows, design = (dh_rows(robot, drawn) for robot in (what.robot, drawn))
+    at_ends = [pose - np.eye(4) for of in (rows, design) for pose in (of.base, of.tool)]
+    straight = np.abs(np.sin(2.0 * design.alpha))
+    if max(np.abs(end).max() for end in at_ends) > SMALL or straight.max() > SMALL:
+        raise RobotError(
+            "unsuited-robot",
+            place=f"robot {what.chain.name}",
+            reason="its values are not those of a drawing from the controller's base to its flange; identify with a built-in UR, or with the file of truearm robot read",
+        )
+    theta = rows.theta + what.robot.offsets - design.theta - drawn.offsets
+    lists = {"theta": theta, "a": rows.a - design.a, "d": rows.d - design.d, "alpha": rows.alpha - design.alpha}
+    lines = [f"# {line}" for line in what.comment.splitlines()] + ["[mounting]"]
+    return "\n".join([*lines, *(f"delta_{name} = {values.tolist()}" for name, values in lists.items()), ""])
 
 
 def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
@@ -49,7 +75,7 @@ def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     """Return the text of a kinematics file. Raises RobotError unless nominally a Universal Robots arm."""
     described, rest = ur_segments(nominal)
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])
-    if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > 1e-6 or np.abs(rest - np.eye(4)).max() > 1e-6:
+    if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > AS_BUILT or np.abs(rest - np.eye(4)).max() > SMALL:
         raise RobotError(
             "unsuited-robot",
             place=f"robot {robot.name}",

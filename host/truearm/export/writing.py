@@ -39,7 +39,8 @@ class RobotToWrite:
     """The input of a format's writer: a robot whose joint law contains only what the format holds.
 
     ``nominal`` and ``params`` are parameters (p,). ``mountings`` False: both ends as nominal. ``comment``: text for the
-    head of the file. ``urdf``: the robot's original text, None if that is not a URDF.
+    head of the file. ``urdf``: the robot's original text, None if that is not a URDF. ``drawing``: parameters (p,) of the
+    drawing, None if that is the nominal robot.
     """
 
     chain: Chain
@@ -48,6 +49,7 @@ class RobotToWrite:
     mountings: bool = True
     comment: str = ""
     urdf: str | None = None
+    drawing: Floats | None = None
 
     @cached_property
     def robot(self) -> LinkFrames:

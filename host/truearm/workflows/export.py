@@ -182,6 +182,7 @@ def exported(
         mountings=not own_frames,
         comment="\n".join([MARK, *(one_line(finding.text()) for finding in remarks)]),
         urdf=_urdf_text(calibration),
+        drawing=calibration.robot.drawing,
     )
     try:
         text = written(form, robot)
