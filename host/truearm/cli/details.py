@@ -14,7 +14,7 @@ from truearm.cli.findings_text import table_of
 from truearm.findings import option
 from truearm.report.law_findings import law_steps
 from truearm.report.result_findings import has_little_freedom
-from truearm.report.result_words import direction_text, kind_name, parameter_cells
+from truearm.report.result_words import ParameterRow, direction_text, kind_name
 from truearm.session.dwells import MOUNTING
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED, Floats, rms_of_columns
@@ -46,7 +46,10 @@ def result_tables(document: Document) -> Iterator[Table | str]:
 
 def _parameter_table(document: Document) -> Table:
     free = (parameter for parameter in document["parameters"] if parameter["free"] and not parameter.get("law", False))
-    return table_of(("parameter", "nominal", "value", "change", "sigma", "unit "), map(parameter_cells, free))
+    return table_of(
+        ("parameter", "nominal", "value", "change", "sigma", "unit "),
+        (row.texts for row in map(ParameterRow.of_document, free)),
+    )
 
 
 def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:

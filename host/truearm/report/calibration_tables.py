@@ -13,10 +13,10 @@ from truearm.kinds.table import ObservationTable
 from truearm.report.page_parts import sentences, table, table_of
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.report.residual_rows import row_name
-from truearm.report.result_words import OBSERVABILITY, direction_text, drawing, kind_name, residual_words
+from truearm.report.result_words import OBSERVABILITY, ParameterRow, direction_text, drawing, kind_name, residual_words
 from truearm.results import Estimate, Figures, NullDirection
 from truearm.text import counted
-from truearm.units import UNITS, shown, symbol, title, tolerances
+from truearm.units import shown, symbol, title, tolerances
 
 MAX_ROWS = 40  # suspect rows that are listed
 
@@ -96,30 +96,24 @@ MAX_TERMS = 6
 def parameter_table(estimate: Estimate, which: range) -> str:
     """Return nominal, identified, change and σ of the parameters ``which``, in mm, deg or 1."""
     titles = ("parameter", "nominal", "identified", "change", "σ", "unit", "")
-    return table(titles, "".join(_parameter_row(estimate, i) for i in which), "parameters", "numbers")
+    sigma = np.where(estimate.free & estimate.identifiable, estimate.sigma, np.nan)
+    columns = (estimate.parameter_names, estimate.units, estimate.free, estimate.nominal, estimate.value, sigma)
+    rows = [ParameterRow.of(*row) for row in zip(*columns, strict=True)][which.start : which.stop]
+    owners = [row.name.rpartition(".")[0] for row in rows]
+    first = [k > 0 and owner != owners[k - 1] for k, owner in enumerate(owners)]
+    return table(titles, "".join(map(_parameter_row, rows, first)), "parameters", "numbers")
 
 
-def _parameter_row(estimate: Estimate, i: int) -> str:
-    unit = UNITS[estimate.units[i]]
-    nominal, value, sigma = (unit.factor * float(v[i]) for v in (estimate.nominal, estimate.value, estimate.sigma))
-    free, seen = bool(estimate.free[i]), bool(estimate.free[i] and estimate.identifiable[i])
-    said = free and (seen or estimate.units[i] != "s")  # an unidentifiable time offset may have any value
-    cells = [
-        number(nominal, unit.decimals),
-        number(value, unit.decimals) if said else ABSENT,
-        number(value - nominal, unit.decimals, sign=True) if said else ABSENT,
-        _sigma(sigma, unit.decimals) if seen else ABSENT,
-    ]
-    first = i > 0 and _owner(estimate.parameter_names[i]) != _owner(estimate.parameter_names[i - 1])
-    css, note = ("", "") if seen else ("unseen", "unidentifiable alone") if free else ("held", "held fixed")
+def _parameter_row(row: ParameterRow, is_first: bool) -> str:
+    """Return a row of HTML; ``is_first``: of another joint than the row above."""
+    unit = row.unit
+    cells = [number(row.nominal, unit.decimals), number(row.value, unit.decimals)]
+    cells += [number(row.change, unit.decimals, sign=True), _sigma(row.sigma, unit.decimals)]
+    unseen = ("unseen", "unidentifiable alone") if math.isnan(row.sigma) else ("", "")
+    css, note = unseen if row.free else ("held", "held fixed")
     numbers = "".join(f"<td>{cell}</td>" for cell in cells)
-    rest = f'<td class="unit">{unit.symbol or unit.si}</td><td class="note">{note}</td>'
-    name = f'<th scope="row">{escape(estimate.parameter_names[i])}</th>'
-    return f'<tr class="{css}{" first" if first else ""}">{name}{numbers}{rest}</tr>'
-
-
-def _owner(name: str) -> str:
-    return name.rpartition(".")[0]
+    ends = f'<td class="unit">{unit.symbol or unit.si}</td><td class="note">{note}</td>'
+    return f'<tr class="{css}{" first" * is_first}"><th scope="row">{escape(row.name)}</th>{numbers}{ends}</tr>'
 
 
 def _sigma(sigma: float, decimals: int) -> str:

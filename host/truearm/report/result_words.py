@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from truearm.kinds.registry import kinds
 from truearm.results import Estimate, largest_terms
 from truearm.text import one_line, with_article
-from truearm.units import MS, UNITS, number, tolerances
+from truearm.units import MS, UNITS, Unit, tolerances
 
 SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" would be shown
 MAX_TERMS = 4  # of a combination that are shown
@@ -57,14 +59,39 @@ def residual_words(kind: str) -> str:
     return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."
 
 
-def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
-    unit = UNITS[parameter["unit"]]
-    nominal, value, sigma = (parameter[key] for key in ("nominal", "value", "sigma"))
-    if parameter["unit"] == "s" and sigma is None:
-        value = None  # an unidentifiable time offset may have any value
-    change = value - nominal if None not in (nominal, value) else None
-    numbers = ["-" if v is None else number(v, unit.si) for v in (nominal, value)]
-    numbers.append("-" if change is None else f"{unit.scale.of(change):+.{unit.decimals}f}")
-    numbers.append("unidentifiable" if sigma is None else f"{unit.scale.of(sigma):.2g}")
-    return (one_line(parameter["name"]), *numbers, unit.symbol)
+@dataclass(frozen=True)
+class ParameterRow:
+    """A parameter as a row of a table, in its display unit: NaN for what was not identified or is unknown."""
+
+    name: str
+    unit: Unit
+    free: bool
+    nominal: float
+    value: float
+    sigma: float  # NaN if it is not identifiable
+
+    @classmethod
+    def of(cls, name: str, si: str, free: bool, *numbers: float | None) -> ParameterRow:
+        """Return the row of a parameter with its nominal value, value and sigma in SI."""
+        nominal, value, sigma = (math.nan if number is None else UNITS[si].factor * number for number in numbers)
+        if not free or (si == "s" and math.isnan(sigma)):  # an unidentifiable time offset may have any value
+            value = math.nan
+        return cls(name, UNITS[si], free, nominal, value, sigma)
+
+    @classmethod
+    def of_document(cls, entry: Mapping[str, Any]) -> ParameterRow:
+        """Return the row of an entry of result.json."""
+        return cls.of(*(entry[name] for name in ("name", "unit", "free", "nominal", "value", "sigma")))
+
+    @property
+    def change(self) -> float:
+        return self.value - self.nominal
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """Return name, nominal, value, change, sigma and unit as text."""
+        form = f".{self.unit.decimals}f"
+        forms = ((self.nominal, form), (self.value, form), (self.change, f"+{form}"))
+        numbers = ("-" if math.isnan(number) else f"{number:{form}}" for number, form in forms)
+        sigma = "unidentifiable" if math.isnan(self.sigma) else f"{self.sigma:.2g}"
+        return one_line(self.name), *numbers, sigma, self.unit.symbol
