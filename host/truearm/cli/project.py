@@ -16,7 +16,7 @@ from truearm.cli.command import ARGUMENTS, EXPERT
 from truearm.cli.names import command_for
 from truearm.errors import InputError
 from truearm.files.file_kind import KINDS, kind_of
-from truearm.files.project_folder import find_project
+from truearm.files.project_folder import project_of
 
 if TYPE_CHECKING:
     from truearm.files.project_file import Project
@@ -176,23 +176,15 @@ def defaults(folder: Path) -> dict[str, Any]:
 
     Raises InputError for an invalid truearm.toml.
     """
-    file = find_project(folder)
-    if file is None:
-        return {}
-    from truearm.files.project_file import read_project
-
-    return _answers(read_project(file), file.parent, folder)
+    project = project_of(folder)
+    return {} if project is None else _answers(*project, folder)
 
 
 def project_model(folder: Path) -> str:
     """Return the robot, or the path of its file, of the project that contains ``folder``; "" without a project."""
-    file = find_project(folder)
-    if file is None:
-        return ""
-    from truearm.files.project_file import read_project
-
-    model = read_project(file).model
-    return str(file.parent / model) if (file.parent / model).is_file() else model
+    project, home = project_of(folder) or (None, folder)
+    model = project.model if project else ""
+    return str(home / model) if model and (home / model).is_file() else model
 
 
 def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
@@ -283,17 +275,13 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
     ``parameter`` is the name of the command's argument. The message names the command line that reads the newest session
     elsewhere in the project, for example that of a rehearsal.
     """
-    file = find_project(folder)
-    if (
-        file is None
-        or parameter not in ("result", "inputs", "session")
-        or (parameter, arguments[0]) == ("inputs", "validate")
-    ):
+    is_of_project = parameter in ("result", "inputs", "session") and (parameter, arguments[0]) != ("inputs", "validate")
+    found = project_of(folder) if is_of_project else None
+    if found is None:
         return None
-    from truearm.files.project_file import read_project
     from truearm.workflows.project import by_time, folders_of, sessions_of
 
-    project, home = read_project(file), file.parent
+    project, home = found
 
     def lack(name: str, what: str) -> str:
         return f"the folder {os.path.relpath(home / name, folder)} (truearm.toml) holds no {what} yet"

@@ -6,7 +6,7 @@ Numbers here are in display units (units.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import ResidualRows, law_of
 from truearm.results import Estimate
 from truearm.text import counted, outcome
-from truearm.types import Floats, Mask, rms, thinned
+from truearm.types import Floats, Indices, Mask, rms, thinned
 from truearm.units import shown, symbol, title
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); with more points, none has one
@@ -106,7 +106,7 @@ def by_order(rows: ResidualRows) -> Figure:
     marked += [("session", new_session)] if new_session.size <= MAX_MARKS else []
     for css, places in marked:
         parts += [svg.line(plot, [at, at], [floor, top], css + " line") for at in places]
-    means = _stretch_means(x[rows.fitted], y[rows.fitted])
+    means = _means(x, y, np.array_split(np.flatnonzero(rows.fitted), STRETCHES))
     residuals, entries = _residuals_and_means(plot, rows, x, np.isfinite(y), "row {}", means)
     entries += [(css + " line", f"new {css}") for css, places in marked if places.size]
     n_mounts, n_sessions = new_mount.size + 1, new_session.size + 1
@@ -117,10 +117,10 @@ def by_order(rows: ResidualRows) -> Figure:
     return drawn(plot, "Residual in the order of measurement", caption, parts + residuals, entries, wide=True)
 
 
-def _stretch_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
-    """Return centre, mean and standard error of the mean of sections with equally many rows."""
-    parts = [at for at in np.array_split(np.arange(x.size), STRETCHES) if at.size >= FEWEST_IN_BIN]
-    return [(float(x[at].mean()), float(y[at].mean()), float(y[at].std(ddof=1) / math.sqrt(at.size))) for at in parts]
+def _means(x: Floats, y: Floats, groups: Iterable[Indices]) -> list[tuple[float, float, float]]:
+    """Return the mean of x, and the mean of y with its standard error, of each group of enough rows."""
+    every = ((x[rows], y[rows]) for rows in groups if rows.size >= FEWEST_IN_BIN)
+    return [(float(a.mean()), float(b.mean()), float(b.std(ddof=1) / math.sqrt(b.size))) for a, b in every]
 
 
 def by_longitude(rows: ResidualRows) -> Figure | None:
@@ -131,7 +131,8 @@ def by_longitude(rows: ResidualRows) -> Figure | None:
     x, y = rows.longitude, rows.residual
     low, high = _deg_range(x[known])
     plot = svg.Plot(svg.linear_axis("longitude [deg]", low, high, 60.0), svg.linear_axis(rows.name, *_reach(y[known])))
-    means = _bin_means(x[known & rows.fitted], y[known & rows.fitted])
+    chosen, interval = np.flatnonzero(known & rows.fitted), np.floor(x / LONGITUDE_BIN_DEG)
+    means = _means(x, y, (chosen[interval[chosen] == k] for k in np.unique(interval[chosen])))
     residuals, entries = _residuals_and_means(plot, rows, x, known, "{}°", means)
     caption = (
         "Longitude of the sphere about its chuck. Measurement errors do not depend on it: a mean that varies by more than "
@@ -163,18 +164,6 @@ def _reach(values: Floats) -> tuple[float, float]:
     """Return the range of an axis: zero in the middle for signed values, otherwise at the bottom."""
     top = 1.02 * float(np.abs(values).max())
     return (-top if values.min() < 0.0 else 0.0), top
-
-
-def _bin_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
-    """Return centre, mean and standard error of the mean for each bin of longitude with enough rows."""
-    number_of_bin = np.floor(x / LONGITUDE_BIN_DEG)
-    found = []
-    for k in np.unique(number_of_bin):
-        inside = y[number_of_bin == k]
-        if inside.size >= FEWEST_IN_BIN:
-            error = inside.std(ddof=1) / math.sqrt(inside.size)
-            found.append(((k + 0.5) * LONGITUDE_BIN_DEG, float(inside.mean()), float(error)))
-    return found
 
 
 def _sets(rows: ResidualRows) -> list[tuple[str, str, NDArray[np.bool_]]]:
