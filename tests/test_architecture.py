@@ -56,9 +56,8 @@ ROOMS = {
     "report": {"estimate", "kinds", "session"},  # the registries, and why dwells were rejected
     "box": {"files", "record", "report", "session"},
     "live": {"box", "record", "session"},
-    "reproduce": {"estimate", "kinds", "model", "report"},
     "workflows": {
-        *("box", "live", "record", "session", "files", "report", "reproduce"),
+        *("box", "live", "record", "session", "files", "report"),
         *("plan", "correct", "export", "checks", "estimate", "kinds", "model"),
     },
     "cli": {
@@ -88,7 +87,7 @@ ROOMS = {
     "schema": set(),
 }
 WIRE_ALLOWED = {"record", "session", "box", "live"}
-SIMULATOR_ALLOWED = {"cli", "workflows"}  # simulate and reproduce alone
+SIMULATOR_ALLOWED = {"cli", "workflows"}  # simulate alone
 # they compute; they touch neither files nor the network
 PURE = ("model", "kinds", "estimate", "checks", "correct", "plan", "export")
 IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
@@ -208,11 +207,9 @@ def test_one_version_of_package_firmware_and_image():
     assert named == {VERSION}
 
 
-def test_only_simulate_and_reproduce_know_the_simulator():
+def test_only_simulate_knows_the_simulator():
     users = {p.stem for p in python_files(HOST) if any(i.startswith("truearm_sim") for i in imports(p))}
-    assert users <= {"simulate", "simulated_robot", "reproduce"}
-    outside = [p for p in python_files(HOST / "reproduce") if any(i.startswith("truearm_sim") for i in imports(p))]
-    assert not outside  # the room; its command may
+    assert users <= {"simulate", "simulated_robot"}
 
 
 def parameters_of(path: Path) -> dict[str, int]:

@@ -20,6 +20,8 @@ import matplotlib
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 
+NOTEBOOKS = Path(__file__).parents[1] / "notebooks"  # a notebook imports modules beside it, as in Jupyter
+
 
 def run_cell(source: str, names: dict[str, Any]) -> list[dict[str, Any]]:
     """The outputs of a cell: what it prints, the value of its last line, its pictures."""
@@ -51,6 +53,7 @@ def main(path: Path, write: bool) -> None:
     """Run all cells; store their outputs if asked to."""
     notebook = json.loads(path.read_text(encoding="utf-8"))
     names: dict[str, Any] = {"__name__": "__main__"}
+    sys.path.insert(0, str(NOTEBOOKS))
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
             cell["outputs"] = run_cell("".join(cell["source"]), names)

@@ -7,7 +7,7 @@ reads this, so it imports nothing.
 
 from typing import Final
 
-SEED: Final = 0  # of identify and plan; simulated worlds (simulate, demo, reproduce) begin with 1
+SEED: Final = 0  # of identify and plan; simulated worlds (simulate, demo) begin with 1
 
 # init: how well chucks, spheres and bars are known [m], by what measured them
 NOTHING: Final = "nothing"

@@ -10,7 +10,7 @@ from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, pr
 from report_bench import CERTIFICATE, full_page, make_page, view
 
 from truearm.findings import Finding, entries
-from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page, validation_page
+from truearm.report import calibration_page, correction_page, gauge_page, validation_page
 from truearm.report.map_picture import Cells, map_picture
 from truearm.report.validation_findings import validation_findings
 
@@ -104,16 +104,6 @@ def program(n=30):
     )
 
 
-def reproduced():
-    """A page of ``truearm reproduce``."""
-    claim = reproduce_page.Claim("RMS of the 61 cm shells after calibration", "mm", 0.11, 0.0855, 0.0842, None, LONG)
-    names = ("all rows, before", "all rows, after", "held out", "mean", "largest", "rank", "iterations")
-    table = reproduce_page.PageTable("Table II", names, (("link1.alpha [deg]", *["−123.45678"] * 6),) * 4)
-    chapter = reproduce_page.Chapter("Table I", LONG, (claim,), (table,))
-    steps = (("Table II: 36 parameters from 800 dwells, ten seeds", 3.0),)
-    return reproduce_page.render(reproduce_page.ReproducePage("Goswami 1993", LONG, (chapter,), steps, LONG))
-
-
 def map_(width=900.0, height=300.0):
     u, v = np.arange(0.0, width, 25.0), np.arange(0.0, height, 25.0)
     error = np.hypot(*np.meshgrid(u, v)) / 1e3
@@ -131,7 +121,6 @@ def pages(tmp_path_factory):
         "gauge.html": gauge(),
         "validation.html": validation(),
         "program.html": program(),
-        "reproduced.html": reproduced(),
         "map.svg": map_(),
         "tall.svg": map_(60.0, 900.0),
         "flat.svg": map_(900.0, 20.0),
@@ -161,9 +150,7 @@ def test_no_page_is_wider_than_a_phone(pages, tmp_path):
 
 
 @needs_printer
-@pytest.mark.parametrize(
-    "name", ["report.html", "unusable.html", "gauge.html", "validation.html", "program.html", "reproduced.html"]
-)
+@pytest.mark.parametrize("name", ["report.html", "unusable.html", "gauge.html", "validation.html", "program.html"])
 def test_everything_is_on_the_sheets_of_a4(pages, tmp_path, name):
     """All table heads and the whole command are printed within the margins, and no sheet but the last is half empty."""
     sheets = printed(tmp_path, pages[name])

@@ -34,7 +34,6 @@ from truearm.cli.progress_line import shown_progress
 from truearm.cli.project import CommandGroup, ProjectCommand, defaults, missing_file
 from truearm.cli.record import RecordCommand, record
 from truearm.cli.report import report
-from truearm.cli.reproduce import reproduce
 from truearm.cli.robot import app as robot
 from truearm.cli.session import app as session
 from truearm.cli.simulate import SimulateCommand, simulate
@@ -53,7 +52,7 @@ TASKS: dict[str, tuple[Any, ...]] = {
     "Use": (correct, export),
     "Box": (box,),
 }
-UNLISTED = (reproduce, robot)
+UNLISTED = (robot,)
 COMMANDS = {
     getattr(command, "__name__", None) or command.info.name: (command, task)
     for task, commands in {**TASKS, "": UNLISTED}.items()

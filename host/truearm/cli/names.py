@@ -28,6 +28,7 @@ EARLIER = {
     "--known-mm": "--measured-with",
 }
 REMOVED = {
+    "reproduce": "the papers are notebooks in the documentation: notebooks/goswami_1993.ipynb and renders_1991.ipynb",
     **{
         f"--{word}": f"write {word} = … into truearm.toml"
         for word in ("name", "serial", "operator", "controller", "customer")
@@ -62,6 +63,8 @@ MEANINGS = {
 
 def command_for(root: Any, word: str) -> str | None:
     """Return why there is no command ``word`` and which one is meant, None if nothing is known about it."""
+    if word in REMOVED:
+        return f"truearm {word}: {REMOVED[word]}"
     if word in EARLIER:
         return f"truearm {word} is now truearm {EARLIER[word]}"
     subcommands = [path for path, _ in _commands(root) if path.endswith(f" {word}")]

@@ -15,7 +15,7 @@ from importlib.resources import files
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
 from truearm.report.figures import Figure
-from truearm.report.page_text import ABSENT, escape, number
+from truearm.report.page_text import ABSENT, escape
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
@@ -130,16 +130,3 @@ def fact_list(facts: Sequence[tuple[str, str]]) -> str:
     """Return labels and values as a definition list."""
     entries = (f"<div><dt>{escape(name)}</dt><dd>{escape(value, 400)}</dd></div>" for name, value in facts)
     return f'<dl class="facts">{"".join(entries)}</dl>'
-
-
-def step_table(steps: Sequence[tuple[str, float]]) -> str:
-    """Return steps with their seconds and a bar in proportion."""
-    total = sum(seconds for _, seconds in steps)
-    longest = max((seconds for _, seconds in steps), default=0.0) or 1.0
-    rows = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td>{number(seconds, 1)} s</td>'
-        f'<td class="span"><span style="width:{100.0 * max(seconds, 0.0) / longest:.1f}%"></span></td></tr>'
-        for name, seconds in steps
-    )
-    end = f'<tfoot><tr><th scope="row">total</th><td>{number(total, 1)} s</td><td></td></tr></tfoot>'
-    return f'<table class="steps"><tbody>{rows}</tbody>{end}</table>'
