@@ -145,9 +145,9 @@ def named(name: str, suffix: str) -> str:
     return f"{name}_{suffix}".rstrip("_")
 
 
-def length(name: str) -> Scale | None:
-    """Return the unit of length with this suffix or symbol ("um" and "µm" are the same); None for anything else."""
-    return next((s for s in SUFFIXES.values() if s.si == "m" and name in (s.suffix, s.symbol)), None)
+def length(name: str, si: tuple[str, ...] = ("m",)) -> Scale | None:
+    """Return the unit of length (or of another ``si``) with this suffix or symbol ("um" and "µm" are the same), or None."""
+    return next((s for s in SUFFIXES.values() if s.si in si and name in (s.suffix, s.symbol)), None)
 
 
 def shown(value: Any, si: str) -> Any:

@@ -15,8 +15,7 @@ from truearm.errors import ProtocolError, SessionError
 from truearm.session.box_frames import Pages
 from truearm.session.box_ident import Channel, decimal, decode_ident, find_channel, parse_ident, parse_ident_json
 from truearm.session.joint_format import parse_reading
-from truearm.session.samples import RAIL_HIGH, RAIL_LOW, bar_length, extension, out_of_travel, railed, volts
-from truearm.types import BallBar
+from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, volts
 
 
 @given(st.integers(-(2**63), 2**63), st.integers(-30, 30))
@@ -58,12 +57,6 @@ def test_rails():
     counts = np.array([RAIL_LOW, RAIL_LOW + 1, 0, RAIL_HIGH - 1, RAIL_HIGH])
     assert railed(counts).tolist() == [True, False, False, False, True]
     assert (RAIL_LOW, RAIL_HIGH) == (-8_388_608, 8_388_607)
-
-
-def test_length_and_travel_of_a_bar():
-    bar = BallBar("b", 0.46, 1.01, 0.075, 1e-4)
-    assert bar_length(np.array([0.02]), bar)[0] == pytest.approx(0.4802, abs=1e-15)
-    assert out_of_travel(np.array([-0.0376, -0.0374, 0.0374, 0.0376]), bar).tolist() == [True, False, False, True]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "[" * 100_000, '{"streams": []}', "9" * 5000])

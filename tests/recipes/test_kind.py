@@ -1,14 +1,19 @@
 """A new kind of observation, an inclinometer, in one new file and one line of the registry."""
 
+import csv
 import json
 import math
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
+from tests.host import session_stream
+from tests.host.record_box import Lab
 from tests.recipes.recipes import Copy, findings
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
+from truearm.record.session_writer import SessionWriter
 
 SIGMA_RAD, SIGMA_M = 1e-4, 2e-5
 ZERO = {"i1": 0.01, "i2": -0.005}
@@ -65,6 +70,25 @@ def copy(tmp_path_factory):
     (copy.folder / "poses.csv").write_text("\n".join(lines) + "\n")
     (copy.folder / "rig.toml").write_text(RIG)
     return copy
+
+
+def test_a_session_has_a_row_for_each_dwell(copy):
+    """The box reads the inclinometer in place of an LVDT; its channel is calibrated in rad, and no bar is mounted."""
+    document = session_stream.ident_document()
+    (stream,) = document["streams"]
+    stream["channels"][0] |= {"name": "inclinometer", "calibration": {"unit": "rad", "poly": session_stream.POLY}}
+    with patch.object(session_stream, "ident_document", lambda *_: document):
+        messages, truth = session_stream.session(np.random.default_rng(6), dwells=4, plan=False)
+    with SessionWriter(copy.folder / "s.mcap", Lab()) as writer:
+        for message in messages:
+            writer.add(*message)
+        writer.close({"reason": "test"})
+    (copy.folder / "device.toml").write_text("[[inclinometer]]\nname = 'i1'\nsigma_rad = 1e-4\n")
+    copy.run("session", "export", "s.mcap", "--rig", "device.toml", "--out", "exported")
+    with (copy.folder / "exported" / "observations.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["kind"], row["inclinometer"]) for row in rows] == [("inclinometer", "i1")] * 4
+    assert [float(row["inclination_rad"]) for row in rows] == pytest.approx(truth.length - 0.46, abs=1e-6)
 
 
 def test_it_is_identified_judged_and_reported(copy):

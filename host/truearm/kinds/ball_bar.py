@@ -14,14 +14,14 @@ at which zero or gain is valid. ∂d/∂x is the derivative of the sphere's posi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from truearm.kinds.group import Group, KindFault
-from truearm.kinds.kind import Kind
+from truearm.kinds.kind import DwellSensor, Kind
 from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
@@ -231,6 +231,12 @@ def _bar(gain: float = 1.0, **values: Any) -> BallBar:
     return bar
 
 
+def dwell_sensor(rig: Rig, mounted: Mapping[str, str]) -> DwellSensor:
+    """Return the bar that is mounted."""
+    bar = rig.bars[mounted["bar"]]
+    return DwellSensor(mounted, bar.zero, bar.gain, bar.sigma, bar.travel)
+
+
 CHUCK = Entries("chuck", POINT, "chucks", by_name)
 BAR = Entries(
     "bar",
@@ -245,6 +251,7 @@ KIND = Kind(
     may=(BAR_TEMPERATURE, SENSOR_TEMPERATURE),
     entries=(CHUCK, SPHERE, BAR),
     channels=(("lvdt",),),
+    dwell=dwell_sensor,
     point="sphere",
     labels=("bar", "chuck", "sphere"),
     grouped_by=("chuck", "sphere"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,21 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.schema import Entries
 from truearm.types import Floats, Indices, Point, Rig
+
+
+@dataclass(frozen=True)
+class DwellSensor:
+    """A sensor that is read while the robot rests: its reading is zero + gain · extension [m or rad].
+
+    ``names``: of the rig's entries in its row, by column. ``sigma``: declared repeatability of a dwell, added to the noise
+    of the samples. Beyond ± ``travel``/2 an extension is not valid.
+    """
+
+    names: Mapping[str, str]
+    zero: float = 0.0
+    gain: float = 1.0
+    sigma: float = 0.0
+    travel: float = math.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +49,9 @@ class Kind:
     may: tuple[str | Quantity, ...] = ()
     entries: tuple[Entries[Any], ...] = ()  # entry types of rig files that it uses, its own and shared ones
     channels: tuple[tuple[str, ...], ...] = ()  # of the box, from which a session reads it, for each stream
+    dwell: Callable[[Rig, Mapping[str, str]], DwellSensor | None] | None = (
+        None  # the sensor on its channel while these parts are mounted, whose mean in a dwell is the row's quantity
+    )
     free_names: tuple[str, ...] = ()  # identifiers without entries in the rig: then any name is valid
     point: str = ""  # the column that names the measured point of the end; "" if there is none
     labels: tuple[str, ...] = ()  # columns whose names an operator can confuse (checks.labels)

@@ -1,4 +1,4 @@
-"""Reduce the ball-bar samples of each dwell to a mean length, or give the reason why it has none.
+"""Reduce the samples of each dwell to the mean reading of a sensor, or give the reason why it has none.
 
 No dwell uses samples from across a gap. When the joints stand still, the arm beyond its encoders may still swing or
 creep, and the bar shows it. The dwell therefore begins where the samples, too, stay at the level of its second half
@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.kinds.kind import DwellSensor
 from truearm.session.dwells import Dwell, DwellRules, begun_at
 from truearm.session.joint_readings import JointStream
 from truearm.session.sample_noise import (
@@ -31,8 +32,8 @@ from truearm.session.sample_noise import (
     rings,
     settled_from,
 )
-from truearm.session.samples import Samples, bar_length, extension, out_of_travel, railed
-from truearm.types import BallBar, Floats
+from truearm.session.samples import Samples, extension, railed
+from truearm.types import Floats
 from truearm.units import MM, MS, NS, UM
 
 LEAST_SAMPLES = 8
@@ -83,7 +84,7 @@ def block_length(taken: Samples) -> int:
     return max(1, round(BLOCK_S / (1e-9 * taken.period_ns)))
 
 
-def measured(dwell: Dwell, taken: Samples | None, bar: BallBar, sensing: Sensing) -> Dwell:
+def measured(dwell: Dwell, taken: Samples | None, sensor: DwellSensor, sensing: Sensing) -> Dwell:
     """Return the dwell with its mean length, or with the reason why it has none."""
     rules = sensing.rules
     if taken is None:
@@ -98,25 +99,25 @@ def measured(dwell: Dwell, taken: Samples | None, bar: BallBar, sensing: Sensing
     if taken.fault.any():
         return replace(dwell, reason="rail", detail="the converter's fault")
     stretched = extension(counts, taken.channels[0])
-    length = bar_length(stretched, bar)
+    length = sensor.zero + sensor.gain * stretched
     block = block_length(taken)
-    found = settled(length, block, bar.gain**2 * sensing.noise.block_var, max(UNSETTLED * bar.sigma, MICRON))
+    found = settled(length, block, sensor.gain**2 * sensing.noise.block_var, max(UNSETTLED * sensor.sigma, MICRON))
     first = _first_sample(found, counts.size, block)
     if period_s * (counts.size - first + 1) < rules.shortest_s:
-        reason, detail = _unusable(counts, stretched, bar)
+        reason, detail = _unusable(counts, stretched, sensor)
         quick = quick_noise(length)
-        if not reason and quick > max(NOISY * abs(bar.gain) * sensing.noise.quick, MICRON):
-            reason, detail = "noisy", _noise_words(quick, NOISY * abs(bar.gain) * sensing.noise.quick)
+        if not reason and quick > max(NOISY * abs(sensor.gain) * sensing.noise.quick, MICRON):
+            reason, detail = "noisy", _noise_words(quick, NOISY * abs(sensor.gain) * sensing.noise.quick)
         elif not reason:
             reason, detail = _unsettled(found, round(rules.shortest_s / (block * period_s)))
         return replace(dwell, reason=reason, detail=detail)
-    dwell = _with_mean(dwell, mean_of(length[first:]), bar)
+    dwell = _with_mean(dwell, mean_of(length[first:]), sensor)
     if first:
         late_s = 1e-9 * (begin_ns - dwell.start_host_ns) + period_s * first
         dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * taken.period_ns, sensing.joints)
-    reason, detail = _unusable(counts[first:], stretched[first:], bar)
+    reason, detail = _unusable(counts[first:], stretched[first:], sensor)
     # A drift within the bar's declared repeatability is already covered by it.
-    if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, bar.sigma, MICRON):
+    if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, sensor.sigma, MICRON):
         reason, detail = "drift", f"{UM.text(dwell.drift, '+.0f')} in {period_s * dwell.n_samples:.1f} s"
     return replace(dwell, reason=reason, detail=detail) if reason else dwell
 
@@ -150,12 +151,12 @@ def _first_sample(found: Settled | None, n: int, block: int) -> int:
     return n % block + int(found.first) * block if found is not None and found.first else 0
 
 
-def _with_mean(dwell: Dwell, of: MeanOfSamples, bar: BallBar) -> Dwell:
+def _with_mean(dwell: Dwell, of: MeanOfSamples, sensor: DwellSensor) -> Dwell:
     return replace(
         dwell,
         value=of.mean,
         value_var=of.variance,
-        sigma=float(np.sqrt(of.variance + bar.sigma**2)),
+        sigma=float(np.sqrt(of.variance + sensor.sigma**2)),
         noise=of.noise,
         drift=of.drift,
         drift_sigma=of.drift_sigma,
@@ -164,15 +165,15 @@ def _with_mean(dwell: Dwell, of: MeanOfSamples, bar: BallBar) -> Dwell:
     )
 
 
-def _unusable(counts: NDArray[Any], stretched: Floats, bar: BallBar) -> tuple[str, str]:
+def _unusable(counts: NDArray[Any], stretched: Floats, sensor: DwellSensor) -> tuple[str, str]:
     """Return reason and detail if the samples cannot give a length, else ""."""
     at_rail = int(np.count_nonzero(railed(counts)))
     if at_rail:
         return "rail", f"{at_rail} of {counts.size} samples"
-    if np.any(out_of_travel(stretched, bar)):
+    if np.any(np.abs(stretched) > 0.5 * sensor.travel):
         return (
             "out of travel",
-            f"{MM.text(float(np.max(np.abs(stretched))), '.1f')} of ±{MM.text(0.5 * bar.travel, '.1f')}",
+            f"{MM.text(float(np.max(np.abs(stretched))), '.1f')} of ±{MM.text(0.5 * sensor.travel, '.1f')}",
         )
     return "", ""
 

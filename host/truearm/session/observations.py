@@ -9,7 +9,7 @@ and a leg along a line device many, or a reason why not.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from truearm.clocks import WANDER
 from truearm.kinds import registry
+from truearm.kinds.kind import DwellSensor
 from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
 from truearm.session.box_temperature import BoxTemperature, box_temperature
@@ -39,7 +40,7 @@ from truearm.session.plan_matching import (
     nearest_pose,
     passes_of,
 )
-from truearm.session.samples import ChannelSamples
+from truearm.session.samples import ChannelSamples, Samples
 from truearm.session.streams import Blocks, BoxReader, Segment
 from truearm.session.trigger_edges import Output, with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig
@@ -47,6 +48,7 @@ from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig
 # Names given by the box's configuration: the columns that kinds of observation declare
 THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}
 BAR, LINE = "ball_bar", "line"
+SensorOf = Callable[[Rig, Mapping[str, str]], DwellSensor | None]
 
 
 @dataclass(frozen=True)
@@ -199,17 +201,13 @@ def observations(
     dwells = _pair(found, rig, rules) if labels is None else _settled(found, rig, labels)
     dwells = with_mountings(dwells, found.marks, rules.pose_tolerance)
     passes = passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance)
-    good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
-    if good:
-        (samples,) = found.samples[BAR]
-        samples.check()
-        taken = {i: samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns) for i in good[:LEARNT]}
-        sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(taken.values()))
-        for i in good:
-            dwell = dwells[i]
-            during = taken.pop(i) if i in taken else samples.during(dwell.start_host_ns, dwell.end_host_ns)
-            dwells[i] = measured(dwell, during, rig.bars[dwell.mounted["bar"]], sensing)
-    dwells = without_noisy(dwells)
+    rested = [replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, found.dwells, strict=True)]
+    by_kind = {
+        name: _measured(dwells if name == BAR else rested, name, kind.dwell, found, rig, rules)
+        for name, kind in registry.kinds().items()
+        if kind.dwell is not None
+    }
+    dwells = by_kind[BAR]
     measurable = (
         one
         if one.reason in ("too long", "ambiguous")
@@ -219,7 +217,7 @@ def observations(
     driven = tuple(one for one in measurable if one is not None)
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
     bins = None if has_manual_joints(found.joints) else found.joints.bins
-    table = table_of(dwells, driven, len(found.joints.step), name, bins)
+    table = table_of(by_kind, driven, len(found.joints.step), name, bins)
     at = (1e9 * table.time).astype(np.int64)
     read = {name: found.thermometers[name].between(at) for name in THERMOMETERS if name in found.thermometers}
     simulated = any(box.simulated for box in found.idents.values())
@@ -229,6 +227,30 @@ def observations(
         simulated="yes" if simulated else None,
     )
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
+
+
+def _measured(
+    dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, found: Survey, rig: Rig, rules: DwellRules
+) -> list[Dwell]:
+    """Return the dwells, those without a reason with what the sensor of a kind measured."""
+    (samples,) = found.samples[name]
+    dwells = list(dwells)
+    sensors = {i: sensor_of(rig, dwell.mounted) for i, dwell in enumerate(dwells) if not dwell.reason}
+    if name == BAR and sensors:
+        samples.check()
+
+    def during(i: int) -> Samples | None:
+        return samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns)
+
+    taken = {i: during(i) for i in list(sensors)[:LEARNT]}
+    sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(taken.values()))
+    for i, sensor in sensors.items():
+        if sensor is None:
+            dwells[i] = replace(dwells[i], reason="no plan match")
+        else:
+            dwell = replace(dwells[i], mounted=dict(sensor.names))
+            dwells[i] = measured(dwell, taken.pop(i) if i in taken else during(i), sensor, sensing)
+    return without_noisy(dwells)
 
 
 def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
@@ -291,29 +313,28 @@ def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
 
 
 def table_of(
-    dwells: Sequence[Dwell], passes: Sequence[LinePass], joints: int, name: str, bins: Bins | None
+    by_kind: Mapping[str, Sequence[Dwell]], passes: Sequence[LinePass], joints: int, name: str, bins: Bins | None
 ) -> ObservationTable:
-    """Return a table with one row per dwell without a reason, then all rows of the passes.
+    """Return a table with one row per dwell without a reason, by kind of observation, then all rows of the passes.
 
     ``name`` is the session's name for ``source``. ``bins`` of the joints give the direction of approach of each dwell.
     """
-    parts = [_of_dwells(dwells, joints, name, bins)]
+    parts = [_of_dwells(dwells, kind, joints, name, bins) for kind, dwells in by_kind.items()]
     parts += [_of_pass(one, number, name) for number, one in enumerate(passes, start=1) if not one.reason]
     return ObservationTable.joined(parts)
 
 
-def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | None) -> ObservationTable:
+def _of_dwells(dwells: Sequence[Dwell], kind: str, joints: int, name: str, bins: Bins | None) -> ObservationTable:
     rows = [(i, dwell) for i, dwell in enumerate(dwells, start=1) if not dwell.reason]
-
-    mounted = {key: [dwell.mounted.get(key, "") for _, dwell in rows] for key in (*BAR_MOUNTED, "shell")}
+    declared = registry.kinds()[kind]
+    named = {key: [dwell.mounted.get(key, "") for _, dwell in rows] for key in (*declared.identifiers, "shell")}
     side = np.full((len(rows), joints), np.nan)
     if bins is not None and rows:
         side[:] = [came_from(bins, dwell) for _, dwell in rows]
     return ObservationTable(
-        mounted,
+        {**named, declared.quantities[0].field: [dwell.value for _, dwell in rows]},
         q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), joints),
-        kind="ball_bar",
-        value=[dwell.value for _, dwell in rows],
+        kind=kind,
         sigma=[dwell.sigma for _, dwell in rows],
         source=[f"{name} dwell {i}" for i, _ in rows],
         time=[0.5e-9 * (dwell.start_host_ns + dwell.end_host_ns) for _, dwell in rows],

@@ -14,7 +14,7 @@ from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
 from truearm.session.observations import BAR, SyncResult, came_from
 from truearm.session.sample_noise import Allan, allan, mean_variance
-from truearm.session.samples import bar_length, extension
+from truearm.session.samples import extension
 from truearm.types import Floats, Rig
 
 BEFORE_S = 0.6  # of the approach, included with each dwell
@@ -84,7 +84,7 @@ def visits(
             continue
         bar = rig.bars[dwell.mounted["bar"]]
         begin_ns, counts = taken.longest()
-        length = bar_length(extension(counts, taken.channels[0]), bar)
+        length = bar.zero + bar.gain * extension(counts, taken.channels[0])
         period_s = 1e-9 * taken.period_ns
         for k, band in enumerate(bands):
             if band > SIGMAS * dwell.noise:

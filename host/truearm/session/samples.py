@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm import units
 from truearm.errors import SessionError
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channel
 from truearm.session.device_clock import DeviceClock
 from truearm.session.spool import Spool
 from truearm.session.streams import Blocks
 from truearm.text import box_command, one_line
-from truearm.types import BallBar, Floats, Ints
+from truearm.types import Floats, Ints
 from truearm_wire import messages as wire
 
 # Two's complement limits of a 24-bit converter. At a limit the true input is at least that large but otherwise unknown.
@@ -58,16 +59,16 @@ def volts(counts: NDArray[Any], channel: Channel) -> Floats:
 
 
 def extension(counts: NDArray[Any], channel: Channel) -> Floats:
-    """Return the extension [m] from the counts of a calibrated channel; any shape.
+    """Return the extension [m or rad] from the counts of a calibrated channel; any shape.
 
-    Raises SessionError if the channel has no calibration to a length, or the box describes it incorrectly.
+    Raises SessionError if the channel has no calibration to a length or an angle, or the box describes it incorrectly.
     """
     if channel.fault:
         raise SessionError(
             f"channel {channel.name!r} of the box cannot be used: {channel.fault}; correct it with "
             f"{box_command(f'config set channel.{one_line(channel.name)}.KEY=VALUE', 'DEVICE')}, then record again"
         )
-    unit = channel.length_unit
+    unit = units.length(channel.calibrated_unit, ("m", "rad")) if channel.poly else None
     if unit is None:
         raise SessionError(
             f"channel {channel.name!r} of the box has no calibration to metres; calibrate it with "
@@ -82,19 +83,6 @@ def shown(channel: Channel, count: int) -> tuple[str, float]:
     if unit is None:
         return f"{channel.name}_{channel.unit or 'raw'}", seen
     return f"{channel.name}_m", unit.to_si(reduce(lambda sum, factor: sum * seen + factor, reversed(channel.poly), 0.0))
-
-
-def bar_length(extension: Floats, bar: BallBar) -> Floats:
-    """Return the length [m], centre to centre, of a bar at these extensions [m]."""
-    return bar.zero + bar.gain * extension
-
-
-def out_of_travel(extension: Floats, bar: BallBar) -> NDArray[np.bool_]:
-    """Return a mask of the extensions [m] beyond the bar's stroke.
-
-    There the bar is at a mechanical stop or its LVDT has left its linear range.
-    """
-    return np.asarray(np.abs(extension) > 0.5 * bar.travel)
 
 
 # ------------------------------------------------------------------------------------------------- samples of channels
