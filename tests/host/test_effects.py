@@ -18,9 +18,9 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation
-from truearm.results import Effect
+from truearm.results import DriftWith, Effect
 from truearm.types import Point
-from truearm.workflows.identify import IdentifyOptions, Selection, identified, rejudged
+from truearm.workflows.identify import IdentifyOptions, Selection, identified, rejudged, split_causes
 from truearm.workflows.selection import parse_effect
 
 UNMOVED = np.eye(4)
@@ -209,6 +209,15 @@ def test_only_things_that_are_there_can_be_off():
         identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(Effect("chuck.c9"),)))
     with pytest.raises(Exception, match="rows 1 to 100"):
         identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(Effect("chuck.c0", 100),)))
+
+
+def test_a_joint_may_have_an_at_sign_in_its_name():
+    """Its steps and backlash are parameters of the fit, the drift of its constants is not."""
+    chain = replace(CHAIN, joints=(replace(CHAIN.joints[0], name="base@1"), *CHAIN.joints[1:]))
+    names = ("base@1@41:80", "base@1.backlash", "base@1.offset.drift")
+    effects, causes = split_causes(chain, RIG, random_table(100, np.random.default_rng(7), SIGMA), names)
+    assert effects == (Effect("base@1", 40, 80), Effect("base@1", drifts_with=DriftWith.DIRECTION))
+    assert causes == names[2:]
 
 
 def visits(q, source, **columns):

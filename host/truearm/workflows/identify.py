@@ -235,9 +235,9 @@ def split_causes(
     chain: Chain, rig: Rigs, table: ObservationTable, names: Sequence[str]
 ) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
     """Return the faults that the fit estimates as parameters, and those of which the examination gives the effect."""
-    effects = {name: parse_effect(name) for name in names if name != MEAN}
-    items = {cause.name for cause in build_problem(chain, rig, table).causes} if effects else set()
-    fitted = {name: effect for name, effect in effects.items() if effect.what in items or "@" in name}
+    items = {cause.name for cause in build_problem(chain, rig, table).causes} if names else set()
+    effects = {name: Effect(name) if name in items else parse_effect(name) for name in names if name != MEAN}
+    fitted = {name: effect for name, effect in effects.items() if effect.what in items or effect.first or effect.last}
     return tuple(fitted.values()), tuple(name for name in names if name not in fitted)
 
 

@@ -193,9 +193,7 @@ def _near(pattern: str, names: Sequence[str]) -> str:
 def parse_effect(text: str) -> Effect:
     """Parse a fault such as ``chuck.c2@183`` (``Effect``). Raises InputError."""
     endings = {drift.ending: drift for drift in DriftWith}
-    match = re.fullmatch(
-        rf"([^@]+?)({'|'.join(map(re.escape, endings))})?(?:@([0-9]{{1,9}})(?::([0-9]{{1,9}}))?)?", text
-    )
+    match = re.fullmatch(rf"(.+?)({'|'.join(map(re.escape, endings))})?(?:@([0-9]{{1,9}})(?::([0-9]{{1,9}}))?)?", text)
     first = int(match[3] or 1) if match else 0
     last = int(match[4]) if match and match[4] else None
     if match is not None and last is not None and 1 <= last < first:
