@@ -160,7 +160,8 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "Correct it at its source, or judge the result by rows without it.",
     ),
     "faults-applied": Statement(
-        NOTE, "Applied to the parameters: {names}. The residuals are those of the fit before, as the readings are."
+        NOTE,
+        "Applied to the parameters: {names}. The residuals are those of the fit before, as the readings are.[ The errors of {held:#held-out row} contain what this did to their readings.]",
     ),
     "faults-unseen": Statement(
         NOTE, "These rows need not show, and twice the stated error does not contain: {faults}; nor what is larger."

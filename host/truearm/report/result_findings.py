@@ -299,7 +299,8 @@ def fault_findings(document: Document, judging: bool = False) -> list[Finding]:
     if judging and faults:
         findings.append(Finding("faults-here", {"n": len(faults)}))
     if applied:
-        findings.append(Finding("faults-applied", {"names": document["applied"]}))
+        held = document["held_out"] and document["held_out"]["n"]
+        findings.append(Finding("faults-applied", {"names": document["applied"], "held": held}))
     if claim and claim["noise"] != "declared":
         refused = [cause(name) for name in claim["refused"][:MAX_CHOICES]]
         noise = NOISES.get(claim["noise"], claim["noise"])
