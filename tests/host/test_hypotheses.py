@@ -17,10 +17,10 @@ from truearm.checks.evidence import SCALES, WIDEST, build_design, moments, sums_
 from truearm.checks.examination import examined, tool_gram
 from truearm.checks.held_out import gain, left_out
 from truearm.checks.labels import relabelled
-from truearm.checks.noise import shared_noise
+from truearm.checks.noise import kernel_of
 from truearm.checks.search import searched
 from truearm.checks.trial import Alternative
-from truearm.checks.whitened import DECLARED, Kernel, whitened_fit
+from truearm.checks.whitened import DECLARED, whitened_fit
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import build_problem
 from truearm.files.observation_table import parse_table
@@ -71,7 +71,7 @@ def test_the_columns_are_those_of_a_world_with_the_fault(fault, monkeypatch):
     for one in (one for one in catalogue(fit) if one.name in world.names):
         if one.form == "step":
             one = replace(one, candidates=from_each_row)
-        for number in range(one.count):
+        for number in range(len(one.candidates.spans)):
             by = one.candidate(number)
             left = fit.residual - by @ np.linalg.lstsq(by, fit.residual, rcond=None)[0]
             unexplained.append(np.linalg.norm(left) / np.linalg.norm(fit.residual))
@@ -127,15 +127,12 @@ def test_the_drop_is_that_of_a_refit(slipped):
 def test_spans_have_the_moments_of_their_columns(slipped):
     """The sums over rows, with noise of their own and with shared noise, against each span by itself."""
     fit, _ = fitted(slipped)
-    rows = np.arange(fit.n)
-    similar = np.exp(-np.abs(rows[:, None] - rows) / 8.0)
-    shared = Kernel("order", share=0.5, shared=shared_noise(fit, similar))
-    for kernel in (DECLARED, shared):
+    for kernel in (DECLARED, kernel_of(fit, np.arange(fit.n), "order", 8.0, 0.5)):
         of = build_design(fit, kernel, fit.wide_prior)
         for name in ("chuck.c1.step", "joint2.run"):
             one = hypothesis_of(fit, name)
             square, score, _ = sums_of(one, of)
-            for number in (0, 5, one.count - 1):
+            for number in (0, 5, len(one.candidates.spans) - 1):
                 by = one.candidate(number)
                 left = of.without(by)
                 tolerance = 1e-9 * float((by**2).sum())
@@ -149,7 +146,7 @@ def test_the_evidence_is_that_of_two_normal_distributions(slipped):
     of = build_design(fit, DECLARED, fit.wide_prior)
     one = hypothesis_of(fit, "chuck.c1.drift")
     ratios = []
-    for number in range(one.count):
+    for number in range(len(one.candidates.spans)):
         left = of.without(one.candidate(number))
         for scale in SCALES:
             cov = np.eye(len(left)) + scale**2 * left @ left.T

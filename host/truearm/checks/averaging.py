@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from truearm.checks.evidence import SCALES, Design, Weighed, amount_of, log_mean, products, weigh
+from truearm.checks.evidence import SCALES, Design, Weighed, amount_of, products, weigh
 from truearm.checks.search import Detection, Search
 from truearm.types import Floats
 
@@ -144,12 +144,9 @@ def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design,
 
 def explanations(detection: Detection, result: Search) -> tuple[Part, ...]:
     """Return the finding and its rivals by their probability, beside all other findings."""
-    design = result.design.without_extensions.extended(result.beside(detection))
-    before = (detection.best, *detection.rivals)
-    options = [weigh(weighed.hypothesis, design) for weighed in before]
-    # The evidence of a refined step is a mean over all of its ends.
-    refined = [weighed.log_evidence - log_mean(weighed.by_scale) for weighed in before]
-    log = np.array([weighed.log_evidence for weighed in options]) + refined
+    design = result.bare.extended(result.beside(detection))
+    options = [weigh(weighed.hypothesis, design) for weighed in (detection.best, *detection.rivals)]
+    log = np.array([weighed.log_evidence for weighed in options])
     weights = np.exp(log - special.logsumexp(log)).tolist()
     pairs = zip(options, weights, strict=True)
     return tuple(explanation(weighed, weight, design, result.fitted, is_named=True) for weighed, weight in pairs)

@@ -38,13 +38,19 @@ class Candidates(NamedTuple):
 
     ``spans`` (c, 2) are the first row that each concerns and the one after the last. ``drifts`` are what each is linear
     in, None if it settles. Steps and runs are differences of ``profiles`` by their numbers in ``pairs`` (c, 2): few rows
-    begin or end many spans.
+    begin or end many spans. ``among``: how many spans are equally probable, if these are not all of them.
     """
 
     profiles: Floats
     spans: Indices
     drifts: tuple[DriftWith | None, ...] = ()
     pairs: Indices | None = None
+    among: float | None = None
+
+    @property
+    def number(self) -> float:
+        """Return of how many equally probable candidates these are all, or some."""
+        return self.among or len(self.spans)
 
     def of_profiles(self, values: Floats) -> Floats:
         """Return what each candidate has of ``values`` (p, …) that each profile has."""
@@ -73,11 +79,6 @@ class Hypothesis:
     def name(self) -> str:
         return f"{self.item}.{self.form}"
 
-    @property
-    def count(self) -> int:
-        """Return the number of candidates."""
-        return len(self.candidates.profiles if self.candidates.pairs is None else self.candidates.pairs)
-
     def candidate(self, number: int, row: int | None = None) -> Floats:
         """Return the columns (m, d) of a candidate; with a ``row``, as if all were measured when that one was."""
         profile = self.candidates.of_profiles(self.candidates.profiles)[number]
@@ -98,9 +99,9 @@ class Catalogue:
         self.hypotheses: list[Hypothesis] = []
         self.always = Candidates(np.ones((1, fit.n)), np.array([[0, fit.n]]))
         self.drifts = drifts_of(fit)
-        knots = away_from_edges(np.unique(np.linspace(0, fit.n, KNOTS).astype(np.intp)), fit)
-        spans = np.stack([knots[edge] for edge in np.triu_indices(knots.size, 1)], axis=1)
-        self.runs = spans_of(spans[np.ptp(spans, axis=1) < fit.n], fit.n)
+        # Inside the rows: a run that ends with them is a step.
+        knots = away_from_edges(np.unique(np.linspace(0, fit.n, KNOTS)[1:-1].astype(np.intp)), fit)
+        self.runs = spans_of(np.stack([knots[edge] for edge in np.triu_indices(knots.size, 1)], axis=1), fit.n)
 
     def add(
         self,
@@ -194,7 +195,7 @@ def add_joints(out: Catalogue) -> None:
         reading = q[:, number][fit.row]
         z = (reading - reading.mean()) / max(float(reading.std()), 1e-9)
         polynomial = columns * np.stack([z, z**2, z**3], axis=1) * TYPICAL[units[0]]
-        out.add(name, "step", columns, units, out.steps(columns))  # before a run, which may be one with an offset
+        out.add(name, "step", columns, units, out.steps(columns))
         out.add(name, "run", columns, units, out.runs)
         out.add(name, "drift", columns, units, out.drifts)
         for form, drift in LAST_MOVE.items():
@@ -255,11 +256,11 @@ def drifts_of(fit: WhitenedFit) -> Candidates:
     return Candidates(np.concatenate(profiles), np.concatenate(spans), tuple(drifts))
 
 
-def spans_of(spans: Indices, n: int) -> Candidates:
+def spans_of(spans: Indices, n: int, among: float | None = None) -> Candidates:
     """Return candidates by which an item is off from a row up to but excluding another, at least LEAST_ROWS later."""
     spans = spans[np.diff(spans)[:, 0] >= LEAST_ROWS]
     edges, pairs = np.unique(spans, return_inverse=True)
-    return Candidates((np.arange(n) < edges[:, None]).astype(float), spans, pairs=pairs.reshape(-1, 2))
+    return Candidates((np.arange(n) < edges[:, None]).astype(float), spans, (), pairs.reshape(-1, 2), among)
 
 
 def away_from_edges(rows: Indices, fit: WhitenedFit) -> Indices:

@@ -11,7 +11,7 @@ and β ~ N(0, s²I) in units of the typical size. All of it follows from the eig
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -50,8 +50,6 @@ class Design:
     root: Floats  # (k, ·) S with Q = jac S for the parameters alone, so that S Sᵀ is their covariance
     remainder: Floats  # (m + κ,) (I − QQᵀ) residual
     freedom: float  # residuals minus what they determine
-    before: Design | None = None  # without the last of the further columns
-    sums: dict[Hypothesis, Sums] = field(default_factory=dict)  # of hypotheses beside this design
 
     @property
     def chi2(self) -> float:
@@ -62,16 +60,10 @@ class Design:
         """Return the variance of the noise: 1 as declared, otherwise that of the rest."""
         return 1.0 if self.kernel.declared else max(self.chi2 / max(self.freedom, 1.0), 1e-12)
 
-    @property
-    def without_extensions(self) -> Design:
-        return self if self.before is None else self.before.without_extensions
-
     @cached_property
     def follow(self) -> Floats:
-        """Return the dual (m, r + 1) of the last columns of the basis, and of the remainder."""
-        own = self.basis[:, 0 if self.before is None else self.before.basis.shape[1] :]
-        whole = np.concatenate([own, self.remainder[:, None]], axis=1)
-        return self.kernel.dual(whole[: self.fit.residual.size])
+        """Return the dual (m, r + 1) of the basis and the remainder."""
+        return self.kernel.dual(np.column_stack([self.basis, self.remainder])[: self.fit.residual.size])
 
     def without(self, columns: Floats) -> Floats:
         """Return columns (m, d) divided by the noise, (m + κ, d), without what the design follows."""
@@ -96,8 +88,6 @@ class Design:
             basis=np.concatenate([padded, added], axis=1),
             remainder=remainder - added @ (added.T @ remainder),
             freedom=self.freedom - float((added[: self.fit.residual.size] ** 2).sum()),
-            before=self,
-            sums={},
         )
 
 
@@ -164,19 +154,10 @@ def moments(hypothesis: Hypothesis, design: Design) -> Moments:
 
 
 def sums_of(hypothesis: Hypothesis, design: Design) -> Sums:
-    """Return the sums of a hypothesis' candidates beside a design: those before its last columns, less what these follow."""
-    if hypothesis in design.sums:
-        return design.sums[hypothesis]
-    cross = products(hypothesis, design.follow)
-    if design.before is None:
-        square = squares(hypothesis, design.kernel)
-        d = hypothesis.sizes.size
-        size = np.maximum(np.trace(square[:, :d, :d], axis1=1, axis2=2), 1e-300)
-    else:
-        square, _, size = sums_of(hypothesis, design.before)
-    followed = cross[..., :-1]
-    sums = design.sums[hypothesis] = Sums(square - followed @ followed.swapaxes(1, 2), cross[..., -1], size)
-    return sums
+    """Return the sums of a hypothesis' candidates beside a design."""
+    square, cross, d = squares(hypothesis, design.kernel), products(hypothesis, design.follow), hypothesis.sizes.size
+    size = np.maximum(np.trace(square[:, :d, :d], axis1=1, axis2=2), 1e-300)
+    return Sums(square - cross[..., :-1] @ cross[..., :-1].swapaxes(1, 2), cross[..., -1], size)
 
 
 def products(hypothesis: Hypothesis, vectors: Floats, power: int = 1) -> Floats:
@@ -194,10 +175,14 @@ def squares(hypothesis: Hypothesis, kernel: Kernel) -> Floats:
     """Return CᵀC (c, d, d) of the candidates, divided by the noise."""
     if not kernel.shared:
         return products(hypothesis, hypothesis.columns / kernel.scale**2, power=2)
-    every = hypothesis.columns[:, None] * hypothesis.candidates.profiles.T[hypothesis.fit.row, :, None]
-    whitened = kernel.whiten(every.reshape(len(every), -1)).reshape(every.shape).swapaxes(0, 1)
-    whitened = hypothesis.candidates.of_profiles(whitened)
-    return np.asarray(whitened.swapaxes(1, 2) @ whitened)
+    profiles, pairs = hypothesis.candidates.profiles, hypothesis.candidates.pairs
+    every = hypothesis.columns[:, None] * profiles.T[hypothesis.fit.row, :, None]
+    whitened = kernel.whiten(every.reshape(len(every), -1))
+    gram = (whitened.T @ whitened).reshape(*every.shape[1:], *every.shape[1:]).swapaxes(1, 2)
+    if pairs is None:
+        return np.asarray(gram[np.arange(len(gram)), np.arange(len(gram))])
+    first, last = pairs.T
+    return np.asarray(gram[last, last] - gram[last, first] - gram[first, last] + gram[first, first])
 
 
 def weigh(hypothesis: Hypothesis, design: Design) -> Weighed:
@@ -216,16 +201,11 @@ def weigh(hypothesis: Hypothesis, design: Design) -> Weighed:
         sums,
         by_scale,
         best,
-        log_mean(by_scale),
+        float(np.logaddexp.reduce(by_scale, axis=None)) - math.log(SCALES.size * hypothesis.candidates.number),
         float(drop[best]),
         int(freedom[best]),
         min(float(chance.min()) + float(np.log(chance.size)), 0.0),
     )
-
-
-def log_mean(logarithms: Floats) -> float:
-    """Return the logarithm of the mean of numbers by their logarithms."""
-    return float(np.logaddexp.reduce(logarithms, axis=None)) - math.log(logarithms.size)
 
 
 def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:

@@ -90,22 +90,8 @@ def examined(
         problem = only(problem, estimate.weight[fitted] > 0.0)
     how = measured_order(table, chain, fitted)
     fit = whitened_fit(problem, estimate.value, estimate.free, how, estimate.law_parameters)
-    if is_distorted(fit):
-        return None
-    result = checked(fit)
     gram = tool_gram(chain, rig, table.select(fitted), estimate, any_base)
-    average = averaged(result, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)])
-    kernel = result.design.kernel
-    declared = build_design(fit, DECLARED, fit.wide_prior).extended(columns_of(result.detections, fit))
-    claim = ToolClaim(
-        *average.parts(),
-        kernel.name,
-        kernel.scale,
-        declared.chi2 / max(declared.freedom, 1.0),
-        unseen(result, average),
-        result.refused,
-    )
-    return Examination(diagnoses(result, average, table), claim, average, estimate.free)
+    return of_fit(fit, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)], table, estimate.free)
 
 
 def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> tuple[Diagnosis, ...]:
@@ -118,17 +104,27 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     prior = np.column_stack([fit.prior[:, :-1] @ ways.matrix, fit.prior[:, -1]])
     prior = np.concatenate([prior, np.eye(ways.known, k + 1)])
     fit = replace(fit, jac=fit.jac @ ways.matrix, prior=prior, wide_prior=prior, arm={})
-    if is_distorted(fit):
-        return ()
+    examination = of_fit(fit, np.zeros((k, k)), np.zeros((k, k)), table, np.ones(k, dtype=bool))
+    return examination.faults if examination else ()
+
+
+def of_fit(
+    fit: WhitenedFit, gram: Floats, covariance: Floats, table: ObservationTable, free: Mask
+) -> Examination | None:
+    """Return the examination of a fit with the ``covariance`` (k, k); ``gram`` (k, k) [m²] is what moves the tool.
+
+    None for a fit without a degree of freedom, or one too far from its rows for an analysis of first order.
+    """
+    chi2 = float(fit.residual @ fit.residual)
+    if fit.residual.size <= fit.jac.shape[1] or not chi2 <= GROSS**2 * fit.residual.size:
+        return None
     result = checked(fit)
-    return diagnoses(result, averaged(result, np.zeros((k, k)), np.zeros((k, k))), table)
-
-
-def is_distorted(fit: WhitenedFit) -> bool:
-    """Return whether a fit has no degree of freedom, or is too far from its rows for an analysis of first order."""
-    if fit.residual.size <= fit.jac.shape[1] or not np.isfinite(fit.residual).all():
-        return True
-    return float(fit.residual @ fit.residual) > GROSS**2 * fit.residual.size
+    average, kernel = averaged(result, gram, covariance), result.design.kernel
+    declared = build_design(fit, DECLARED, fit.wide_prior).extended(columns_of(result.detections, fit))
+    chi2_reduced = declared.chi2 / max(declared.freedom, 1.0)
+    noise = kernel.name, kernel.scale, chi2_reduced
+    claim = ToolClaim(*average.parts(), *noise, unseen(result, average), result.refused)
+    return Examination(diagnoses(result, average, table), claim, average, free)
 
 
 def diagnoses(result: Search, average: Average, table: ObservationTable) -> tuple[Diagnosis, ...]:

@@ -31,20 +31,15 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     row = np.searchsorted(rows, fit.row[inside])
     few = replace(fit, row=row, component=fit.component[inside], jac=fit.jac[inside], residual=fit.residual[inside])
     shapes = [(name, width) for name, width in SHAPES if name != "mount" or np.unique(fit.how.run[rows]).size > 1]
-    kernels = [Kernel("white")]
-    for name, width in shapes:
-        shared = shared_noise(few, similarity(fit, rows, name, width))
-        kernels += [Kernel(name, share=share, shared=shared) for share in SHARES]
-    (declared, _), *likelihoods = (likelihood(few, kernel) for kernel in (DECLARED, *kernels))
+    choices = [("white", 0.0, 0.0), *((*shape, share) for shape in shapes for share in SHARES)]
+    declared, _ = likelihood(few, DECLARED)
+    likelihoods = [likelihood(few, kernel_of(few, rows, *choice)) for choice in choices]
     best = first_within([value for value, _ in likelihoods])
     value, scale = likelihoods[best]
-    kernel, gain = kernels[best], value - declared - math.log(len(kernels))
+    gain = value - declared - math.log(len(choices))
     if gain <= 0.0:
         return DECLARED
-    if kernel.shared:
-        similar = similarity(fit, np.arange(fit.n), *shapes[(best - 1) // len(SHARES)])
-        kernel = replace(kernel, shared=shared_noise(fit, similar))
-    return replace(kernel, scale=scale, gain=gain)
+    return replace(kernel_of(fit, np.arange(fit.n), *choices[best]), scale=scale, gain=gain)
 
 
 def likelihood(fit: WhitenedFit, kernel: Kernel) -> tuple[float, float]:
@@ -87,12 +82,18 @@ def similarity(fit: WhitenedFit, rows: Indices, name: str, width: float) -> Floa
     return np.asarray(np.exp(-0.5 * np.maximum(square[:, None] + square - 2.0 * z @ z.T, 0.0) / width**2))
 
 
-def shared_noise(fit: WhitenedFit, similar: Floats) -> tuple[SharedNoise, ...]:
-    """Return what rows share by their similarity K (n, n), once for all components that the same rows have."""
+def kernel_of(fit: WhitenedFit, rows: Indices, name: str, width: float, share: float) -> Kernel:
+    """Return (1 − share) I + share K over the ``rows`` of a fit, once for all components that the same rows have."""
+    if not share:
+        return Kernel(name)
+    covariance = (1.0 - share) * np.eye(rows.size) + share * similarity(fit, rows, name, width)
     sets: dict[bytes, list[Indices]] = {}
     for number in np.unique(fit.component):
         residuals = np.flatnonzero(fit.component == number)
         sets.setdefault(fit.row[residuals].tobytes(), []).append(residuals)
-    rows = [fit.row[members[0]] for members in sets.values()]
-    spectra = [np.linalg.eigh(similar[np.ix_(mine, mine)]) for mine in rows]
-    return tuple(SharedNoise(np.array(m), *spectrum) for m, spectrum in zip(sets.values(), spectra, strict=True))
+    stacks = [np.stack(members, axis=1) for members in sets.values()]
+    of_rows = (fit.row[residuals[:, 0]] for residuals in stacks)
+    roots = (linalg.cholesky(covariance[np.ix_(mine, mine)], lower=True) for mine in of_rows)
+    return Kernel(
+        name, shared=tuple(SharedNoise(residuals, root) for residuals, root in zip(stacks, roots, strict=True))
+    )

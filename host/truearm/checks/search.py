@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from truearm.checks.catalogue import LEAST_ROWS, Hypothesis, catalogue, rows_used, spans_of
+from truearm.checks.catalogue import Hypothesis, catalogue, rows_used, spans_of
 from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, weigh
 from truearm.checks.held_out import chance, left_out, left_out_blocks
 from truearm.checks.noise import learned_noise
@@ -42,6 +42,7 @@ class Search:
     detections: tuple[Detection, ...]
     design: Design
     table: tuple[Weighed, ...]
+    bare: Design  # without findings
     fitted: Design  # as the parameters were fitted, without findings
     block: Indices  # (m,) of residuals to leave out together
     refused: tuple[str, ...] = ()  # beyond chance, but they do not predict rows that were left out
@@ -105,7 +106,7 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
         table = tuple(weigh(hypothesis, design) for hypothesis in hypotheses)
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count)}
         if not significant or refused or len(detections) == MOST_FINDINGS:
-            return Search(tuple(detections), design, table, fitted, block, refused)
+            return Search(tuple(detections), design, table, bare, fitted, block, refused)
         detection = detected(significant, table, design)
         before = fitted.extended(columns_of(detections, fit))
         after = left_out(before.extended(detection.best.columns), block)
@@ -145,28 +146,21 @@ def is_same(first: Weighed, second: Weighed, design: Design) -> bool:
 
 
 def refined(best: Weighed, design: Design) -> Weighed:
-    """Return a step or run with its ends moved row by row between the knots.
+    """Return a step or run with its ends at any rows between the next knots, if that has more evidence.
 
-    Its evidence is a mean over all rows at which its ends may lie: at least that of the best ends over their
-    number. A large error has its ends at certain rows, and between two knots far less evidence.
+    Its evidence is a mean over all rows at which its ends may lie. A large error has its ends at certain rows, and
+    between two knots far less evidence.
     """
     hypothesis, n = best.hypothesis, design.fit.n
     if hypothesis.candidates.pairs is None:
         return best
-    spans = hypothesis.candidates.spans
-    rows, span = rows_used(hypothesis.columns, design.fit), spans[best.best]
-    for side in (0, 1, 0):
-        if span[side] in (0, n):
-            continue
-        knots = np.unique(spans[:, side])
-        index = int(np.searchsorted(knots, spans[best.best, side]))
-        near = knots[max(index - 1, 0) : index + 2]
-        ends = np.unique(np.append(rows[(rows >= near[0]) & (rows <= near[-1])], span[side]))
-        tried = np.tile(span, (ends.size, 1))
-        tried[:, side] = ends
-        tried = tried[np.diff(tried)[:, 0] >= LEAST_ROWS]
-        span = tried[weigh(replace(hypothesis, candidates=spans_of(tried, n)), design).best]
-    fine = weigh(replace(hypothesis, candidates=spans_of(span[None], n)), design)
-    moved = int(np.count_nonzero((span > 0) & (span < n)))
-    apart = fine.log_evidence - math.log(rows.size**moved / max(moved, 1))
-    return fine._replace(log_evidence=max(best.log_evidence, apart), log_chance=best.log_chance)
+    rows, spans = rows_used(hypothesis.columns, design.fit), hypothesis.candidates.spans
+    ends = []
+    for end, knots in zip(spans[best.best].tolist(), map(np.unique, spans.T), strict=True):
+        index = int(np.searchsorted(knots, end))
+        first, last = knots[[max(index - 1, 0), min(index + 1, knots.size - 1)]]
+        ends.append(np.union1d(rows[(first <= rows) & (rows <= last)], end))
+    moved = sum(near.size > 1 for near in ends)
+    tried = np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2)
+    fine = weigh(replace(hypothesis, candidates=spans_of(tried, n, rows.size**moved / max(moved, 1))), design)
+    return max(best, fine, key=lambda weighed: weighed.log_evidence)

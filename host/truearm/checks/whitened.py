@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.measured_order import Measured
@@ -77,20 +78,18 @@ class WhitenedFit:
 
 
 class SharedNoise(NamedTuple):
-    """What components that the same n' rows have share: their residuals (c, n'); eigenvalues and vectors of K (n', n')."""
+    """Noise of c components that the same n' rows have: their residuals (n', c), and L (n', n') of V = L Lᵀ."""
 
     residuals: Indices
-    values: Floats
-    vectors: Floats
+    root: Floats
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """The noise of the rows in units of the declared one: V = (1 − share) I + share K = U v Uᵀ = L Lᵀ, with L = U v^½."""
+    """The noise of the rows, V times the square of a scale, in units of the declared one."""
 
     name: str = "declared"
     scale: float = 1.0  # ratio of its standard deviation to the declared one
-    share: float = 0.0  # of the variance that rows share
     gain: float = 0.0  # nats over the declared noise, less the price
     shared: tuple[SharedNoise, ...] = field(default=(), repr=False)
 
@@ -101,32 +100,24 @@ class Kernel:
     @property
     def log_determinant(self) -> float:
         """Return log det V."""
-        return sum(len(part.residuals) * float(np.log(self._variances(part)).sum()) for part in self.shared)
-
-    @cached_property
-    def inverses(self) -> list[Floats]:
-        """Return L⁻¹ (n', n') of each part."""
-        return [part.vectors.T / np.sqrt(self._variances(part))[:, None] for part in self.shared]
+        return float(sum(2.0 * residuals.shape[1] * np.log(np.diag(root)).sum() for residuals, root in self.shared))
 
     def whiten(self, columns: Floats) -> Floats:
         """Return columns (m, d) divided by the root of the noise's covariance."""
-        return self._product(self.inverses, columns / self.scale)
+        return self._of_each(partial(linalg.solve_triangular, lower=True), columns / self.scale)
 
     def dual(self, vectors: Floats) -> Floats:
         """Return L⁻ᵀ vectors (m, x): the product of whitened columns with vectors is that of the columns with these."""
-        return self._product([inverse.T for inverse in self.inverses], vectors / self.scale)
+        return self._of_each(partial(linalg.solve_triangular, lower=True, trans="T"), vectors / self.scale)
 
     def spread(self, columns: Floats) -> Floats:
         """Return Lᵀ columns (m, d): their Gram matrix is columnsᵀ V columns."""
-        roots = [np.sqrt(self._variances(part))[:, None] * part.vectors.T for part in self.shared]
-        return self._product(roots, columns * self.scale)
+        return self._of_each(lambda root, by_row: root.T @ by_row, columns * self.scale)
 
-    def _variances(self, part: SharedNoise) -> Floats:
-        return 1.0 - self.share + self.share * np.maximum(part.values, 1e-9)
-
-    def _product(self, matrices: Sequence[Floats], vectors: Floats) -> Floats:
-        for part, matrix in zip(self.shared, matrices, strict=True):
-            vectors[part.residuals] = matrix @ vectors[part.residuals]
+    def _of_each(self, product: Callable[[Floats, Floats], Floats], vectors: Floats) -> Floats:
+        for residuals, root in self.shared:
+            by_row = vectors[residuals]
+            vectors[residuals] = product(root, by_row.reshape(len(root), -1)).reshape(by_row.shape)
         return vectors
 
 
