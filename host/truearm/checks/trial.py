@@ -35,6 +35,7 @@ FEW_ROWS = 60  # that rank interpretations before the robot is fitted
 MOST_ROWS = 200  # of a fit of the robot
 STEPS = 20
 STEPS_TO_PLACE = 8  # if only base, tool and rig are placed
+DAMPING = 0.1  # at the start: full steps far from the minimum are refused, one after the other
 WORTH = 0.01  # of χ², by all of the last steps: wrong inputs are wrong by centimetres
 LEVEL = 1e-3  # probability that any interpretation explains correct inputs
 HUNDREDFOLD = 0.01  # of χ²
@@ -172,7 +173,7 @@ def _trial(
             n = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
             log_jacobian = sum(np.isfinite(table[name]).sum() * math.log(factor) for name, factor in rescaled)
             price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike fit in any larger unit
-            solution = fit(problem, columns, problem.at(start or {}), idle_options(steps))
+            solution = fit(problem, columns, problem.at(start or {}), idle_options(steps), DAMPING)
             shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
             quality = goodness(*of_data(problem, columns, solution), shares)
     except (ProblemError, np.linalg.LinAlgError):
