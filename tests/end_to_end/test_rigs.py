@@ -101,7 +101,7 @@ def test_both_rigs_may_be_given_and_are_saved_with_the_rows(days, tmp_path):
 def test_names_that_fit_nothing_are_told(days, tmp_path):
     write_rig(tmp_path / "m.toml", standard_rig())
     rig = tmp_path / "m.toml"
-    assert "no session has that name" in told(days, "--rig", f"wednesday={rig}")
+    assert f"--rig wednesday={rig}: " in told(days, "--rig", f"wednesday={rig}")
     other = tmp_path / "monday.mcap"
     other.write_bytes((days / "tuesday.mcap").read_bytes())
     two = truearm("identify", days / "monday.mcap", other, "--model", "puma560")

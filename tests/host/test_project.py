@@ -26,6 +26,7 @@ from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import reach
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
+from truearm.results import Unusable
 from truearm.workflows.project import results_of, sessions_of
 
 
@@ -301,9 +302,9 @@ def test_status_names_a_fit_that_converged_and_is_not_usable(project, files, run
     few.write_text("".join((files / "poses.csv").read_text().splitlines(keepends=True)[:7]))
     assert run("identify", few, "--rig", files / "rig.toml").code == 3
     said = run("status").out
-    assert "usable (no degrees" in said
+    assert f"({Unusable.NO_FREEDOM})" in said
     (result,) = json.loads(run("status", "--json").out)["results"]
-    assert (result["status"], result["unusable_because"]) == ("converged", "no degrees of freedom")
+    assert (result["status"], result["unusable_because"]) == ("converged", Unusable.NO_FREEDOM)
     assert "truearm correct" not in said
 
 
