@@ -1,6 +1,7 @@
 """``truearm export``: with the exported file the true robot reaches its targets; real data; bad input."""
 
 import json
+import runpy
 from pathlib import Path
 
 import correct_bench
@@ -141,6 +142,16 @@ def test_rows_of_an_arm_with_parallel_axes_hold_everything(result, tmp_path, run
     np.testing.assert_allclose(
         forward(again, again.params_nominal, q), forward(calibration.chain, calibration.identified, q), atol=1e-9
     )
+
+
+def test_an_evaluator_of_a_result_holds_its_gains_too(result, tmp_path, run):
+    code, out, _ = run("export", result, "--format", "evaluator-python", "--out", tmp_path / "arm.py")
+    assert code == 0
+    assert "holds everything" in out
+    arm = runpy.run_path(str(tmp_path / "arm.py"))
+    q = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
+    np.testing.assert_allclose(arm["forward"](q), truearm.read_result(result).forward(q)[:3], atol=1e-12)
+    assert run("export", result, "--format", "evaluator-c", "--out", tmp_path / "arm.py")[0] == 2
 
 
 BOMB = '<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>'

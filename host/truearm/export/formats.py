@@ -43,6 +43,12 @@ FORMATS: Mapping[str, Format] = {
         ("offset", "gain"),
     ),
     "mdh": Format("toml_tables:write_mdh", ".toml", "Craig's rows", ("offset", "gain")),
+    "evaluator-c": Format(
+        "evaluator:write_c", ".c", "the arm with its joint laws as a C99 file", ("offset", "gain", "curve", "sag")
+    ),
+    "evaluator-python": Format(
+        "evaluator:write_python", ".py", "the same as a Python file", ("offset", "gain", "curve", "sag")
+    ),
     "sheth-uicker": Format("toml_tables:write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain")),
 }
 
