@@ -8,7 +8,7 @@ The paths along the chain found are then checked at every sample, and an edge th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -35,10 +35,18 @@ class Roadmap:
     pairing: Pairing
     stock: Floats
     edges: Floats
+    legs: dict[bytes, Floats | None] = field(default_factory=dict)  # that were tried: successive plans share most
+
+    def leg(self, start: Floats, end: Floats) -> Floats | None:
+        """Return the result of ``way_with_bar`` between two poses."""
+        ends = start.tobytes() + end.tobytes()
+        if ends not in self.legs:
+            self.legs[ends] = way_with_bar(self.site, start, end, self.pairing)
+        return self.legs[ends]
 
     def way(self, start: Floats, end: Floats) -> Floats | None:
         """Return via points (v, j) of a path with the bar on, straight or over candidates; None if there is none."""
-        straight = way_with_bar(self.site, start, end, self.pairing)
+        straight = self.leg(start, end)
         return straight if straight is not None else _around(self, start, end)
 
     @property
@@ -84,7 +92,7 @@ def _around(roadmap: Roadmap, start: Floats, end: Floats) -> Floats | None:
         chain.reverse()
         parts: list[Floats] = []
         for a, b in pairwise(chain):
-            leg = way_with_bar(roadmap.site, q[a], q[b], roadmap.pairing)
+            leg = roadmap.leg(q[a], q[b])
             if leg is None:
                 graph[a, b] = graph[b, a] = 0.0
                 break
