@@ -34,6 +34,7 @@ from truearm.units import MM
 
 SAMPLES = 100  # of each of the two joints: initial cells
 MOST_CELLS = 250_000
+BLOCK = 4000  # cells whose derivatives are held at once: 3 × 54 each take 5 MB
 NEWTON_STEPS = 6  # from a neighbour one cell away they square the error, 25 mm, down to rounding
 LARGEST_STEP = 0.3  # rad
 ROUNDING = 1e-9  # m, at the edge of a cell
@@ -122,11 +123,13 @@ def error_map(
     q_grid[at[:, 1], at[:, 0]] = samples
     middles = np.stack(np.meshgrid(u, v), axis=-1)
     _spread(lambda start, goal: _reach(pair, start, goal, joints, axes, side, cell), q_grid, middles)
-    full = np.nonzero(~np.isnan(q_grid[..., 0]))
+    rows, columns = np.nonzero(~np.isnan(q_grid[..., 0]))
     point, error, sigma = (np.full((v.size, u.size, *more), np.nan) for more in ((3,), (), ()))
-    point[full] = believed(pair, q_grid[full])[:, :3, 3]
-    error[full] = np.linalg.norm(reached(pair, q_grid[full])[:, :3, 3] - point[full], axis=1)
-    sigma[full] = _sigma(pair, q_grid[full], covariance, unseen)
+    for first in range(0, rows.size, BLOCK):
+        part = rows[first : first + BLOCK], columns[first : first + BLOCK]
+        point[part] = believed(pair, q_grid[part])[:, :3, 3]
+        error[part] = np.linalg.norm(reached(pair, q_grid[part])[:, :3, 3] - point[part], axis=1)
+        sigma[part] = _sigma(pair, q_grid[part], covariance, unseen)
     return ErrorMap(u, v, axes, q_grid, point, error, sigma)
 
 
