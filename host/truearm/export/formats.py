@@ -31,6 +31,7 @@ class Format(NamedTuple):
 
 FORMATS: Mapping[str, Format] = {
     "urdf": Format("urdf:write", ".urdf", "the robot's own URDF with other origins, or a new one", ("offset",)),
+    "mjcf": Format("mjcf:write", ".xml", "MuJoCo's MJCF", ("offset",)),
     "ur": Format("ur:write", ".yaml", "Universal Robots' kinematics", ("offset",), mountings=False),
     "calibration-conf": Format(
         "ur:write_conf", ".conf", "Universal Robots' controller's own file", ("offset",), mountings=False

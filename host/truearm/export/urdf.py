@@ -219,7 +219,7 @@ def _numbers(values: tuple[float, ...]) -> str:
 def new_urdf(robot: LinkFrames, comment: str = "") -> str:
     """Return a URDF of a chain of any convention. Raises RobotError for gains, which a URDF cannot hold."""
     check_gains(robot, "a URDF")
-    names = _link_names(robot)
+    names = link_names(robot)
     origins = [robot.links[0], *robot.links[1:-1]]
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(robot.name)}>"]
     if comment:
@@ -246,7 +246,7 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
     return "\n".join([*lines, "</robot>", ""])
 
 
-def _link_names(robot: LinkFrames) -> list[str]:
+def link_names(robot: LinkFrames) -> list[str]:
     """Return base frame, robot base, a link after each joint, flange and end frame; all different."""
     inner = ["robot_base", *(f"link{i + 1}" for i in range(len(robot.joints))), "robot_flange"]
     first = _other_than(set(inner), robot.base_frame)
