@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from truearm import option_defaults
 from truearm.errors import ProblemError
 from truearm.estimate.bad_rows import MOST as MOST_BAD
-from truearm.estimate.bad_rows import without_bad_rows
+from truearm.estimate.bad_rows import WithoutBad, without_bad_rows
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
@@ -48,13 +49,23 @@ from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.systematic_effects import Modelled
-from truearm.estimate.uncertainty import goodness, prior_shares
+from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, weighted_chi2
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
-from truearm.types import Floats, Residuals, Rigs, not_left_out
+from truearm.results import (
+    Addition,
+    Effect,
+    Estimate,
+    Figures,
+    HeldOut,
+    MeanError,
+    NullDirection,
+    Observability,
+    ResidualParts,
+)
+from truearm.types import Floats, Indices, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
@@ -117,18 +128,8 @@ def identify(
     solver without losses, and for the same reasons as ``build_problem``. Rank and convergence are fields of the result.
     """
     started = time.perf_counter()
-    free = _mask("free", free, len(chain.parameters), default=True)
-    held = _mask("hold_out", hold_out, len(table), default=False)
-    prefer = _mask("prefer", prefer, len(chain.parameters), default=False)
-    _check_choice(options.solver, options.loss, options.damping)
-    left_out = rows_left_out(options.leave_out, len(table))
-    held = held & ~left_out
-    fitted = ~(held | left_out)
-    if not fitted.any():
-        raise ProblemError("nothing-left", what="observations")
-    modelled = modelled_of(chain, rig, table, options.effects)
-    problem = build_problem(chain, rig, table.select(fitted), prior_sigma, [one.select(fitted) for one in modelled])
-    columns = problem.columns(free)
+    task = _task(chain, rig, table, (free, prefer), hold_out, prior_sigma, options)
+    problem, columns, fitted, held = task.problem, task.columns, task.fitted, task.held
     history: list[dict[str, float]] = []
 
     def on_step(iteration: int, residual: Residuals) -> None:
@@ -136,79 +137,21 @@ def identify(
         if options.progress is not None:
             options.progress(iteration, history[-1])
 
-    x_raw, raw = _raw(problem, options.max_iterations)
-    gross = np.zeros(problem.n_rows, dtype=bool)
-    rejects = options.reject and SOLVERS[options.solver].has_loss and options.loss == Loss.LINEAR
-    of_rig = problem.of_rig
-    if options.outliers is not None:
-        gross = options.outliers[fitted]
-        x_raw = fit(only(problem, ~gross), of_rig, x_raw, Options()).x if of_rig.any() else x_raw
-    elif rejects:
-        gross, x_raw = gross_rows(problem, of_rig, x_raw)
-    raw = observe(problem, x_raw, columns).residual if gross.any() else raw
-    pose = poses(table.select(fitted))
-    nominal = _before(problem, columns, x_raw, raw, gross)
-    how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
-    # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
-    start = x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
-    solve = solver_of(options.solver)
-    found = every = solve(problem, columns, start, how_to)
-    begun = solve(only(problem, ~gross), columns, start, how_to._replace(on_step=None)) if gross.any() else every
-    rejected = None
-    if options.outliers is not None:
-        found = weightless(problem, columns, begun, ~gross)
-    elif rejects and begun.status == "converged":
-        rejected = without_outliers(problem, columns, begun, how_to, gross)
-        found = rejected.found if rejected is not None and rejected.explained else every
-    x, information = found.x, found.information
-    parts = spectrum(information.root)
-    shares = prior_shares(half(parts), found.prior_sigma)
-    unweighted = goodness(*of_data(problem, columns, found), shares)
-    loss = Loss(options.loss)
-    rows = row_errors(problem, x, columns, half(parts), found.weight, pose)
-    distance, beyond = rows.distance, rows.beyond
-    fit_quality, bad = unweighted, None
-    if rejects and found is every and found.status == "converged" and not fit_quality.explained:
-        bad = without_bad_rows(problem, columns, found, fit_quality, how_to)
-    if loss is not Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
-        tolerated = only(problem, ~beyond if beyond.mean() <= MOST_BAD else np.ones_like(beyond))
-        fit_quality = goodness(*weighted_chi2(tolerated, x, loss), shares)
-    taken = only(problem, found.weight > 0.0)
-    still = settled(taken, x)
-    data = of_rows(still, x, columns)
-    names = problem.names_of(columns)
-    sight = determined(still, x, columns, modelled, data.root)
-    suggested = suggested_free(data.root, int(free.sum()), prefer[free])
-    unit = weak_prior(chain)[free]
-    weak = hardly_seen(data.root, suggested.size, unit, names)
-    only_weak = suggested.all() and len(weak) > 0
-    wanting = (identifiable_columns(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
-    untimed = _untimed(data.root, names)
-    known = dict(zip(problem.names, x, strict=True))
-    if bad is not None:
-        distance, beyond = bad.distance, bad.bad
-    identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
-    matrix = np.zeros((x.size, x.size))
+    nominal = _nominal(task, options)
+    solved = _solved(task, nominal, options, on_step)
+    found, x = solved.found, solved.found.x
+    root = half(spectrum(found.information.root))
+    quality = _quality(task, solved, root, options)
+    sight = _sight(task, x, solved.taken(problem))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
-    as_declared = loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise
-    shared = pose_effect(taken, x, columns, half(parts), pose) if as_declared else None
-    matrix[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
-    held_before, error_before = judged(problem, nominal.x, rig, table, held, modelled)
-    held_after, error_after = judged(problem, x, rig, table, held, modelled)
-    if held_after is not None:
-        unfitted, unfitted_before = (merged({}, error, fitted, held) for error in (error_after, error_before))
-    else:
-        inliers, error = taken, rows.left_out
-        if loss is not Loss.LINEAR:
-            inliers = only(problem, ~beyond)
-            error = left_out_errors(inliers, x, columns, half(parts), pose)
-        robots = error, left_out_errors(inliers, nominal.x, nominal.mounts, nominal.root, pose)
-        unfitted, unfitted_before = (merged(each, {}, fitted, held) for each in robots)
-    if not np.any(columns & ~nominal.mounts):
-        unfitted_before = {}
+    as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
+    shared = pose_effect(solved.taken(problem), x, columns, root, task.pose) if as_declared else None
+    covariance = np.zeros((x.size, x.size))
+    covariance[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
+    unfitted = _unfitted(task, nominal, x, root, quality)
     unexplained: Mapping[str, MeanError] = {}
-    if not fit_quality.explained:
-        unexplained = mean_errors(unfitted, poses(table), held_out=held_after is not None)
+    if not quality.fit.explained:
+        unexplained = mean_errors(unfitted.error, poses(table), held_out=unfitted.after is not None)
     used = not_left_out(found.weight)
     estimate = Estimate(
         status=found.status,
@@ -219,49 +162,271 @@ def identify(
         units=problem.units,
         nominal=problem.start,
         value=x,
-        sigma=np.sqrt(np.where(identifiable, np.diag(matrix), np.nan)),
+        sigma=np.sqrt(np.where(sight.identifiable, np.diag(covariance), np.nan)),
         free=columns,
-        identifiable=identifiable,
-        covariance=matrix,
+        identifiable=sight.identifiable,
+        covariance=covariance,
         n_robot_parameters=problem.n_robot,
         n_observations=problem.n_rows,
-        rank=sight.rank,
-        rank_gap=sight.gap,
-        null_space=sight.null_space,
+        rank=sight.of_rows.rank,
+        rank_gap=sight.of_rows.gap,
+        null_space=sight.of_rows.null_space,
         rms_before=rms_of(nominal.residual, used),
-        rms_raw=rms_of(raw, used),
-        rms_after=rms_of(information.residual, used),
-        rms_history={unit: tuple(rms[unit] for rms in (rms_of(raw), *history)) for unit in raw},
-        chi2_reduced=fit_quality.reduced,
-        held_out=held_after,
-        held_out_before=held_before,
-        residual=merged(information.residual, error_after, fitted, held),
-        residual_before=merged(nominal.residual, error_before, fitted, held),
+        rms_raw=rms_of(nominal.raw, used),
+        rms_after=rms_of(found.information.residual, used),
+        rms_history={unit: tuple(rms[unit] for rms in (rms_of(nominal.raw), *history)) for unit in nominal.raw},
+        chi2_reduced=quality.fit.reduced,
+        held_out=unfitted.after,
+        held_out_before=unfitted.before,
+        residual=merged(found.information.residual, unfitted.of_held, fitted, held),
+        residual_before=merged(nominal.residual, unfitted.of_held_before, fitted, held),
         fitted=fitted,
-        left_out=left_out,
+        left_out=task.left_out,
         seconds=0.0,
         loss=options.loss,
-        chi2_band=fit_quality.band,
-        chi2_freedom=fit_quality.freedom,
-        distance=_merge(distance, np.nan, fitted, held),
+        chi2_band=quality.fit.band,
+        chi2_freedom=quality.fit.freedom,
+        distance=_merge(quality.distance, np.nan, fitted, held),
         weight=_merge(found.weight, np.nan, fitted, held),
-        outlying=spread((found if rejected is None else rejected.found).weight == 0.0, fitted),
-        suspect=spread(beyond | (found.weight == 0.0), fitted),
-        observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
-        suggested_free=spread(suggested, free),
-        hardly_seen=(*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
-        additions=additions(chain, rig, table.select(fitted), names, data.root, known, *wanting),
+        outlying=spread(solved.outlying, fitted),
+        suspect=spread(quality.beyond | (found.weight == 0.0), fitted),
+        observability=sight.observability,
+        suggested_free=spread(sight.suggested, task.free),
+        hardly_seen=sight.hardly,
+        additions=sight.additions,
         prior_sigma=_prior(problem, columns, found),
         unexplained=unexplained,
-        unfitted_error=unfitted,
-        unfitted_error_before=unfitted_before,
-        with_outliers=None if found is every else with_all_rows(problem, columns, every, found),
-        without_bad_rows=None if bad is None else without_bad(bad, chain, x, table.q[fitted]),
-        parts=rows.parts,
+        unfitted_error=unfitted.error,
+        unfitted_error_before=unfitted.error_before,
+        with_outliers=None if solved.found is solved.every else with_all_rows(problem, columns, solved.every, found),
+        without_bad_rows=quality.bad and without_bad(quality.bad, chain, x, table.q[fitted]),
+        parts=quality.parts,
         pose_error=None if shared is None else shared.error,
-        unseen=sight.unseen,
+        unseen=sight.of_rows.unseen,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
+
+
+class _Task(NamedTuple):
+    """What is to be identified from which rows of a table; ``problem`` has the fitted ones."""
+
+    chain: Chain
+    rig: Rigs
+    table: ObservationTable
+    fitted: NDArray[np.bool_]  # (n,) disjoint, as are the next two
+    held: NDArray[np.bool_]
+    left_out: NDArray[np.bool_]
+    free: NDArray[np.bool_]  # (p,)
+    prefer: NDArray[np.bool_]  # (p,)
+    effects: Sequence[Modelled]
+    problem: Problem
+    columns: NDArray[np.bool_]  # (P,) the free ones of the robot, and the rig's unknowns
+    pose: Indices  # of each fitted row
+
+
+def _task(
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    parameters: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None],
+    hold_out: NDArray[np.bool_] | None,
+    prior_sigma: Mapping[str, float] | Floats | None,
+    options: SolverOptions,
+) -> _Task:
+    """Check the masks, of which ``parameters`` are the free and the preferred ones, and build the problem."""
+    free = _mask("free", parameters[0], len(chain.parameters), default=True)
+    prefer = _mask("prefer", parameters[1], len(chain.parameters), default=False)
+    held = _mask("hold_out", hold_out, len(table), default=False)
+    _check_choice(options.solver, options.loss, options.damping)
+    left_out = rows_left_out(options.leave_out, len(table))
+    held = held & ~left_out
+    fitted = ~(held | left_out)
+    if not fitted.any():
+        raise ProblemError("nothing-left", what="observations")
+    effects, rows = modelled_of(chain, rig, table, options.effects), table.select(fitted)
+    problem = build_problem(chain, rig, rows, prior_sigma, [effect.select(fitted) for effect in effects])
+    columns, pose = problem.columns(free), poses(rows)
+    return _Task(chain, rig, table, fitted, held, left_out, free, prefer, effects, problem, columns, pose)
+
+
+def _rejects(options: SolverOptions) -> bool:
+    return options.reject and SOLVERS[options.solver].has_loss and options.loss == Loss.LINEAR
+
+
+class _Nominal(NamedTuple):
+    """The nominal robot: x (P,) and residuals with the rig fitted to it, and with base and tool placed too.
+
+    ``mounts`` are the columns (P,) that place them, with the rig's, ``root`` is that of their covariance, and ``gross``
+    (n_rows,) are rows that no robot near the nominal one explains.
+    """
+
+    x_raw: Floats
+    raw: Residuals
+    x: Floats
+    residual: Residuals
+    mounts: NDArray[np.bool_]
+    root: Floats
+    gross: NDArray[np.bool_]
+
+
+def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
+    """Return the nominal robot.
+
+    An unmeasured position of a ball or chuck is not an error of the robot. With a guessed rig, the identification would
+    be credited with correcting it. Nor are its errors outliers: that fit has no gate and no robust loss. The mounting of
+    base and tool is not an error of the robot either. It is placed by the rows that are not gross, with only the free
+    parameters that move nothing else.
+    """
+    problem, of_rig = task.problem, task.problem.of_rig
+    x = problem.start
+    if of_rig.any():
+        found = fit(problem, of_rig, x, Options(options.max_iterations, ends=idle(WORTH)))
+        x, raw = found.x, found.information.residual
+    else:
+        raw = observe(problem, x, of_rig).residual
+    gross = np.zeros(problem.n_rows, dtype=bool)
+    if options.outliers is not None:
+        gross = options.outliers[task.fitted]
+        x = fit(only(problem, ~gross), of_rig, x, Options()).x if of_rig.any() else x
+    elif _rejects(options):
+        gross, x = gross_rows(problem, of_rig, x)
+    if gross.any():
+        raw = observe(problem, x, of_rig).residual
+    mounted = mounting(task.chain, x[: problem.n_robot]).either & task.columns[: problem.n_robot]
+    mounts = problem.columns(mounted)
+    if not mounted.any():
+        prior = (problem.start - x)[mounts], problem.prior_sigma[mounts]
+        root = half(spectrum(with_prior(observe(problem, x, mounts), *prior).root))
+        return _Nominal(x, raw, x, raw, mounts, root, gross)
+    found = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH)))
+    residual = observe(problem, found.x, of_rig).residual if gross.any() else found.information.residual
+    return _Nominal(x, raw, found.x, residual, mounts, half(spectrum(found.information.root)), gross)
+
+
+class _Solved(NamedTuple):
+    """The fit, that of all rows (the same, unless outliers were left out), and the rows (n_rows,) that are outlying."""
+
+    found: Solution
+    every: Solution
+    outlying: NDArray[np.bool_]
+
+    def taken(self, problem: Problem) -> Problem:
+        """Return the problem with the rows that the fit used."""
+        return only(problem, self.found.weight > 0.0)
+
+
+def _solved(
+    task: _Task, nominal: _Nominal, options: SolverOptions, on_step: Callable[[int, Residuals], None]
+) -> _Solved:
+    """Solve with all rows, and without outliers where these are to be rejected or are given."""
+    problem, columns, gross = task.problem, task.columns, nominal.gross
+    how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
+    # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
+    start = nominal.x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
+    solve = solver_of(options.solver)
+    every = solve(problem, columns, start, how_to)
+    begun = solve(only(problem, ~gross), columns, start, how_to._replace(on_step=None)) if gross.any() else every
+    if options.outliers is not None:
+        found = weightless(problem, columns, begun, ~gross)
+        return _Solved(found, every, found.weight == 0.0)
+    if _rejects(options) and begun.status == "converged":
+        rejected = without_outliers(problem, columns, begun, how_to, gross)
+        if rejected is not None:
+            return _Solved(rejected.found if rejected.explained else every, every, rejected.found.weight == 0.0)
+    return _Solved(every, every, every.weight == 0.0)
+
+
+class _Quality(NamedTuple):
+    """How well the rows (n_rows,) fit: see ``RowErrors``. ``bad`` are more rows than can be left out, but explain a misfit."""
+
+    fit: Goodness
+    bad: WithoutBad | None
+    distance: Floats
+    beyond: NDArray[np.bool_]
+    left_out: Residuals
+    inliers: Problem
+    parts: Mapping[str, ResidualParts]
+
+
+def _quality(task: _Task, solved: _Solved, root: Floats, options: SolverOptions) -> _Quality:
+    """Judge the rows by a fit, with the covariance ``root @ root.T`` of its unknowns."""
+    problem, columns, found = task.problem, task.columns, solved.found
+    shares = prior_shares(root, found.prior_sigma)
+    rows = row_errors(problem, found.x, columns, root, found.weight, task.pose)
+    quality = goodness(*of_data(problem, columns, found), shares)
+    if options.loss != Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
+        inliers = only(problem, ~rows.beyond)
+        tolerated = inliers if rows.beyond.mean() <= MOST_BAD else problem
+        quality = goodness(*weighted_chi2(tolerated, found.x, Loss(options.loss)), shares)
+        left_out = left_out_errors(inliers, found.x, columns, root, task.pose)
+        return _Quality(quality, None, rows.distance, rows.beyond, left_out, inliers, rows.parts)
+    bad = None
+    if _rejects(options) and found is solved.every and found.status == "converged" and not quality.explained:
+        bad = without_bad_rows(
+            problem, columns, found, quality, Options(options.max_iterations, plain=options.damping == "plain")
+        )
+    distance, beyond = (rows.distance, rows.beyond) if bad is None else (bad.distance, bad.bad)
+    return _Quality(quality, bad, distance, beyond, rows.left_out, solved.taken(problem), rows.parts)
+
+
+class _Sight(NamedTuple):
+    """What the rows can tell: ``of_rows`` of the unknowns, (P,) those with a σ, and what is lacking for the others."""
+
+    of_rows: Identifiability
+    identifiable: NDArray[np.bool_]
+    suggested: NDArray[np.bool_]  # (free parameters,)
+    observability: Observability | None
+    hardly: tuple[NullDirection, ...]
+    additions: tuple[Addition, ...]
+
+
+def _sight(task: _Task, x: Floats, taken: Problem) -> _Sight:
+    """Return what the rows ``taken`` determine, linearised at x (P,)."""
+    still, columns, n_free = settled(taken, x), task.columns, int(task.free.sum())
+    data = of_rows(still, x, columns)
+    names = task.problem.names_of(columns)
+    sight = determined(still, x, columns, task.effects, data.root)
+    suggested = suggested_free(data.root, n_free, task.prefer[task.free])
+    unit = weak_prior(task.chain)[task.free]
+    weak = hardly_seen(data.root, suggested.size, unit, names)
+    only_weak = suggested.all() and len(weak) > 0
+    wanting = (identifiable_columns(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
+    untimed = _untimed(data.root, names)
+    known = dict(zip(task.problem.names, x, strict=True))
+    return _Sight(
+        sight,
+        spread(sight.identifiable & ~np.isin(names, untimed), columns),
+        suggested,
+        observability(data.root, n_free, suggested, unit, data.n_residuals),
+        (*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
+        additions(task.chain, task.rig, task.table.select(task.fitted), names, data.root, known, *wanting),
+    )
+
+
+class _Unfitted(NamedTuple):
+    """Errors (n,) where nothing was fitted: on held-out rows, or else on each pose in a fit without it; nominal robot too."""
+
+    after: HeldOut | None
+    before: HeldOut | None
+    of_held: Residuals
+    of_held_before: Residuals
+    error: Residuals
+    error_before: Residuals
+
+
+def _unfitted(task: _Task, nominal: _Nominal, x: Floats, root: Floats, quality: _Quality) -> _Unfitted:
+    fitted, held = task.fitted, task.held
+    judge = partial(judged, task.problem, rig=task.rig, table=task.table, held=held, modelled=task.effects)
+    before, of_held_before = judge(nominal.x)
+    after, of_held = judge(x)
+    if after is not None:
+        error, error_before = (merged({}, each, fitted, held) for each in (of_held, of_held_before))
+    else:
+        robot = left_out_errors(quality.inliers, nominal.x, nominal.mounts, nominal.root, task.pose)
+        error, error_before = (merged(each, {}, fitted, held) for each in (quality.left_out, robot))
+    if not np.any(task.columns & ~nominal.mounts):
+        error_before = {}
+    return _Unfitted(after, before, of_held, of_held_before, error, error_before)
 
 
 def _prior(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> Floats:
@@ -315,49 +480,6 @@ def _check_choice(solver: str, loss: str, damping: str) -> None:
         raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
     if damping != "scaled" and solver != "lm":
         raise ProblemError(f"solver {solver} has no damping setting; use lm")
-
-
-def _raw(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
-    """Return x (P,) and residuals of the nominal robot, with the rig's unknowns fitted to it.
-
-    An unmeasured position of a ball or chuck is not an error of the robot. With a guessed rig, the identification would
-    be credited with correcting it.
-    """
-    rig_only = problem.of_rig
-    if not rig_only.any():
-        return problem.start, observe(problem, problem.start, rig_only).residual
-    # The nominal robot's errors do not make rows outliers: no gate and no robust loss.
-    found = fit(problem, rig_only, problem.start, Options(max_iterations, ends=idle(WORTH)))
-    return found.x, found.information.residual
-
-
-class _Nominal(NamedTuple):
-    """The nominal robot with base and tool placed: x (P,), residuals, the fitted columns (P,), the root of their covariance."""
-
-    x: Floats
-    residual: Residuals
-    mounts: NDArray[np.bool_]
-    root: Floats
-
-
-def _before(
-    problem: Problem, columns: NDArray[np.bool_], x: Floats, raw: Residuals, gross: NDArray[np.bool_]
-) -> _Nominal:
-    """Return the nominal robot, with base and tool placed by the rows that are not gross.
-
-    Starts from the result of ``_raw``. The mounting of base and tool is not an error of the robot either. Only the free
-    parameters that move nothing else are fitted, with the rig's unknowns.
-    """
-    mounted = mounting(problem.chain, x[: problem.n_robot]).either & columns[: problem.n_robot]
-    mounts, residual = problem.columns(mounted), raw
-    if mounted.any():
-        found = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH)))
-        x, information = found.x, found.information
-        residual = observe(problem, x, mounts).residual if gross.any() else information.residual
-    else:
-        prior = (problem.start - x)[mounts], problem.prior_sigma[mounts]
-        information = with_prior(observe(problem, x, mounts), *prior)
-    return _Nominal(x, residual, mounts, half(spectrum(information.root)))
 
 
 def judged(
