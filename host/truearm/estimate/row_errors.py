@@ -54,7 +54,8 @@ def row_errors(
                 due = np.maximum(declared[:, of_unit].sum(axis=1), 0.0)
                 squares.setdefault(unit, []).append(np.stack([due, (errors[:, of_unit] ** 2).sum(axis=1)]))
         _leave_out(left_out, [block.of(weight[block.row] > 0.0) for block in blocks], pose)
-    means = {unit: np.concatenate(squares[unit], axis=1).mean(axis=1) for unit in UNITS if unit in squares}
+    both = {unit: np.concatenate(squares[unit], axis=1) for unit in UNITS if unit in squares}
+    means = {unit: of_rows.mean(axis=1) for unit, of_rows in both.items() if of_rows.size}
     parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(all_ - due, 0.0))) for u, (due, all_) in means.items()}
     return RowErrors(distance, beyond, left_out, parts)
 
