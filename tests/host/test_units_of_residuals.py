@@ -67,7 +67,8 @@ def test_inclinations_are_identified_and_judged_in_degrees(table, run):
     assert re.search(r"^error \[deg\] +before +after +rows$", text, re.M)
     assert "error [mm]" not in text
     errors = (folder / "r.html").read_text().partition("<h2>Parameters</h2>")[0]
-    assert not re.search(r"\bmm\b", re.sub(r"<style>.*?</style>", "", errors, flags=re.S))
+    assert not re.search(r"\bmm\b", re.sub(r"<(style|script)\b.*?</\1>", "", errors, flags=re.S))
+    assert '"residual after"' not in errors  # the 3-D view has the tool's error before, in mm, and no lengths after
 
     code, text, err = run("validate", folder / "r.json", table, "--rig", folder / "rig.toml", "--details")
     assert code == 0, err

@@ -50,12 +50,11 @@ def calibration_scene(found: Identification) -> Scene:
         nominal_gap(found.chain, found.rig, both, e),
     )
     size = np.linalg.norm(gap, axis=1)
-    after, residual = _residual_vectors(found, table, judged, places[:n]), e.residual.get("m")
-    left = np.full(n, np.nan) if residual is None else np.abs(residual[rows])
-    poses = Points(
-        "measured poses", xyz[:n], table.q, labels, {AFTER: left, BEFORE: size[:n]}, {BEFORE: gap[:n], AFTER: after}, chucks
-    )  # fmt: skip
-    clouds = [poses]
+    values, vectors = {BEFORE: size[:n]}, {BEFORE: gap[:n]}
+    if "m" in e.residual:
+        values = {AFTER: np.abs(e.residual["m"][rows]), **values}
+        vectors[AFTER] = _residual_vectors(found, table, judged, places[:n])
+    clouds = [Points("measured poses", xyz[:n], table.q, labels, values, vectors, chucks)]
     covariance = point_covariance(found.chain, found.rig, both, e) if n >= FEWEST else None
     if n >= FEWEST:
         field = {BEFORE: size[n:]}
