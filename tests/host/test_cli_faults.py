@@ -15,6 +15,15 @@ from tests.host.findings_bench import listed, stated
 
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
+from truearm.report.result_findings import fault_findings
+
+
+@pytest.mark.parametrize("n", [None, 95])
+def test_what_an_applied_cause_did_to_held_out_rows_is_said_to_be_in_their_errors(n):
+    held = n and {"n": n}
+    (finding,) = fault_findings({"faults": [], "applied": ["base.tilt.drift"], "held_out": held})
+    assert (finding.code, finding.values["held"]) == ("faults-applied", n)
+    assert ("95 held-out rows" in finding.text()) == (n == 95)
 
 
 @pytest.fixture(scope="module")
