@@ -25,14 +25,6 @@ def print_json(document: Any) -> None:
     typer.echo(strict_json(document))
 
 
-def print_result(document: Any, lines: Iterable[str], as_json: bool) -> None:
-    """Print a result as JSON or as lines."""
-    if as_json:
-        print_json(document)
-    else:
-        print_lines(lines)
-
-
 def warn(text: str) -> None:
     """Print a warning on standard error, on a terminal in place of the step that is shown there."""
     clear = CLEAR if sys.stderr.isatty() else ""
