@@ -7,7 +7,7 @@ import cbor2
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from record_box import N, array, data, frame, heartbeat, run_of, u32, u64
+from record_box import array, data, frame, heartbeat, run_of, u32, u64
 
 from truearm.record.frame_splitter import (
     MAX_RUN,
@@ -16,7 +16,7 @@ from truearm.record.frame_splitter import (
     frame_head,
     payload_of,
 )
-from truearm.session.box_frames import data_of, decode, usual_data
+from truearm.session.box_frames import data_frame, decode
 
 VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
 
@@ -136,33 +136,25 @@ class TestPayload:
 
     @given(st.binary(max_size=12))
     def test_any_bytes_are_looked_at_safely(self, raw):
-        for look in (payload_of, frame_head, usual_data, decode):
+        for look in (payload_of, frame_head, data_frame, decode):
             look(raw)
 
 
 class TestData:
     @given(st.integers(0, 2**32 - 1), st.integers(0, 23), st.integers(0, 2**40), st.integers(2, 13))
-    def test_the_usual_frame_against_a_cbor_decoder(self, seq, stream, n0, n):
+    def test_the_elements_of_a_data_frame(self, seq, stream, n0, n):
         payload = data(seq, n0 % 1000, n0, n, stream)
         values = cbor2.loads(payload)
-        found = usual_data(payload)
-        assert found == data_of(decode(payload))
+        found = data_frame(payload)
         assert [found.seq, found.stream, found.n0, found.t0_us, found.period_ns, found.flags] == [
             *values[1:6],
             values[7],
         ]
         assert found.samples == values[6].value
 
-    def test_other_widths_are_left_to_the_slow_way(self):
-        unusual = array(16, 1, 0, 0, 5, 983_040, cbor2.dumps(cbor2.CBORTag(78, b"\0" * 16 * N)), 0)
-        offsets = array(16, u32(1), 3, u64(0), u64(5), cbor2.dumps(cbor2.CBORTag(69, b"\0" * 20)), b"\xd8\x4e\x40", 0)
-        for payload, stream in ((unusual, 0), (offsets, 3), (data(1, 0, 0, n=1), 0)):
-            assert usual_data(payload) is None
-            assert data_of(decode(payload)).stream == stream
-
     def test_no_other_frame_is_taken_for_data(self):
-        assert usual_data(b"\x88\x11" + data(1, 0, 0)[2:]) is None
-        assert usual_data(heartbeat(1, 2, 3, 0)) is None
+        assert data_frame(b"\x88\x11" + data(1, 0, 0)[2:]) is None
+        assert data_frame(heartbeat(1, 2, 3, 0)) is None
 
 
 class TestVectors:

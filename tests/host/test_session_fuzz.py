@@ -34,7 +34,7 @@ from truearm.record.recover import recover
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.session.box_frames import usual_data
+from truearm.session.box_frames import data_frame
 from truearm.session.box_ident import parse_ident
 from truearm.session.joint_format import COLUMNS
 from truearm.session.session_file import open_session
@@ -88,7 +88,7 @@ class Kept:
 def check_blocks(messages, of_ours=frozenset(PAYLOADS)):
     """The samples of all frames that are ours are what was sent; the numbers of samples seen, and the account."""
     seen = []
-    sent = {data._replace(seq=-1) for payload in of_ours if (data := usual_data(payload)) is not None}
+    sent = {data._replace(seq=-1) for payload in of_ours if (data := data_frame(payload)) is not None}
     blocks, reader = read(messages, IDENT)
     for block in blocks:
         if block.data in sent:

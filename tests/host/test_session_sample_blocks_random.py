@@ -8,11 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_stream import PERIOD_NS, Box, ident_document
 
-from truearm.session.box_frames import data_of, decode, usual_data
 from truearm.session.box_ident import parse_ident
 from truearm.types import Message
-from truearm_wire import messages as wire
-from truearm_wire.cbor import Tag
 
 KINDS = st.sampled_from(["data", "data", "data", "heartbeat", "sync", "overrun", "reboot"])
 FATES = st.sampled_from(["kept", "kept", "kept", "kept", "lost", "doubled", "broken"])
@@ -89,27 +86,6 @@ def test_arbitrary_bytes_are_counted_as_malformed(payloads):
     _, reader = read(messages, parse_ident(ident_document()))
     losses = reader.losses()
     assert losses.frames + losses.frames_malformed >= len(payloads)
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    st.integers(0, 2**32 - 1),
-    st.integers(0, 30),
-    st.integers(0, 2**64 - 1),
-    st.integers(0, 2**54),
-    st.integers(0, 2**32 - 1),
-    st.binary(max_size=212),
-    st.integers(0, 30),
-    st.integers(0, 40),
-)
-def test_the_short_cut_for_data_frames_agrees_with_the_decoder(seq, stream, n0, t0_us, period, samples, flags, cut):
-    payload = bytes(wire.encode_payload([wire.DATA, seq, stream, n0, t0_us, period, Tag(78, samples), flags]))
-    for data in (payload, payload[:cut], payload + b"\x00"):
-        quick, frame = usual_data(data), decode(data)
-        slow = None if frame is None or frame[0] != wire.DATA else data_of(frame)
-        assert quick is None or quick == slow
-    usual = stream < 24 and flags < 24 and len(samples) >= 24 and period and t0_us < 2**53 and n0 < 2**62
-    assert (usual_data(payload) is not None) == bool(usual and len(payload) <= 250)
 
 
 ELEMENT = st.one_of(

@@ -133,7 +133,7 @@ def frames_of(messages: Messages) -> Frames:
 
 
 def _usual_data(messages: Messages, begin: Ints, end: Ints, table: NDArray[Any]) -> NDArray[np.bool_]:
-    """Enter the data frames of the usual layout (``usual_data``) in the table; return which messages they are."""
+    """Enter the data frames of the usual layout in the table; return which messages they are."""
     head, size = heads(messages.data, begin, _DATA), end - begin
     usual = (head["begin"] == 0x88) & (head["type"] == wire.DATA) & (head["mark"] == _UINT32)
     usual &= (head["m_n0"] == _UINT64) & (head["m_t0"] == _UINT64) & (head["m_p"] == _UINT32)
