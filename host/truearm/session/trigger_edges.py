@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,6 @@ class EdgeClock:
     t_ref_s: float
     clock: Clock  # of the direction with the shorter delay
     best: Clock  # the same by the most likely difference of the delays
-    first_us: int
 
     def to_robot_s(self, t_us: Ints) -> tuple[Floats, Floats]:
         """Return controller times (n,) [s] of device times (n,) and the bounds (n,) [ns] of their errors."""
@@ -165,7 +164,7 @@ def fit_edges(t_ref_s: float, edges: TimedEdges) -> EdgeFit | None:
         clock = _fit(_earlier_direction(rows, rising, least, most)) or clock
         best = _fit(_earlier_direction(rows, rising, 0.5 * (least + most), 0.5 * (least + most))) or clock
     rejected = len(right) - rising.size + clock.wrong.size
-    return EdgeFit(EdgeClock(t_ref_s, clock, best, int(edges.t_us[0])), rejected, later)
+    return EdgeFit(EdgeClock(t_ref_s, clock, best), rejected, later)
 
 
 def _earlier_direction(rows: Ints, rising: NDArray[np.bool_], least: float, most: float) -> Ints:
@@ -193,15 +192,6 @@ def _falling_later(clock: Clock, rows: Ints, rising: NDArray[np.bool_]) -> tuple
     return float(np.max(least_later - most)), float(np.min(most_later - least))
 
 
-@dataclass(frozen=True)
-class _Tie:
-    """A segment of the box's time tied to a segment of the controller's."""
-
-    fit: EdgeFit
-    device: DeviceClock
-    used: int
-
-
 def with_edges(joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock]) -> JointStream:
     """Return the readings, with clocks from edges wherever these are more accurate than arrivals.
 
@@ -224,25 +214,26 @@ def _of_segment(
     k: int, joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock]
 ) -> tuple[RobotClock, EdgeReport | None]:
     """Return the clock of one segment of controller time and the report on its edges."""
-    arrivals, track, (first_s, last_s) = joints.clocks[k], joints.inputs[k], joints.reports[k].t_robot_s
-    edges = _expected(arrivals, outputs, clocks, first_s, last_s)
-    if not edges.expected_s.size or not track.readings:
+    arrivals, track, span_s = joints.clocks[k], joints.inputs[k], joints.reports[k].t_robot_s
+    edges = _expected(arrivals, outputs, clocks, span_s)
+    if not len(edges) or not track.readings:
         return arrivals, None
     number, inverted, matched = _followed(track, edges)
-    ties = [] if number is None else _ties(arrivals, track.changes(number), edges, matched, clocks)
+    fits = {} if number is None else _fits(arrivals, track.changes(number), edges, matched)
     none = EdgeReport(
-        number, inverted, edges.expected_s.size, 0, *matched[1:], 0, (np.nan, np.nan), np.nan, np.nan, np.nan, False
+        number, inverted, len(edges), 0, *matched[1:], 0, (np.nan, np.nan), np.nan, np.nan, np.nan, in_use=False
     )
-    if not ties:
+    if not fits:
         return arrivals, none
-    clock, to_box_ns = _through_nodes(arrivals, ties, first_s, last_s)
-    middle = np.array([0.5 * (first_s + last_s)])
+    clock, to_box_ns = _through_nodes(arrivals, fits, clocks, span_s)
+    middle = np.array([0.5 * sum(span_s)])
     in_use = float(np.median(clock.bound_ns)) <= float(np.median(arrivals.bound_ns)) + LATENCY_NS
+    rejected = sum(fitted.rejected for fitted in fits.values())
     report = replace(
         none,
-        used=sum(tie.used for tie in ties),
-        rejected=sum(tie.fit.rejected for tie in ties),
-        falling_later_ns=_common([tie.fit.falling_later_ns for tie in ties]),
+        used=int(np.isin(edges["segment"][matched.change >= 0], list(fits)).sum()) - rejected,
+        rejected=rejected,
+        falling_later_ns=_common([fitted.falling_later_ns for fitted in fits.values()]),
         to_box_ns=float(np.median(to_box_ns)),
         bound_ns=float(np.max(clock.bound_ns)),
         shortest_latency_ns=float((arrivals.to_host_ns(middle) - clock.to_host_ns(middle))[0]),
@@ -257,39 +248,27 @@ def _common(ranges: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return (float(np.max(known[:, 0])), float(np.min(known[:, 1]))) if len(known) else (np.nan, np.nan)
 
 
-class _Edges(NamedTuple):
-    """Edges (n,) of all segments of the box, by ascending controller time expected from arrivals."""
-
-    expected_s: Floats
-    t_us: Ints
-    level: NDArray[np.bool_]
-    segment: Ints
-
-    def rows(self, which: NDArray[np.intp]) -> _Edges:
-        """Return a selection of the edges."""
-        return _Edges(self.expected_s[which], self.t_us[which], self.level[which], self.segment[which])
+_EDGE = np.dtype([("expected_s", "f8"), ("t_us", "i8"), ("level", "?"), ("segment", "i8")])
 
 
 def _expected(
     arrivals: RobotClock,
     outputs: Mapping[int, Output],
     clocks: Mapping[int, DeviceClock],
-    first_s: float,
-    last_s: float,
-) -> _Edges:
-    """Return the edges that occurred while the controller sent readings."""
-    parts = [_Edges(np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_), np.empty(0, np.int64))]
+    span_s: tuple[float, float],
+) -> NDArray[Any]:
+    """Return the edges (n,) of _EDGE of all segments of the box, by ascending controller time expected from arrivals.
+
+    They occurred while the controller sent readings.
+    """
+    tables = [np.empty(0, _EDGE)]
     for segment, output in outputs.items():
         if segment in clocks:
-            expected = _by_arrivals(arrivals, clocks[segment], output.t_us)
-            parts.append(_Edges(expected, output.t_us, output.level, np.full(expected.size, segment)))
-    expected_s, t_us, level, segment_of = zip(*parts, strict=True)
-    together = _Edges(
-        np.concatenate(expected_s), np.concatenate(t_us), np.concatenate(level), np.concatenate(segment_of)
-    )
-    order = np.argsort(together.expected_s, kind="stable")
-    order = order[(together.expected_s[order] >= first_s) & (together.expected_s[order] <= last_s)]
-    return together.rows(order)
+            table = np.empty(len(output.t_us), _EDGE)
+            table["expected_s"] = arrivals.to_robot_s(clocks[segment].to_host_ns(output.t_us)[0])
+            table["t_us"], table["level"], table["segment"] = output.t_us, output.level, segment
+            tables.append(table[(table["expected_s"] >= span_s[0]) & (table["expected_s"] <= span_s[1])])
+    return np.sort(np.concatenate(tables), order="expected_s", kind="stable")
 
 
 class _Followed(NamedTuple):
@@ -300,69 +279,55 @@ class _Followed(NamedTuple):
     matched: Matched
 
 
-def _followed(track: InputTrack, edges: _Edges) -> _Followed:
+def _followed(track: InputTrack, edges: NDArray[Any]) -> _Followed:
     """Return the input and the polarity with the most unambiguous matches."""
-    n = edges.expected_s.size
+    n = len(edges)
     best = none = _Followed(None, False, Matched(np.full(n, -1, dtype=np.intp), n, 0, 0))
     for number in track.inputs():
         changes = track.changes(number)
         for inverted in (False, True):
-            matched = match(edges.expected_s, edges.level ^ inverted, changes)
+            matched = match(edges["expected_s"], edges["level"] ^ inverted, changes)
             if matched.paired > best.matched.paired:
                 best = _Followed(number, inverted, matched)
     return best if best.matched.paired >= max(LEAST_USED, LEAST_SHARE * n) else none
 
 
-def _by_arrivals(arrivals: RobotClock, device: DeviceClock, t_us: Ints) -> Floats:
-    return arrivals.to_robot_s(device.to_host_ns(t_us)[0])
-
-
-def _ties(
-    arrivals: RobotClock, changes: Changes, edges: _Edges, matched: Matched, clocks: Mapping[int, DeviceClock]
-) -> list[_Tie]:
-    ties = []
-    for segment in np.unique(edges.segment).tolist():
-        paired = np.flatnonzero((matched.change >= 0) & (edges.segment == segment))
-        if paired.size < LEAST_USED:
-            continue
+def _fits(arrivals: RobotClock, changes: Changes, edges: NDArray[Any], matched: Matched) -> dict[int, EdgeFit]:
+    """Return the clock of each segment of the box with enough matched edges."""
+    fits = {}
+    for segment in np.unique(edges["segment"]).tolist():
+        paired = (matched.change >= 0) & (edges["segment"] == segment)
         change = matched.change[paired]
-        timed = TimedEdges(edges.t_us[paired], edges.level[paired], changes.before_s[change], changes.after_s[change])
-        fit = fit_edges(arrivals.t_ref_s, timed)
-        if fit is not None:
-            ties.append(_Tie(fit, clocks[segment], paired.size - fit.rejected))
-    return ties
+        timed = TimedEdges(
+            edges["t_us"][paired], edges["level"][paired], changes.before_s[change], changes.after_s[change]
+        )
+        fitted = fit_edges(arrivals.t_ref_s, timed) if len(change) >= LEAST_USED else None
+        if fitted is not None:
+            fits[segment] = fitted
+    return fits
 
 
 def _through_nodes(
-    arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, last_s: float
+    arrivals: RobotClock, fits: Mapping[int, EdgeFit], clocks: Mapping[int, DeviceClock], span_s: tuple[float, float]
 ) -> tuple[RobotClock, Floats]:
     """Convert controller time to host time via device time, computed every NODE_S.
 
     Also return, for each node, the part of the bound that is between controller and box [ns]: it is that of the edges
-    alone, without the box's clock against the host's. Between nodes both clocks are practically straight: a drift of 1 ppm a minute bends them by less than 1 µs in 10 s.
+    alone, without the box's clock against the host's. Between nodes both clocks are practically straight: a drift of
+    1 ppm a minute bends them by less than 1 µs in 10 s.
     """
-    nodes = np.linspace(first_s, last_s, max(2, round((last_s - first_s) / NODE_S) + 1))
+    nodes = np.linspace(*span_s, max(2, round((span_s[1] - span_s[0]) / NODE_S) + 1))
+    dt = np.rint(1e9 * (nodes - arrivals.t_ref_s)).astype(np.int64)
     best, to_box_ns = np.full(nodes.size, np.inf), np.full(nodes.size, np.nan)
     host = np.empty(nodes.size, np.int64)
-    for tie in ties:
-        d_us = _device_us(tie, nodes)
-        robot_s, of_robot = tie.fit.clock.to_robot_s(d_us)
-        at, of_device = tie.device.to_host_ns(d_us)
-        bound = of_robot + of_device
-        here = bound < best
-        # Device time is whole microseconds; the remainder is less than that.
-        at = at + np.rint(1e9 * (nodes - robot_s)).astype(np.int64)
-        best[here], host[here], to_box_ns[here] = bound[here], at[here], of_robot[here]
-    dt = 1e9 * (nodes - arrivals.t_ref_s)
-    correction = (host - arrivals.host_ref_ns - np.rint(dt).astype(np.int64)).astype(np.float64)
+    for segment, fitted in fits.items():
+        d_us = fitted.clock.clock.to_stamp(dt) // 1000
+        robot_s, of_robot = fitted.clock.to_robot_s(d_us)
+        device_ns, of_device = clocks[segment].to_host_ns(d_us)
+        here = of_robot + of_device < best
+        best[here], to_box_ns[here] = (of_robot + of_device)[here], of_robot[here]
+        # Device time is whole microseconds, and that of the estimate; the remainder is less than a cycle.
+        host[here] = (device_ns + np.rint(1e9 * (nodes - robot_s)).astype(np.int64))[here]
+    correction = (host - arrivals.host_ref_ns - dt).astype(np.float64)
     clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, nodes, correction, best, source="edges")
     return clock, to_box_ns
-
-
-def _device_us(tie: _Tie, nodes: Floats) -> Ints:
-    """Return device times [µs] of controller times [s] by iterating on the remainder: rates differ by less than 0.1 %."""
-    begin, _ = tie.fit.clock.to_robot_s(np.array([tie.fit.clock.first_us]))
-    d = tie.fit.clock.first_us + np.rint(1e6 * (nodes - begin[0])).astype(np.int64)
-    for _ in range(4):
-        d = d + np.rint(1e6 * (nodes - tie.fit.clock.to_robot_s(d)[0])).astype(np.int64)
-    return np.asarray(d)
