@@ -128,6 +128,18 @@ def test_a_late_reading_is_lost_too():
     assert (stream.late, stream.lost, stream.readings) == (1, 1, 499)
 
 
+def test_times_that_are_none_are_no_thousand_restarts(monkeypatch):
+    """A source whose times jump at random: after the last segment, what lies behind the latest time is late."""
+    monkeypatch.setattr(joints_module, "MOST_SEGMENTS", 20)
+    monkeypatch.setattr(joints_module, "CHUNK", 50)
+    times = np.random.default_rng(1).uniform(0.0, 1e6, 400).tolist()
+    reader = JointReader()
+    for k, t in enumerate(times):
+        reader.take(columns_of([message(t, k, (0.1, -0.2), arrival_ns=10**7 * k)]))
+    stream = reader.finish()
+    assert (len(stream.clocks), stream.restarts, stream.readings + stream.late) == (20, 19, 400)
+
+
 def test_controller_restart_is_another_segment():
     stream = read(still(t0=500.0) + [m._replace(t_host_ns=m.t_host_ns + 510 * 10**9) for m in still(t0=1.0)])
     assert stream.restarts == 1

@@ -92,6 +92,7 @@ CHUNK = 2048  # readings processed at a time
 BIN_S = 0.05
 READING_GAP_S = 0.25  # after such a gap it is not known whether the robot stood still
 NOTED_S = 1.0  # a larger median interval means that the readings were noted one by one
+MOST_SEGMENTS = 1000  # a controller does not restart more often: its times are none, and later ones are late
 LATE_S = 1.0  # a smaller step back in time is a datagram overtaken by another, a larger one a restart
 FINEST_STEP = 1e-9  # rad or m; smaller differences are rounding errors, not an encoder
 COARSEST_STEP = 1e-3  # rad or m; upper limit for an encoder worth calibrating
@@ -196,6 +197,7 @@ class SegmentedReadings:
         self._batches: list[JointBatch] = []  # too few yet
         self._returns_ns: list[int] = []  # when the link was back: the next reading begins a segment
         self._latest_s = -np.inf  # of the segment
+        self._segments = 0
 
     def take(self, messages: Messages) -> list[tuple[bool, JointBatch]]:
         """Take a batch of messages; those of other topics are ignored."""
@@ -225,6 +227,8 @@ class SegmentedReadings:
             *np.searchsorted(batch.arrival_ns, back).tolist(),
             *restarts(batch.t, self._latest_s).tolist(),
         }
+        begins = set(sorted(begins)[: MOST_SEGMENTS - self._segments])
+        self._segments += len(begins)
         pieces = [(begin in begins, batch[begin:end]) for begin, end in pairwise(sorted({0, *begins, len(batch)}))]
         begun, last = pieces[-1]
         self._latest_s = max(float(last.t.max()), -np.inf if begun or len(pieces) > 1 else self._latest_s)
