@@ -171,6 +171,10 @@ function show() {
   const names = [...new Set(clouds.flatMap(cloud => cloud.values.map(entry => entry.name)))];
   const orbit = new OrbitControls(camera, canvas);
   const draw = () => renderer.render(scene, camera);
+  // Until the view is clicked, the wheel scrolls the page.
+  orbit.enableZoom = false;
+  canvas.addEventListener('focus', () => { orbit.enableZoom = true; });
+  canvas.addEventListener('blur', () => { orbit.enableZoom = false; });
   let selected = 0;
 
   const check = (text, isOn, change, colour) => {
@@ -286,7 +290,7 @@ function show() {
     keys[event.key]();
     draw();
   });
-  const words = 'Drag or use the arrow keys to turn, the wheel or + and − to zoom, comma and full stop for the point before and after.';
+  const words = 'Drag or use the arrow keys to turn, + and − (after a click, also the wheel) to zoom, comma and full stop for the point before and after.';
   canvas.setAttribute('aria-label', `${data.title}. ${words}`);
   element(section, 'p', { class: 'small' }, `${data.caption} ${words}`);
 
