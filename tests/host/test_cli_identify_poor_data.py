@@ -2,6 +2,7 @@
 unseen and what to measure next; never a traceback."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -252,12 +253,11 @@ def test_a_coordinate_that_never_changes(tmp_path, capsys):
     )
     tracker = Device("t", tuple(map(tuple, 1e-10 * np.eye(3))))
     rig = Rig(targets={"ball": Point("ball", (0.05, 0.0, 0.1), None)}, trackers={"t": tracker})
-    for at, said in (([0], "x is"), ([1], "y is"), ([1, 2], "y and z are")):
+    for at, said in (([0], "x"), ([1], "y"), ([1, 2], "y and z")):
         same = xyz.copy()
         same[:, at] = 0.25
         err = refused(tmp_path, capsys, replace(rows, xyz=same), rig)
-        assert f"{said} the same in all 60 position rows though the joints move the end in space" in err
-        assert "column" in err
+        assert re.search(rf": {said} .* 60 position rows .* column", err)
     turned = np.zeros((60, 6))
     turned[:, 0] = q[:, 0]
     flat = replace(rows, q=turned, xyz=np.where(np.arange(3) == 2, 0.25, xyz))
@@ -269,7 +269,7 @@ def test_an_empty_column(tmp_path, capsys):
     write_table(tmp_path / "t.csv", rows, UNITS)
     write_rig(tmp_path / "rig.toml", RIG)
     lines = (tmp_path / "t.csv").read_text().splitlines()
-    for column, message in (("length_m", "ball_bar row needs length_mm"), ("q3_rad", "is empty")):
+    for column, message in (("length_m", "ball_bar row needs length_mm"), ("q3_rad", "row 2 column q3_rad: ")):
         at = lines[0].split(",").index(column)
         cells = [line.split(",") for line in lines[1:]]
         text = "\n".join([lines[0], *(",".join([*row[:at], "", *row[at + 1 :]]) for row in cells), ""])

@@ -97,7 +97,7 @@ def test_text_has_no_control_characters_of_the_file(stream, tmp_path, run):
     code, out, err = run("inspect", write(tmp_path / "s.mcap", [*names, *console, *stream]), "--details")
     assert (code, err) == (0, "")
     assert all(c.isprintable() or c == "\n" for c in out)
-    for words in ("\\x1b]0;owned\\x07", "line two", "2 more", "no rig is attached", "\\x1b[31m"):
+    for words in ("\\x1b]0;owned\\x07", "line two", "2 more", "\\x1b[31m"):
         assert words in out
 
 
@@ -118,7 +118,7 @@ def test_a_clean_session_says_so(stream, tmp_path, run):
     [
         (b"[[bar]]\nname=1", "rig.toml"),
         (b"\xff", "UTF-8"),
-        (b"", "which the rig does not have"),
+        (b"", "b46"),
         (b"x = [" * 9999, "rig.toml"),
     ],
 )

@@ -149,7 +149,7 @@ class TestRefused:
             (["--plan", "none.csv"], "missing-file"),
             (["--rig", "none.toml"], "missing-file"),
             (["--box", "ftp://x"], "wrong-value"),
-            (["--address", "x:1"], "is not the address of a robot"),
+            (["--address", "x:1"], "tcp://"),
         ],
         ids=lambda value: " ".join(value) if isinstance(value, list) else "",
     )

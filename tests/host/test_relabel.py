@@ -259,7 +259,7 @@ class TestOneMissedEnter:
         ("options", "said"),
         [
             (("--trust", "evidence"), "--model"),
-            (("--trust", "me"), "plan, typed, evidence"),
+            (("--trust", "me"), "'plan', 'typed', 'evidence'"),
             (("--trust", "evidence", "--model", "panda"), "7"),
             (("--mounted", "12=bar46,c1"), "FIRST:LAST=BAR,CHUCK,SPHERE"),
             (("--mounted", "99=bar46,c1,s2"), "FIRST:LAST=BAR,CHUCK,SPHERE"),
