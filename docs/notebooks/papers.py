@@ -19,7 +19,8 @@ class Number:
     """A number of the paper beside the one computed here, with a criterion that can fail.
 
     ``here`` is a value, or one for each of several random experiments; its median is shown. The paper's number agrees
-    if it is within ``tolerance`` of the value, or within the range of the experiments. ``theory`` is an interval for
+    if it is within ``tolerance`` of the value, or a likely further experiment: within three standard deviations of
+    their mean, of logarithms where all are positive. ``theory`` is an interval for
     ``here``. Where the paper's number cannot agree, ``differs`` says why; the criterion is then that it does not.
     """
 
@@ -36,27 +37,37 @@ class Number:
         return float(np.median(self.here))
 
     @property
+    def likely(self) -> tuple[float, float]:
+        """Return the interval in which the paper's number agrees."""
+        if np.ndim(self.here) == 0:
+            return self.value - self.tolerance, self.value + self.tolerance
+        positive = np.min(self.here) > 0.0
+        values = np.log(self.here) if positive else np.asarray(self.here)
+        interval = values.mean() + 3.0 * values.std() * np.array([-1.0, 1.0])
+        low, high = np.exp(interval) if positive else interval
+        return float(low), float(high)
+
+    @property
     def failure(self) -> str:
         """Return which criterion fails, "" if none does."""
         if self.paper is None and self.theory is None:
             return "no criterion"
         if self.theory is not None and not self.theory[0] <= self.value <= self.theory[1]:
             return f"{self.value:.4g}, theory {self.theory[0]:.4g} to {self.theory[1]:.4g}"
-        spread = (np.min(self.here) - self.tolerance, np.max(self.here) + self.tolerance)
-        if self.paper is not None and (spread[0] <= self.paper <= spread[1]) == bool(self.differs):
-            return "agrees, though it should differ" if self.differs else f"{spread[0]:.4g} to {spread[1]:.4g} here"
+        low, high = self.likely
+        if self.paper is not None and (low <= self.paper <= high) == bool(self.differs):
+            return "agrees, though it should differ" if self.differs else f"{low:.4g} to {high:.4g} here"
         return ""
 
 
 def compare(numbers: Iterable[Number]) -> None:
     """Print numbers as a table. Raises AssertionError if a criterion fails."""
     numbers = list(numbers)
-    print(f"{'':62}{'paper':>9}{'here':>10}  range here or theory")
+    print(f"{'':62}{'paper':>9}{'here':>10}  theory, or where the paper's agrees")
     for number in numbers:
         paper = "" if number.paper is None else f"{number.paper:.4g}"
-        interval = number.theory or ((np.min(number.here), np.max(number.here)) if np.ndim(number.here) else None)
-        shown = f"{interval[0]:.3g} to {interval[1]:.3g}" if interval else f"± {number.tolerance:.2g}"
-        print(f"{number.what:62}{paper:>9}{number.value:10.3g}  {shown:20} {number.unit}".rstrip())
+        low, high = number.theory or number.likely
+        print(f"{number.what:62}{paper:>9}{number.value:10.3g}  {f'{low:.3g} to {high:.3g}':20} {number.unit}".rstrip())
         if number.differs:
             print(f"    differs: {number.differs}")
     failed = [f"{number.what}: {number.failure}" for number in numbers if number.failure]

@@ -8,6 +8,7 @@ the true arm. Figures are therefore distributions over sets of lines.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from papers import levenberg_marquardt, rank
@@ -87,7 +88,7 @@ class Lines:
 
 def measured_lines(truth, n_lines: int, n_points: int, rng: np.random.Generator, gear: float = 0.0) -> Lines:
     """Return lines of 0.5 m measured with the noise of III-C; ``gear`` [rad] is the amplitude of the joints' gear errors."""
-    q = _driven(n_lines, n_points, rng).reshape(-1, 6)
+    q = _driven(n_lines, n_points, int(rng.integers(2**32))).reshape(-1, 6)
     error = gear * np.sin(rng.integers(3, 13, 6) * q + rng.uniform(0.0, 2.0 * np.pi, 6))
     p = flange(truth, q + error)[0].reshape(n_lines, n_points, 3)
     y = p[:, -1] - p[:, 0]
@@ -100,8 +101,10 @@ def measured_lines(truth, n_lines: int, n_points: int, rng: np.random.Generator,
     return Lines(reading, xyz, np.repeat(np.arange(n_lines), n_points), by_hand)
 
 
-def _driven(n_lines: int, n_points: int, rng: np.random.Generator) -> np.ndarray:
+@cache
+def _driven(n_lines: int, n_points: int, seed: int) -> np.ndarray:
     """Return joints (lines, points, 6) that keep the nominal flange on straight lines within reach."""
+    rng = np.random.default_rng(seed)
     share = 0.5 * np.linspace(-0.5, 0.5, n_points)
     lines = np.zeros((0, n_points, 6))
     while len(lines) < n_lines:

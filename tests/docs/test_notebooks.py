@@ -47,8 +47,9 @@ def test_every_number_of_a_paper_meets_its_criterion(path, tmp_path):
     [
         (1.0, 1.1, None, 0.2, "", True),
         (1.0, 1.3, None, 0.2, "", False),
-        (1.0, np.array([0.9, 1.2, 1.1]), None, 0.0, "", True),
-        (1.0, np.array([1.1, 1.2, 1.3]), None, 0.0, "", False),
+        (1.0, np.array([0.8, 1.2, 1.6]), None, 0.0, "", True),
+        (1.0, np.array([1.3, 1.31, 1.32]), None, 0.0, "", False),
+        (0.0, np.array([-0.2, 0.1, 0.2]), None, 0.0, "", True),
         (1.0, 1.3, None, 0.2, "its lines are not stated", True),
         (1.0, 1.1, None, 0.2, "its lines are not stated", False),
         (1.0, 1.0, (1.1, 1.2), 0.0, "", False),

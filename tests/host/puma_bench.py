@@ -56,7 +56,7 @@ def constant_orientation_poses(n, rng, tilt=(0.0, 0.0, 0.0), shell=None):
     p_base_goal = rng.uniform([0.3, -0.3, 0.5], [0.6, 0.3, 0.9], (4 * n, 3))
     if shell is not None:
         p_base_goal = np.array(shell[0].xyz) + 0.46 * hemisphere(4 * n, rng) - rot @ np.array(shell[1].xyz)
-    for _ in range(60):
+    for _ in range(25):
         pose = forward(CHAIN, DESIGN, q)
         spin = 0.5 * np.cross(pose[:, :3, :3], rot[None], axis=1).sum(axis=2)
         error = np.concatenate([p_base_goal - pose[:, :3, 3], spin], axis=1)

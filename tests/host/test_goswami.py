@@ -1,4 +1,4 @@
-"""What Goswami, Quaid, Peshkin 1993 claim, and what follows from their model, as tests.
+"""What Goswami, Quaid, Peshkin 1993 claim, of the estimators; docs/notebooks/goswami_1993.ipynb has all numbers.
 
 Rank tests run at the design and at the optimised values; fits start from the design values, truth is the optimised.
 """
@@ -29,7 +29,6 @@ from puma_bench import (
     table,
     vertical_tool_poses,
 )
-from scipy import stats
 
 from truearm.estimate.identifiability import identifiability
 from truearm.estimate.identify import identify
@@ -116,39 +115,10 @@ def test_table_one(params):
     assert found == [[30, 32, 33], [32, 34, 35], [33, 35, 36]]
 
 
-@pytest.fixture(scope="module")
-def true_triangles():
-    rng = np.random.default_rng(2)
-    return roots(TRUTH, lambda _: random_poses(80, rng))
-
-
-def test_law_of_the_511_subsets(true_triangles):
-    """rank = 36 − f(chucks involved) − f(spheres involved), f(1) = 3, f(2) = 1, f(3) = 0."""
-    lost = {1: 3, 2: 1, 3: 0}
-    for size in range(1, 10):
-        for subset in itertools.combinations(PAIRS, size):
-            expected = 36 - lost[len({c for c, _ in subset})] - lost[len({s for _, s in subset})]
-            assert rank(true_triangles, subset) == expected, subset
-
-
-def test_six_pairings_suffice_unless_one_is_uninvolved(true_triangles):
-    """ "Any six of these nine pairings are sufficient, so long as no steel sphere or magnetic chuck is uninvolved." """
-    found = [rank(true_triangles, six) for six in itertools.combinations(PAIRS, 6)]
-    assert (found.count(36), found.count(35), len(found)) == (78, 6, 84)
-
-
 def test_three_collinear_chucks_count_as_two():
     rig = Rig(points("c", [(0.4, 0.0, 0.2), (0.5, 0.05, 0.25), (0.6, 0.1, 0.3)]), SPHERES, BARS)
     rng = np.random.default_rng(3)
     assert rank(roots(TRUTH, lambda _: random_poses(80, rng), rig), PAIRS) == 35
-
-
-def test_a_sphere_on_axis_six_loses_three_more():
-    """Not one, as the paper says: the offset and gain of joint 6 and the direction that link 7 turns about."""
-    on_axis = Rig(CHUCKS, points("s", [(0.0, 0.0, z) for z in (0.05, 0.10, 0.15)]), BARS)
-    rng = np.random.default_rng(4)
-    triangles = roots(DESIGN, lambda _: random_poses(80, rng), on_axis)
-    assert [rank(triangles, sub_table(c, 1)) for c in (1, 2, 3)] == [27, 29, 30]
 
 
 def test_constant_tool_orientation_silently_loses_parameters():
@@ -267,18 +237,7 @@ def test_800_poses_on_shells(shells):
     assert abs(e.held_out.figures["m"].rms - predicted) < 3 * predicted / np.sqrt(2 * 800)
 
 
-def test_36_poses_fit_to_nothing_and_predict_badly(shells):
-    """Mindless curve fitting, in the paper's words: why held-out error is part of every result."""
-    near, far = shells
-    few = near.select(np.arange(0, 800, 22)[:36])
-    both = joined(few, far)
-    e = identify(CHAIN, RIG, both, free=FREE, hold_out=np.arange(len(both)) >= 36)
-    assert e.rms_after["m"] < 0.1 * SIGMA
-    assert e.held_out.figures["m"].rms > 5 * SIGMA
-    assert np.isnan(e.chi2_reduced)
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_converges_from_ten_centimetres_ten_degrees_five_percent(seed, clean):
     t, held = clean
     rng = np.random.default_rng(seed)
@@ -291,24 +250,3 @@ def test_converges_from_ten_centimetres_ten_degrees_five_percent(seed, clean):
     e = identify(far_off, RIG, t, free=FREE, hold_out=held)
     assert e.status == "converged"
     np.testing.assert_allclose(e.value, TRUTH, atol=1e-10)
-
-
-@pytest.mark.soak
-def test_errors_are_as_large_as_the_covariance_says():
-    """Monte Carlo: NEES in its χ² band, and every parameter's spread against its own σ."""
-    rng = np.random.default_rng(10)
-    q, pairs = random_poses(200, rng), all_pairs(200)
-    truth = lengths(TRUTH, q, pairs)
-    nees, scaled, runs = [], [], 150
-    for _ in range(runs):
-        e = identify(CHAIN, RIG, table(q, truth + SIGMA * rng.normal(size=200), pairs), free=FREE)
-        error = (e.value - TRUTH)[FREE]
-        nees.append(error @ np.linalg.solve(e.covariance[np.ix_(FREE, FREE)], error))
-        scaled.append(error / e.sigma[FREE])
-    # The sum of the runs' NEES is χ² with 36 · runs degrees of freedom, each parameter's with ``runs``.
-    low, high = stats.chi2.ppf([0.001, 0.999], 36 * runs) / runs
-    assert low < np.mean(nees) < high
-    low, high = stats.chi2.ppf([0.001 / 36, 1 - 0.001 / 36], runs) / runs
-    spread = np.mean(np.square(scaled), axis=0)
-    assert (spread > low).all()
-    assert (spread < high).all()
