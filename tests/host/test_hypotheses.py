@@ -350,7 +350,7 @@ def test_left_out_blocks_are_those_of_refits(slipped):
             x = np.linalg.lstsq(rows / scale, target, rcond=None)[0] / scale
             squares[which, block] = ((fit.residual[out] - jac[out] @ x) ** 2).sum()
     of, block = build_design(fit, DECLARED, fit.prior), blocks[fit.row]
-    share, _ = gain(left_out(of, block), left_out(of.extended(by), block), block)
+    share, *_ = gain(left_out(of, block), left_out(of.extended(by), block), block)
     assert share == pytest.approx(1.0 - squares[1].sum() / squares[0].sum(), abs=1e-6)
 
 

@@ -138,7 +138,7 @@ def diagnoses(result: Search, average: Average, table: ObservationTable) -> tupl
         mean = np.sum([part.weight * residual for part, residual in zip(options, after, strict=True)], axis=0)
         names = [(part.weighed.name, apply_name(part.weighed), rows_of(part.weighed), part.weight) for part in options]
         *rivals, whole = (
-            Rival(*name, average.moves(step), average.error({number: step}), *gain(before, residual, result.block))
+            Rival(*name, average.moves(step), average.error({number: step}), *gain(before, residual, result.block)[:2])
             for name, step, residual in zip([*names, (MEAN, MEAN, None, 1.0)], steps, [*after, mean], strict=True)
         )
         best, sizes = detection.best, sizes_of(options[0].weighed, result.design)

@@ -17,13 +17,16 @@ LEAST = 1e-9  # share of a direction that other rows determine: less is rounding
 
 
 class Gain(NamedTuple):
-    """The share of the squares of left-out rows that a finding removes, and its size in standard errors over the blocks.
+    """What a finding gives in rows that were left out; NaN with fewer than FEWEST_BLOCKS, since one place says nothing.
 
-    NaN with fewer than FEWEST_BLOCKS: one place says nothing about others.
+    ``chance`` gives as much with a probability of the smaller one of two tests over the blocks, doubled. Student's t suits
+    gains of equal size. A step in few rows gives their blocks far more than all others, which Wilcoxon's signed ranks do
+    not mind.
     """
 
-    share: float
-    t: float
+    share: float  # of the squares of left-out rows that it removes
+    t: float  # in standard errors over the blocks
+    chance: float
 
 
 def left_out_blocks(n: int, places: Indices | None) -> Indices:
@@ -50,28 +53,11 @@ def left_out(design: Design, block: Indices) -> Floats:
 
 def gain(before: Floats, after: Floats, block: Indices) -> Gain:
     """Return the gain of the residuals (m,) of left-out blocks after something was added to the fit."""
-    squares, less = _by_block(before, after, block)
-    if less.size < FEWEST_BLOCKS:
-        return Gain(math.nan, math.nan)
-    error = float(less.std(ddof=1)) / math.sqrt(less.size)
-    return Gain(float(less.sum() / squares.sum()), float(less.mean() / max(error, 1e-12)))
-
-
-def chance(before: Floats, after: Floats, block: Indices) -> float:
-    """Return the probability that chance gives such a gain: the smaller one of two tests over the blocks, doubled.
-
-    Student's t suits gains of equal size. A step in few rows gives their blocks far more than all others, which
-    Wilcoxon's signed ranks do not mind. NaN with fewer than FEWEST_BLOCKS.
-    """
-    _, less = _by_block(before, after, block)
-    if less.size < FEWEST_BLOCKS:
-        return math.nan
-    by_t = special.stdtr(less.size - 1, -gain(before, after, block).t)
-    return float(2.0 * min(by_t, stats.wilcoxon(less, alternative="greater", method="exact").pvalue))
-
-
-def _by_block(before: Floats, after: Floats, block: Indices) -> tuple[Floats, Floats]:
-    """Return the sum of squares before of each block, and by how much it is less after."""
     numbers = np.unique(block)
-    squares, later = (np.bincount(block, residual**2)[numbers].astype(float) for residual in (before, after))
-    return squares, squares - later
+    squares, later = (np.bincount(block, residual**2)[numbers] for residual in (before, after))
+    less = squares - later
+    if less.size < FEWEST_BLOCKS:
+        return Gain(math.nan, math.nan, math.nan)
+    t = float(less.mean() / max(less.std(ddof=1) / math.sqrt(less.size), 1e-12))
+    by_ranks = stats.wilcoxon(less, alternative="greater", method="exact").pvalue
+    return Gain(float(less.sum() / squares.sum()), t, float(2.0 * min(special.stdtr(less.size - 1, -t), by_ranks)))

@@ -11,7 +11,7 @@ from scipy import special
 
 from truearm.checks.catalogue import Hypothesis, catalogue, rows_used, spans_of
 from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, weigh
-from truearm.checks.held_out import chance, left_out, left_out_blocks
+from truearm.checks.held_out import gain, left_out, left_out_blocks
 from truearm.checks.noise import learned_noise
 from truearm.checks.whitened import DECLARED, WhitenedFit
 from truearm.estimate.ties import largest_first
@@ -110,7 +110,7 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
         detection = detected(significant, table, design)
         before = fitted.extended(columns_of(detections, fit))
         after = left_out(before.extended(detection.best.columns), block)
-        if bare.kernel.declared or chance(left_out(before, block), after, block) < UNCONFIRMED:
+        if bare.kernel.declared or gain(left_out(before, block), after, block).chance < UNCONFIRMED:
             detections.append(detection)
         else:
             refused = tuple(weighed.name for weighed in (detection.best, *detection.rivals))
