@@ -410,12 +410,8 @@ def identified(
             examinations[fit] = examine(chain, rig, table, estimate, effects, bool(chosen.base))
         return examinations[fit]
 
-    def examine_misfit(estimate: Estimate) -> Estimate:
-        if estimate.chi2_reduced <= estimate.chi2_band[1]:
-            return estimate
-        return with_faults(estimate, examine_once(chain, estimate))
-
     def checked(estimate: Estimate) -> Estimate:
+        estimate = with_faults(estimate, examine_once(chain, estimate))
         offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
         with step("trying other interpretations of the inputs"):
             estimate = checked_inputs(estimate, chain, rig, table, selection.free, robot.free, _other_robots, offsets)
@@ -425,7 +421,7 @@ def identified(
         return with_scale(chain, estimate)
 
     def with_laws(estimate: Estimate) -> tuple[Chain, Estimate]:
-        estimate = checked(with_faults(estimate, examine_once(chain, estimate)))
+        estimate = checked(estimate)
         faults, _ = split_causes(chain, rig, fitted, rivals_of_laws(chain, estimate))
         request = LawRequest(LawMode(options.joint_laws), sigma, effects, faults, robot.gravity)
         with step("fitting joint laws"):
@@ -434,7 +430,7 @@ def identified(
     estimate = geometry()
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     if options.joint_laws == LawMode.NONE:
-        estimate = checked(examine_misfit(estimate))
+        estimate = checked(estimate)
     else:
         chain, estimate = fitted_without_outliers(estimate, geometry, with_laws)
     if not estimate.unusable:
