@@ -201,12 +201,12 @@ def observations(
     dwells = _pair(found, rig, rules) if labels is None else _settled(found, rig, labels)
     dwells = with_mountings(dwells, found.marks, rules.pose_tolerance)
     passes = passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance)
-    rested = [replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, found.dwells, strict=True)]
-    by_kind = {
-        name: _measured(dwells if name == BAR else rested, name, kind.dwell, found, rig, rules)
-        for name, kind in registry.kinds().items()
-        if kind.dwell is not None
-    }
+    by_kind: dict[str, list[Dwell]] = {}
+    for kind_name, kind in registry.kinds().items():
+        if kind.dwell is not None:  # what was mounted does not rule out sensors other than the bar
+            rested = (replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, found.dwells, strict=True))
+            stops = dwells if kind_name == BAR else list(rested)
+            by_kind[kind_name] = _measured(stops, kind_name, kind.dwell, found, rig, rules)
     dwells = by_kind[BAR]
     measurable = (
         one
@@ -248,7 +248,8 @@ def _measured(
         if sensor is None:
             dwells[i] = replace(dwells[i], reason="no plan match")
         else:
-            dwell = replace(dwells[i], mounted=dict(sensor.names))
+            dwell = dwells[i]
+            dwell = dwell if sensor.names is dwell.mounted else replace(dwell, mounted=dict(sensor.names))
             dwells[i] = measured(dwell, taken.pop(i) if i in taken else during(i), sensor, sensing)
     return without_noisy(dwells)
 
