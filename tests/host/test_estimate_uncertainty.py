@@ -25,29 +25,24 @@ def two_links():
 
 def test_tolerances_of_a_planar_arm_by_hand():
     """Stretched along x: an angle error moves the end sideways by 0.7 m, lengths along x, nothing along z."""
-    e = tolerance_error(
+    error = tolerance_error(
         two_links(), np.array([1e-3, 2e-4, 1e-4]), np.array([[0.0, 0.0], [0.0, np.pi / 2]]), np.zeros(3)
     )
-    np.testing.assert_allclose(e.covariance[0], np.diag([5e-8, 0.49e-6, 0.0]), atol=1e-20)
-    assert e.rms[0] == pytest.approx(np.sqrt(5e-8 + 0.49e-6))
-    np.testing.assert_allclose(np.abs(e.direction_smallest[0]), [0, 0, 1], atol=1e-9)
-    assert e.sigma_largest[0] == pytest.approx(0.7e-3)
-    assert e.worst == 0  # stretched out, the arm has its longest lever
+    assert error[0] == pytest.approx(np.sqrt(5e-8 + 0.49e-6))
+    assert error[0] > error[1]  # stretched out, the arm has its longest lever
 
 
 def test_prediction_is_the_spread_of_sampled_robots():
     rng = np.random.default_rng(0)
     sigma = np.where([p.unit == "m" for p in CHAIN.parameters], 1e-5, 2e-5)
     q, tool = random_poses(40, rng), np.array([0.01, 0.02, 0.1])
-    e = tolerance_error(CHAIN, sigma, q, tool)
+    error = tolerance_error(CHAIN, sigma, q, tool)
     runs = 1000
     ends = np.array([point_forward(CHAIN, DESIGN + sigma * rng.normal(size=54), q, tool) for _ in range(runs)])
     moved = ends - point_forward(CHAIN, DESIGN, q, tool)
     # The mean square of a norm with up to three unequal components has a relative standard error ≤ sqrt(2/runs).
-    ratio = (moved**2).sum(axis=2).mean(axis=0) / e.rms**2
+    ratio = (moved**2).sum(axis=2).mean(axis=0) / error**2
     np.testing.assert_allclose(ratio, 1.0, atol=4.5 * np.sqrt(2 / runs))
-    along = (moved * e.direction_smallest).sum(axis=2).std(axis=0)
-    np.testing.assert_allclose(along, e.sigma_smallest, rtol=4.5 / np.sqrt(2 * runs))
 
 
 def test_the_posterior_predicts_where_single_parameters_are_unseen():
@@ -58,8 +53,8 @@ def test_the_posterior_predicts_where_single_parameters_are_unseen():
     q = random_poses(30, np.random.default_rng(2))
     tool = np.array(SPHERES["s1"].xyz)
     many, few = (predicted_error(CHAIN, e.value, e.covariance[:54, :54], q, tool) for e in (all_free, few_free))
-    np.testing.assert_allclose(many.rms, few.rms, rtol=1e-3)  # the two ends differ by 1e-6 σ and in the gauge
-    assert (few.rms < 10 * SIGMA).all()
+    np.testing.assert_allclose(many, few, rtol=1e-3)  # the two ends differ by 1e-6 σ and in the gauge
+    assert (few < 10 * SIGMA).all()
 
 
 def test_bad_input_is_refused():

@@ -33,7 +33,7 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
     return found._replace(information=data, covariance=found.covariance * variance, prior_sigma=no_prior)
 
 
-def unweighted(problem: Problem, p0: float = P0) -> Problem:
+def unweighted(problem: Problem) -> Problem:
     """Return the problem with the weights of plain least squares."""
     groups = tuple(replace(g, sensor_cov=np.ones(g.sensor_cov.shape[:2])) for g in problem.groups)
-    return replace(problem, groups=groups, joint_cov=None, prior_sigma=np.full(problem.start.size, np.sqrt(p0)))
+    return replace(problem, groups=groups, joint_cov=None, prior_sigma=np.full(problem.start.size, np.sqrt(P0)))

@@ -23,7 +23,7 @@ should: data and prior disagree.
 **Cartesian error** (Renders 1991, II-D). To first order a point of the end has the error J Δ. If the parameters have
 the covariance Σ, this error has the covariance J Σ Jᵀ, 3 × 3 at each pose. Σ = diag(tolerance²) gives the a priori
 analysis of the paper: how large the error will be before any measurement, where it is largest (points worth measuring:
-III-G), and in which direction of motion it is smallest. Σ = P gives the same a posteriori. P must be the covariance of
+III-G). Σ = P gives the same a posteriori. P must be the covariance of
 all free parameters together: individual parameters may be uncertain by metres along directions that affect no pose.
 """
 
@@ -53,21 +53,6 @@ class Goodness(NamedTuple):
     def explained(self) -> bool:
         """Return whether χ² is not above its range; without degrees of freedom, it is not."""
         return not self.reduced > self.band[1]
-
-
-class CartesianError(NamedTuple):
-    """The error of a point of the end over n poses; the standard deviations are along the principal axes."""
-
-    covariance: Floats  # (n, 3, 3) m², base frame
-    rms: Floats  # (n,) m, RMS of the expected norm: sqrt(trace)
-    sigma_smallest: Floats  # (n,) m
-    direction_smallest: Floats  # (n, 3) unit vectors of the base frame in which the error is smallest
-    sigma_largest: Floats  # (n,) m
-
-    @property
-    def worst(self) -> int:
-        """Return the index of the pose with the largest expected error."""
-        return int(np.argmax(self.rms))
 
 
 def prior_shares(covariance_root: Floats, prior_sigma: Floats) -> Floats:
@@ -102,8 +87,8 @@ def _quantile(mean: float, squares: float, probability: float) -> float:
     return float(squares / mean * special.chdtri(mean**2 / squares, 1.0 - probability))
 
 
-def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats, p_end_point: Floats) -> CartesianError:
-    """Return the error of a point of the end from the covariance (p, p) of the robot's parameters.
+def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats, p_end_point: Floats) -> Floats:
+    """Return the RMS error (n,) [m] of a point of the end from the covariance (p, p) of the robot's parameters.
 
     It is evaluated at params (p,) and q (n, j). Raises ProblemError for a covariance of another shape or with entries
     that are not finite, and if there are no poses.
@@ -115,25 +100,15 @@ def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats,
     if len(q) == 0:
         raise ProblemError("no poses to predict the error for; give at least one row of joint readings")
     root = covariance_root(covariance)
-    parts = []
-    for at in range(0, len(q), CHUNK):
-        _, jac, _ = point_jacobians(chain, params, q[at : at + CHUNK], p_end_point)
-        half = jac @ root
-        parts.append(half @ half.swapaxes(1, 2))
-    matrix = np.concatenate(parts)
-    variance, axes = np.linalg.eigh(matrix)
-    sigma = np.sqrt(np.maximum(variance, 0.0))
-    return CartesianError(
-        matrix,
-        np.sqrt(np.trace(matrix, axis1=1, axis2=2)),
-        sigma[:, 0],
-        axes[:, :, 0],
-        sigma[:, 2],
-    )
+    errors = []
+    for first in range(0, len(q), CHUNK):
+        _, jac, _ = point_jacobians(chain, params, q[first : first + CHUNK], p_end_point)
+        errors.append(np.linalg.norm(jac @ root, axis=(1, 2)))
+    return np.concatenate(errors)
 
 
-def tolerance_error(chain: Chain, sigma: Floats, q: Floats, p_end_point: Floats) -> CartesianError:
-    """Return the a priori error that tolerances σ (p,) of independent parameters cause at the nominal robot.
+def tolerance_error(chain: Chain, sigma: Floats, q: Floats, p_end_point: Floats) -> Floats:
+    """Return the a priori RMS error (n,) [m] that tolerances σ (p,) of independent parameters cause at the nominal robot.
 
     Raises ProblemError for σ of another shape, negative or not finite.
     """

@@ -192,5 +192,5 @@ def straightness(site: Site, q: Floats, along: Floats, point: Floats) -> float:
 def a_priori(site: Site, q: Floats, point: Floats) -> Floats:
     """Return the expected RMS error [m] (c,) over the points of lines (c, n, j), by the tolerances of ``weak_prior``."""
     chain = site.arm.chain
-    error = tolerance_error(chain, weak_prior(chain), q.reshape(-1, q.shape[2]), point).rms
+    error = tolerance_error(chain, weak_prior(chain), q.reshape(-1, q.shape[2]), point)
     return rms_of_columns(error.reshape(q.shape[:2]).T)
