@@ -47,9 +47,14 @@ def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_
 
 def poses(table: ObservationTable) -> Indices:
     """Return numbers (n,) of the rows' poses (rows of equal joint readings), in order of first appearance."""
-    rounded = np.round(table.q / SAME_POSE)
-    _, first, pose = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[pose.ravel()]
+    pose = np.zeros(len(table), dtype=np.intp)
+    for reading in np.round(table.q / SAME_POSE).T:  # ten times as fast as unique rows, which are compared byte by byte
+        code = np.unique(reading, return_inverse=True)[1]
+        pose = np.unique(pose * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
+        if pose.max(initial=0) + 1 == pose.size:
+            return np.arange(pose.size)
+    first = np.unique(pose, return_index=True)[1]
+    return np.argsort(np.argsort(first))[pose]
 
 
 def mountings(table: ObservationTable) -> Indices:

@@ -136,7 +136,12 @@ def squared_distances(
 
 
 def only(problem: Problem, used: NDArray[np.bool_]) -> Problem:
-    """Return the problem without the table's rows that are not ``used`` (n_rows,); rows keep their numbers."""
+    """Return the problem without the table's rows that are not ``used`` (n_rows,); rows keep their numbers.
+
+    The problem of all rows is the problem itself, not a copy.
+    """
+    if used.all():
+        return problem
     groups = (group if group.row is None else group.take(used[group.row]) for group in problem.groups)
     return replace(problem, groups=tuple(group for group in groups if len(group.sensor_cov)))
 
