@@ -47,15 +47,14 @@ from truearm.text import one_line
 # What ``truearm --help`` lists for each task; a typer app is a group of commands.
 TASKS: dict[str, tuple[Any, ...]] = {
     "Try": (demo, simulate),
-    "Measure": (init, status, plan, record, inspect, characterize, session),
+    "Measure": (init, robot, status, plan, record, inspect, characterize, session),
     "Identify": (identify, report, validate, map_),
     "Use": (correct, export),
     "Box": (box,),
 }
-UNLISTED = (robot,)
 COMMANDS = {
     getattr(command, "__name__", None) or command.info.name: (command, task)
-    for task, commands in {**TASKS, "": UNLISTED}.items()
+    for task, commands in TASKS.items()
     for command in commands
 }
 
@@ -113,7 +112,7 @@ def command_tree(only: str | None = None) -> Any:
     for name, (command, task) in COMMANDS.items():
         if only not in (None, name):
             continue
-        shown: dict[str, Any] = {"rich_help_panel": task, "hidden": not task}
+        shown: dict[str, Any] = {"rich_help_panel": task}
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name, **shown)
         else:
