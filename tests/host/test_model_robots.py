@@ -94,6 +94,61 @@ def test_poses_of_the_drawing(name):
     np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-14)  # rounding of 14 factors
 
 
+# Joints of the makers' public URDFs from the base: origin xyz [m] and rpy [deg], axis; the last one, fixed, is the end frame.
+# Angles are the quarter turns for which the files write 1.5708 or 1.57079.
+PUBLIC = {
+    # UniversalRobots/Universal_Robots_ROS2_Description, config/ur3e/default_kinematics.yaml, from "base" to "tool0"
+    "ur3e": [
+        *(((0, 0, 0.15185), (0, 0, 0), Z), ((0, 0, 0), (90, 0, 0), Z), ((-0.24355, 0, 0), (0, 0, 0), Z)),
+        *(((-0.2132, 0, 0.13105), (0, 0, 0), Z), ((0, -0.08535, 0), (90, 0, 0), Z)),
+        ((0, 0.0921, 0), (90, 180, 180), Z),
+    ],
+    # frankaemika/franka_description, robots/fr3/kinematics.yaml, from fr3_link0 to fr3_link8
+    "fr3": [
+        *(((0, 0, 0.333), (0, 0, 0), Z), ((0, 0, 0), (-90, 0, 0), Z), ((0, -0.316, 0), (90, 0, 0), Z)),
+        *(((0.0825, 0, 0), (90, 0, 0), Z), ((-0.0825, 0.384, 0), (-90, 0, 0), Z), ((0, 0, 0), (90, 0, 0), Z)),
+        *(((0.088, 0, 0), (90, 0, 0), Z), ((0, 0, 0.107), (0, 0, 0), None)),
+    ],
+    # xArm-Developer/xarm_ros2, xarm_description/urdf/xarm6/xarm6.urdf.xacro
+    "xarm6": [
+        *(((0, 0, 0.267), (0, 0, 0), Z), ((0, 0, 0), (-90, 0, 0), Z), ((0.0535, -0.2845, 0), (0, 0, 0), Z)),
+        *(((0.0775, 0.3425, 0), (-90, 0, 0), Z), ((0, 0, 0), (90, 0, 0), Z), ((0.076, 0.097, 0), (-90, 0, 0), Z)),
+    ],
+    # ros-industrial/abb, abb_irb1600_support/urdf/irb1600_6_12_macro.xacro
+    "irb1600": [
+        *(((0, 0, 0), (0, 0, 0), Z), ((0.15, 0, 0.4865), (0, 0, 0), Y), ((0, 0, 0.475), (0, 0, 0), Y)),
+        *(((0.3, 0, 0), (0, 0, 0), X), ((0.3, 0, 0), (0, 0, 0), Y), ((0.065, 0, 0), (0, 0, 0), X)),
+        ((0, 0, 0), (0, 90, 0), None),
+    ],
+    # ros-industrial/kuka_experimental, kuka_kr6_support/urdf/kr6r900sixx_macro.xacro
+    "kr6": [
+        *(((0, 0, 0.4), (0, 0, 0), -Z), ((0.025, 0, 0), (0, 0, 0), Y), ((0.455, 0, 0), (0, 0, 0), Y)),
+        *(((0, 0, 0.035), (0, 0, 0), -X), ((0.42, 0, 0), (0, 0, 0), Y), ((0.08, 0, 0), (0, 0, 0), -X)),
+        ((0, 0, 0), (0, 90, 0), None),
+    ],
+}
+
+
+def by_urdf(joints, q):
+    """Return the product of the joints' origins and rotations."""
+    pose, angles = np.eye(4), iter(q)
+    for xyz, (roll, pitch, yaw), axis in joints:
+        pose[:3, 3] += pose[:3, :3] @ xyz
+        for turn, angle in ((Z, np.radians(yaw)), (Y, np.radians(pitch)), (X, np.radians(roll))):
+            pose = pose @ turned_about(turn, np.zeros(3), angle)
+        if axis is not None:
+            pose = pose @ turned_about(axis, np.zeros(3), next(angles))
+    return pose
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_poses_of_the_public_urdf(name):
+    chain = builtin_robot(name).chain
+    q = np.concatenate([np.zeros((1, len(chain.joints))), random_joints(chain, 20, np.random.default_rng(17))])
+    expected = np.stack([by_urdf(PUBLIC[name], posture) for posture in q])
+    np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-12)
+
+
 # Positions [mm] that other programs give for joint angles [deg], printed to 0.1 or 0.001 mm.
 ELSEWHERE = [
     # a public test of another program for the IRB 120, which holds a robot simulator's figures
@@ -149,6 +204,14 @@ def test_the_rows_agree_with_the_urdf(name, file, tip, changes):
         ("irb120", (-165, -110, -110, -160, -120, -400), (165, 110, 70, 160, 120, 400)),
         ("ur5e", (-360, -360, -180, -360, -360, -360), (360, 360, 180, 360, 360, 360)),
         ("ur10e", (-360, -360, -180, -360, -360, -360), (360, 360, 180, 360, 360, 360)),
+        ("ur3e", (-360, -360, -180, -360, -360, -360), (360, 360, 180, 360, 360, 360)),
+        (
+            "fr3",
+            np.degrees((-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159)),
+            np.degrees((2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159)),
+        ),
+        ("irb1600", (-180, -63, -235, -200, -115, -400), (180, 110, 55, 200, 115, 400)),
+        ("kr6", (-170, -190, -120, -185, -120, -350), (170, 45, 156, 185, 120, 350)),
     ],
 )
 def test_limits(name, lower_deg, upper_deg):

@@ -100,7 +100,7 @@ def test_files_in_the_wrong_order_are_named_as_such(typed, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("typed", "meant"), [("UR5E", "ur5e"), ("kuka_lbr", "iiwa14"), ("ABB", "irb120"), ("franka", "panda")]
+    ("typed", "meant"), [("UR5E", "ur5e"), ("kuka_lbr", "iiwa14"), ("ABB", "irb120"), ("franka", "panda or fr3")]
 )
 def test_a_wrong_robot_is_answered_by_what_it_means(typed, meant):
     with pytest.raises(RobotError, match=f"did you mean {meant}"):

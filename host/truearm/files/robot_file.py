@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 MAX_BYTES = 8_000_000
 # The built-in robot that a maker's or another name means.
 ROBOTS_OF = {
-    "abb": "irb120",
-    "franka": "panda",
-    "fr3": "panda",
-    "kuka": "iiwa14",
+    "abb": "irb120 or irb1600",
+    "franka": "panda or fr3",
     "lbr": "iiwa14",
+    "kuka": "iiwa14 or kr6",
+    "ufactory": "xarm6",
     "unimation": "puma560",
-    "universal": "ur5e or ur10e",
+    "universal": "ur3e, ur5e or ur10e",
 }
 
 
