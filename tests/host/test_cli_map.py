@@ -172,6 +172,23 @@ def test_joints_that_span_no_section_are_refused(joints):
         error_map(pair, q, joints, 0.1, np.zeros((P, P)), NONE)
 
 
+def test_a_section_of_an_arm_whose_controller_has_its_own_calibration():
+    """Its axes are parallel to a milliradian only; the cells are where the drawing's section has them."""
+    chain = builtin_robot("ur5e").chain
+    n = len(chain.parameters)
+    turned = [
+        name.startswith(("joint2.", "joint3.")) and chain.parameters[i].unit == "rad"
+        for i, name in enumerate(chain.parameter_names)
+    ]
+    nominal = chain.params_nominal + 1e-3 * np.array(turned)
+    found = error_map(ModelPair(chain, nominal, nominal), np.zeros(6), (1, 2), 0.1, np.zeros((n, n)), np.zeros((n, 0)))
+    reached = ~np.isnan(found.error)
+    middles = np.stack(np.meshgrid(found.u, found.v), axis=-1)
+    off = np.abs((found.point @ found.axes.T)[reached] - middles[reached])
+    assert off.max() < 0.5 * 0.1 + 1e-9  # in its cell
+    assert np.median(off) < 1e-6
+
+
 def test_a_robot_without_errors_has_an_empty_map():
     chain = builtin_robot("ur5e").chain
     n = len(chain.parameters)

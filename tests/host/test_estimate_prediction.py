@@ -23,6 +23,7 @@ from truearm.estimate.uncertainty import predicted_error
 from truearm.files.robot_file import load_robot
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
+from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.results import weights_of
 from truearm.types import BallBar, Device, Plane, Point, Rig, rms
@@ -293,3 +294,14 @@ def test_scatter_of_the_arm_counts_although_the_declared_noise_explains_it():
 def test_noise_of_the_tracker_is_not_scatter_of_the_arm():
     result, _ = sagging(300, sensor=5e-5, declared=5e-5)
     assert result.predicted.scatter == 0.0
+
+
+def test_the_parts_of_the_tools_error_add_up_with_rows_held_out():
+    """Over the same poses, those held out too."""
+    table = random_table(120, np.random.default_rng(8), SIGMA)
+    held = np.linalg.norm(table.q, axis=1) > np.quantile(np.linalg.norm(table.q, axis=1), 0.7)
+    robot = replace(builtin_robot("puma560"), chain=CHAIN)
+    result = identified(robot, RIG, table, Selection(FREE, held))
+    claim, predicted = result.estimate.claim, result.predicted
+    parts = claim.parameters, claim.unnamed, claim.rivals, claim.shift, predicted.scatter
+    assert predicted.rms == pytest.approx(np.linalg.norm(parts), rel=1e-6)

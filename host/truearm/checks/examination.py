@@ -90,7 +90,7 @@ def examined(
         problem = only(problem, estimate.weight[fitted] > 0.0)
     how = measured_order(table, chain, fitted)
     fit = whitened_fit(problem, estimate.value, estimate.free, how, estimate.law_parameters)
-    gram = tool_gram(chain, rig, table.select(fitted), estimate, any_base)
+    gram = tool_gram(chain, rig, table.select(~estimate.left_out), estimate, any_base)
     return of_fit(fit, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)], table, estimate.free)
 
 

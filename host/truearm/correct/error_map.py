@@ -37,6 +37,7 @@ MOST_CELLS = 250_000
 BLOCK = 4000  # cells whose derivatives are held at once: 3 × 54 each take 5 MB
 NEWTON_STEPS = 6  # from a neighbour one cell away they square the error, 25 mm, down to rounding
 LARGEST_STEP = 0.3  # rad
+PARALLEL = 0.02  # rad: axes that a drawing has parallel differ by less in a controller's calibration
 ROUNDING = 1e-9  # m, at the edge of a cell
 STRETCHED = 1e-3  # m²/rad²: below this, elbow up and down are hardly distinguishable
 
@@ -180,7 +181,7 @@ def _plane(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
     motions = [pair.chain.motions[i] for i in joints]
     turning = all(motion[0] == "r" for motion in motions)
     normals = [frames[i][:3, "xyz".index(motion[1])] for i, motion in zip(joints, motions, strict=True)]
-    if not turning or joints[0] >= joints[1] or np.linalg.norm(np.cross(*normals)) > 1e-6:
+    if not turning or joints[0] >= joints[1] or np.linalg.norm(np.cross(*normals)) > PARALLEL:
         raise RobotError(
             f"joints {joints[0] + 1} and {joints[1] + 1} do not turn about parallel axes; choose two that do with ",
             Argument("joints"),

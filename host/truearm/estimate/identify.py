@@ -148,7 +148,7 @@ def identify(
     shared = pose_effect(solved.taken(problem), x, columns, root, task.pose) if as_declared else None
     covariance = np.zeros((x.size, x.size))
     covariance[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
-    unfitted = _unfitted(task, nominal, x, root, quality)
+    unfitted = _unfitted(task, nominal, x, quality)
     unexplained: Mapping[str, MeanError] = {}
     if not quality.fit.explained:
         unexplained = mean_errors(unfitted.error, poses(table), held_out=unfitted.after is not None)
@@ -414,7 +414,7 @@ class _Unfitted(NamedTuple):
     error_before: Residuals
 
 
-def _unfitted(task: _Task, nominal: _Nominal, x: Floats, root: Floats, quality: _Quality) -> _Unfitted:
+def _unfitted(task: _Task, nominal: _Nominal, x: Floats, quality: _Quality) -> _Unfitted:
     fitted, held = task.fitted, task.held
     judge = partial(judged, task.problem, rig=task.rig, table=task.table, held=held, modelled=task.effects)
     before, of_held_before = judge(nominal.x)

@@ -444,7 +444,9 @@ def identified(
         )
     predicted = None
     if estimate.status == "converged" and not estimate.unusable:
-        predicted = predicted_point_error(chain, rig, table.select(copied < 0), estimate, any_base=bool(chosen.base))
+        predicted = predicted_point_error(
+            chain, rig, table.select(~estimate.left_out), estimate, any_base=bool(chosen.base)
+        )
         exceeded = predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained)
         if exceeded:
             predicted = None
