@@ -1,12 +1,15 @@
 """Tables are read back as written; errors name row and column."""
 
+import lzma
 import math
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from tests.refusals import refused
 
 from truearm.errors import TableError
@@ -46,6 +49,63 @@ def test_a_line_row_has_a_point_and_maybe_velocities() -> None:
     np.testing.assert_allclose(table.q_rate, [[math.radians(10.0)], [math.nan]], rtol=1e-15)
     assert table.line.tolist() == ["left", "left"]
     assert np.isnan(table.rotation).all()
+
+
+POSE = "kind,q1_rad,tracker,x_mm,y_mm,z_mm,{}\npose,0.5,t,1,2,3,{}\n"
+TURN = (0.3, -1.2, 2.0)  # rad
+
+
+def test_quaternions_and_matrices_are_rotation_vectors() -> None:
+    rot = Rotation.from_rotvec(TURN)
+    x, y, z, w = rot.as_quat()
+    matrix = rot.as_matrix()
+    titles = [f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
+    for names, values in (
+        (("qw", "qx", "qy", "qz"), (w, x, y, z)),
+        (("qx", "qy", "qz", "qw"), (-x, -y, -z, -w)),
+        (titles, matrix.ravel()),
+        (titles[::-1], matrix.ravel()[::-1]),
+    ):
+        table = parse_table(POSE.format(",".join(names), ",".join(map(str, values))), "t.csv", ("rad",))
+        np.testing.assert_allclose(table.rotation, [TURN], atol=1e-14)
+        np.testing.assert_allclose(table.xyz, [[1e-3, 2e-3, 3e-3]], rtol=1e-15)
+    table = parse_table(POSE.format("qw,qx,qy,qz", "1,0,0,0") + "position,0.5,t,1,2,3,,,,\n", "t.csv", ("rad",))
+    np.testing.assert_allclose(table.rotation, [[0.0] * 3, [np.nan] * 3])
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "place"),
+    [
+        ("qw,qx,qy,qz", "1,1,0,0", "row 2"),  # not of length 1
+        ("qw,qx,qy", "1,0,0", "qz"),
+        ("qw,qx,qy,qz", "1,0,,0", "row 2 column qy"),
+        ("r11,r12,r13,r21,r22,r23,r31,r32,r33", "1,0,0,0,1,0,0,0,-1", "row 2"),  # a mirror
+        ("qw,qx,qy,qz,rx_rad", "1,0,0,0,0", "rx"),
+    ],
+)
+def test_orientations_that_are_none_are_refused(names, values, place) -> None:
+    with pytest.raises(TableError, match=place):
+        parse_table(POSE.format(names, values), "t.csv", ("rad",))
+
+
+def test_a_compressed_table_is_read_and_a_bomb_is_not(tmp_path: Path) -> None:
+    file = tmp_path / "t.csv.xz"
+    packed = lzma.compress(GOOD.encode())
+    file.write_bytes(packed)
+    assert read_table(file).q.tolist() == parse_table(GOOD, "t.csv").q.tolist()
+    rows = GOOD.splitlines(keepends=True)
+    file.write_bytes(b"".join(lzma.compress(row.encode()) for row in rows))  # as several streams
+    assert len(read_table(file)) == 1
+    for data, what in ((packed[:-20], "incomplete"), (packed[:6], "incomplete"), (GOOD.encode(), "decompressed")):
+        file.write_bytes(data)
+        with pytest.raises(TableError, match=what):
+            read_table(file)
+    file.write_bytes(lzma.compress(b"\n" * 60_000_000, preset=0))  # 9 kB
+    tracemalloc.start()
+    with refused("too-large"):
+        read_table(file)
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
 
 
 def test_only_x_in_metres_is_a_measurement() -> None:

@@ -20,15 +20,39 @@ from truearm.files.file_kind import HEAD, KINDS
 from truearm.schema import load_toml
 
 SESSION_MAGIC = b"\x89MCAP"
+COMPRESSED = ".xz"
+MOST_DICTIONARY = 2**27  # bytes that decompression may use; xz -9 needs 65 MiB
 
 
 def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
-    """Return the content of a regular file of at most ``max_bytes``. Raises ``error`` for anything else."""
+    """Return the content of a regular file of at most ``max_bytes``, of an .xz file after it is decompressed.
+
+    Raises ``error`` for anything else.
+    """
     with open_input(path) as file, reading(path):
         data = file.read(max_bytes + 1)
+    if path.suffix.lower() == COMPRESSED and len(data) <= max_bytes:
+        data = _decompressed(data, path, max_bytes, error)
     if len(data) > max_bytes:
         raise error("too-large", place=path, most=f"{max_bytes / 2**20:.0f} MiB")
     return data
+
+
+def _decompressed(data: bytes, path: Path, max_bytes: int, error: type[InputError]) -> bytes:
+    """Return at most ``max_bytes`` + 1 bytes of xz data; what follows is not decompressed."""
+    import lzma  # slow to import
+
+    text = b""
+    while data and len(text) <= max_bytes:  # a file may have several streams
+        stream = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MOST_DICTIONARY)
+        try:
+            text += stream.decompress(data, max_bytes + 1 - len(text))
+        except (lzma.LZMAError, MemoryError) as exc:
+            raise error(f"{path}: cannot be decompressed: {exc}; compress the file again, with xz") from exc
+        if not stream.eof and len(text) <= max_bytes:
+            raise error(f"{path}: is incomplete; copy it again")
+        data = stream.unused_data.lstrip(b"\0")
+    return text
 
 
 def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:

@@ -21,6 +21,7 @@ from truearm.errors import Argument, TableError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, together
 from truearm.files.disk import read_text, write_atomic
 from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, sigma_column
+from truearm.files.orientation_columns import with_rotation_vectors
 from truearm.kinds import registry
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.kinds.table import ObservationTable
@@ -54,7 +55,7 @@ def read_table(path: Path, joint_units: Sequence[str] | None = None) -> Observat
 
 def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) -> ObservationTable:
     """Parse the text of a table; ``name`` stands for the file in messages and in ``source``. See ``read_table``."""
-    header, rows = read_cells(text, name)
+    header, rows = with_rotation_vectors(*read_cells(text, name), name)
     columns = read_header(header, name)
     joints = joint_columns(columns, joint_units, name)
     if not rows:
