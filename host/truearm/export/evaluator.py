@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from truearm.export.link_frames import LinkFrames
+from truearm.export.toml_tables import NO_LIMIT
 from truearm.export.writing import RobotToWrite
 from truearm.types import Floats
 
@@ -65,6 +66,7 @@ def _tables(what: RobotToWrite) -> dict[str, Any]:
     """Return the tables by name: numbers and nested tuples of them."""
     robot, nominal, chain = what.robot, what.described, what.chain
     values = robot.params.tolist()
+    lower, upper = np.clip(chain.limits, -NO_LIMIT, NO_LIMIT).tolist()
     laws = [(p.term, p.joint or 0, p.basis, values[i]) for i, p in enumerate(chain.parameters)]
     curves = []
     for joint, group in groupby((law for law in laws if law[0] == "curve"), key=lambda law: law[1]):
@@ -82,6 +84,8 @@ def _tables(what: RobotToWrite) -> dict[str, Any]:
         "LINKS": _links(robot),
         "OFFSETS": tuple(robot.offsets.tolist()),
         "GAINS": tuple(robot.gains.tolist()),
+        "LOWER": tuple(lower),
+        "UPPER": tuple(upper),
         "CURVES": tuple(curves),
         "NOMINAL_LINKS": _links(nominal),
         "NOMINAL_OFFSETS": tuple(nominal.offsets.tolist()),

@@ -5,9 +5,13 @@
      void truearm_forward(const double *q, double pose[3][4]);
      double truearm_correct(double pose[3][4], double *q);
 
-   truearm_correct changes readings q to those near them at which the arm has the pose, and returns the largest
-   remaining error [m or rad]; check it: beyond the arm's reach it is large. No memory is allocated and nothing is
-   static but constants. Link with -lm. */
+   truearm_correct changes readings q to those near them at which the arm has the pose. It returns the remaining error:
+   the larger of the distance [m] and of 2*sin(turn/2) [rad]. Use q only if this error is below your limit. Each
+   reading stays within LARGEST_CHANGE [rad or m] of the q that you pass and within the joint limits; the error of a
+   pose that has no such readings, or of an R that is no rotation, is not small. If the pose or q is not finite, or q
+   lies farther than that outside the joint limits, q is unchanged and the error is HUGE_VAL.
+
+   No memory is allocated and nothing is static but constants. Link with -lm. */
 
 #include <math.h>
 
@@ -15,6 +19,8 @@
 
 /* end of tables */
 
+#define LARGEST_CHANGE 0.5
+#define LARGEST_STEP 0.1
 #define STEPS 60
 #define STEP_END 1e-13
 #define DAMPING 1e-12
@@ -160,24 +166,38 @@ static void solve(double rows[6][7])
 
 double truearm_correct(double pose[3][4], double *q)
 {
-    double error = HUGE_VAL;
+    double error, lower[JOINTS], upper[JOINTS];
     int i, k, r, s, round;
-    for (round = 0; round < STEPS; round++) {
-        double angles[JOINTS], columns[JOINTS][6], rows[6][7], largest = 0.0;
+    for (i = 0; i < JOINTS; i++) {
+        lower[i] = fmax(LOWER[i], q[i] - LARGEST_CHANGE);
+        upper[i] = fmin(UPPER[i], q[i] + LARGEST_CHANGE);
+        if (!isfinite(q[i]) || lower[i] > upper[i])
+            return HUGE_VAL;
+    }
+    for (k = 0; k < 12; k++)
+        if (!isfinite(pose[k / 4][k % 4]))
+            return HUGE_VAL;
+    for (round = 0;; round++) {
+        double angles[JOINTS], columns[JOINTS][6], rows[6][7], steps[JOINTS];
+        double distance = 0.0, turn = 0.0, largest = LARGEST_STEP, moved = 0.0;
         frame frames[JOINTS + 1];
         const frame *here = (const frame *)&frames[JOINTS];
         true_angles(q, angles);
         chain(LINKS, angles, frames);
-        error = 0.0;
         for (k = 0; k < 3; k++) {
             const int a = (k + 1) % 3, b = (k + 2) % 3;
-            double turn = 0.0;
-            for (i = 0; i < 3; i++)
-                turn += pose[b][i] * (*here)[a][i] - pose[a][i] * (*here)[b][i];
             rows[k][6] = pose[k][3] - (*here)[k][3];
-            rows[k + 3][6] = 0.5 * turn;
-            error = fmax(error, fmax(fabs(rows[k][6]), fabs(rows[k + 3][6])));
+            rows[k + 3][6] = 0.0;
+            for (i = 0; i < 3; i++) {
+                const double change = pose[k][i] - (*here)[k][i];
+                rows[k + 3][6] += 0.5 * (pose[b][i] * (*here)[a][i] - pose[a][i] * (*here)[b][i]);
+                turn += 0.5 * change * change;
+            }
+            distance += rows[k][6] * rows[k][6];
         }
+        error = sqrt(fmax(distance, turn));
+        if (round == STEPS)
+            return error;
         for (i = 0; i < JOINTS; i++) {
             double axis[3], arm[3];
             for (k = 0; k < 3; k++) {
@@ -190,22 +210,28 @@ double truearm_correct(double pose[3][4], double *q)
                 columns[i][k + 3] = SLIDES[i] ? 0.0 : axis[k];
             }
         }
+        /* Damped by the squared error: short steps where the arm is singular, Newton's near the pose (Sugihara 2011). */
         for (r = 0; r < 6; r++)
             for (s = 0; s < 6; s++) {
-                rows[r][s] = r == s ? DAMPING : 0.0;
+                rows[r][s] = r == s ? DAMPING + error * error : 0.0;
                 for (i = 0; i < JOINTS; i++)
                     rows[r][s] += columns[i][r] * columns[i][s];
             }
         solve(rows);
         for (i = 0; i < JOINTS; i++) {
-            double step = 0.0;
+            steps[i] = 0.0;
             for (k = 0; k < 6; k++)
-                step += columns[i][k] * rows[k][6];
-            q[i] += step;
-            largest = fmax(largest, fabs(step));
+                steps[i] += columns[i][k] * rows[k][6];
+            if (!isfinite(steps[i]))
+                return error;
+            largest = fmax(largest, fabs(steps[i]));
         }
-        if (largest < STEP_END)
-            break;
+        for (i = 0; i < JOINTS; i++) {
+            const double reading = fmin(fmax(q[i] + LARGEST_STEP / largest * steps[i], lower[i]), upper[i]);
+            moved = fmax(moved, fabs(reading - q[i]));
+            q[i] = reading;
+        }
+        if (moved < STEP_END)
+            return error;
     }
-    return error;
 }

@@ -1,8 +1,11 @@
 """A calibrated robot arm: the pose of its end at joint readings, and the readings at which its end has a pose.
 
 Units: m, rad, kg. A pose has three rows of [R | p] in the base frame. ``forward(q)`` returns the pose at readings q.
-``correct(pose, q)`` returns readings near q at which the arm has the pose, and the largest remaining error; check that
-error: beyond the arm's reach it is large.
+``correct(pose, q)`` returns readings near q at which the arm has the pose, and the remaining error: the larger of the
+distance [m] and of 2·sin(turn/2) [rad]. Use the readings only if this error is below your limit. Each of them stays
+within LARGEST_CHANGE [rad or m] of q and within the joint limits; the error of a pose that has no such readings, or of
+an R that is no rotation, is not small. If the pose or q is not finite, or q lies farther than that outside the joint
+limits, q is returned and the error is infinite.
 """
 
 from __future__ import annotations
@@ -15,6 +18,8 @@ SLIDES: tuple[bool, ...] = ()
 LINKS: tuple[tuple[tuple[float, ...], ...], ...] = ()
 OFFSETS: tuple[float, ...] = ()
 GAINS: tuple[float, ...] = ()
+LOWER: tuple[float, ...] = ()
+UPPER: tuple[float, ...] = ()
 CURVES: tuple[tuple[int, float, float, bool, tuple[float, ...]], ...] = ()
 NOMINAL_LINKS: tuple[tuple[tuple[float, ...], ...], ...] = ()
 NOMINAL_OFFSETS: tuple[float, ...] = ()
@@ -24,6 +29,7 @@ PAYLOAD_MASS = 0.0
 PAYLOAD_CENTRE = (0.0, 0.0, 0.0)
 # end of tables
 
+LARGEST_CHANGE, LARGEST_STEP = 0.5, 0.1
 STEPS, STEP_END, DAMPING = 60, 1e-13, 1e-12
 
 
@@ -34,6 +40,8 @@ def forward(q: list[float]) -> list[list[float]]:
 
 def true_angles(q: list[float]) -> list[float]:
     """Return the joints' true angles or positions: offset + gain·q + error curve(q) + sag."""
+    if len(q) != JOINTS:
+        raise ValueError(f"q has {len(q)} readings; the arm has {JOINTS} joints")
     angles = [offset + gain * reading for offset, gain, reading in zip(OFFSETS, GAINS, q)]
     for joint, first, spacing, periodic, coefficients in CURVES:
         angles[joint] += _spline(q[joint], first, spacing, periodic, coefficients)
@@ -51,25 +59,39 @@ def true_angles(q: list[float]) -> list[float]:
 
 
 def correct(pose: list[list[float]], q: list[float]) -> tuple[list[float], float]:
-    """Return readings near q at which the arm has the pose, and the largest remaining error [m or rad]."""
+    """Return readings near q at which the arm has the pose, and the remaining error [m or rad]."""
     q, error = list(q), math.inf
-    for _ in range(STEPS):
+    lower = [max(limit, reading - LARGEST_CHANGE) for limit, reading in zip(LOWER, q)]
+    upper = [min(limit, reading + LARGEST_CHANGE) for limit, reading in zip(UPPER, q)]
+    is_finite = all(map(math.isfinite, [*q, *pose[0], *pose[1], *pose[2]]))
+    if not is_finite or any(low > high for low, high in zip(lower, upper)):
+        return q, error
+    for index in range(STEPS + 1):
         frames = _frames(LINKS, true_angles(q))
         here = frames[-1]
         apart = [pose[k][3] - here[k][3] for k in range(3)]
         turn = [[sum(pose[r][k] * here[c][k] for k in range(3)) for c in range(3)] for r in range(3)]
         apart += [0.5 * (turn[(k + 2) % 3][(k + 1) % 3] - turn[(k + 1) % 3][(k + 2) % 3]) for k in range(3)]
-        error = max(map(abs, apart))
+        changes = [pose[r][k] - here[r][k] for r in range(3) for k in range(3)]
+        error = max(math.hypot(*apart[:3]), math.sqrt(0.5) * math.hypot(*changes))
+        if index == STEPS:
+            break
         columns = []
         for joint in range(JOINTS):
             axis = [row[2] * GAINS[joint] for row in frames[joint]]
             arm = [here[k][3] - frames[joint][k][3] for k in range(3)]
             columns.append([*axis, 0.0, 0.0, 0.0] if SLIDES[joint] else [*_cross(axis, arm), *axis])
-        square = [[sum(c[r] * c[s] for c in columns) + DAMPING * (r == s) for s in range(6)] for r in range(6)]
+        # the squared error: short steps where the arm is singular, Newton's near the pose (Sugihara 2011)
+        damping = DAMPING + error * error
+        square = [[sum(c[r] * c[s] for c in columns) + damping * (r == s) for s in range(6)] for r in range(6)]
         weights = _solved(square, apart)
         step = [sum(a * b for a, b in zip(column, weights)) for column in columns]
-        q = [reading + change for reading, change in zip(q, step)]
-        if max(map(abs, step)) < STEP_END:
+        if not all(map(math.isfinite, step)):
+            break
+        scale = LARGEST_STEP / max(LARGEST_STEP, *map(abs, step))
+        before = q
+        q = [min(max(a + scale * b, low), high) for a, b, low, high in zip(q, step, lower, upper)]
+        if max(abs(a - b) for a, b in zip(q, before)) < STEP_END:
             break
     return q, error
 
