@@ -62,10 +62,10 @@ def test_a_line_alone_says_the_same():
         "line": "é",
     }
     batch = parse_lines([json.dumps(row, ensure_ascii=False).encode()], [3])
-    assert (batch.arrival_ns, batch.t, batch.seq, batch.inputs) == (3, 1.5, 7, 5)
+    assert (batch.arrival_ns, batch.t, batch.seq) == (3, 1.5, 7)
     assert batch.q.tolist() == [[1.0, 2.5]]
-    assert batch.q_cmd.tolist() == [[1.0, 2.0]]
-    assert {key: values.tolist() for key, values in batch.more.items()} == {"qd": [[0.0, 0.0]], "robot_mode": [7.0]}
+    more = {key: values.tolist() for key, values in batch.more.items()}
+    assert more == {"q_cmd": [[1.0, 2.0]], "qd": [[0.0, 0.0]], "inputs": [5], "robot_mode": [7.0]}
 
 
 @pytest.mark.parametrize("more", ["", ', "current": [NaN]'], ids=["usual", "unusual"])

@@ -180,7 +180,7 @@ def test_malformed_lines_are_counted_among_good_ones(line):
 
 def assert_same(one, other):
     assert one.more.keys() == other.more.keys()
-    for name in ("arrival_ns", "t", "seq", "q", "q_cmd", "inputs"):
+    for name in ("arrival_ns", "t", "seq", "q"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), strict=True)
     for key, values in one.more.items():
         np.testing.assert_array_equal(values, other.more[key], strict=True)

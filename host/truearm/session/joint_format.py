@@ -61,10 +61,9 @@ class JointLine(msgspec.Struct, gc=False):
 
 
 ARRAYS = ("q_cmd", "qd", "current", "effort")  # one number per joint
-
-
 NUMBERS = ("robot_mode", "runtime_state")
-
+OPTIONAL = (*ARRAYS, "inputs", *NUMBERS)
+WHOLE = ("arrival_ns", "seq", "inputs")  # of integers
 
 _usual_line = msgspec.json.Decoder(JointLine).decode
 
@@ -138,40 +137,36 @@ def _finite(value: object) -> bool:
     return (type(value) is float and math.isfinite(value)) or (type(value) is int and abs(value) < 2**53)
 
 
-NO_INPUTS = -1  # inputs of a reading without them
-
-
 JOINTS = "/robot/joints"
-
-
 COLUMNS = "/robot/columns"
-
-
 READINGS = "/robot/readings"  # of a source that sends numbers: the same columns, without lines
 
-
+NO_INPUTS = -1  # inputs of a reading without them
 _FLOAT64, _SINT64 = 86, 79  # RFC 8746: little-endian typed arrays
-
-
 _DTYPES = {_FLOAT64: "<f8", _SINT64: "<i8"}
+_RANGES: dict[str, tuple[float, float]] = {  # of the numbers of a batch: from, to less than
+    "arrival_ns": (0, LATEST_NS),
+    "t": (0.0, MAX_T_S),
+    "seq": (UNNUMBERED, MAX_SEQ),
+    "inputs": (NO_INPUTS, 2**63),
+    **dict.fromkeys(("q", *ARRAYS), (-MAX_Q, MAX_Q)),
+}
 
 
 @dataclass(frozen=True, eq=False)
 class JointBatch:
     """Readings (n,) of j joints in order of arrival.
 
-    ``seq`` is UNNUMBERED, ``q_cmd`` NaN and ``inputs`` NO_INPUTS where a reading does not have them. ``more``:
-    velocities ``qd``, ``current``, ``effort`` (n, j), ``robot_mode`` and ``runtime_state`` (n,), as far as any reading
-    has them; NaN where a reading does not.
+    ``seq`` is UNNUMBERED where a reading has no number. ``more``: what any reading has of commanded joints ``q_cmd``,
+    velocities ``qd``, ``current``, ``effort`` (n, j), ``inputs``, ``robot_mode`` and ``runtime_state`` (n,). Where a reading
+    does not have it, it is NaN, or NO_INPUTS.
     """
 
     arrival_ns: Ints
     t: Floats  # s, of the controller
     seq: Ints
     q: Floats  # (n, j) rad or m
-    q_cmd: Floats  # (n, j)
-    inputs: Ints
-    more: Mapping[str, Floats]
+    more: Mapping[str, NDArray[Any]]
 
     def __len__(self) -> int:
         return len(self.t)
@@ -194,23 +189,16 @@ def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints
 def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
     """Concatenate at least one batch of readings with equal numbers of joints."""
     keys = dict.fromkeys(chain.from_iterable(batch.more for batch in batches))
-    filled = [
-        batch
-        if len(batch.more) == len(keys)
-        else replace(batch, more={key: batch.more.get(key, _nothing(batch, key)) for key in keys})
-        for batch in batches
-    ]
+    filled = []
+    for batch in batches:
+        lacking = {key: _optional(key, [None] * len(batch), batch.q.shape[1]) for key in keys if key not in batch.more}
+        filled.append(replace(batch, more={**batch.more, **lacking}))
     return filled[0] if len(filled) == 1 else _each(lambda *columns: np.concatenate(columns), *filled)
 
 
 def pack(batch: JointBatch) -> bytes:
-    """Encode a batch as a message; columns without values are left out."""
-    columns: dict[str, NDArray[Any]] = {"arrival_ns": batch.arrival_ns, "t": batch.t, "seq": batch.seq, "q": batch.q}
-    if not np.isnan(batch.q_cmd).all():
-        columns["q_cmd"] = batch.q_cmd
-    if (batch.inputs != NO_INPUTS).any():
-        columns["inputs"] = batch.inputs
-    columns |= batch.more
+    """Encode a batch as a message."""
+    columns = {"arrival_ns": batch.arrival_ns, "t": batch.t, "seq": batch.seq, "q": batch.q, **batch.more}
     return cbor2.dumps({name: _tagged(column) for name, column in columns.items()})
 
 
@@ -220,30 +208,21 @@ def unpack(*messages: bytes) -> JointBatch | None:
     None if ``pack`` cannot have made one of them, as the lines contain the same data, or if their columns differ.
     """
     try:
-        said = _joined([cbor2.loads(data) for data in messages])
-        t, seq, arrival_ns, flat = (said.pop(name) for name in ("t", "seq", "arrival_ns", "q"))
-        n, width = len(t), len(flat) // len(t)
-        q = flat.reshape(n, width)
-        commanded, inputs = said.pop("q_cmd", None), said.pop("inputs", None)
-        q_cmd = np.full(q.shape, np.nan) if commanded is None else commanded.reshape(n, width)
-        inputs = np.full(n, NO_INPUTS) if inputs is None else inputs
-        more = {
-            key: said[key].reshape((n, width) if key in ARRAYS else n) for key in (*ARRAYS, *NUMBERS) if key in said
+        columns = _joined([cbor2.loads(data) for data in messages])
+        n, width = len(columns["t"]), len(columns["q"]) // len(columns["t"])
+        columns = {
+            key: columns[key].reshape((n, width) if key in ("q", *ARRAYS) else n)
+            for key in ("arrival_ns", "t", "seq", "q", *OPTIONAL)
+            if key in columns or key not in OPTIONAL
         }
     except (cbor2.CBORError, AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError, RecursionError):
         return None
-    whole, floats = (seq, arrival_ns, inputs), (t, q, q_cmd, *more.values())
-    if any(column.dtype.kind != "i" or column.shape != (n,) for column in whole):
-        return None
-    if any(column.dtype.kind != "f" for column in floats) or not 1 <= width <= MAX_JOINTS:
-        return None
-    good = arrival_ns.min() >= 0 and arrival_ns.max() < LATEST_NS
-    good = (
-        good and t.min() >= 0.0 and t.max() < MAX_T_S and seq.min() >= UNNUMBERED and seq.max() < MAX_SEQ
-    )  # false for NaN
-    good = good and flat.min() > -MAX_Q and flat.max() < MAX_Q and inputs.min() >= NO_INPUTS
-    good = good and (commanded is None or not np.any(np.abs(q_cmd) >= MAX_Q))
-    return JointBatch(arrival_ns, t, seq, q, q_cmd, inputs, more) if good else None
+    good = 1 <= width <= MAX_JOINTS and not any(np.isnan(columns[key]).any() for key in ("t", "q"))
+    good = good and all((column.dtype.kind == "i") == (key in WHOLE) for key, column in columns.items())
+    for key, (least, beyond) in _RANGES.items():
+        good = good and not (key in columns and np.any((columns[key] < least) | (columns[key] >= beyond)))
+    required = {key: columns.pop(key) for key in ("arrival_ns", "t", "seq", "q")}
+    return JointBatch(**required, more=columns) if good else None
 
 
 def _tagged(column: NDArray[Any]) -> cbor2.CBORTag:
@@ -274,43 +253,33 @@ def columns_of_rows(
 ) -> JointBatch:
     """Return the columns of lines with equal numbers of joints; ``width`` is used if there are no lines."""
     width = len(rows[0].q) if rows else width or 0
-    numbers = {key: list(map(attrgetter(key), rows)) for key in NUMBERS}
-    arrays = {key: _joints(list(map(attrgetter(key), rows)), width) for key in ARRAYS}
-    q_cmd = arrays.pop("q_cmd")
-    more = {key: values for key, values in arrays.items() if values is not None}
-    more |= {key: np.array(said, np.float64) for key, said in numbers.items() if said.count(None) < len(said)}
+    values = {key: list(map(attrgetter(key), rows)) for key in OPTIONAL}
     return JointBatch(
         arrival_ns=np.array(arrival_ns, dtype=np.int64),
         t=np.array([row.t for row in rows], dtype=np.float64),
         seq=np.array([row.seq for row in rows], dtype=np.int64),
         q=_table([row.q for row in rows], width),
-        q_cmd=np.full((len(rows), width), np.nan) if q_cmd is None else q_cmd,
-        inputs=np.array([NO_INPUTS if row.inputs is None else row.inputs for row in rows], dtype=np.int64),
-        more=more,
+        more={key: _optional(key, column, width) for key, column in values.items() if column.count(None) < len(rows)},
     )
 
 
-def _joints(values: list[list[float] | None], width: int) -> Floats | None:
-    """Return the numbers (n, j) of a key, NaN where a reading does not have one per joint; None if no reading has them."""
-    if values.count(None) == len(values):
-        return None
-    nothing = [np.nan] * width
-    rows = [nothing if value is None or len(value) != width else value for value in values]
-    return _table(rows, width)
+def _optional(key: str, values: Sequence[Any], width: int) -> NDArray[Any]:
+    """Return a column of ``more``; None, and arrays of another number of joints, are values that a reading does not have."""
+    if key in ARRAYS:
+        nothing = [np.nan] * width
+        return _table([nothing if value is None or len(value) != width else value for value in values], width)
+    if key in WHOLE:
+        return np.array([NO_INPUTS if value is None else value for value in values], np.int64)
+    return np.array(values, np.float64)
 
 
 def _table(rows: Sequence[Sequence[float]], width: int) -> Floats:
     return np.fromiter(chain.from_iterable(rows), np.float64, width * len(rows)).reshape(len(rows), width)
 
 
-def _nothing(batch: JointBatch, key: str) -> Floats:
-    """Return a column of ``more`` for which no reading has a value."""
-    return np.full(batch.q.shape if key in ARRAYS else len(batch), np.nan)
-
-
 def _each(made: Callable[..., NDArray[Any]], *batches: JointBatch) -> JointBatch:
     """Combine each column of ``batches``, which have the same columns, into one batch."""
-    names = ("arrival_ns", "t", "seq", "q", "q_cmd", "inputs")
+    names = ("arrival_ns", "t", "seq", "q")
     columns = {name: made(*(getattr(batch, name) for batch in batches)) for name in names}
     more = {key: made(*(batch.more[key] for batch in batches)) for key in batches[0].more}
     return JointBatch(**columns, more=more)

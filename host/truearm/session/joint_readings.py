@@ -88,7 +88,7 @@ class InputTrack:
         return Changes(times[of_it, 0], times[of_it, 1], bits[of_it, 1] == 1)
 
 
-CHUNK = 2048  # readings processed at a time
+CHUNK = 2048  # readings that show the period
 BIN_S = 0.05
 READING_GAP_S = 0.25  # after such a gap it is not known whether the robot stood still
 NOTED_S = 1.0  # a larger median interval means that the readings were noted one by one
@@ -209,8 +209,7 @@ class SegmentedReadings:
             return []
         self._joints = batch.q.shape[1]
         self._batches.append(batch)
-        # The first must be long enough to show the period of the readings.
-        return self.finish() if sum(map(len, self._batches)) >= CHUNK else []
+        return self.finish() if self.period_s is not None or sum(map(len, self._batches)) >= CHUNK else []
 
     def finish(self) -> list[tuple[bool, JointBatch]]:
         """Return the remaining readings at the end of the session."""
@@ -329,7 +328,8 @@ class JointReader:
         if kept.size:
             self._last = (self._latest_s, int(kept[-1]))
             self._arrivals[-1].add(t[keep], batch.arrival_ns[keep])
-            self._inputs[-1].add(t[keep], batch.inputs[keep])
+            if "inputs" in batch.more:
+                self._inputs[-1].add(t[keep], batch.more["inputs"][keep])
             self._bin(t[keep], batch.q[keep])
             if self.keeps:
                 readings = Readings(t[keep], kept, batch.q[keep])

@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
@@ -59,32 +58,28 @@ def tabulate(found: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
     ``joint_units``: "rad" or "m" for each joint ("rad" if not given). Raises SessionError if the box's description
     keeps changing.
     """
-    names, robot, messages_before = _Names(), _Robot(found, joint_units), 0
+    titles: dict[str, list[tuple[str, ...]]] = {}  # of the tables of each name
+    robot, messages_before = _Robot(found, joint_units), 0
     for messages, blocks in read_blocks(found.source, BoxReader(found.ident)):
-        tables = [(f"box_{some.stream.name}", samples(some, found)) for some in blocks]
+        tables = ((f"box_{some.stream.name}", samples(some, found)) for some in blocks)
         for name, columns in chain(tables, _small_tables(messages, messages_before, found), robot.take(messages)):
-            yield names.of(name, columns), columns
+            yield _table_of(name, columns, titles), columns
         messages_before += len(messages)
     for name, columns in robot.finish():
-        yield names.of(name, columns), columns
+        yield _table_of(name, columns, titles), columns
 
 
-@dataclass
-class _Names:
-    """Assigns the table for columns with these titles."""
-
-    known: dict[tuple[str, tuple[str, ...]], str] = field(default_factory=dict)
-
-    def of(self, name: str, columns: Columns) -> str:
-        key = name, tuple(columns)
-        if key not in self.known:
-            if len(self.known) >= MAX_TABLES:
-                raise SessionError(
-                    f"the session would become more than {MAX_TABLES} tables; a session of truearm record has about a dozen"
-                )
-            before = sum(other == name for other, _ in self.known)
-            self.known[key] = f"{name}-{before + 1}" if before else name
-        return self.known[key]
+def _table_of(name: str, columns: Columns, titles: dict[str, list[tuple[str, ...]]]) -> str:
+    """Return the name of the table with these columns."""
+    tables = titles.setdefault(name, [])
+    if tuple(columns) not in tables:
+        tables.append(tuple(columns))
+        if sum(map(len, titles.values())) > MAX_TABLES:
+            raise SessionError(
+                f"the session would become more than {MAX_TABLES} tables; a session of truearm record has about a dozen"
+            )
+    number = tables.index(tuple(columns)) + 1
+    return name if number == 1 else f"{name}-{number}"
 
 
 def _small_tables(messages: Messages, messages_before: int, found: Survey) -> Iterator[Batch]:
@@ -185,60 +180,50 @@ class _Robot:
     """The readings of the robot in order of arrival, each with its host time."""
 
     def __init__(self, found: Survey, units: Sequence[str]) -> None:
-        self._clocks = found.joints.clocks
+        self._joints = found.joints
         n = len(found.joints.step)
         self._units = tuple(units) or ("rad",) * n
         if n and len(self._units) != n:
             raise SessionError("other-robot", place="session", joints=n, expected=len(self._units))
         self._order = SegmentedReadings(len(self._units) or None)
         self._segment = -1
-        self._keys: set[str] = set()  # optional keys seen so far
+        self._keys: list[JointBatch] = []  # of no readings, with the optional keys so far
 
     def take(self, messages: Messages) -> Iterator[Batch]:
         """Return the readings that are due."""
-        return self._joined(self._order.take(messages))
+        return self._table(self._order.take(messages))
 
     def finish(self) -> Iterator[Batch]:
         """Return the remaining readings at the end of the session."""
-        return self._joined(self._order.finish())
+        return self._table(self._order.finish())
 
-    def _joined(self, pieces: Sequence[tuple[bool, JointBatch]]) -> Iterator[Batch]:
-        """Return tables of pieces of one segment each."""
+    def _table(self, pieces: Sequence[tuple[bool, JointBatch]]) -> Iterator[Batch]:
+        """Yield the table of pieces of one segment each."""
         if not pieces:
             return
         segments = self._segment + np.cumsum([begins for begins, _ in pieces])
         self._segment = int(segments[-1])
-        host = [self._clocks[k].to_host_ns(piece.t) for k, (_, piece) in zip(segments.tolist(), pieces, strict=True)]
-        batch = concatenate([piece for _, piece in pieces])
-        seq = batch.seq
+        segment = np.repeat(segments, [len(piece) for _, piece in pieces])
+        batch = concatenate([*self._keys, *(piece for _, piece in pieces)])
+        self._keys = [batch[:0]]
         columns: Columns = {
             "arrival_ns": batch.arrival_ns,
-            "host_time_ns": np.concatenate(host),
-            "segment": np.repeat(segments, [len(piece) for _, piece in pieces]),
+            "host_time_ns": self._joints.to_host_ns(segment, batch.t),
+            "segment": segment,
             "controller_time_s": batch.t,
-            "seq": np.where(seq == UNNUMBERED, UNKNOWN, seq),
-            **{f"q{j}_{unit}": batch.q[:, j - 1] for j, unit in enumerate(self._units, start=1)},
+            "seq": np.where(batch.seq == UNNUMBERED, UNKNOWN, batch.seq),
+            **_joints(batch.q, self._units),
         }
-        yield "joints", columns | self._optional(batch)
-
-    def _optional(self, batch: JointBatch) -> Columns:
-        said = dict(batch.more)
-        if not np.isnan(batch.q_cmd).all():
-            said["q_cmd"] = batch.q_cmd
-        if (batch.inputs != NO_INPUTS).any():
-            said["inputs"] = np.where(batch.inputs == NO_INPUTS, np.nan, batch.inputs)
-        self._keys |= said.keys()
-        columns: Columns = {}
         for key, title in _TITLES.items():
-            if key not in self._keys:
+            values = batch.more.get(key)
+            if values is None:
                 continue
-            if key not in ARRAYS:
-                columns[title] = said.get(key, np.full(len(batch), np.nan))
-                continue
-            values = said.get(key, np.full(batch.q.shape, np.nan))
-            for j, unit in enumerate(self._units):
-                columns[title.format(j + 1, unit, _TORQUE.get(unit, unit))] = values[:, j]
-        return columns
+            if key in ARRAYS:
+                titles = [title.format(j, unit, _TORQUE.get(unit, unit)) for j, unit in enumerate(self._units, start=1)]
+                columns |= zip(titles, values.T, strict=True)
+            else:
+                columns[title] = np.where(values == NO_INPUTS, np.nan, values) if key == "inputs" else values
+        yield "joints", columns
 
 
 def _kind(text: str) -> str:
