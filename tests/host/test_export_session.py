@@ -248,7 +248,7 @@ def test_a_box_that_is_ever_another():
 
 
 def test_memory_does_not_grow(made):
-    """Twice the data needs no more memory; 10 % is allowed for the allocator."""
+    """Four times the data needs no more memory; 20 % is allowed for the allocator."""
     box = [message for message in made[0] if message.topic != "/robot/joints"]
     found = survey(stream_of(made[0]))
     q = [0.1] * 6
@@ -278,9 +278,7 @@ def test_memory_does_not_grow(made):
         return peak_bytes
 
     peak(1)
-    assert (
-        peak(12) < 1.1 * peak(6) + 100_000
-    )  # in the first parts the batches that are held together are not yet as many
+    assert peak(12) < 1.2 * peak(3) + 100_000
 
 
 class TestRefusals:

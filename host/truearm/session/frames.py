@@ -29,7 +29,9 @@ from truearm_wire import messages as wire
 NONE = -1  # of a frame without this element
 FRAME = np.dtype(
     [(name, np.int64) for name in ("message", "t_host_ns", "seq", "type", "t_us", "boot_id")]  # of all frames
-    + [(name, np.int64) for name in ("stream", "n0", "period_ns", "flags", "samples_at", "samples_bytes")]  # of data
+    + [
+        (name, np.int64) for name in ("stream", "n0", "period_ns", "flags", "buffer", "samples_at", "samples_bytes")
+    ]  # of data
 )
 _TIME_AT = {wire.EVENT: 3, wire.HEARTBEAT: 3}  # index of the device time in a frame without samples
 
@@ -64,36 +66,41 @@ _UINT32, _UINT64 = 0x1A, 0x1B  # CBOR: an unsigned integer of this many bits fol
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The frames (f,) in a batch of messages. Messages that are not frames are left out.
+    """The frames (f,) in a batch of messages, which may follow frames of earlier ones. Messages that are not frames are left out.
 
-    ``table`` (f,) of FRAME; ``message`` is an index in the batch, ``samples_at`` is an offset in ``data``. The period is 0 if the frame states the offset of
-    each sample. ``elements``: of each frame that was decoded singly, by row. The type of a frame that violates the
-    specification is NONE; ``malformed`` counts these and the messages that are not frames.
+    ``table`` (f,) of FRAME; ``message`` is an index in the batch, ``samples_at`` is an offset in one of the ``buffers``. The
+    period is 0 if the frame states the offset of each sample. ``elements``: of each frame that was decoded singly, by row.
+    The type of a frame that violates the specification is NONE; ``malformed`` counts these and the messages that are not
+    frames.
     """
 
-    data: bytes
+    buffers: tuple[bytes, ...]
     table: NDArray[Any]
     elements: dict[int, list[Any]]
     malformed: int
 
-    def followed_by(self, later: Frames, first: int) -> Frames:
-        """Return the frames from row ``first`` on, then all of ``later``; of the data, only samples are kept."""
-        count = len(self.table) - first
-        table = np.concatenate([self.table[first:], later.table])
-        held, later_at = table[:count], table["samples_at"][count:]
-        held = held[held["samples_at"] != NONE]
-        places = zip(held["samples_at"].tolist(), held["samples_bytes"].tolist(), strict=True)
-        samples = b"".join(self.data[begin : begin + n] for begin, n in places)
-        table["samples_at"][:count][table["samples_at"][:count] != NONE] = (
-            np.cumsum(held["samples_bytes"]) - held["samples_bytes"]
+    def held(self, first: int) -> Frames:
+        """Return the frames from row ``first`` on, with their samples alone."""
+        table = self.table[first:].copy()
+        of_data = np.flatnonzero(table["samples_at"] != NONE)
+        places = zip(
+            *(table[name][of_data].tolist() for name in ("buffer", "samples_at", "samples_bytes")), strict=True
         )
-        later_at[later_at != NONE] += len(samples)
-        elements = {k - first: frame for k, frame in self.elements.items() if k >= first}
-        elements |= {k + count: frame for k, frame in later.elements.items()}
-        return Frames(samples + later.data, table, elements, later.malformed)
+        samples = b"".join(self.buffers[buffer][begin : begin + n] for buffer, begin, n in places)
+        size = table["samples_bytes"][of_data]
+        table["buffer"][of_data], table["samples_at"][of_data] = 0, np.cumsum(size) - size
+        return Frames((samples,), table, {k - first: frame for k, frame in self.elements.items() if k >= first}, 0)
+
+    def followed_by(self, later: Frames) -> Frames:
+        """Return these frames, then all of ``later``."""
+        count = len(self.table)
+        table = np.concatenate([self.table, later.table])
+        table["buffer"][count:] += len(self.buffers)
+        elements = self.elements | {k + count: frame for k, frame in later.elements.items()}
+        return Frames(self.buffers + later.buffers, table, elements, later.malformed)
 
 
-NO_FRAMES = Frames(b"", np.empty(0, FRAME), {}, 0)
+NO_FRAMES = Frames((), np.empty(0, FRAME), {}, 0)
 
 
 def frames_of(messages: Messages) -> Frames:
@@ -101,7 +108,7 @@ def frames_of(messages: Messages) -> Frames:
     rows = messages.rows(lambda topic: topic.startswith("/box/") and topic != "/box/console")
     begin, end = messages.begin[rows], messages.end[rows]
     table = np.full(len(rows), NONE, FRAME)
-    table["message"], table["t_host_ns"] = rows, messages.t_host_ns[rows]
+    table["message"], table["t_host_ns"], table["buffer"] = rows, messages.t_host_ns[rows], 0
     usual = _usual_data(messages, begin, end, table) | _usual_syncs(messages, begin, end, table)
     elements: dict[int, list[Any]] = {}
     is_frame = np.ones(len(rows), bool)
@@ -129,7 +136,7 @@ def frames_of(messages: Messages) -> Frames:
                 table[name][k] = getattr(data, name)
             table["samples_at"][k], table["samples_bytes"][k] = at, len(data.samples)
     place = (np.cumsum(is_frame) - 1).tolist()
-    return Frames(messages.data, table[is_frame], {place[k]: frame for k, frame in elements.items()}, malformed)
+    return Frames((messages.data,), table[is_frame], {place[k]: frame for k, frame in elements.items()}, malformed)
 
 
 def _usual_data(messages: Messages, begin: Ints, end: Ints, table: NDArray[Any]) -> NDArray[np.bool_]:

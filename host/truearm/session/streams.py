@@ -20,7 +20,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -148,11 +148,11 @@ class BoxReader:
         frames.table["message"] += self._messages
         self._messages += len(messages)
         self._count["frames_malformed"] += frames.malformed
-        frames = self._held.followed_by(frames, 0)
+        frames = self._held.followed_by(frames)
         bounds = _bounds(frames.table)
         if self._continues(frames.table[: bounds[-1]]):
             bounds = [0, bounds[-1]]
-        self._held = frames.followed_by(NO_FRAMES, bounds[-1])
+        self._held = frames.held(bounds[-1])
         return self._use(frames, bounds)
 
     def finish(self) -> list[Blocks]:
@@ -299,8 +299,8 @@ class BoxReader:
         blocks: list[Blocks] = []
         table, ident = frames.table[index], self.segment.ident
         data = table["type"] == wire.DATA
-        for stream_id in np.unique(table["stream"][data]).tolist():
-            rows = np.flatnonzero(data & (table["stream"] == stream_id))
+        for stream_id, buffer in product(np.unique(table["stream"][data]).tolist(), range(len(frames.buffers))):
+            rows = np.flatnonzero(data & (table["stream"] == stream_id) & (table["buffer"] == buffer))
             if ident is None or stream_id not in ident.streams:
                 self._count["blocks_without_ident"] += len(rows)
             elif len(rows := self._whole(frames, index, rows, ident.streams[stream_id])):
@@ -325,7 +325,8 @@ class BoxReader:
         gap, run = track.take(table["n0"], n, table["t_us"], table["flags"], lost)
         single = np.flatnonzero(table["period_ns"] == 0).tolist()
         offsets = {k: frames.elements[int(index[k])][5].value for k in single}
-        return Blocks(self.segment.index, ident, stream, frames.data, table, n, gap, run, offsets)
+        data = frames.buffers[table["buffer"][0]]
+        return Blocks(self.segment.index, ident, stream, data, table, n, gap, run, offsets)
 
 
 _TEMPERATURE_AT = wire.names(wire.HEARTBEAT)[1:].index("temperature_mdegc")
