@@ -444,7 +444,7 @@ class JointLaws:
     ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` explain, in sentences,
     why other laws, or all of them, were not tried. The noise per pose is estimated from the residuals by evidence: a
     factor on the declared variances, and the standard deviations of a displacement [m] and a rotation [rad] shared by the
-    rows of a pose, and of an error of each revolute joint [rad]. ``noise_nats`` is by how much these errors of the arm
+    rows of a pose, and of an error of each joint [rad, m of ``linear`` ones]. ``noise_nats`` is by how much these errors of the arm
     raise the log evidence over a factor alone.
     """
 
@@ -460,6 +460,7 @@ class JointLaws:
     noise_shared: float = math.nan
     noise_turned: float = math.nan
     noise_joint: Mapping[str, float] = field(default_factory=dict)
+    linear: tuple[str, ...] = ()
     noise_nats: float = math.nan
 
 

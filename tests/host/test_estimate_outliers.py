@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.host.device_bench import TARGETS, join, touches
 from tests.host.findings_bench import stated
 from tests.host.puma_bench import CHAIN, FREE, RIG, SIGMA, SPHERES, TRUTH, random_table
 
@@ -11,6 +12,7 @@ import truearm
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.model.chain import point_forward
+from truearm.types import Plane
 
 REJECT = SolverOptions(reject=True)
 N = 360
@@ -130,3 +132,15 @@ def test_more_bad_rows_than_are_left_out_are_named(loss):
         expect = of.estimate.without_bad_rows.tool_moves
         assert tool_error(of.estimate) == pytest.approx(expect, rel=0.2)  # the fit without them errs too
         assert findings["tool-error-bad-rows"].values["moves"] == {"mm": 1e3 * expect}
+
+
+def test_all_rows_of_a_kind_may_be_outliers():
+    """A flat that is 3 mm from where it is described, touched once beside a hundred bars."""
+    rng = np.random.default_rng(0)
+    plane = Plane("p", (0.4, 0.1, 0.3), (0.0, 0.0, 1.0), 3e-5, 1e-5, 1e-4)
+    touch = touches(plane, 1, rng)
+    table = join(random_table(100, rng, SIGMA), touch.replace(value=touch.value + 3e-3))
+    rig = replace(RIG, planes={"p": plane}, targets=TARGETS)
+    estimate = identify(CHAIN, rig, table, free=FREE, options=SolverOptions(reject=True))
+    np.testing.assert_array_equal(np.flatnonzero(estimate.weight == 0.0), [100])
+    assert estimate.chi2_reduced < 1.5

@@ -250,8 +250,11 @@ def test_points_are_as_uncertain_as_robot_and_rig_say_in_60_worlds(kind):
     assert 0.93 <= coverage(60, kind)[0] <= 0.97
 
 
-def sagging(n: int, sensor: float, declared: float, joint: float = 0.0):
-    """Return what identifies an arm that sags in joint 2, with noise of sensor (m, an axis) and joints (rad), and its scatter (m)."""
+def sagging(n: int, sensor: float, declared: float, joint: float = 0.0, shared: float = 0.0, rows: int = 1):
+    """Return what identifies an arm that sags in joint 2, and its scatter (m).
+
+    ``sensor`` and ``declared`` are noise of the ``rows`` a pose (m, an axis), ``joint`` (rad) and ``shared`` (m, an axis) of n poses.
+    """
     robot = load_robot(str(MUKCA / "panda.urdf"), None, "ball_link")
     rng = np.random.default_rng(3)
     chain, tracker = robot.chain, np.array([1.5, 0.2, 0.5])
@@ -263,11 +266,11 @@ def sagging(n: int, sensor: float, declared: float, joint: float = 0.0):
     true = q.copy()
     true[:, 1] -= 5e-3 * np.cross(frames[:, 1, :3, 2], lever)[:, 2]
     still = point_forward(chain, truth, true, np.zeros(3))
-    noise = rng.standard_normal((n, 3))
+    noise = rng.standard_normal((n * rows, 3))
     points = point_forward(chain, truth, true + joint * rng.standard_normal(q.shape), np.zeros(3))
-    table = ObservationTable(
-        q=q, kind=np.full(n, "position"), xyz=points - tracker + sensor * noise, tracker=np.full(n, "t")
-    )
+    points = points + shared * rng.standard_normal((n, 3))
+    xyz = np.repeat(points, rows, axis=0) - tracker + sensor * noise
+    table = ObservationTable(q=np.repeat(q, rows, axis=0), kind="position", xyz=xyz, tracker=np.full(n * rows, "t"))
     rig = Rig(
         trackers={"t": Device("t", (declared**2 * np.eye(3)).tolist())},
         targets={"ball": Point("ball", (0.0,) * 3, 0.0)},
@@ -291,8 +294,15 @@ def test_scatter_of_the_arm_counts_although_the_declared_noise_explains_it():
     assert result.predicted.scatter == pytest.approx(scatter, rel=0.25)
 
 
-def test_noise_of_the_tracker_is_not_scatter_of_the_arm():
-    result, _ = sagging(300, sensor=5e-5, declared=5e-5)
+def test_scatter_that_the_rows_of_a_pose_share_counts():
+    result, scatter = sagging(80, sensor=2e-5, declared=6.5e-5, shared=6e-5, rows=4)
+    assert result.estimate.covariance_explains
+    assert result.predicted.scatter == pytest.approx(scatter, rel=0.25)
+
+
+@pytest.mark.parametrize(("n", "rows"), [(300, 1), (80, 4)])
+def test_noise_of_the_tracker_is_not_scatter_of_the_arm(n, rows):
+    result, _ = sagging(n, sensor=5e-5, declared=5e-5, rows=rows)
     assert result.predicted.scatter == 0.0
 
 

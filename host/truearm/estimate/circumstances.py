@@ -103,8 +103,8 @@ def _steps(table: ObservationTable) -> tuple[Floats, Indices]:
 
 def sessions(table: ObservationTable) -> Indices:
     """Return numbers (n,) of the files that rows came from, in order: consecutive rows with one file name and rig."""
-    # Examples of sources: "poses.csv row 17", "monday.mcap dwell 3", "monday.mcap pass 2.7".
-    names = [re.sub(r"\s*\w+ [\d.]+$", "", str(source)) for source in table.source]
+    # Examples of sources: "poses.csv row 17", "monday.mcap dwell 3", "monday.mcap pass 2.7", "table[16]".
+    names = [re.sub(r"(\s*\w+ [\d.]+|\[\d+\])$", "", str(source)) for source in table.source]
     return runs(np.array(names, dtype=np.str_), table.rig)
 
 

@@ -143,13 +143,13 @@ def with_joint_laws(
     if best is None:
         return chain, replace(estimate, joint_laws=report)
     noise = best.learned.noise
-    joints = zip(chain.joints, np.sqrt(noise.joint).tolist(), strict=True)
     report = replace(
         report,
         noise_factor=noise.sensor,
         noise_shared=math.sqrt(noise.shared),
         noise_turned=math.sqrt(noise.turned),
-        noise_joint={joint.name: sigma for joint, sigma in joints if joint.kind == "revolute"},
+        noise_joint=dict(zip((joint.name for joint in chain.joints), np.sqrt(noise.joint).tolist(), strict=True)),
+        linear=tuple(joint.name for joint in chain.joints if joint.kind != "revolute"),
         noise_nats=nats_of_scatter(best.of, best.learned),
     )
     return with_laws(chain, kept), replace(found, joint_laws=report)

@@ -140,8 +140,8 @@ class Posterior(NamedTuple):
     prior_root: Floats
 
 
-def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS) -> Learned:
-    """Learn variances and noise from at most LEARNING poses.
+def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS, shared: bool = True) -> Learned:
+    """Learn variances and noise from at most LEARNING poses; without ``shared``, no error that the rows of a pose share.
 
     They start from what was learned with more laws; with a noise alone, all variances start small.
     """
@@ -151,7 +151,7 @@ def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS) -> L
     else:
         values = [np.full(len(block.kernels), (START * block.cap) ** 2) for block in blocks]
         noise, x, least = start, of.start, LEAST_ROUNDS
-    shared = of.shares_poses
+    shared = shared and of.shares_poses
     if shared and not noise.shared:
         noise = noise._replace(shared=SHARED_START, turned=SHARED_START)
     every = max(1, int(part.times(FOR_NOISE)))
@@ -173,7 +173,8 @@ def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS) -> L
 def nats_of_scatter(of: LawProblem, found: Learned) -> float:
     """Return how much the learned noise raises the log evidence over that of the sensors alone, as declared times a factor."""
     alone = PoseNoise.of(found.noise.sensor, found.noise.joint.size)
-    return max(found.evidence - learn(of, found._replace(noise=alone), WITHOUT_SCATTER).evidence, 0.0)
+    sensors = learn(of, found._replace(noise=alone), WITHOUT_SCATTER, shared=False)
+    return max(found.evidence - sensors.evidence, 0.0)
 
 
 def posterior(of: LawProblem, found: Learned) -> Posterior:

@@ -92,7 +92,8 @@ def _seen(
 
 def _leave_out(errors: Residuals, blocks: Sequence[_Seen], pose: Indices) -> None:
     """Set the magnitudes of the rows' errors in fits without their poses."""
-    if not sum(block.row.size for block in blocks):
+    blocks = [block for block in blocks if block.row.size]
+    if not blocks:
         return
     numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in blocks])
     seen = np.concatenate([block.seen.reshape(block.residual.size, -1) for block in blocks])

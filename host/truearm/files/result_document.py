@@ -238,5 +238,7 @@ def _joint_laws(laws: JointLaws | None, units: Sequence[str]) -> dict[str, Any] 
         "turned_mrad": MRAD.of(laws.noise_turned),
         "nats": laws.noise_nats,
     }
-    noise |= {f"{joint}_mrad": MRAD.of(sigma) for joint, sigma in laws.noise_joint.items()}
+    for joint, sigma in laws.noise_joint.items():
+        scale = MM if joint in laws.linear else MRAD
+        noise[named(joint, scale.suffix)] = scale.of(sigma)
     return {**_entry(laws, units), "laws": laws.kept, "noise": noise}

@@ -47,9 +47,10 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
         terms.append(f"{noise['shared_mm']:.2g} mm shared by the rows of a pose")
     if noise["turned_mrad"]:
         terms.append(f"{noise['turned_mrad']:.2g} mrad of rotation shared by the rows of a pose")
-    of_joints = {name.removesuffix("_mrad"): sigma for name, sigma in noise.items() if name.endswith("_mrad")}
-    joints = {joint: sigma for joint, sigma in of_joints.items() if joint != "turned" and sigma}
-    terms += [f"{sigma:.2g} mrad in {one_line(joint)}" for joint, sigma in joints.items()]
+    for name, sigma in noise.items():
+        joint, _, unit = name.rpartition("_")
+        if sigma and unit in ("mrad", "mm") and joint not in ("shared", "turned"):
+            terms.append(f"{sigma:.2g} {unit} in {one_line(joint)}")
     yield Finding("law-noise", {"terms": terms})
 
 

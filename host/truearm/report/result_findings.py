@@ -224,19 +224,24 @@ def _doubts(document: Document) -> Iterator[Finding]:
 
 
 def _outside_prior(document: Document) -> Iterator[Finding]:
-    """Return a warning about robot parameters farther from the nominal robot than their prior allows."""
+    """Return a warning about robot parameters farther from the nominal robot than their prior allows.
+
+    Those that a choice of frame moves, such as the last ones of the tool, also take up what the held ones are off.
+    """
     prior = Prior(document["prior"])
     if prior is Prior.NONE:
         return
     sigmas = {name: unit.wide_sigma if prior is Prior.WIDE else unit.weak_sigma for name, unit in UNITS.items()}
-    held = document["defaults"]["believed"] if prior is Prior.WHERE_NEEDED else None
+    defaults = document["defaults"]
+    believed = defaults["believed"] if prior is Prior.WHERE_NEEDED else None
+    moved = {name for frame in defaults["frames"] for name in frame["names"]}
     robot = [
         entry for entry in document["parameters"] if entry["of"] == "robot" and entry["free"] and "law" not in entry
     ]
     times = {
         entry["name"]: abs(entry["value"] - entry["nominal"]) / sigmas[entry["unit"]]
         for entry in robot
-        if held is None or entry["name"] in held
+        if entry["name"] not in moved and (believed is None or entry["name"] in believed)
     }
     limit = NormalDist().inv_cdf(1.0 - OUTSIDE / (2.0 * max(len(times), 1)))
     names = sorted((name for name in times if times[name] > limit), key=times.__getitem__, reverse=True)
