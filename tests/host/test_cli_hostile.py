@@ -146,7 +146,6 @@ URDFS = {
     "two parents": (URDF.replace('<child link="sphere_fixture"/>', '<child link="m"/>'), "must form"),
     "missing link": (URDF.replace('<link name="m"/>', ""), "link 'm'"),
     "no parent": (URDF.replace('<parent link="m"/>', ""), "has no <parent"),
-    "no limit": (URDF.replace('<limit lower="-1" upper="1" effort="1" velocity="1"/>', ""), "needs a <limit>"),
     "limits swapped": (URDF.replace('lower="-1"', 'lower="5"'), "above its upper limit"),
     "no axis": (URDF.replace("0 0 1", "0 0 0"), "no length"),
     "xacro": (URDF.replace("0 0 1", "${pi} 0 0"), "expand xacro"),

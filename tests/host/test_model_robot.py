@@ -357,6 +357,15 @@ def test_what_a_plan_needs_is_checked(old, new, says):
     assert "\n" not in str(caught.value)
 
 
+def test_a_joint_that_turns_needs_no_limits_or_both():
+    limits = "lower_deg = -165.0\nupper_deg = 165.0\n"
+    assert ARM.count(limits) == 1
+    first = parse_robot(ARM.replace(limits, "")).chain.joints[0]
+    assert (first.lower, first.upper) == (-np.inf, np.inf)
+    with pytest.raises(RobotError, match="joint1: has only one limit"):
+        parse_robot(ARM.replace(limits, limits.splitlines()[0] + "\n"))
+
+
 def test_a_robot_file_need_not_say_how_to_plan():
     robot = parse_robot(ARM.split("# Branch", 1)[0])
     assert robot.branch is None

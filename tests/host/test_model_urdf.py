@@ -1,5 +1,7 @@
 """URDF: geometry compared with Rodrigues' formula, names, and refusal of unsafe files."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -105,6 +107,11 @@ def test_base_and_tip_choose_a_path_and_ignore_the_rest():
         chain_from_urdf(text, tip="e")
 
 
+def test_a_joint_that_turns_needs_no_limits():
+    (hinge,) = chain_from_urdf(robot(joint("j1", "revolute", "a", "b", more=""), links="ab")).joints
+    assert (hinge.lower, hinge.upper) == (-math.inf, math.inf)
+
+
 HOP = joint("j1", "revolute", "a", "b")
 
 
@@ -136,7 +143,7 @@ HOP = joint("j1", "revolute", "a", "b")
         (robot(joint("j1", "revolute", "a", "b", xyz="0_1 0 0"), links="ab"), "joint j1: origin xyz='0_1 0 0'"),
         (robot(joint("j1", "revolute", "a", "b", rpy="0 ${pi} 0"), links="ab"), "expand xacro"),
         (robot(joint("j1", "revolute", "a", "b", axis="0 0 0"), links="ab"), "joint j1: its axis"),
-        (robot(joint("j1", "revolute", "a", "b", more=""), links="ab"), "needs a <limit>"),
+        (robot(joint("j1", "prismatic", "a", "b", more=""), links="ab"), "needs a <limit>"),
         (robot(joint("j1", "revolute", "a", "b", more='<limit lower="2" upper="1"/>'), links="ab"), "above its upper"),
         (robot(joint("j1", "fixed", "a", "b", more=""), links="ab"), "no joint moves"),
         (robot(links="a"), "same link"),

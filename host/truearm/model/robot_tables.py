@@ -7,6 +7,7 @@ a gain. The keys of a table depend on the convention's slots and the terms of th
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -98,8 +99,7 @@ def _moving_keys(kind: str) -> tuple[Key, ...]:
     limit = robot_number(_unit(kind))
     terms = (term for term in joint_law.terms() if term is not Offset and not term.learned)
     return (
-        Key("lower", limit),
-        Key("upper", limit),
+        *(Key(name, limit, optional=kind != "prismatic") for name in ("lower", "upper")),
         *(Key(term.name, AmountValue(robot_number(term.unit_of(kind)), term), optional=True) for term in terms),
     )
 
@@ -108,7 +108,11 @@ def _unit(kind: str) -> str:
     return "m" if kind == "prismatic" else "rad"
 
 
-def _joint(name: str, kind: str, lower: float, upper: float) -> Joint:
+def _joint(name: str, kind: str, values: Mapping[str, Any]) -> Joint:
+    """Return a joint; one whose table has no limits has none."""
+    lower, upper = values.get("lower", -math.inf), values.get("upper", math.inf)
+    if math.isfinite(lower) != math.isfinite(upper):
+        raise SchemaError(f"{name}: has only one limit; give lower and upper, or neither")
     if lower >= upper:
         raise SchemaError(f"{name}: its lower limit is not below its upper limit; correct them")
     return Joint(name, kind, lower, upper)
@@ -146,7 +150,7 @@ def _read_slots(
         amounts[slot.name] = values[table][name]
         if slot.joint is not None:
             amounts |= _law(slot, values[table])
-    joints = tuple(_joint(name, kind, values[name]["lower"], values[name]["upper"]) for name, kind in kinds.items())
+    joints = tuple(_joint(name, kind, values[name]) for name, kind in kinds.items())
     return values, Description(joints, slots, amounts)
 
 
@@ -209,7 +213,7 @@ class _TransformValue(ReadOnly):
             offset = _amount("offset", _unit(kind), optional=True)
             keys = (Key("motion", MOTION), Key("joint", NAME), offset, *_moving_keys(kind))
             values: dict[str, Any] = Table(keys, dict).parse(table)
-            joint = _joint(values["joint"], kind, values["lower"], values["upper"])
+            joint = _joint(values["joint"], kind, values)
             return _Transform(motion, values.get("offset", Amount(0.0)), joint=joint, law=values)
         keys = (Key("motion", MOTION), Key("name", NAME, optional=True), _amount("amount", _unit(kind)))
         transform = Table(keys, _Transform).parse(table)

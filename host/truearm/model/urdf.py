@@ -232,11 +232,11 @@ def _axis(joint: _UrdfJoint) -> tuple[float, float, float]:
 
 def _limits(joint: _UrdfJoint) -> Joint:
     kind = "prismatic" if joint.kind == "prismatic" else "revolute"
-    if joint.kind == "continuous":
-        return Joint(joint.name, kind, -math.inf, math.inf)
     node = joint.xml.find("limit")
+    if joint.kind == "continuous" or (node is None and kind == "revolute"):
+        return Joint(joint.name, kind, -math.inf, math.inf)
     if node is None:
-        raise RobotError(f"URDF joint {joint.name} is {joint.kind} and needs a <limit>; without limits use continuous")
+        raise RobotError(f"URDF joint {joint.name} is {joint.kind} and needs a <limit>; give it one")
     bound = UNITS["m"].largest if kind == "prismatic" else MAX_ANGLE_RAD
     lower, upper = (_numbers(joint, f"limit {k}", node.get(k, "0"), 1, bound)[0] for k in ("lower", "upper"))
     if lower > upper:
