@@ -52,7 +52,7 @@ def test_an_option_of_several_commands_has_one_kind_of_value():
     for name, word, one in options():
         if word.startswith("--") and word not in ROWS and not one.is_flag and not name.startswith("truearm box"):
             takes.setdefault(word, {}).setdefault(str(one.metavar), []).append(name)
-    assert {word for word, kinds in takes.items() if len(kinds) > 1} == {"--format"}  # each writes formats of its own
+    assert {word for word, kinds in takes.items() if len(kinds) > 1} == {"--format", "--method"}  # each has its own
 
 
 def test_every_word_of_the_page_is_an_option():

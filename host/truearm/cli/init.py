@@ -14,7 +14,7 @@ import typer
 from truearm.bounds import OneOf, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import branch_given, numbers_of
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.file_names import missing_file
 from truearm.model.builtin import builtin_names
 from truearm.option_defaults import INSTRUMENTS, NOTHING
@@ -22,6 +22,7 @@ from truearm.record.robots.sources import check_address
 from truearm.units import MM
 
 T = TypeVar("T")
+METHODS = ("ball-bar", "sockets")
 PARTS = Within(1, 9)  # of a kind: more than a table or a flange has room for
 LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
 INSTRUMENTS_HELP = ", ".join(f"{name}: {MM.text(sigma)}" for name, sigma in INSTRUMENTS.items())
@@ -41,6 +42,12 @@ def init(
     spheres: Annotated[int, PARTS] = 3,
     bars_mm: str | None = None,
     measured_with: Annotated[str | None, OneOf((NOTHING, *INSTRUMENTS))] = None,
+    method: Annotated[str, OneOf(METHODS)] = METHODS[0],
+    ball_mm: Annotated[float, Within(4.0, 100.0)] = 20.0,
+    ball_xyz_mm: str = "0,0,100",
+    table_mm: Annotated[float, Within(-5000.0, 5000.0)] = 0.0,
+    places: Annotated[int, Within(2, 20)] = 6,
+    seats: Annotated[int, Within(4, 100)] = 12,
     minutes: Annotated[float, Within(0.0, 1000.0)] = 30.0,
 ) -> Answer:
     """Create a project: truearm.toml, rig.toml and a first plan.
@@ -50,8 +57,13 @@ def init(
     commented out in rig.toml: remove the "#" in front of those that you have. In this folder and below it, commands
     take missing options from truearm.toml: truearm record, truearm identify and truearm status then need none.
 
+    With --method sockets no box is needed: a ball on the robot's end is put into printed sockets. truearm then writes
+    rig.toml, the printed block (socket.stl), where it stands (places.svg), joints for each seat (places.csv) and a table
+    for the joints that you read (seats.csv).
+
     Example:
       truearm init cell3 --model ur5e --address rtde://192.168.0.2
+      truearm init bench --method sockets --model arm.urdf --tip tool0
 
     Arguments
     ---------
@@ -71,9 +83,21 @@ def init(
         nothing; only the first bar then has to be measured, by calliper.
     minutes : M
         Budget of the first plan in minutes of an operator; 0: no plan.
+    method
+        Measure with a ball-bar, or with a ball on the end that is put into printed sockets.
+    ball_xyz_mm : X,Y,Z
+        Sockets: the ball's centre in the frame of the robot's end.
 
     Expert options
     --------------
+    ball_mm : MM
+        Sockets: diameter of the ball.
+    table_mm : MM
+        Sockets: height of the table in the robot's base frame.
+    places : N
+        Sockets: places of the block on the table.
+    seats : N
+        Sockets: postures of the arm at each place.
     json
     """
     from truearm.files.project_file import Project
@@ -81,7 +105,16 @@ def init(
     from truearm.findings import entries, findings_of, option
     from truearm.plan.branches import branch_of
     from truearm.workflows.project import ProjectWanted, create
+    from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
 
+    sockets = None
+    if method == "sockets":
+        for name, value in (("bars_mm", bars_mm), ("measured_with", measured_with)):
+            if value is not None:
+                raise InputError("no-effect", place=Argument(name), reason="sockets need no ball-bar")
+        x, y, z = numbers_of("--ball-xyz-mm", ball_xyz_mm, 3) or (0.0, 0.0, 0.0)
+        ball = MM.to_si(x), MM.to_si(y), MM.to_si(z)
+        sockets = SocketsWanted(MM.to_si(0.5 * ball_mm), ball, MM.to_si(table_mm), places, seats)
     asking = model is None and sys.stdin is not None and sys.stdin.isatty()
     if model is None and not asking:
         raise InputError("--model is missing: give a built-in robot, a robot file or a URDF (see truearm init --help)")
@@ -115,11 +148,12 @@ def init(
             "First and last link of the arm in the URDF, FIRST,LAST (Enter for its root and its only leaf)",
             links,
         )
-        branch = ask(
-            branch,
-            "Bounds of every joint [deg], within which the arm keeps one configuration, LOW:HIGH,… from the base on",
-            bounds_of,
-        )
+        if not sockets:
+            branch = ask(
+                branch,
+                "Bounds of every joint [deg], within which the arm keeps one configuration, LOW:HIGH,… from the base on",
+                bounds_of,
+            )
     project = Project(
         model=_from_folder(model, folder),
         base=base,
@@ -131,20 +165,24 @@ def init(
         box=box or "",
     )
     instrument = ask(
-        measured_with,
+        NOTHING if sockets else measured_with,
         f"What chucks, spheres and bars are measured with: {NOTHING}, or {INSTRUMENTS_HELP}",
         _instrument,
         NOTHING,
     )
     bounds = branch_given(branch or None)
-    wanted = ProjectWanted(project, _lengths(bars_mm or ""), instrument, chucks, spheres, minutes or None, bounds)
+    wanted = ProjectWanted(
+        project, _lengths(bars_mm or ""), instrument, chucks, spheres, minutes or None, bounds, sockets
+    )
     created = create(folder, wanted)
     controller = [] if created.controller is None else [created.controller]
     then = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
     lines = [finding.text(option) for finding in controller]
     lines += [f"{path.name:<16}{path}" for path in created.written]
     lines += [finding.text(option) for finding in findings_of(created.plan)[:1]] if created.plan else []
-    lines.append(f"\nnext: put what you measured of the rig into {folder / project.rig}; then {then}")
+    measuring = f"put what you measured of the rig into {folder / project.rig}"
+    printing = f"print {folder / BLOCK} and place it as {folder / DRAWING} shows"
+    lines.append(f"\nnext: {printing if sockets else measuring}; then {then}")
     document = {"written": [str(path) for path in created.written], "plan": created.plan}
     return Answer({**document, "findings": entries(controller)}, lines)
 

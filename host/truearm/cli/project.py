@@ -202,6 +202,12 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
 
         return [shown(path) for path in sessions_of(home / project.sessions)] or None
 
+    def inputs() -> list[str] | None:
+        return [shown(home / project.table)] if project.table else sessions()
+
+    def table_rig() -> list[str] | None:
+        return [shown(home / project.rig)] if project.table else None  # a session has its own
+
     def newest_session() -> str | None:
         found = sessions()
         return found[-1] if found else None
@@ -249,7 +255,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
             **rig,
             "out": new(project.sessions, ".mcap"),
         },
-        "identify": {"inputs": sessions, **robot, "out": new(project.results, ".json")},
+        "identify": {"inputs": inputs, "rig": table_rig, **robot, "out": new(project.results, ".json")},
         "report": {**result, "out": new(project.results, ".html")},
         "validate": result,
         "correct": result,

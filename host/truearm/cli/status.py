@@ -41,6 +41,8 @@ def _lines(state: State) -> Iterator[str]:
     yield f"robot     {project['model']}{serial}, {project['address'] or 'no address'}"
     yield f"rig       {_shown(state['rig']) if state['rig'] else missing}"
     yield f"plan      {_shown(state['plan'])}, {counted(state['poses'], 'pose')}" if state["plan"] else "plan      none"
+    if seats := state["seats"]:
+        yield f"seats     {_shown(seats['file'])}, {seats['noted']} of {seats['rows']} with joints"
     for title, word in (("sessions", _session), ("results", _result)):
         yield f"{title:<10}{len(state[title]) or 'none'}"
         yield from (f"          {word(row)}" for row in state[title])
@@ -77,6 +79,33 @@ def _next(state: State) -> tuple[str, str]:
     if state["rig"] is None:
         rig = state["project"]["rig"]
         return f"write {rig}", f"the rig is not described yet; {page('Build and measure the rig')}"
+    if seats := state["seats"]:
+        measured, hold_out = seats["file"], f"place={seats['last_place']}"
+        if seats["noted"] < seats["rows"]:
+            why = f"{seats['rows'] - seats['noted']} rows have no joints yet; delete a row that you do not measure"
+            return f"write the joints of each seat of places.csv into {_shown(measured)}", why
+    elif step := _next_of_sessions(state):
+        return step
+    else:
+        measured, hold_out = sessions[-1]["file"], "0.2"
+    if not results or os.stat(results[-1]["file"]).st_mtime < os.stat(measured).st_mtime:
+        return f"truearm identify --hold-out {hold_out}", f"{Path(measured).name} is not identified yet"
+    result = results[-1]
+    if result["status"] != "converged" or result["unusable_because"] is not None:
+        why = "is not usable" if result["status"] == "converged" else "did not converge"
+        command = f"inspect {_shown(measured)}" if seats is None else "identify --details"
+        return f"truearm {command}", f"the last fit {why}"
+    if result["simulated"]:
+        return "truearm record", "the last result says nothing about a real robot: its session is simulated"
+    return (
+        f"truearm correct {_shown(result['file'])} PROGRAM --out CORRECTED",
+        "the robot is identified; if no rows were held out, judge it first with truearm validate",
+    )
+
+
+def _next_of_sessions(state: State) -> tuple[str, str] | None:
+    """Return what comes next until a session is recorded, and why; None if it is."""
+    sessions = state["sessions"]
     if not sessions and state["plan"] is None:
         return "truearm plan ballbar --minutes 30", "there is no plan yet"
     if not sessions:
@@ -90,16 +119,4 @@ def _next(state: State) -> tuple[str, str]:
     if foreign is not None:
         why = f"it was recorded for {one_line(foreign['other_robot'])}, and truearm identify reads all sessions there"
         return f"move {_shown(foreign['file'])} out of {state['project']['sessions']}", why
-    session = sessions[-1]["file"]
-    if not results or os.stat(results[-1]["file"]).st_mtime < os.stat(session).st_mtime:
-        return "truearm identify --hold-out 0.2", f"{Path(session).name} is not identified yet"
-    result = results[-1]
-    if result["status"] != "converged" or result["unusable_because"] is not None:
-        why = "is not usable" if result["status"] == "converged" else "did not converge"
-        return f"truearm inspect {_shown(session)}", f"the last fit {why}"
-    if result["simulated"]:
-        return "truearm record", "the last result says nothing about a real robot: its session is simulated"
-    return (
-        f"truearm correct {_shown(result['file'])} PROGRAM --out CORRECTED",
-        "the robot is identified; if no rows were held out, judge it first with truearm validate",
-    )
+    return None

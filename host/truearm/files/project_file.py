@@ -27,7 +27,8 @@ class Project:
 
     ``model``: built-in robot, robot file or URDF, with ``base`` and ``tip`` of a URDF, and ``branch`` (as for --branch)
     for a model whose file has none. ``serial`` of the robot, ``controller``, ``customer`` and ``operator`` are for the
-    certificate. ``address``: how the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``sessions``, ``results``: folders that
+    certificate. ``address``: how the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``table``: seats in sockets, which identify reads instead of sessions.
+    ``sessions``, ``results``: folders that
     record and identify write to.
     """
 
@@ -44,6 +45,7 @@ class Project:
     box: str = ""
     rig: str = "rig.toml"
     plan: str = "plan.csv"
+    table: str = ""
     sessions: str = "sessions"
     results: str = "results"
 
@@ -75,6 +77,7 @@ def format_project(project: Project) -> str:
         "box": "the box's port; without it the one that is plugged in",
         "rig": f"chucks, spheres, bars; {page('Build and measure the rig')}",
         "plan": "the poses to measure",
+        "table": "the seats in sockets, which truearm identify reads instead of sessions",
         "sessions": "folder of the recordings",
         "results": "folder of the results",
     }

@@ -17,7 +17,10 @@ MIN_JOINTS = 6  # with fewer, an arm cannot orient the tool freely
 def check_joints(chain: Chain) -> None:
     """Raise PlanError for an arm with fewer than MIN_JOINTS joints."""
     if len(chain.joints) < MIN_JOINTS:
-        raise PlanError(f"robot {chain.name} has {len(chain.joints)} joints; a plan needs six or more")
+        raise PlanError(
+            f"robot {chain.name} has {len(chain.joints)} joints; a plan of bars or lines needs six or more, one of sockets "
+            "four: truearm init --method sockets"
+        )
 
 
 def _check_kinds(chain: Chain) -> None:

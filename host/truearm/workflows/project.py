@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from truearm.findings import Finding
     from truearm.model.workspace import Branch
     from truearm.types import BallBar, Point, Rig
+    from truearm.workflows.socket_project import SocketsWanted
 
 PLAN_MINUTES = 30.0
 GAIN_SIGMA = 1e-3  # of a conditioner (docs/how-to/rig.md)
@@ -31,7 +32,7 @@ GAIN_SIGMA = 1e-3  # of a conditioner (docs/how-to/rig.md)
 
 class ProjectWanted(NamedTuple):
     """The user's input to ``init``: lengths of the bars [m]; what measured chucks, spheres and bars, one of
-    ``INSTRUMENTS`` or ``NOTHING``.
+    ``INSTRUMENTS`` or ``NOTHING``; or ``sockets`` instead of a ball-bar.
     """
 
     project: Project
@@ -41,6 +42,7 @@ class ProjectWanted(NamedTuple):
     spheres: int = 3
     minutes: float | None = PLAN_MINUTES  # of the first plan; None: no plan is made
     branch: Branch | None = None  # of the robot; None: the one of its file
+    sockets: SocketsWanted | None = None
 
 
 class Created(NamedTuple):
@@ -132,7 +134,7 @@ def new_plan(path: Path) -> Path:
 
 @step("making the project")
 def create(folder: Path, wanted: ProjectWanted) -> Created:
-    """Write truearm.toml, rig.toml and a first plan into a folder.
+    """Write truearm.toml, rig.toml and a first plan into a folder; for sockets also what they are made and noted with.
 
     Existing files are not overwritten. Raises InputError for a folder that is already a project, and whatever loading
     the robot and planning raise; then nothing is written.
@@ -144,6 +146,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
     from truearm.workflows.controller_model import ROBOT_FILE, controller_choice
     from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
     from truearm.workflows.requests import PlanFiles
+    from truearm.workflows.socket_project import SEATS, socket_files
 
     project = wanted.project
     paths = {"project": folder / FILE, "rig": folder / project.rig, "plan": folder / project.plan}
@@ -159,16 +162,28 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
             if paths["robot"].exists():
                 raise InputError("file-exists", place=paths["robot"])
         robot = choice.load()
-        rig, plan = paths["rig"], None
-        if not rig.exists():
-            rig = new / project.rig
-            bounded = replace(robot, branch=branch_of(robot, wanted.branch))
-            first = _as_known(first_rig(bounded, wanted.chucks, wanted.spheres), wanted)
-            write_atomic(rig, _rig_text(first, project.name or robot.chain.name))
-        read_rig(rig)
-        if wanted.minutes is not None and not paths["plan"].exists():
-            files = PlanFiles(choice, rig, branch=wanted.branch, out=new / project.plan)
-            plan = plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions())
+        plan = None
+        if wanted.sockets is not None:
+            bounded = robot if wanted.branch is None else replace(robot, branch=branch_of(robot, wanted.branch))
+            contents = socket_files(bounded, wanted.sockets, project.name or robot.chain.name)
+            for name, content in contents.items():
+                if (folder / name).exists():
+                    raise InputError(f"{folder / name} already exists; move it, or use another folder")
+                write_atomic(new / name, content)
+            project = replace(project, table=SEATS)
+            paths = {name: path for name, path in paths.items() if name in ("project", "robot")}
+            paths |= {name: folder / name for name in contents}
+        else:
+            rig = paths["rig"]
+            if not rig.exists():
+                rig = new / project.rig
+                bounded = replace(robot, branch=branch_of(robot, wanted.branch))
+                first = _as_known(first_rig(bounded, wanted.chucks, wanted.spheres), wanted)
+                write_atomic(rig, _rig_text(first, project.name or robot.chain.name))
+            read_rig(rig)
+            if wanted.minutes is not None and not paths["plan"].exists():
+                files = PlanFiles(choice, rig, branch=wanted.branch, out=new / project.plan)
+                plan = plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions())
         write_atomic(new / FILE, format_project(project))
         for name in (project.sessions, project.results):
             (folder / name).mkdir(parents=True, exist_ok=True)
@@ -265,11 +280,19 @@ def state_of(path: Path) -> dict[str, Any]:
         "rig": str(rig) if rig else None,
         "plan": str(plan) if plan else None,
         "poses": _poses(plan),
+        "seats": _seats(home, project),
         "sessions": [_session(path, project) for path in sessions_of(own_sessions)],
         "results": [result for result in results if "session" not in result],
         "other_sessions": [_session(path, project) for path in others],
         "other_results": [result for result in results if "session" in result],
     }
+
+
+def _seats(home: Path, project: Project) -> dict[str, Any] | None:
+    from truearm.workflows.socket_project import seats_noted
+
+    path = home / project.table
+    return {"file": str(path), **seats_noted(path)._asdict()} if project.table and path.exists() else None
 
 
 def _poses(plan: Path | None) -> int:

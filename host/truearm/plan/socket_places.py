@@ -1,0 +1,176 @@
+"""Places for a block of sockets that an arm reaches, and joint readings with the ball in each socket.
+
+It works for any arm with four joints or more, because a seat prescribes three coordinates of the ball and no
+orientation. Random postures show where the ball can be; postures near a socket are then moved into it by Newton's
+method. Of these, the ones that differ most are taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from truearm.errors import Argument, PlanError
+from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
+from truearm.model.robot import Robot
+from truearm.plan.collision_shapes import Shapes, Sizes, along_joints, clear, make_shapes
+from truearm.plan.socket_block import SocketBlock
+from truearm.plan.visit_order import short_tour
+from truearm.types import Floats, Point, Rig, Triple
+from truearm.units import MM
+
+MIN_JOINTS = 4  # with three, a ball in a socket leaves the arm no choice of its posture
+N_POSTURES = 30_000
+N_NEAR = 400  # postures that are moved into a socket
+N_STEPS = 8
+STEP = 0.3  # rad, m
+SEATED = 1e-7  # m
+TILT = np.radians(50.0)  # greatest angle of the ball's stem with the vertical
+LINK, SLENDER = (
+    0.05,
+    0.08,
+)  # m, radius of the links of an arm whose file has none; of a small arm, in lengths of the arm
+NEAREST = 0.35  # of the reach: least distance of a place from the base
+UNIT_Z = np.array([0.0, 0.0, 1.0])  # the stem of a ball in the origin of the end frame
+MARGIN = 0.03  # rad, m from the limits
+DIFFERENT = 0.1  # rad, m between the postures in a socket
+SLAB = 0.1  # of the reach: random postures within it of a place tell how well the arm gets there
+RAISED = 0.15  # of the reach: height of the box under every second place
+N_TRIED = 6  # spots, for each place
+
+
+@dataclass(frozen=True)
+class Site:
+    """A place of the block: the middle of its bottom (3,) [m] and the direction (3,) from its first to its second socket.
+
+    ``q`` are the joint readings (n, j) with the ball in each of them, in an order of short moves.
+    """
+
+    place: Floats
+    direction: Floats
+    q: tuple[Floats, ...]
+
+
+@dataclass(frozen=True)
+class _Arm:
+    shapes: Shapes
+    limits: Floats  # (2, j)
+    ball: Floats  # (3,) in the end frame, m
+
+    def p_ball(self, q: Floats) -> Floats:
+        """Return the ball's position (n, 3) in the base frame."""
+        return point_forward(self.shapes.chain, self.shapes.params, q, self.ball)
+
+    def is_clear(self, q: Floats) -> NDArray[np.bool_]:
+        """Return which postures (n, j) have a steep stem of the ball, and touch neither the table nor the arm itself."""
+        stem = forward(self.shapes.chain, self.shapes.params, q)[:, :3, :3] @ (self.ball if self.ball.any() else UNIT_Z)
+        steep = np.flatnonzero(stem[:, 2] < -np.cos(TILT) * np.linalg.norm(stem, axis=1))
+        steep = steep[clear(self.shapes, q[steep], None)]
+        return np.isin(np.arange(len(q)), steep)
+
+    def seated(self, q: Floats, socket: Floats, count: int) -> Floats:
+        """Return ``count`` postures with the ball at ``socket`` (3,) that differ, sought from q (n, j); fewer if it has not."""
+        lower, upper = self.limits
+        for _ in range(N_STEPS):
+            p, _, jacobian = point_jacobians(self.shapes.chain, self.shapes.params, q, self.ball)
+            step = (np.linalg.pinv(jacobian, rcond=1e-3) @ (socket - p)[..., None])[..., 0]
+            q = q + np.clip(step, -STEP, STEP)
+        usable = (np.linalg.norm(self.p_ball(q) - socket, axis=1) < SEATED) & self.is_clear(q)
+        usable &= np.all((q > lower + MARGIN) & (q < upper - MARGIN), axis=1)
+        q = q[usable]
+        q = q[_spread(q, count, least=DIFFERENT)]
+        distance = np.abs(q[:, None] - q).max(axis=2)
+        return q[short_tour(np.abs(q).max(axis=1), distance)] if len(q) else q
+
+
+def plan_sites(robot: Robot, ball: Triple, block: SocketBlock, table: float, n_sites: int, n_seats: int) -> list[Site]:
+    """Return ``n_sites`` places with ``n_seats`` seats each, for a ball on the end and a table at this height [m].
+
+    Every second place is on a box. All are before the base, where its x axis points. Raises PlanError for an arm with
+    fewer than four joints, or one that does not reach as many places.
+    """
+    chain = robot.chain
+    if len(chain.joints) < MIN_JOINTS:
+        raise PlanError(f"robot {chain.name} has {len(chain.joints)} joints; a plan of sockets needs four or more")
+    arm = _arm(robot, np.array(ball), block, table)
+    q = np.random.default_rng(0).uniform(arm.limits[0], arm.limits[1], (N_POSTURES, len(chain.joints)))
+    q = q[arm.is_clear(q)]
+    p_ball = arm.p_ball(q)
+    distance = np.linalg.norm(p_ball[:, :2], axis=1)
+    reach = float(distance.max(initial=0.0))
+    before = (p_ball[:, 0] > 0.0) & (distance > NEAREST * reach)
+    q, p_ball = q[before], p_ball[before]
+    levels = [_level(block, p_ball, table + height, reach) for height in (0.0, round(RAISED * reach, 2))]
+    sites: list[Site] = []
+    for bottoms, count in zip(levels, (n_sites - n_sites // 2, n_sites), strict=True):
+        occupied = np.array([site.place[:2] for site in sites]).reshape(-1, 2)
+        order = _spread(np.concatenate([occupied, bottoms[:, :2]]), N_TRIED * n_sites, len(sites))
+        for bottom in bottoms[order - len(sites)]:
+            if len(sites) < count and (site := _site(arm, block, q, p_ball, bottom, n_seats)) is not None:
+                sites.append(site)
+    if len(sites) < n_sites:
+        raise PlanError(
+            f"robot {chain.name} reaches {len(sites)} of {n_sites} places on a table at {MM.text(table)} in {n_seats} "
+            "postures that differ; ask for fewer ",
+            *(Argument("places"), " or ", Argument("seats"), ", or correct ", Argument("ball_xyz_mm")),
+            *(" or ", Argument("table_mm")),
+        )
+    return sites
+
+
+def _arm(robot: Robot, ball: Floats, block: SocketBlock, table: float) -> _Arm:
+    chain, params, branch = robot.chain, robot.chain.params_nominal, robot.branch
+    limits = np.clip(chain.limits, -np.pi, np.pi) if branch is None else np.array([branch.lower, branch.upper])
+    origins = joint_frames(chain, params, np.zeros(len(chain.joints)))[:, :3, 3]
+    link = min(LINK, SLENDER * float(np.linalg.norm(np.diff(origins, axis=0), axis=1).sum()))
+    links = robot.capsules
+    if links is None:
+        links = along_joints(chain, params, link)
+        links.radius[-1] = min(link, block.radius)  # it may be the stem
+    rig = Rig(spheres={"ball": Point("ball", (float(ball[0]), float(ball[1]), float(ball[2])))})
+    sizes = Sizes(link=link, stud=block.radius, table=table)
+    return _Arm(make_shapes(chain, params, rig, sizes, links), limits, ball)
+
+
+def _level(block: SocketBlock, p_ball: Floats, height: float, reach: float) -> Floats:
+    """Return the spots (n, 3) at a height to which more postures lead than to half of all."""
+    near = p_ball[np.abs(p_ball[:, 2] - height - block.centre_height) < SLAB * reach, :2]
+    if not len(near):
+        return np.empty((0, 3))
+    tree = KDTree(near)
+    count = tree.query_ball_point(near, SLAB * reach, return_length=True)
+    spots = near[count >= np.median(count)].round(2)
+    return np.column_stack([spots, np.full(len(spots), height)])
+
+
+def _site(arm: _Arm, block: SocketBlock, q: Floats, p_ball: Floats, place: Floats, n_seats: int) -> Site | None:
+    """Return a place with its seats; None if the arm does not reach both sockets in enough postures."""
+    x, y = place[:2] / max(float(np.linalg.norm(place[:2])), 1e-9)
+    direction = np.array([-y, x, 0.0])
+    seats = []
+    for side, count in ((-0.5, n_seats - n_seats // 2), (0.5, n_seats // 2)):
+        socket = place + [0.0, 0.0, block.centre_height] + side * block.distance * direction
+        nearest = np.argsort(np.linalg.norm(p_ball - socket, axis=1))[:N_NEAR]
+        seats.append(arm.seated(q[nearest], socket, count))
+        if len(seats[-1]) < count:
+            return None
+    return Site(place, direction, tuple(seats))
+
+
+def _spread(points: Floats, count: int, n_taken: int = 0, least: float = 0.0) -> NDArray[np.intp]:
+    """Return up to ``count`` of the points (n, d), always the one farthest from all others taken.
+
+    The first ``n_taken`` count as taken. No two are closer than ``least``.
+    """
+    taken = list(range(n_taken))
+    distance = np.abs(points[:, None] - points[:n_taken]).max(axis=2).min(axis=1, initial=np.inf)
+    while len(points) and len(taken) < n_taken + count:
+        farthest = int(distance.argmax())
+        if distance[farthest] < least:
+            break
+        taken.append(farthest)
+        distance = np.minimum(distance, np.abs(points - points[farthest]).max(axis=1))
+    return np.array(taken[n_taken:], dtype=np.intp)

@@ -1,0 +1,141 @@
+"""The files of a project that measures with printed sockets (docs/tutorials/sockets.md)."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.errors import InputError
+from truearm.files.csv_cells import read_cells
+from truearm.files.disk import read_text
+from truearm.files.observation_table import MAX_BYTES
+from truearm.model.robot import Robot
+from truearm.plan.socket_block import SocketBlock
+from truearm.plan.socket_places import Site, plan_sites
+from truearm.types import Triple
+from truearm.units import DEG, MM
+
+SEATS, PLACES, BLOCK, DRAWING = "seats.csv", "places.csv", "socket.stl", "places.svg"
+RIG = """\
+# The rig of {name}: a ball on the robot's end, and a printed block with two sockets that is moved from place to place.
+# Where the block stands is not measured: truearm estimates it.
+
+# Standard deviation of a ball's position in a socket. 0.1 mm is typical of a printed socket and a steel ball.
+seat_sigma_mm = 0.1
+
+# The ball's centre in the frame of the robot's end, approximately.
+[[sphere]]
+name = "ball"
+xyz_mm = [{ball}]
+sigma_mm = "unknown"
+
+# The distance of the two sockets; it is the scale of the result. Measure the printed block with a calliper: the mean of the
+# distances over the outer and over the inner edges of the two cones.
+[[socket_distance]]
+sockets = ["0", "1"]
+distance_mm = {distance:g}
+sigma_mm = 0.1
+"""
+
+
+class SocketsWanted(NamedTuple):
+    """What to plan: the ball's ``radius`` and position on the end [m], the table's height in the base frame [m], the
+    number of places, and of seats at each.
+    """
+
+    radius: float
+    ball: Triple
+    table: float = 0.0
+    places: int = 6
+    seats: int = 12
+
+
+class SeatsNoted(NamedTuple):
+    """How far a table of seats is filled in: its rows, those with joints, and the last place."""
+
+    rows: int
+    noted: int
+    last_place: str
+
+
+def socket_files(robot: Robot, wanted: SocketsWanted, name: str) -> dict[str, str | bytes]:
+    """Return the files of a project by name: rig, plan, table to fill in, block and drawing. Raises PlanError."""
+    block = SocketBlock(wanted.radius)
+    sites = plan_sites(robot, wanted.ball, block, wanted.table, wanted.places, wanted.seats)
+    units = [DEG if joint.kind == "revolute" else MM for joint in robot.chain.joints]
+    joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
+    plan: list[list[object]] = [["seat", "place", "socket", "ball_x_mm", "ball_y_mm", "ball_z_mm", *joints]]
+    seats: list[list[object]] = [["kind", "place", "socket", *joints]]
+    for number, site in enumerate(sites, start=1):
+        for socket, side in enumerate((-0.5, 0.5)):
+            centre = site.place + [0.0, 0.0, block.centre_height] + side * block.distance * site.direction
+            for q in site.q[socket]:
+                row = [f"p{number}", socket]
+                values = [unit.of(value) for unit, value in zip(units, q.tolist(), strict=True)]
+                plan.append([len(seats), *row, *(f"{MM.of(x):.1f}" for x in centre), *(f"{x:.2f}" for x in values)])
+                seats.append(["seat", *row, *("" for _ in joints)])
+    ball = ", ".join(f"{MM.of(x):g}" for x in wanted.ball)
+    return {
+        "rig.toml": RIG.format(name=name, ball=ball, distance=MM.of(block.distance)),
+        PLACES: _csv(plan),
+        SEATS: _csv(seats),
+        BLOCK: stl(block),
+        DRAWING: "\n".join(_drawing(sites, block, wanted.table)) + "\n",
+    }
+
+
+def seats_noted(path: Path) -> SeatsNoted:
+    """Return how far a table of seats is filled in. Raises InputError for a file that is no such table."""
+    header, rows = read_cells(read_text(path, MAX_BYTES, InputError), str(path))
+    joints = [index for index, title in enumerate(header) if title.startswith("q")]
+    noted = sum(all(row.cells[index] for index in joints) for row in rows)
+    return SeatsNoted(len(rows), noted, rows[-1].cells[header.index("place")] if rows and "place" in header else "")
+
+
+def stl(block: SocketBlock) -> bytes:
+    """Return a block as binary STL in mm."""
+    corners = MM.of(block.triangles())
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    facets["normal"], facets["corners"] = normal / np.linalg.norm(normal, axis=1, keepdims=True), corners
+    return b"truearm".ljust(80) + len(facets).to_bytes(4, "little") + bytes(facets.tobytes())
+
+
+def _csv(rows: list[list[object]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def _drawing(sites: list[Site], block: SocketBlock, table: float) -> Iterator[str]:
+    """Yield an SVG of the table from above, at a scale of 1:1 and with a grid of 100 mm; the base's x points up."""
+    places = MM.of(np.array([site.place for site in sites]))
+    length, width, _ = map(MM.of, block.size)
+    border = 100.0 * np.ceil(np.abs(places[:, :2]).max(axis=0) / 100.0 + 1.0)
+    top, side = float(border[0]), float(border[1])
+    yield f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * side:g}mm" height="{top + 100:g}mm" font-size="14"'
+    yield f' viewBox="{-side:g} {-top:g} {2 * side:g} {top + 100:g}" font-family="sans-serif" fill="none" stroke="#bbb">'
+    for x in np.arange(-100.0, top + 1.0, 100.0):
+        yield f'<path d="M{-side:g} {-x:g}H{side:g}"/>'
+    for y in np.arange(-side, side + 1.0, 100.0):
+        yield f'<path d="M{y:g} {-top:g}V100"/>'
+    yield '<path d="M0 0V-80m-6 12l6-12l6 12M0 0H-80m12-6l-12 6l12 6" stroke="#000" stroke-width="2"/>'
+    yield '<g fill="#000" stroke="none"><text x="8" y="-70">x</text><text x="-76" y="20">y</text>'
+    yield '<text x="8" y="20">base of the robot</text></g>'
+    for number, (site, (x, y, z)) in enumerate(zip(sites, places.tolist(), strict=True), start=1):
+        turn = np.degrees(np.arctan2(-site.direction[0], -site.direction[1]))
+        box = f", on a box of {z - MM.of(table):g} mm" * (z > MM.of(table))
+        yield f'<g transform="translate({-y:g} {-x:g})" stroke="#000"><g transform="rotate({turn:.1f})">'
+        yield f'<rect x="{-length / 2:g}" y="{-width / 2:g}" width="{length:g}" height="{width:g}"/>'
+        for socket, at in enumerate((-0.5, 0.5)):
+            offset = MM.of(at * block.distance)
+            yield f'<circle cx="{offset:g}" r="{MM.of(block.radius):g}"/>'
+            yield f'<text x="{offset - 4:g}" y="5" fill="#000" stroke="none">{socket}</text>'
+        yield f'</g><text y="{length / 2 + 18:g}" fill="#000" stroke="none" text-anchor="middle">'
+        yield f"p{number}: x {x:g}, y {y:g} mm{box}</text></g>"
+    yield "</svg>"

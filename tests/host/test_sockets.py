@@ -1,0 +1,151 @@
+"""Sockets from an empty folder: init plans the seats, the joints are written into a table, identify and status read it."""
+
+import csv
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import told
+
+from truearm.files.robot_file import load_robot
+from truearm.model.chain import point_forward, point_jacobians
+from truearm.plan.socket_block import SocketBlock
+from truearm.workflows.socket_project import stl
+
+PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
+FIVE = (  # name, axis, origin, limit: a desktop arm with five axes
+    *(("pan", "0 0 1", "0 0 0.06", 1.9), ("lift", "0 1 0", "0.03 0 0.055", 1.75)),
+    *(("elbow", "0 1 0", "0.028 0 0.113", 1.7), ("flex", "0 1 0", "0.135 0 0.005", 1.66)),
+    ("roll", "1 0 0", "0.06 0 0", 2.8),
+)
+SEAT_NOISE = 5e-5  # m
+
+
+def urdf(path, joints):
+    """Write an arm whose tool points along the z axis of its last link."""
+    links = "".join(f'<link name="l{i}"/>' for i in range(len(joints) + 2))
+    turning = "".join(
+        f'<joint name="{name}" type="revolute"><origin xyz="{xyz}"/><parent link="l{i}"/><child link="l{i + 1}"/>'
+        f'<axis xyz="{axis}"/><limit lower="{-limit}" upper="{limit}" effort="1" velocity="1"/></joint>'
+        for i, (name, axis, xyz, limit) in enumerate(joints)
+    )
+    end = len(joints)
+    tool = (
+        f'<joint name="tool" type="fixed"><origin xyz="0.05 0 0" rpy="0 {np.pi / 2} 0"/>'
+        f'<parent link="l{end}"/><child link="l{end + 1}"/></joint>'
+    )
+    path.write_text(f'<robot name="arm">{links}{turning}{tool}</robot>')
+    return path
+
+
+def rows(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def measured(home, robot, ball, seed=1):
+    """Fill in the table of seats as a true arm would, whose blocks stand 5 mm from where the plan has them."""
+    rng, chain = np.random.default_rng(seed), robot.chain
+    sigma = np.array([np.radians(0.3) if p.unit == "rad" else 4e-4 if p.unit == "m" else 0.0 for p in chain.parameters])
+    truth = chain.params_nominal + robot.free * sigma * rng.normal(size=len(chain.parameters))
+    plan, table = rows(home / "places.csv"), rows(home / "seats.csv")
+    joints = [name for name in table[0] if name.startswith("q")]
+    q = np.radians([[float(row[name]) for name in joints] for row in plan])
+    moved = {place: 5e-3 * rng.normal(size=3) for place in {row["place"] for row in plan}}
+    socket = np.array([[1e-3 * float(row[f"ball_{axis}_mm"]) for axis in "xyz"] + moved[row["place"]] for row in plan])
+    socket += SEAT_NOISE * rng.normal(size=socket.shape)
+    for _ in range(6):
+        p, _, jacobian = point_jacobians(chain, truth, q, np.array(ball))
+        q = q + (np.linalg.pinv(jacobian) @ (socket - p)[..., None])[..., 0]
+    np.testing.assert_allclose(point_forward(chain, truth, q, np.array(ball)), socket, atol=1e-9)
+    for row, readings in zip(table, np.degrees(q), strict=True):
+        row.update(zip(joints, readings.round(4), strict=True))
+    with (home / "seats.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, table[0])
+        writer.writeheader()
+        writer.writerows(table)
+    return truth
+
+
+@pytest.mark.parametrize("arm", ["five axes", "panda.urdf", "ur5e"])
+def test_from_an_empty_folder_to_the_floor(tmp_path, run, monkeypatch, arm):
+    monkeypatch.chdir(tmp_path)
+    model = {"five axes": urdf(tmp_path / "five.urdf", FIVE), "panda.urdf": PANDA}.get(arm, arm)
+    links = ["--tip", "ball_link"] if model == PANDA else []
+    ball = (0.0, 0.0, 0.0) if model == PANDA else (0.0, 0.0, 0.05)
+    at = ",".join(f"{1e3 * x:g}" for x in ball)
+    assert run("init", "bench", "--method", "sockets", "--model", model, *links, f"--ball-xyz-mm={at}").code == 0
+    monkeypatch.chdir("bench")
+    status = json.loads(run("status", "--json").out)
+    assert (status["seats"]["rows"], status["seats"]["noted"], status["seats"]["last_place"]) == (72, 0, "p6")
+    assert "seats.csv" in status["next"]
+
+    robot = load_robot(str(model), None, "ball_link" if links else None)
+    plan = rows(Path("places.csv"))
+    q = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, len(robot.chain.joints) + 1)] for row in plan])
+    goal = np.array([[1e-3 * float(row[f"ball_{axis}_mm"]) for axis in "xyz"] for row in plan])
+    lower, upper = robot.chain.limits
+    assert np.all((q > lower) & (q < upper))
+    np.testing.assert_allclose(robot.forward(q)[:, :3, :3] @ ball + robot.forward(q)[:, :3, 3], goal, atol=1e-3)
+    assert len({(row["place"], row["socket"]) for row in plan}) == 12
+    for place in {row["place"] for row in plan}:
+        of_place = q[[row["place"] == place for row in plan]]
+        assert np.ptp(of_place, axis=0).max() > 1.0  # several orientations
+
+    measured(Path(), robot, ball)
+    assert json.loads(run("status", "--json").out)["next"] == "truearm identify --hold-out place=p6"
+    code, out, err = run("identify", "--hold-out", "place=p6", "--joint-laws", "none", "--json")
+    assert code == 0, out + err
+    held_out = json.loads(out)["held_out"]
+    assert held_out["n_mm"] == 12
+    assert held_out["rms_mm"] < 1.3e3 * np.sqrt(3.0) * SEAT_NOISE  # of three coordinates: the floor
+    assert json.loads(run("status", "--json").out)["next"].startswith("truearm correct results")
+
+
+@pytest.mark.parametrize("ball_mm", [6.0, 20.0, 40.0])
+def test_the_block_is_closed_and_holds_the_ball(ball_mm):
+    block = SocketBlock(0.5e-3 * ball_mm)
+    file = np.frombuffer(stl(block)[84:], [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    assert int.from_bytes(stl(block)[80:84], "little") == len(file)
+    corners = [[tuple(corner) for corner in facet] for facet in file["corners"].tolist()]
+    edges = Counter((facet[i], facet[(i + 1) % 3]) for facet in corners for i in range(3))
+    assert all(count == 1 and edges[end, start] == 1 for (start, end), count in edges.items())
+    points = file["corners"].astype(float)
+    volume = np.einsum("ni,ni->", points[:, 0], np.cross(points[:, 1], points[:, 2])) / 6.0
+    cones = 2.0 * np.pi / 3.0 * (0.85**3 - 0.3**3) * (0.5 * ball_mm) ** 3  # of 45°, from the apex
+    assert volume == pytest.approx(np.prod(block.size) * 1e9 - cones, rel=1e-3)
+    centre = 1e3 * np.array([0.5 * block.distance, 0.0, block.centre_height])
+    dense = points[:, None] * np.array([[0.6, 0.2, 0.2], [0.1, 0.8, 0.1], [0.5, 0.5, 0.0]])[:, :, None]
+    gap = np.linalg.norm(np.concatenate([points.reshape(-1, 3), dense.sum(axis=2).reshape(-1, 3)]) - centre, axis=1)
+    assert gap.min() > 0.5 * ball_mm * (1.0 - 2e-3)  # nothing within the ball, up to the facets of the cone
+
+
+def test_an_arm_with_four_axes_is_planned_and_one_with_three_is_not(tmp_path, run):
+    four, three = (urdf(tmp_path / f"{n}.urdf", FIVE[:n]) for n in (4, 3))
+    assert run("init", tmp_path / "a", "--method", "sockets", "--model", four, "--seats", 6, "--places", 3).code == 0
+    assert len(rows(tmp_path / "a" / "places.csv")) == 18
+    told(run("init", tmp_path / "b", "--method", "sockets", "--model", three), "3 joints; a plan of sockets needs four")
+    assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--table-mm", 900], "reaches 0 of 6 places"),
+        (["--bars-mm", "300"], "--bars-mm has no effect"),
+        (["--ball-xyz-mm", "1,2"], "--ball-xyz-mm"),
+    ],
+)
+def test_what_cannot_be_planned_writes_nothing(tmp_path, run, options, complaint):
+    arm = urdf(tmp_path / "five.urdf", FIVE)
+    told(run("init", tmp_path / "bench", "--method", "sockets", "--model", arm, *options), complaint)
+    assert not (tmp_path / "bench").exists()
+
+
+def test_a_rig_that_exists_is_kept(tmp_path, run):
+    (tmp_path / "rig.toml").write_text("# mine\n")
+    told(run("init", tmp_path, "--method", "sockets", "--model", urdf(tmp_path / "five.urdf", FIVE)), "already exists")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["five.urdf", "rig.toml"]
+    assert (tmp_path / "rig.toml").read_text() == "# mine\n"
