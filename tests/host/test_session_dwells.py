@@ -13,7 +13,7 @@ from truearm.session.dwell_labels import with_mountings
 from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader
 from truearm.session.message_columns import columns_of
-from truearm.session.plan_matching import BACK, REPEAT, Marks, PlannedPoses, match_plan, nearest_pose
+from truearm.session.plan_matching import BACK, REPEAT, Marks, PlannedPoses, distances, match_plan
 from truearm.session.sample_noise import mean_of
 from truearm.types import Message
 
@@ -172,8 +172,8 @@ def test_a_plan_begun_again(dwells, poses):
 
 def test_how_far_a_dwell_is_from_the_plan():
     plan = plan_of([[0.0, 0.0], [1.0, 0.0]])
-    assert nearest_pose(np.array([0.9, 0.2]), plan) == (1, pytest.approx(0.2))
-    assert nearest_pose(np.array([0.9]), plan)[0] == -1
+    assert distances(np.array([0.9, 0.2]), plan) == pytest.approx([0.9, 0.2])
+    assert np.isinf(distances(np.array([0.9]), plan)).all()
 
 
 def test_a_pose_that_returns_in_the_plan():

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truearm.session.dwells import MOUNTING, Dwell
-from truearm.session.plan_matching import Marks, PlannedPoses, match_plan, near_poses, nearest_pose
+from truearm.session.plan_matching import Marks, PlannedPoses, distances, match_plan
 from truearm.types import BAR_MOUNTED, DwellLabel
 
 Pairing = tuple[str, str, str]  # bar, chuck, sphere
@@ -43,8 +43,7 @@ def may_be_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> tu
     whole = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     if plan is None or not whole:
         return tuple(whole)
-    near = near_poses(np.array([dwells[i].q for i in whole]), plan, tolerance)
-    return tuple(i for i, (poses, _) in zip(whole, near, strict=True) if poses.size)
+    return tuple(i for i in whole if distances(dwells[i].q, plan).min() <= tolerance)
 
 
 def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Said]:
@@ -73,9 +72,9 @@ def _of_plan(
     q = np.array([dwell.q for dwell in dwells])
     matches = match_plan(q, plan, tolerance, [{}] * len(dwells))
     near, planned = [], nothing
-    found_near = near_poses(q, plan, tolerance)
-    for k, (pose, (within, away)) in enumerate(zip(matches.poses, found_near, strict=True)):
-        poses: list[int] = within[np.argsort(away, kind="stable")].tolist()
+    for k, pose in enumerate(matches.poses):
+        away = distances(q[k], plan)
+        poses: list[int] = np.argsort(away, kind="stable")[: np.count_nonzero(away <= tolerance)].tolist()
         near.append(sorted(poses, key=lambda p: p != pose))
         if pose is not None:
             alike = poses if k in matches.ambiguous else [pose]
@@ -130,7 +129,7 @@ def with_mountings(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> l
     matched = [i for i, dwell in enumerate(dwells) if dwell.pose is not None]
     found = list(dwells)
     for i, dwell in enumerate(dwells):
-        if dwell.reason != "no plan match" or not nearest_pose(dwell.q, plan)[1] > tolerance:
+        if dwell.reason != "no plan match" or not tolerance < distances(dwell.q, plan).min() < np.inf:
             continue
         at = bisect_right(matched, i)
         if at == len(matched):

@@ -36,8 +36,8 @@ from truearm.session.plan_matching import (
     PlannedPoses,
     check_in_rig,
     contradict,
+    distances,
     match_plan,
-    nearest_pose,
     passes_of,
 )
 from truearm.session.samples import ChannelSamples, Samples
@@ -289,8 +289,9 @@ def _unmatched(
     dwell: Dwell, plan: PlannedPoses, rows: list[int], rules: DwellRules, said: Mapping[str, str]
 ) -> tuple[str, str]:
     """Return the reason why a dwell is not a pose of the plan, and its distance."""
-    nearest, distance = nearest_pose(dwell.q, plan)
-    if nearest < 0:
+    away = distances(dwell.q, plan)
+    nearest, distance = int(np.argmin(away)), float(away.min())
+    if np.isinf(distance):
         return "no plan match", f"the plan is of {plan.q.shape[1]} joints"
     if distance > rules.pose_tolerance:
         return "no plan match", f"{distance:.3f} rad from pose {rows[nearest]}"

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import json
 from bisect import bisect_right, insort
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import itemgetter
@@ -33,13 +33,12 @@ from truearm.errors import Argument, RigError
 from truearm.session.joint_format import MAX_JOINTS
 from truearm.session.line_legs import Leg
 from truearm.session.line_passes import LONGEST_S, LinePass
-from truearm.types import LINE_MOUNTED, MOUNTED, Floats, Indices, Move, Rig
+from truearm.types import LINE_MOUNTED, MOUNTED, Floats, Move, Rig
 
 FITTINGS = (*MOUNTED, "shell")
 MAX_NAME = 64
 REPEAT = 0.25
 BACK = 1.125
-WIDER = 1.0 + 1e-9  # times the tolerance: rounding must not exclude a pose that is just within it
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class Marks:
         poses = [self.rows[number] for number in self.dwells]
         if not poses:
             return None
-        return PlannedPoses(np.array([row.q for row in poses]), tuple(row.mounted for row in poses))
+        return PlannedPoses(np.array([row.q for row in poses], order="F"), tuple(row.mounted for row in poses))
 
     @property
     def names_lines(self) -> bool:
@@ -150,41 +149,25 @@ def match_plan(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[M
     return Matches(tuple(matched), _ambiguous(pairs, plan))
 
 
-def nearest_pose(q: Floats, plan: PlannedPoses) -> tuple[int, float]:
-    """Return the planned pose nearest to one mean reading (j,), and the largest joint distance to it."""
-    if q.shape[0] != plan.q.shape[1]:
-        return -1, float("nan")
-    distance = np.max(np.abs(plan.q - q), axis=1)
-    return int(np.argmin(distance)), float(np.min(distance))
+def distances(q: Floats, plan: PlannedPoses) -> Floats:
+    """Return the distance of one mean reading (j,) to each planned pose: that of the joint that is farthest away.
 
-
-def near_poses(q: Floats, plan: PlannedPoses, tolerance: float) -> Iterator[tuple[Indices, Floats]]:
-    """Yield the planned poses within ``tolerance`` of each mean reading q (d, j), in the plan's order, and their distances.
-
-    The distance is that of the joint that is farthest away. There are none if the plan has another number of joints.
+    It is infinite if the plan has another number of joints.
     """
-    if not len(q) or q.shape[1] != plan.q.shape[1]:
-        yield from [(np.zeros(0, dtype=np.intp), np.zeros(0))] * len(q)
-        return
-    order = np.argsort(plan.q[:, 0])  # candidates are within tolerance at the first joint
-    first, last = (
-        np.searchsorted(plan.q[order, 0], q[:, 0] + side) for side in (-WIDER * tolerance, WIDER * tolerance)
-    )
-    for dwell in range(len(q)):
-        poses = np.sort(order[first[dwell] : last[dwell]])
-        away = np.max(np.abs(plan.q[poses] - q[dwell]), axis=1, initial=0.0)
-        near = away <= tolerance
-        yield poses[near], away[near]
+    if q.shape[0] != plan.q.shape[1]:
+        return np.full(len(plan.q), np.inf)
+    return np.asarray(np.max(np.abs(plan.q.T - q[:, np.newaxis]), axis=0))  # a long row per joint is faster
 
 
 def _near_pairs(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
     """Return the near pairs by dwell, then by pose."""
     scale = REPEAT / (tolerance * (len(q) + 1))
     pairs = []
-    for dwell, (poses, away) in enumerate(near_poses(q, plan, tolerance)):
-        for pose, distance in zip(poses.tolist(), away.tolist(), strict=True):
+    for dwell, reading in enumerate(q):
+        away = distances(reading, plan)
+        for pose in np.flatnonzero(away <= tolerance).tolist():
             if not contradict(said[dwell], plan.mounted[pose]):
-                pairs.append(_Pair(dwell, pose, scale * (tolerance - distance)))
+                pairs.append(_Pair(dwell, pose, scale * (tolerance - float(away[pose]))))
     return pairs
 
 
