@@ -651,7 +651,7 @@ RECORDING: Mapping[str, Statement] = {
     ),
     "controller-read": Statement(
         RESULT,
-        "{place}: the controller computes with its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f}, over {n:#random pose}[; checksums {checksums}].",
+        "{place}: the controller computes with [{as_drawn:!}the drawing of {model}||its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f}, over {n:#random pose}][; checksums {checksums}].",
     ),
     "controller-unread": Statement(
         WARNING,

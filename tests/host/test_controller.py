@@ -146,6 +146,7 @@ def test_what_is_no_controller_is_an_error_of_one_line_and_writes_nothing(run, t
     code, _, err = run("robot", "read", controller(data), "--model", "ur5e", "--out", out)
     assert code in (1, 2)
     assert err.count("\n") == 1
+    assert "rtde://127.0.0.1" in err
     assert not out.exists()
 
 
@@ -168,10 +169,28 @@ def test_files_that_are_no_calibration_are_refused(run, tmp_path, text):
     assert err.count("\n") == 1
 
 
-def test_checksums_that_are_not_six_words_are_none():
+@pytest.mark.parametrize(
+    ("checksums", "named"),
+    [("0x1, 0x2, 0xZZ, 0x4, 0x5, 0x6", "0xZZ"), ("1, 2, 3, 4, 5, 6", "'1'"), ("0x1", "6 checksums"), ("", "''")],
+)
+def test_a_broken_checksum_is_an_error_that_names_it(checksums, named):
     drawing = drawn_rows(UR5E.chain)
-    assert kinematics_of_conf(conf_of(drawing, "0x1"), drawing).checksums == ()
-    assert kinematics_of_conf(conf_of(drawing, "1, 2, 3, 4, 5, 6"), drawing).checksums == ()
+    with pytest.raises(RobotError, match="joint_checksum.*" + named):
+        kinematics_of_conf(conf_of(drawing, checksums), drawing)
+
+
+def test_a_file_without_checksums_has_none():
+    drawing = drawn_rows(UR5E.chain)
+    text = conf_of(drawing).replace("joint_checksum", "# joint_checksum")
+    assert kinematics_of_conf(text, drawing).checksums == ()
+
+
+def test_a_controller_that_computes_with_the_drawing_is_said_to(run, tmp_path, controller):
+    address, out = controller(state(info(drawn_rows(UR5E.chain)))), tmp_path / "robot.toml"
+    code, stdout, _ = run("robot", "read", address, "--model", "ur5e", "--out", out)
+    assert code == 0
+    assert "computes with the drawing of ur5e" in " ".join(stdout.split())
+    assert "differs" not in stdout
 
 
 def test_the_controller_of_another_arm_is_refused(run, tmp_path, controller):
@@ -212,7 +231,10 @@ def test_a_recording_warns_when_the_controllers_checksums_changed(run, tmp_path,
     changed = controller_findings(controller(state(info(rows, (1, 2, 9, 4, 5, 6)))), str(out))
     assert [(f.code, f.values["joints"]) for f in changed] == [("controller-changed", ["3", "6"])]
     assert "joint 3 and 6" in changed[0].text() or "joints 3" in changed[0].text()
-    assert [f.code for f in controller_findings(controller(b""), str(out))] == ["controller-unread"]
+    for data in (b"", HOSTILE["short kinematics"]):
+        unread = controller_findings(controller(data), str(out))
+        assert [f.code for f in unread] == ["controller-unread"]
+        assert unread[0].values["reason"].count(address) == 1
 
 
 def test_a_file_whose_rows_cannot_hold_the_controller_is_refused(run, tmp_path, controller):

@@ -54,9 +54,13 @@ def kinematics_of_conf(text: str, drawing: Floats) -> ControllerKinematics:
     """Return the kinematics of a calibration.conf and the drawing's θ, a, d, α (4, 6). Raises RobotError."""
     lists = dict(re.findall(r"^\s*(\w+)\s*=\s*\[([^\]]*)\]", text, re.MULTILINE))
     deltas = [_numbers(f"delta_{name}", lists.get(f"delta_{name}")) for name in ROWS]
-    words = lists.get("joint_checksum", "").split(",")
-    are_checksums = len(words) == JOINTS and all(re.fullmatch(r"\s*0x[0-9a-fA-F]{1,8}\s*", word) for word in words)
-    return _of_rows(drawing + deltas, tuple(int(word, 16) for word in words) if are_checksums else ())
+    has_checksums = re.search(r"^\s*joint_checksum\b", text, re.MULTILINE)
+    words = [word.strip() for word in lists.get("joint_checksum", "").split(",")] if has_checksums else []
+    broken = [word for word in words if not re.fullmatch(r"0x[0-9a-fA-F]{1,8}", word)]
+    if broken or len(words) not in (0, JOINTS):
+        reason = f"{broken[0]!r} is not a checksum like 0x1a2b3c4d" if broken else f"needs {JOINTS} checksums"
+        raise RobotError(f"joint_checksum: {reason}; copy the file from the controller again")
+    return _of_rows(drawing + deltas, tuple(int(word, 16) for word in words))
 
 
 def kinematics_of_yaml(text: str) -> ControllerKinematics:

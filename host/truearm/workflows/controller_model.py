@@ -57,7 +57,7 @@ def read_controller(source: str, model: str, out: Path, force: bool = False) -> 
     text = drawing_text(model)
     drawing = parse_robot(text)
     if live:
-        kinematics = kinematics_of_info(kinematics_info(source))
+        kinematics = _controller_kinematics(source)
     else:
         content = read_text(Path(source), MAX_BYTES, InputError)
         try:
@@ -69,10 +69,17 @@ def read_controller(source: str, model: str, out: Path, force: bool = False) -> 
     write_atomic(out, written)
     checksums = [f"{checksum:08x}" for checksum in kinematics.checksums]
     values: dict[str, Any] = {"place": source, "model": drawing.chain.name, "n": N_POSES, "checksums": checksums}
-    return Finding(
-        "controller-read",
-        {**values, "rms": {"mm": float(MM.of(rms(apart)))}, "largest": {"mm": float(MM.of(apart.max()))}},
-    )
+    differences = {"rms": {"mm": float(MM.of(rms(apart)))}, "largest": {"mm": float(MM.of(apart.max()))}}
+    return Finding("controller-read", {**values, **differences, "as_drawn": bool(apart.max() < EXACT)})
+
+
+def _controller_kinematics(address: str) -> ControllerKinematics:
+    """Return the kinematics of the controller at ``rtde://host``. Raises LinkError, RobotError, with the address."""
+    content = kinematics_info(address)
+    try:
+        return kinematics_of_info(content)
+    except RobotError as exc:
+        raise exc.within(address) from exc
 
 
 def drawing_text(model: str) -> str:
@@ -164,7 +171,7 @@ def controller_findings(address: str | None, model: str) -> list[Finding]:
     if not stored:
         return []
     try:
-        now = kinematics_of_info(kinematics_info(address or "")).checksums
+        now = _controller_kinematics(address or "").checksums
     except (LinkError, RobotError) as exc:
         return [Finding("controller-unread", {"model": model, "reason": str(exc), "stored": True})]
     changed = [str(i + 1) for i in range(JOINTS) if now[i] != stored[i]]
