@@ -111,7 +111,8 @@ def _verdict(page: CalibrationPage) -> str:
         held_out = _sizes({si: error.rms for si, error in of_units})
         entries.append(("val", "RMS held out", held_out, f"{counted(judged.n, 'observation')} not used to fit; {more}"))
     if page.predicted:
-        more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
+        over = f"over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
+        more = f"from the parameters, faults that the rows do not exclude and the arm's own scatter, {over}"
         entries.append(("old", "RMS of the tool, predicted", _sizes({"m": page.predicted.rms}), more))
     verdict, doubts, _ = finding_parts(page.findings) if page.findings else ("", "", "")
     return f"<section>{verdict}{tiles(entries)}{doubts}</section>\n"
