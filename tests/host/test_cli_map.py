@@ -64,7 +64,7 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     squares = [e for e in root.iter("{http://www.w3.org/2000/svg}rect") if e.get("style")]
     assert len(squares) == len(rows) + 60  # and the scale
     (cloud,) = json.loads(re.search(r'id="scene">(.*?)</script>', page.read_text())[1])["clouds"]
-    assert len(cloud["points"]) == min(len(rows), 4000)
+    assert len(cloud["points"]) == min(len(rows), 2000)
     lengths = np.linalg.norm(cloud["vectors"][0]["mm"], axis=1)
     np.testing.assert_allclose(lengths, error, atol=1e-3)
     assert "Best place for" in said
@@ -248,6 +248,18 @@ def test_a_map_has_no_holes_and_its_cells_are_at_their_middles(cell):
     assert np.mean(np.abs(off).max(axis=1) < 2e-3 * cell) > 0.99  # at the rim a middle may be out of reach
     lower, upper = (np.array([getattr(joint, end) for joint in CHAIN.joints]) for end in ("lower", "upper"))
     assert ((found.q[full] >= lower) & (found.q[full] <= upper)).all()
+
+
+def test_a_page_of_many_cells_stays_small(result, tmp_path, run):
+    table, page = tmp_path / "map.csv", tmp_path / "map.html"
+    assert run("map", result, "--cell-mm", 12, "--out", table, "--report", page).code == 0
+    with table.open() as file:
+        cells = len(list(file)) - 1
+    text = page.read_text()
+    assert cells > 6000
+    assert len(text) < 1.3e6
+    squares, step = text.count("<title>") - 1, int(re.search(r"1 of (\d+)² cells shown", text)[1])
+    assert squares == pytest.approx(cells / step**2, rel=0.1)
 
 
 def test_too_many_cells_are_refused(result, run):

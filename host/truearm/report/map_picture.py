@@ -1,7 +1,8 @@
-"""An error map as a picture: one coloured square per cell, a scale, and the best place for a task."""
+"""An error map as a picture: one coloured square per cell (or per several, if there are many), a scale, and the best place for a task."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ LEFT, TOP, BOTTOM = 62.0, 54.0, 46.0  # room for the labels, the title above tho
 SCALE = 132.0  # room for the scale and its labels
 TICK_SPACE = (50.0, 25.0)  # between ticks along x and y
 LETTER = 8.5  # width of a bold letter
+MOST_SQUARES = 3000  # about 450 kB
 
 
 class Cells(NamedTuple):
@@ -36,6 +38,12 @@ class Cells(NamedTuple):
     sigma: Floats
     outside: NDArray[np.bool_]
 
+    def thinned(self, step: int) -> Cells:
+        """Return every ``step``-th cell of both directions, with the middle one of each."""
+        rows, columns = (slice((values.size // 2) % step, None, step) for values in (self.v, self.u))
+        area = rows, columns
+        return Cells(self.u[columns], self.v[rows], self.error[area], self.sigma[area], self.outside[area])
+
 
 def map_picture(
     cells: Cells,
@@ -46,9 +54,12 @@ def map_picture(
 ) -> str:
     """Return the SVG of errors, pale outside the fitted readings; ``task_mm`` is a rectangle u0, u1, v0, v1.
 
-    ``styled``: a file of its own, otherwise a part of a page.
+    ``styled``: a file of its own, otherwise a part of a page. Of more than MOST_SQUARES cells, every second or third … of
+    both directions is drawn.
     """
-    u_mm, v_mm, error_mm, sigma_mm, outside = cells
+    errors = float(np.nanmin(cells.error)), float(np.nanmax(cells.error))
+    step = math.ceil(math.sqrt(np.count_nonzero(~np.isnan(cells.error)) / MOST_SQUARES))
+    u_mm, v_mm, error_mm, sigma_mm, outside = cells.thinned(step)
     cell = float(u_mm[1] - u_mm[0]) if u_mm.size > 1 else 1.0
     ends = [(float(values[0]) - cell, float(values[-1]) + cell) for values in (u_mm, v_mm)]
     longest = max(high - low for low, high in ends)
@@ -60,7 +71,6 @@ def map_picture(
     across, up = unit * (x.high - x.low), unit * (y.high - y.low)
     right = max(SCALE, LETTER * len(title) - across)
     plot = Plot(x, y, up + TOP + BOTTOM, LEFT + across + right, LEFT, right, TOP, BOTTOM)
-    errors = float(np.nanmin(error_mm)), float(np.nanmax(error_mm))
     scale = linear_axis("error [mm]", *errors, intervals=min(6.0, up / TICK_SPACE[1]))
     parts = [f"<style>{STYLE}</style>" * styled, axes(plot), label(plot.left, 18, title, "name")]
     for i, j in zip(*np.nonzero(~np.isnan(error_mm)), strict=True):
@@ -79,6 +89,8 @@ def map_picture(
                 _fill(float(scale.fraction(error_mm[i, j]))),
             )
         )
+    if step > 1:
+        parts.append(label(LEFT + across + 4.0, plot.height - 24, f"1 of {step}² cells shown"))
     if (outside & ~np.isnan(error_mm)).any():
         parts.append(label(LEFT + across + 4.0, plot.height - 8, "pale: not calibrated"))
     if task_mm is not None:

@@ -74,7 +74,7 @@ def calibration_scene(found: Identification) -> Scene:
 def map_scene(calibration: Calibration, pair: ModelPair, mapped: ErrorMap) -> Scene:
     """Return the cells of a map that the arm reaches."""
     reachable = np.argwhere(~np.isnan(mapped.error))
-    i, j = reachable[thinned(len(reachable), 4 * MOST_POINTS)].T
+    i, j = reachable[thinned(len(reachable), 2 * MOST_POINTS)].T
     q, labels = mapped.q[i, j], ["cell"] * i.size
     values = {BEFORE: mapped.error[i, j], EXPECTED: COVERAGE * mapped.sigma[i, j]}
     gap = (reached(pair, q) - believed(pair, q))[:, :3, 3]
