@@ -10,9 +10,11 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import compress
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.report.page_parts import section
 from truearm.types import Floats
@@ -39,6 +41,11 @@ class Points:
     vectors: Mapping[str, Floats]
     fixture: Sequence[int] = ()
 
+    @property
+    def placed(self) -> NDArray[np.bool_]:
+        """Return which points (n,) can be drawn: those with a position and joints."""
+        return np.isfinite(np.column_stack([self.xyz, self.q])).all(axis=1)
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -57,13 +64,18 @@ class Scene:
     fixtures: Mapping[str, Floats]
     points: Sequence[Points]
 
+    @property
+    def is_empty(self) -> bool:
+        """Return whether there is no point to draw."""
+        return not self.points[0].placed.any()
+
 
 COLOURS = ("val", "fit")  # of page.css: of the first vectors, those before, and of the second, those after
 
 
 def view_section(scene: Scene | None) -> str:
-    """Return the section of a page, to be shown by ``script()``; "" without a scene."""
-    if scene is None:
+    """Return the section of a page, to be shown by ``script()``; "" without anything to show."""
+    if scene is None or scene.is_empty:
         return ""
     # No text can end the element: "<" is escaped. Everything that is not ASCII is too.
     data = json.dumps(_data(scene), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -72,8 +84,10 @@ def view_section(scene: Scene | None) -> str:
 
 
 def script(scene: Scene | None) -> str:
-    """Return the script of a page; "" without a scene."""
-    return "" if scene is None else files("truearm.report").joinpath("view3d/bundle.js").read_text(encoding="ascii")
+    """Return the script of a page; "" without anything to show."""
+    if scene is None or scene.is_empty:
+        return ""
+    return files("truearm.report").joinpath("view3d/bundle.js").read_text(encoding="ascii")
 
 
 def _data(scene: Scene) -> dict[str, Any]:
@@ -86,22 +100,24 @@ def _data(scene: Scene) -> dict[str, Any]:
         {"name": name[:LONGEST_NAME], "xyz": _rounded(xyz), "post": "chuck." in name}
         for name, xyz in scene.fixtures.items()
     ]
-    clouds = [
-        {
-            "name": points.name,
-            "points": _rounded(points.xyz),
-            "q": _rounded(points.q),
-            "labels": [label[:LONGEST_NAME] for label in points.labels],
-            "values": [{"name": name, "mm": _rounded(MM.of(value))} for name, value in points.values.items()],
-            "vectors": [
-                {"name": name, "colour": colour, "mm": _rounded(MM.of(vector))}
-                for colour, (name, vector) in zip(COLOURS, points.vectors.items(), strict=False)
-            ],
-            "fixture": list(points.fixture),
-        }
-        for points in scene.points
-    ]
+    clouds = [_cloud(points) for points in scene.points]
     return {"title": scene.title, "caption": scene.caption, "arm": arm, "fixtures": fixtures, "clouds": clouds}
+
+
+def _cloud(points: Points) -> dict[str, Any]:
+    placed = points.placed
+    return {
+        "name": points.name,
+        "points": _rounded(points.xyz[placed]),
+        "q": _rounded(points.q[placed]),
+        "labels": [label[:LONGEST_NAME] for label in compress(points.labels, placed)],
+        "values": [{"name": name, "mm": _rounded(MM.of(value[placed]))} for name, value in points.values.items()],
+        "vectors": [
+            {"name": name, "colour": colour, "mm": _rounded(MM.of(vector[placed]))}
+            for colour, (name, vector) in zip(COLOURS, points.vectors.items(), strict=False)
+        ],
+        "fixture": list(compress(points.fixture, placed)),
+    }
 
 
 def _rounded(values: Floats) -> list[Any]:

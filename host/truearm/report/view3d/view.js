@@ -39,10 +39,13 @@ const colourAt = share => {
 
 // --- the scene
 
+const ARM = 0, POINTS = 1; // layers: points and vectors are drawn over the arm, which would hide some
 const scene = new Scene(), camera = new PerspectiveCamera(38, 1, 0.01, 100), everything = [];
 camera.up.set(0, 0, 1);
-scene.add(new AmbientLight(0xffffff, 1.7));
-const lamp = new DirectionalLight(0xffffff, 1.6);
+const light = new AmbientLight(0xffffff, 1.7), lamp = new DirectionalLight(0xffffff, 1.6);
+light.layers.enable(POINTS);
+lamp.layers.enable(POINTS);
+scene.add(light);
 camera.add(lamp);
 lamp.position.set(-1, 1, 1);
 scene.add(camera);
@@ -84,13 +87,20 @@ function moveArm(q) {
   });
 }
 
+function corners(mesh) {
+  mesh.updateWorldMatrix(true, false);
+  mesh.geometry.computeBoundingBox();
+  const { min, max } = mesh.geometry.boundingBox;
+  return [...Array(8).keys()].map(k => new Vector3(...['x', 'y', 'z'].map((axis, bit) => (k >> bit & 1 ? max : min)[axis])).applyMatrix4(mesh.matrixWorld));
+}
+
 const fixturePaint = material('--ink');
 for (const fixture of data.fixtures) {
   const place = vector(fixture.xyz), foot = place.clone().setZ(Math.min(0, place.z));
   rod(scene, place, place, fixture.post ? 0.012 : 0.004, fixturePaint);
   if (fixture.post) rod(scene, foot, place, 0.006, fixturePaint);
 }
-const barPaint = material('--val'), bar = new Mesh(new CylinderGeometry(0.007, 0.007, 1, 12), barPaint);
+const bar = new Mesh(new CylinderGeometry(0.007, 0.007, 1, 12), fixturePaint);
 bar.visible = false;
 scene.add(bar);
 
@@ -114,14 +124,22 @@ class Cloud {
     const radius = unit * (this.first ? 1 : 0.7);
     this.dots = new InstancedMesh(new SphereGeometry(radius, 12, 8), new MeshLambertMaterial(), this.points.length);
     this.points.forEach((point, k) => this.dots.setMatrixAt(k, new Matrix4().makeTranslation(...point)));
-    this.dots.visible = this.first || !data.clouds[0].points.length;
+    this.dots.visible = this.first;
+    this.dots.layers.set(POINTS);
     this.needles = this.vectors.map(set => {
       const mesh = new InstancedMesh(new ConeGeometry(0.55 * unit, 1, 8).translate(0, 0.5, 0), material(`--${set.colour}`), this.points.length);
       mesh.frustumCulled = false;
+      mesh.layers.set(POINTS);
       scene.add(mesh);
       return mesh;
     });
     scene.add(this.dots);
+  }
+
+  tips() {
+    const ends = this.points.map(point => vector(point));
+    this.vectors.forEach(set => set.mm.forEach((mm, k) => mm && ends.push(vector(this.points[k]).addScaledVector(vector(mm), 1e-3 * factor))));
+    return ends;
   }
 
   stretch() {
@@ -159,6 +177,7 @@ const canvas = element(stage, 'canvas', { tabindex: '0', role: 'img' });
 let renderer = null;
 try {
   renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
+  renderer.autoClear = false;
 } catch {
   stage.remove(); // no WebGL here: the section stays hidden, and the pictures below show the same numbers
 }
@@ -170,7 +189,14 @@ function show() {
   const controls = element(section, 'div', { class: 'controls' });
   const names = [...new Set(clouds.flatMap(cloud => cloud.values.map(entry => entry.name)))];
   const orbit = new OrbitControls(camera, canvas);
-  const draw = () => renderer.render(scene, camera);
+  const draw = () => {
+    renderer.clearColor();
+    for (const layer of [ARM, POINTS]) {
+      renderer.clearDepth();
+      camera.layers.set(layer);
+      renderer.render(scene, camera);
+    }
+  };
   // Until the view is clicked, the wheel scrolls the page.
   orbit.enableZoom = false;
   canvas.addEventListener('focus', () => { orbit.enableZoom = true; });
@@ -198,15 +224,16 @@ function show() {
   const select = names.length > 1 ? element(legend, 'select', { 'aria-label': 'Colour of the points' }) : null;
   if (select) names.forEach(name => element(select, 'option', { value: name }, name));
   else element(legend, 'span', {}, names[0] ?? '');
-  const least = element(legend, 'span');
-  element(legend, 'i', { style: `background:linear-gradient(to right,${SCALE.map(colour => `rgb(${colour})`)})` });
-  const greatest = element(legend, 'span', { class: 'greatest' });
+  const ends = element(legend, 'span', { class: 'ends' }), least = element(ends, 'span');
+  const colours = element(ends, 'i', { style: `background:linear-gradient(to right,${SCALE.map(colour => `rgb(${colour})`)})` });
+  const greatest = element(ends, 'span');
   const colour = () => {
     const name = select ? select.value : names[0];
     const all = clouds.flatMap(cloud => cloud.values.filter(entry => entry.name === name).flatMap(entry => entry.mm));
-    const low = quantile(all, 0.02), top = Math.max(quantile(all, 0.98), low + 1e-6);
-    clouds.forEach(cloud => cloud.paint(name, low, top));
-    least.textContent = figures(low);
+    const low = quantile(all, 0.02), top = quantile(all, 0.98), isRange = figures(low) !== figures(top);
+    clouds.forEach(cloud => cloud.paint(name, low, isRange ? top : Infinity));
+    colours.hidden = !isRange;
+    least.textContent = isRange ? figures(low) : '';
     greatest.textContent = `${figures(top)} mm`;
     draw();
   };
@@ -214,7 +241,7 @@ function show() {
 
   const choose = k => {
     selected = (k + main.points.length) % main.points.length;
-    if (main.q.length) moveArm(main.q[selected]);
+    moveArm(main.q[selected]);
     const fixture = data.fixtures[main.fixture[selected] ?? -1];
     bar.visible = Boolean(fixture);
     if (fixture) {
@@ -252,7 +279,9 @@ function show() {
   });
   check('arm', true, on => carried.forEach(group => { group.visible = on; }));
 
-  const nearest = new Raycaster(), pointer = new Vector2();
+  const nearest = new Raycaster();
+  nearest.layers.set(POINTS);
+  const pointer = new Vector2();
   const under = event => {
     const box = canvas.getBoundingClientRect();
     pointer.set(2 * (event.clientX - box.left) / box.width - 1, 1 - 2 * (event.clientY - box.top) / box.height);
@@ -308,20 +337,24 @@ function show() {
     camera.updateProjectionMatrix();
     draw();
   };
-  moveArm(data.arm.joints.map(() => 0));
-  if (main.points.length) choose(0);
-  // From the side of the points and above, with all of the arm and of the points in sight.
-  const box = new Box3().setFromPoints(main.points.map(point => vector(point))), size = new Vector3();
+  choose(0);
+  resize();
+  // From the side of the points and above, with all of the arm, of the points and of their vectors in sight.
+  const sights = clouds.flatMap(cloud => cloud.tips()), box = new Box3().setFromPoints(sights);
   const middle = box.getCenter(new Vector3()), away = Math.atan2(middle.y, middle.x) - 0.9;
-  carried.forEach(group => box.expandByObject(group));
-  box.getCenter(orbit.target);
-  camera.position.set(Math.cos(away), Math.sin(away), 0.5).multiplyScalar(1.05 * box.getSize(size).length()).add(orbit.target);
+  carried.forEach(group => group.traverse(link => link.isMesh && sights.push(...corners(link))));
+  box.setFromPoints(sights).getCenter(orbit.target);
+  const towards = new Vector3(Math.cos(away), Math.sin(away), 0.5).normalize(), steep = Math.tan(camera.fov * Math.PI / 360);
+  camera.position.copy(orbit.target).add(towards);
+  camera.lookAt(orbit.target);
+  const back = camera.quaternion.clone().invert();
+  const distances = sights.map(end => end.sub(orbit.target).applyQuaternion(back)).map(({ x, y, z }) => z + Math.max(Math.abs(x) / camera.aspect, Math.abs(y)) / steep);
+  camera.position.copy(orbit.target).addScaledVector(towards, 1.05 * Math.max(...distances));
   orbit.update();
   orbit.saveState();
   orbit.addEventListener('change', draw);
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', restyle);
   new ResizeObserver(resize).observe(stage);
-  resize();
   restyle();
 }
 if (renderer) show();
