@@ -48,7 +48,7 @@ def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_
 def poses(table: ObservationTable) -> Indices:
     """Return numbers (n,) of the rows' poses (rows of equal joint readings), in order of first appearance."""
     pose = np.zeros(len(table), dtype=np.intp)
-    for reading in np.round(table.q / SAME_POSE).T:  # ten times as fast as unique rows, which are compared byte by byte
+    for reading in np.round(table.q / SAME_POSE).T:  # faster than unique rows, much so where no pose is repeated
         code = np.unique(reading, return_inverse=True)[1]
         pose = np.unique(pose * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
         if pose.max(initial=0) + 1 == pose.size:
