@@ -44,7 +44,7 @@ class Points:
     @property
     def placed(self) -> NDArray[np.bool_]:
         """Return which points (n,) can be drawn: those with a position and joints."""
-        return np.isfinite(np.column_stack([self.xyz, self.q])).all(axis=1)
+        return np.asarray(np.isfinite(np.column_stack([self.xyz, self.q])).all(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
