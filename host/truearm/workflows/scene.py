@@ -63,7 +63,7 @@ def calibration_scene(found: Identification) -> Scene:
             field[EXPECTED] = COVERAGE * np.sqrt(variances)
         clouds.append(Points("between the poses", xyz[n:], both.q[n:], ["predicted"] * n, field, {}))
     caption = (
-        "Error before: from where the nominal robot, with base and tool placed, has the measured point to where the identified robot has it. "
+        "Error before: from where the nominal robot, with base and tool placed, has the measured point to where the identified robot has it, in all directions; a row may see only a part of it, as a ball-bar the part along the bar. "
         "Residual after: from the predicted to the measured point, as far as the row measures it."
     )
     if covariance is not None and covariance.relative:
