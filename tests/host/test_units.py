@@ -102,7 +102,6 @@ PHYSICAL = {
     "session/robot_clock.py": "a drift of ppm a minute",
     "session/device_clock.py": "µs of the box's timer as ns of the host's",
     "session/losses.py": "µs and ns as in device_clock",
-    "session/trigger_edges.py": "s as whole µs of the box's timer",
     "correct/inverse.py": "a penalty that makes one solution worse than another",
     "correct/error_map.py": "a share of a cell's width",
     "report/figures.py": "a share of the largest residual",

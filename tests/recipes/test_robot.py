@@ -11,7 +11,7 @@ from tests.recipes.recipes import Copy
 from truearm.files.rig_file import write_rig
 from truearm.types import BallBar
 
-PLAN = ("plan", "ballbar", "--model", "ur3e", "--rig", "rig.toml", "--poses", "36", "--candidates", "60", "--out")
+PLAN = ("plan", "ballbar", "--model", "ur3lab", "--rig", "rig.toml", "--poses", "36", "--candidates", "60", "--out")
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def copy(tmp_path_factory):
     """The package with the robot, and a rig for an arm of its size."""
     copy = Copy(tmp_path_factory.mktemp("robot"))
     copy.apply("A robot")
-    assert copy.changes() == {"host/truearm/model/robots/ur3e.toml": "new file"}
+    assert copy.changes() == {"host/truearm/model/robots/ur3lab.toml": "new file"}
     bars = {"bar25": BallBar("bar25", 0.25, 1.0, 0.075, 84e-6)}
     write_rig(copy.folder / "rig.toml", replace(RIGS["irb120"], bars=bars))
     return copy
@@ -28,7 +28,7 @@ def copy(tmp_path_factory):
 @pytest.fixture(scope="module")
 def said(copy):
     """Return what the commands print."""
-    wrong = ("identify", "none.csv", "--model", "ur3", "--rig", "rig.toml")
+    wrong = ("identify", "none.csv", "--model", "ur3la", "--rig", "rig.toml")
     return copy.run_each(
         ("identify", "--help"),
         ("plan", "ballbar", "--help"),
@@ -39,12 +39,12 @@ def said(copy):
 
 def test_help_and_errors_name_it(copy, said):
     for text in (said[0].out, said[1].out, said[2].err):
-        assert "ur3e" in text
+        assert "ur3lab" in text
     (branch,) = (part for part in " ".join(said[1].out.split()).split(" --") if part.startswith("branch"))
-    assert "ur3e" in branch
+    assert "ur3lab" in branch
     assert said[2].code == 2
     names = copy.python("-c", "import truearm; print(truearm.builtin_robots())").out
-    assert "ur3e" in names
+    assert "ur3lab" in names
 
 
 def test_it_is_planned_for(copy, said):

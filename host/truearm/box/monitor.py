@@ -212,7 +212,7 @@ def clock_words(watch: Watch) -> str:
     # A few exchanges later it is known whether a clock stepped.
     _, (bound_ns,) = clock.to_host_ns(np.array([watch.exchanges[max(count - 4, count // 2)][1]]))
     first_us, last_us = report.device_us
-    rate_bound_ppm = PPM.of(2.0 * bound_ns / (1000.0 * max(1, last_us - first_us)))
+    rate_bound_ppm = PPM.of(2.0 * NS.to_si(float(bound_ns)) / US.to_si(float(max(1, last_us - first_us))))
     rate = f"host {faster(report.rate_ppm, 1)}" if rate_bound_ppm < RATE_KNOWN_PPM else "rate not known yet"
     return (
         f"± {US.text(NS.to_si(float(bound_ns)), '.0f')}, {rate}, "

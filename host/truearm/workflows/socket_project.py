@@ -128,7 +128,7 @@ def _drawing(sites: list[Site], block: SocketBlock, table: float) -> Iterator[st
     yield '<g fill="#000" stroke="none"><text x="8" y="-70">x</text><text x="-76" y="20">y</text>'
     yield '<text x="8" y="20">base of the robot</text></g>'
     for number, (site, (x, y, z)) in enumerate(zip(sites, places.tolist(), strict=True), start=1):
-        turn = np.degrees(np.arctan2(-site.direction[0], -site.direction[1]))
+        turn = DEG.of(np.arctan2(-site.direction[0], -site.direction[1]))
         box = f", on a box of {z - MM.of(table):g} mm" * (z > MM.of(table))
         yield f'<g transform="translate({-y:g} {-x:g})" stroke="#000"><g transform="rotate({turn:.1f})">'
         yield f'<rect x="{-length / 2:g}" y="{-width / 2:g}" width="{length:g}" height="{width:g}"/>'
