@@ -53,10 +53,10 @@ def row_errors(
             for unit, of_unit in unit_columns(units).items():
                 due = np.maximum(declared[:, of_unit].sum(axis=1), 0.0)
                 squares.setdefault(unit, []).append(np.stack([due, (errors[:, of_unit] ** 2).sum(axis=1)]))
-        _leave_out(left_out, [block.of(weight[block.row] > 0.0) for block in blocks], pose)
-    both = {unit: np.concatenate(squares[unit], axis=1) for unit in UNITS if unit in squares}
-    means = {unit: of_rows.mean(axis=1) for unit, of_rows in both.items() if of_rows.size}
-    parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(all_ - due, 0.0))) for u, (due, all_) in means.items()}
+        _leave_out(left_out, [block.select(weight[block.row] > 0.0) for block in blocks], pose)
+    joined = {unit: np.concatenate(squares[unit], axis=1) for unit in UNITS if unit in squares}
+    means = {unit: square.mean(axis=1) for unit, square in joined.items() if square.size}
+    parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(whole - due, 0.0))) for u, (due, whole) in means.items()}
     return RowErrors(distance, beyond, left_out, parts)
 
 
@@ -77,7 +77,7 @@ class _Seen(NamedTuple):
     residual: Floats
     noise_root: Floats
 
-    def of(self, rows: NDArray[np.bool_]) -> _Seen:
+    def select(self, rows: NDArray[np.bool_]) -> _Seen:
         return self if rows.all() else _Seen(self.row[rows], self.units, *(part[rows] for part in self[2:]))
 
 
