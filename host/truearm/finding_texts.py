@@ -395,6 +395,8 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     ),
     "no-rig": ("{place}: was recorded without a rig", "give one as {@rig}"),
     "no-project": ("no {file} here or in a folder above", "create one with truearm init"),
+    "no-arm": ("{place}: no {file} in it or below", "name folders of projects, or create one with truearm init"),
+    "not-measured": ("{place}: holds no session yet", "make one with truearm record"),
     # box and robot
     "no-box": ("{place}: not found", "plug the box in"),
     "several-boxes": ("{boxes:#box is|boxes are} plugged in: {boxes}", "name one with {@box}"),

@@ -23,6 +23,7 @@ from truearm.cli.command import OPTIONS, stem_of
 from truearm.cli.correct import correct
 from truearm.cli.demo import demo
 from truearm.cli.export import export
+from truearm.cli.fleet import fleet
 from truearm.cli.identify import identify
 from truearm.cli.init import init
 from truearm.cli.inspect import inspect
@@ -48,7 +49,7 @@ from truearm.text import one_line
 TASKS: dict[str, tuple[Any, ...]] = {
     "Try": (demo, simulate),
     "Measure": (init, robot, status, plan, record, inspect, characterize, session),
-    "Identify": (identify, report, validate, map_),
+    "Identify": (identify, report, validate, map_, fleet),
     "Use": (correct, export),
     "Box": (box,),
 }

@@ -33,6 +33,7 @@ KINDS = {
     "plan": FileKind("a plan (plan.csv)", (".csv",), rb"\Apose,"),
     "program": FileKind("a program", (), rb"\A(pose,|def truearm_|MODULE truearm_)"),
     "map": FileKind("a map (.csv)", (".csv",), rb"\Au_mm,v_mm"),
+    "fleet": FileKind("a table of arms (.csv)", (".csv",), rb"\Aarm,robot,serial"),
     "curves": FileKind("a table of error curves (.csv)", (".csv",), rb"\Ajoint,reading_deg,error_mrad"),
     "targets": FileKind("a table of targets (.csv)", (".csv",), rb"\A.*\bafter_mm\b"),
     "table": FileKind("a table of observations (.csv)", (".csv",), rb"\A(\w+,)*kind,"),

@@ -1,0 +1,199 @@
+"""Many arms: identify the robot of every project found in some folders, several at a time (``truearm fleet``).
+
+Each arm writes files of its own, whole. A further run does only what is missing, so nothing is lost with a worker.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from truearm.errors import Argument, InputError, TruearmError
+from truearm.exit_codes import ExitCode
+from truearm.files.disk import check_writable, write_atomic
+from truearm.files.project_file import Project, read_project
+from truearm.files.project_folder import FILE
+from truearm.files.robot_file import RobotChoice
+from truearm.progress import step
+from truearm.report.result_findings import verdict
+from truearm.text import counted
+from truearm.workflows.certificates import Issue
+from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
+from truearm.workflows.inputs import Sources, hashed_inputs
+from truearm.workflows.project import new_file, result_document, results_of, sessions_of
+from truearm.workflows.report import report_files
+from truearm.workflows.session_parts import with_parts
+
+LOCAL = "local"  # in place of the address of a Dask scheduler: a cluster on this machine
+RUNS = 2  # a worker that is killed ends a run
+BEST_FIRST = (ExitCode.DONE, ExitCode.UNUSABLE, ExitCode.INCOMPLETE, ExitCode.INPUT, ExitCode.FAILED)
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """What is done for each arm, by how many ``workers`` (None: one per core), or by those of a ``dask`` scheduler.
+
+    ``reports``: whether each result gets a report with a certificate. ``out``: the table of all arms.
+    """
+
+    hold_out: tuple[str, ...] = ()
+    reports: bool = False
+    workers: int | None = None
+    dask: str | None = None
+    out: Path | None = None
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The row of an arm: its folder, its verdict or error, mean errors [mm] where nothing was fitted, None if unknown."""
+
+    arm: str
+    robot: str = ""
+    serial: str = ""
+    code: ExitCode = ExitCode.DONE
+    verdict: str = ""
+    before_mm: float | None = None
+    after_mm: float | None = None
+    result: str = ""
+
+
+def projects_in(folders: Sequence[Path]) -> list[Path]:
+    """Return the folders of all projects in these folders or below them. Raises InputError if a folder has none."""
+    homes: set[Path] = set()
+    for folder in folders:
+        projects = {file.parent for file in folder.rglob(FILE)}
+        if not projects:
+            raise InputError("no-arm", place=folder, file=FILE)
+        homes |= projects
+    return sorted({home.resolve(): home for home in sorted(homes)}.values())
+
+
+def sources_of(project: Project, home: Path) -> Sources:
+    """Return what ``truearm identify`` reads in a project's folder. Raises InputError if nothing was measured."""
+    if project.table:
+        return Sources((home / project.table,), {"": home / project.rig})
+    sessions = sessions_of(home / project.sessions)
+    if not sessions:
+        raise InputError("not-measured", place=home / project.sessions)
+    return Sources(tuple(with_parts(sessions)))
+
+
+def identified_arm(home: Path, options: FleetOptions) -> Arm:
+    """Identify the robot of a project, unless a result of the same files exists; return its row."""
+    row = Arm(str(home))
+    try:
+        project = read_project(home / FILE)
+        model = home / project.model
+        row = replace(row, robot=Path(project.model).stem, serial=project.serial)
+        choice = RobotChoice(
+            str(model) if model.is_file() else project.model, project.base or None, project.tip or None
+        )
+        files = IdentifyFiles(choice, sources_of(project, home))
+        result = _earlier_result(home / project.results, files, options)
+        if result is None:
+            result = new_file(home / project.results, ".json")
+            identify_files(replace(files, results=(result,)), options.hold_out, DEFAULTS)
+        row = replace(row, result=str(result), **_outcome(result_document(result)))
+        page = result.with_suffix(".html")
+        if options.reports and not page.exists():
+            report_files(result, replace(files, command=f"truearm report {result.name}"), page, Issue(project))
+    except TruearmError as exc:
+        return replace(row, code=exc.exit_code, verdict=str(exc))
+    return row
+
+
+def _earlier_result(folder: Path, files: IdentifyFiles, options: FleetOptions) -> Path | None:
+    """Return the newest result of the same files and the same held-out rows, None if there is none."""
+    inputs = msgspec.to_builtins(hashed_inputs(files.sources, files.robot))
+    for path in reversed(results_of(folder)):
+        document = result_document(path)
+        if document.get("inputs") == inputs and document["made_with"]["hold_out"] == list(options.hold_out):
+            return path
+    return None
+
+
+def _outcome(document: Mapping[str, Any]) -> dict[str, Any]:
+    change = document["mean_change"] or {}
+    errors = {f"{name}_mm": change.get(f"mean_{name}_mm") for name in ("before", "after")}
+    code = ExitCode.DONE if document["usable"] else ExitCode.UNUSABLE
+    return {"code": code, "verdict": verdict(document).text(), **errors}
+
+
+@contextmanager
+def workers(options: FleetOptions, most: int) -> Iterator[type[Exception]]:
+    """Let joblib use the workers of the options, at most ``most``; yield the error that says that some were killed.
+
+    Raises InputError if the scheduler cannot be reached.
+    """
+    import joblib
+
+    if options.dask is None:
+        with joblib.parallel_config("loky", n_jobs=min(options.workers or joblib.cpu_count(), most)):
+            yield BrokenProcessPool
+        return
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError:
+        raise InputError(
+            "missing-package", place=Argument("dask"), package="distributed", install="truearm[dask]"
+        ) from None
+    where: dict[str, Any] = {"address": options.dask}
+    if options.dask != LOCAL and options.workers is not None:
+        raise InputError("no-effect", place=Argument("workers"), reason=f"{options.dask} has workers of its own")
+    if options.dask == LOCAL:
+        where = {"n_workers": options.workers, "threads_per_worker": 1, "dashboard_address": None}
+    try:
+        client = Client(**where)
+    except (OSError, ValueError) as exc:
+        raise InputError(f"{options.dask}: no Dask scheduler answers: {exc}") from exc
+    with client, joblib.parallel_config("dask", n_jobs=-1):
+        yield KilledWorker
+
+
+def identify_fleet(folders: Sequence[Path], options: FleetOptions) -> list[Arm]:
+    """Return a row for each project in the folders, and write them to ``options.out``. Raises InputError."""
+    from joblib import Parallel, delayed
+
+    homes = projects_in(folders)
+    if options.out is not None:
+        check_writable(options.out, options.force, kind="fleet")
+    rows: dict[str, Arm] = {}
+    with workers(options, len(homes)) as killed, step(f"identifying {counted(len(homes), 'arm')}") as advance:
+        for _ in range(RUNS):
+            missing = [home for home in homes if str(home) not in rows]
+            jobs = (delayed(identified_arm)(home, options) for home in missing)
+            try:
+                for row in Parallel(return_as="generator_unordered")(jobs) if missing else ():
+                    rows[row.arm] = row
+                    advance(len(rows) / len(homes))
+            except killed:
+                continue
+    reason = "the process was killed in two runs, as happens without free memory; run again with fewer workers"
+    lost = Arm("", code=ExitCode.FAILED, verdict=reason)
+    fleet = [rows.get(str(home), replace(lost, arm=str(home))) for home in homes]
+    if options.out is not None:
+        write_atomic(options.out, csv_text(fleet))
+    return fleet
+
+
+def csv_text(fleet: Sequence[Arm]) -> str:
+    """Return the rows as CSV with a header."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, Arm.__dataclass_fields__, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in fleet)
+    return text.getvalue()
+
+
+def worst(fleet: Sequence[Arm]) -> ExitCode:
+    """Return the exit code of all arms: the worst of theirs."""
+    return max((row.code for row in fleet), key=BEST_FIRST.index)

@@ -1,0 +1,135 @@
+"""Many arms: each writes its own result, a further run does what is missing, and workers do not change numbers."""
+
+import csv
+import json
+import os
+import signal
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pytest
+from identify_bench import SIGMA, exact_lengths
+
+from truearm.files.observation_table import write_table
+from truearm.files.project_file import Project, format_project
+from truearm.files.project_folder import FILE
+from truearm.files.result_file import FORMAT
+from truearm.files.rig_file import write_rig
+
+ARMS = ("a", "b", "c")
+
+
+@pytest.fixture
+def cells(tmp_path):
+    """Make three projects of a PUMA, measured with noise of their own."""
+    table, rig = exact_lengths(90)
+    for number, name in enumerate(ARMS):
+        home = tmp_path / "cells" / name
+        home.mkdir(parents=True)
+        noise = np.random.default_rng(number).normal(0.0, SIGMA, len(table))
+        write_table(home / "poses.csv", replace(table, value=table.value + noise), ("rad",) * 6)
+        write_rig(home / "rig.toml", rig)
+        (home / FILE).write_text(format_project(Project("puma560", serial=name, table="poses.csv")))
+    return tmp_path / "cells"
+
+
+def results(cells):
+    return {name: list((cells / name / "results").glob("*.json")) for name in ARMS}
+
+
+def parameters(cells):
+    """The parameters of every arm, whose one result is whole."""
+    documents = {name: json.loads(path.read_text()) for name, (path,) in results(cells).items()}
+    assert {document["format"] for document in documents.values()} == {FORMAT}
+    return {name: document["parameters"] for name, document in documents.items()}
+
+
+def forget(cells):
+    for paths in results(cells).values():
+        for path in paths:
+            path.unlink()
+
+
+def test_the_numbers_do_not_depend_on_the_workers_and_dask_has_the_same(run, cells, tmp_path):
+    table = tmp_path / "fleet.csv"
+    assert run("fleet", cells, "--workers", 1, "--hold-out", "0.2", "--out", table).code == 0
+    alone = parameters(cells)
+    assert alone["a"] != alone["b"]
+    rows = {Path(row["arm"]).name: row for row in csv.DictReader(table.open())}
+    assert [rows[name]["serial"] for name in ARMS] == list(ARMS)
+    assert all(float(row["after_mm"]) < float(row["before_mm"]) for row in rows.values())
+    for arguments in (("--workers", 2), ("--dask", "local", "--workers", 2)):
+        forget(cells)
+        outcome = run("fleet", cells, "--hold-out", "0.2", "--out", table, "--force", *arguments)
+        assert outcome.code == 0, outcome.err
+        assert parameters(cells) == alone
+
+
+def test_dask_is_used_by_address(run, cells):
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        assert run("fleet", cells, "--dask", cluster.scheduler_address).code == 0
+        assert len(parameters(cells)) == 3
+        assert run("fleet", cells, "--dask", cluster.scheduler_address, "--workers", 2).code == 2
+    assert "no Dask scheduler" in run("fleet", cells, "--dask", "nothing://here").err
+
+
+def test_a_further_run_does_what_is_missing(run, cells):
+    assert run("fleet", cells, "--workers", 1).code == 0
+    first = results(cells)
+    first["b"][0].unlink()
+    kept = {name: first[name] for name in ("a", "c")}
+    assert run("fleet", cells, "--workers", 1, "--reports").code == 0
+    second = results(cells)
+    assert {name: second[name] for name in kept} == kept
+    assert all(path.with_suffix(".html").exists() for paths in second.values() for path in paths)
+    rig = cells / "c" / "rig.toml"
+    rig.write_text(rig.read_text() + "\n# measured again\n")
+    assert run("fleet", cells, "--workers", 1).code == 0
+    assert [len(paths) for paths in results(cells).values()] == [1, 1, 2]
+
+
+def test_the_worst_arm_is_the_exit_code(run, cells, tmp_path):
+    (cells / "a" / "poses.csv").write_text("kind\n")
+    (cells / "b" / "truearm.toml").write_text('model = "puma560"\n')  # nothing is recorded
+    outcome = run("fleet", cells, "--workers", 1, "--json")
+    rows = {Path(row["arm"]).name: row for row in json.loads(outcome.out)["arms"]}
+    assert (outcome.code, rows["a"]["code"], rows["b"]["code"], rows["c"]["code"]) == (2, 2, 2, 0)
+    assert "truearm record" in rows["b"]["verdict"]
+    assert results(cells)["c"]
+    (tmp_path / "empty").mkdir()
+    assert run("fleet", tmp_path / "empty").code == 2
+
+
+def killed_worker(killed):
+    """Kill the first worker of loky that this process starts, while it has work."""
+    children = Path(f"/proc/{os.getpid()}/task")
+    until = time.monotonic() + 60.0
+    while not killed and time.monotonic() < until:
+        for child in (int(pid) for path in children.glob("*/children") for pid in path.read_text().split()):
+            with suppress(OSError):
+                if b"popen_loky" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    os.kill(child, signal.SIGKILL)
+                    killed.append(child)
+                    return
+        time.sleep(0.02)
+
+
+def test_a_killed_worker_costs_a_second_run(run, cells):
+    from joblib.externals.loky import get_reusable_executor
+
+    get_reusable_executor().shutdown(wait=True)  # workers of earlier tests
+    killed = []
+    thread = Thread(target=killed_worker, args=(killed,))
+    thread.start()
+    outcome = run("fleet", cells, "--workers", 2)
+    thread.join()
+    assert killed
+    assert outcome.code == 0, outcome.out
+    assert all(len(paths) == 1 for paths in results(cells).values())
+    assert len(parameters(cells)) == 3
