@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs pictures notebooks device-check pytest collect soak bench benchmark micropython view3d wire uf2 release chip hardware hardware-check micropython-if-possible browser-if-possible kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint docs pictures notebooks device-check pytest coverage collect soak bench benchmark micropython view3d wire uf2 release chip hardware hardware-check micropython-if-possible browser-if-possible kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-22s %s\n", $$1, $$2}'
@@ -59,6 +59,11 @@ device-check: .venv/installed-test ## compile every file that the box runs for t
 # Where they are compiled anyway (make test), that comes first.
 pytest: .venv/installed-test micropython-if-possible chip-if-possible browser-if-possible kicad-if-possible $(filter collect,$(MAKECMDGOALS)) ## the tests
 	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile --no-loadscope-reorder
+
+coverage: .venv/installed-test micropython-if-possible ## the lines of the host that no test runs: the summary on the screen, the pages in build/coverage
+	@mkdir -p build/coverage
+	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile --no-loadscope-reorder --cov=truearm --cov-report=html:build/coverage --cov-report=term:skip-covered >build/coverage/log.txt || { tail -n 30 build/coverage/log.txt; exit 1; }
+	@sed -n '/^Name /,/^TOTAL/p' build/coverage/log.txt >build/coverage/summary.txt; tail -n 1 build/coverage/summary.txt; echo "pages: build/coverage/index.html"
 
 collect: .venv/installed-test # compile the tests, before all workers do the same beside each other
 	@found=$$($(BIN)/pytest -m "not soak" --collect-only -qqq 2>&1) || { echo "$$found"; exit 1; }
@@ -149,10 +154,14 @@ clean: ## remove what was built (not .venv)
 .venv/installed: pyproject.toml | .venv/python
 	@echo "installing into .venv"
 	@$(PIP) install -e .
+	@$(BIN)/python -m compileall -q host protocol hil_sim
 	@touch $@
 
-# A module is compiled when it is first imported, and most of these never are.
+# What truearm imports is compiled now: later commands may run where nothing is (PYTHONDONTWRITEBYTECODE). What only the
+# tests need is compiled when it is first imported, and most of it never is.
 .venv/installed-test: pyproject.toml | .venv/python
 	@echo "installing into .venv, with what the tests need"
+	@$(PIP) install -e .
 	@$(PIP) install --no-compile -e '.[test]'
+	@$(BIN)/python -m compileall -q host protocol hil_sim
 	@touch $@ .venv/installed

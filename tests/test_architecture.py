@@ -205,6 +205,8 @@ def test_one_version_of_package_firmware_and_image():
         name for page in pages for name in re.findall(r"truearm-(\d[\w.]*)\.uf2", page.read_text(encoding="utf-8"))
     }
     assert named == {VERSION}
+    assert f"\nversion: {VERSION}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(rf"^## {re.escape(VERSION)} ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
 
 
 def test_only_simulate_knows_the_simulator():
