@@ -17,7 +17,6 @@ from PIL import Image
 
 import truearm
 from truearm.report.page_parts import html_page
-from truearm.report.scene_view import script, view_section
 from truearm.workflows import scene as scene_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,11 +44,7 @@ def main() -> None:
         scene_of.MOST_POINTS = POINTS
         scene, error = scene_of.calibration_scene(found), found.estimate.held_out.figures["m"]
         subtitle = f"Mean error of {error.n} points that were not fitted: {1e3 * error.mean:.3f} mm"
-        page.write_text(
-            html_page(
-                "truearm", "UR10, 2773 points of a laser tracker", subtitle, [view_section(scene)], script=script(scene)
-            )
-        )
+        page.write_text(html_page("truearm", "UR10, 2773 points of a laser tracker", subtitle, [], scene=scene))
         command = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
         command += [f"--user-data-dir={folder}/profile", f"--window-size={WIDTH},{HEIGHT}", f"--screenshot={shot}"]
         subprocess.run([*command, page.as_uri()], check=True, capture_output=True, timeout=120)

@@ -691,6 +691,11 @@ VALIDATION: Mapping[str, Statement] = {
         f"The calibration helps, but these rows cannot show how accurate it is: errors of {RMS_ERRORS}, in {{n:#row}}.",
         "Declare the noise in the rig, or measure more rows.",
     ),
+    "validation-own-rows": Statement(
+        WARNING,
+        f"No verdict, because the identification used {{files}} too: errors of {RMS_ERRORS}, in {{n:#row}}.",
+        "Validate with other measurements.",
+    ),
     "validation-no-help": Statement(
         REFUSAL,
         f"The calibration does not help here: errors of {RMS_ERRORS}, in {{n:#row}}[{{implausible:!}}; more than those of any plausible arm].",
@@ -710,8 +715,8 @@ VALIDATION: Mapping[str, Statement] = {
     "regions-worse": Statement(WARNING, "Worse than without the calibration: {regions}."),
     "few-rows": Statement(
         WARNING,
-        "[{n:#row} cannot show how accurate the calibration is at other poses||The identification used these rows too, so this verdict proves little].",
-        "Validate with [{enough} or more||other measurements].",
+        "{n:#row} cannot show how accurate the calibration is at other poses.",
+        "Validate with {enough} or more.",
     ),
     # notes
     "validation-terms": Statement(
@@ -821,7 +826,7 @@ CORRECTION: Mapping[str, Statement] = {
     ),
     "other-configurations": Statement(
         WARNING,
-        "Only the joints near the first target determine the configuration; in the arm's other ones the corrections would differ by up to {spread}, and the expected error is between {least} and {most}.",
+        "Only the joints near the first target determine the configuration; in the arm's other ones the corrections would differ by up to {spread}[, and the expected error is between {least} and {most}].",
     ),
     # frames, and what is left as it is
     "targets-frames": Statement(

@@ -70,7 +70,7 @@ def test_a_robot_that_has_changed_since_is_found_out(said, folder):
 
 
 def test_the_session_that_it_was_identified_from_proves_little(said, folder):
-    assert "few-rows" in listed(judged(said, folder, "monday.mcap"))
+    assert "validation-own-rows" in listed(judged(said, folder, "monday.mcap"))
 
 
 def test_what_sessions_measured_counts_in_a_plan(said, folder):

@@ -48,8 +48,8 @@ def measured(path, truth, n=180, seed=9):
     return path
 
 
-def judged(run, folder, path):
-    code, said, err = run("validate", folder / "result.json", path, "--rig", folder / "rig.toml", "--json")
+def judged(run, folder, path, result="result.json"):
+    code, said, err = run("validate", folder / result, path, "--rig", folder / "rig.toml", "--json")
     assert code == 0, err
     return json.loads(said)
 
@@ -121,7 +121,9 @@ def test_a_validation_with_the_fitted_rows_is_no_pass(run, tmp_path):
     )
     page = tmp_path / "page.html"
     assert run("validate", tmp_path / "r.json", rows, *rig, "--report", page, "--tolerance-mm", "50").code == 0
-    assert '<p class="decision">NOT USABLE: the identification used these' in page.read_text("utf-8")
+    text = page.read_text("utf-8")
+    assert '<p class="decision">NOT DECIDED: the identification used these' in text
+    assert listed(judged(run, tmp_path, rows, "r.json"))["validation-own-rows"]["files"] == ["rows.csv"]
 
 
 @pytest.mark.parametrize(("n", "few"), [(1, True), (9, True), (10, False)])
@@ -232,7 +234,7 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     findings = listed(document)
     assert "independent measurement" not in (tmp_path / "v.html").read_text()
     # Sockets at unknown places determine neither base nor tool, so neither was fitted.
-    assert {"few-rows", "rig-unknowns", "before"} <= set(findings)
+    assert {"validation-own-rows", "rig-unknowns", "before"} <= set(findings)
     assert "rig-missing" not in findings
     assert "rows-unseen" in [finding.code for finding in validation_findings({**document, "unseen": 5})]
     document = json.loads(run("validate", tmp_path / "r.json", rows, "--model", urdf, "--json").out)

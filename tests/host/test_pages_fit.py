@@ -10,9 +10,10 @@ from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, pr
 from report_bench import CERTIFICATE, full_page, make_page, view
 
 from truearm.findings import Finding, entries
-from truearm.report import calibration_page, correction_page, gauge_page, validation_page
+from truearm.report import calibration_page, correction_page, gauge_page
 from truearm.report.map_picture import Cells, map_picture
 from truearm.report.validation_findings import validation_findings
+from truearm.workflows.report import validation_page
 
 PHONE = 400
 LONG = "truearm report 2026-11-26-monday.result.json sessions/2026-11-26-monday.mcap --serial 2019-7 --out " + "x" * 60
@@ -70,7 +71,7 @@ def validation():
     }
     document |= {"rows": 120, "better": {"mm": True, "deg": True}, "consistent": True, "identified_from": [LONG]}
     findings = [*validation_findings(document), Finding("rig-missing", {"rig": LONG})]
-    return validation_page.render("puma560", CERTIFICATE, {**document, "findings": entries(findings)}, LONG)
+    return validation_page("puma560", CERTIFICATE, {**document, "findings": entries(findings)}, LONG)
 
 
 def program(n=30):

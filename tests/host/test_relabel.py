@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from operator_scripts import Visit, forgetful, lengths, pairing_at, script, write_session
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.files.labels_file import labels_path, read_labels
@@ -153,7 +154,7 @@ class TestOneMissedEnter:
         assert main(["identify", str(path), "--model", "puma560", "--out", str(path.parent / "r.json")]) in (0, 3)
         line = capsys.readouterr().out.splitlines()
         said = "".join(line[:8]).replace(" ", "")  # wrapped
-        assert f"needadecision.truearmsessionrelabel{path}" in said
+        assert f"truearmsessionrelabel{path}" in said
         (count,) = json.loads((path.parent / "r.json").read_text())["sessions"]
         assert count["session"] == "s.mcap"
         assert count["rejected"]["contradiction"] == 29
@@ -164,9 +165,9 @@ class TestOneMissedEnter:
         found = recorded_dwells(path)
         assert (found.dwells, found.need_decision) == (40, 29)
         assert found.unusable in ({}, {"rail": 1})
-        assert f"29 dwells need a decision: decide what was mounted with truearm session relabel {path}" == unsettled(
-            found, path
-        )
+        said = unsettled(found, path)
+        assert said.startswith("29 dwells ")
+        assert said.endswith(f"truearm session relabel {path}")
 
     def test_trusting_the_plan(self, path, capsys, plan):
         data = path.read_bytes()
@@ -187,7 +188,7 @@ class TestOneMissedEnter:
         of_typed = used(path)
         assert main(["session", "relabel", str(path), "--trust", "plan"]) == 0
         assert used(path) != of_typed
-        assert f"Written: {labels_path(path)}. To undo this, delete it." in capsys.readouterr().out
+        assert str(labels_path(path)) in capsys.readouterr().out
         labels_path(path).unlink()
         assert used(path) == before
 
@@ -196,7 +197,6 @@ class TestOneMissedEnter:
         assert main(["session", "relabel", str(path)]) == 0
         said = capsys.readouterr().out
         assert "  s.mcap dwell 12: planned bar46 c2 s3; confirmed bar46 c2 s2\n" in said
-        assert "Nothing was written." in said
         assert main(["session", "relabel", str(path), "--model", "puma560"]) == 0
         (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  s.mcap dwell 12:")]
         assert "; evidence (" in line
@@ -228,7 +228,7 @@ class TestOneMissedEnter:
         recorded(path, plan, right(plan), seed=8)
         capsys.readouterr()
         assert main(["identify", str(path), "--model", "puma560"]) == 2
-        assert "was made for another session" in capsys.readouterr().err
+        assert "s.labels.json" in capsys.readouterr().err
 
     @pytest.mark.parametrize(
         "text", ["", "[]", "{}", '{"format": "truearm-labels"}', '{"format": "truearm-labels", "format_version": 2}']
@@ -250,7 +250,7 @@ class TestOneMissedEnter:
                 ["session", "export", str(path), "--out", str(path.parent / "tables"), "--allow-damaged"],
             ):
                 assert main(arguments) == 2
-                assert "still being written" in capsys.readouterr().err
+                ended(capsys.readouterr().err, "in-use")
         assert main(["session", "relabel", str(path), "--trust", "plan"]) == 2
         assert "truearm session recover" in capsys.readouterr().err
         assert os.listdir(path.parent) == ["s.mcap"]

@@ -243,7 +243,7 @@ def test_what_is_not_seen_is_marked_and_said():
     estimate = replace(page.estimate, identifiable=seen, rank=35, null_space=(NullDirection((name,), (1.0,)),))
     text = render(replace(page, estimate=estimate))
     assert text.count("unidentifiable alone") == 1
-    assert "<strong>35 of 36</strong>" in text
+    assert "determine 35 of 36 combinations" in text
     assert f"<li>1.00 {name}</li>" in text
 
 

@@ -39,12 +39,11 @@ def characterize(
         Print how the arm settles, the noise of joints and sensor, and a table of the joints. Difference: the mean reading
         of a joint that comes from below, minus from above. Scatter: the sigma of its readings from one side.
     """
-    from truearm.cli.findings_text import table_of
-    from truearm.report.repeatability_findings import JOINTS, joint_rows
+    from truearm.report.repeatability_findings import joint_table
     from truearm.workflows.characterize import characterize_files
 
     if files.out == Path("-"):
         raise InputError("wrong-suffix", place="-", what="the result")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     document = characterize_files(files, bands)
-    return Answer(document, tables=[table_of(JOINTS, joint_rows(document))], written=[files.out])
+    return Answer(document, tables=[joint_table(document)], written=[files.out])

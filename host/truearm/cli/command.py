@@ -52,7 +52,7 @@ from truearm.findings import Finding, findings_of
 from truearm.model.builtin import builtin_names
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from truearm.report.tables import Table
 
 R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])

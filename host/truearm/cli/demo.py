@@ -9,8 +9,8 @@ from pathlib import Path
 
 import typer
 
-from truearm.cli.command import command
-from truearm.cli.output import print_json, warn
+from truearm.cli.command import Answer, command
+from truearm.cli.output import warn
 from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
 
 DEMO = SimulateOptions(Path("out/demo"), poses=90, rate=FAST_RATE_HZ)
@@ -25,7 +25,7 @@ def demo(
     full: bool = False,
     open: bool = False,
     json: bool = False,
-) -> None:
+) -> Answer:
     """Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.
 
     Does what truearm simulate --fast and truearm identify do. The last bar and the last line are held out: their rows are
@@ -61,23 +61,26 @@ def demo(
     rate : HZ
         Samples per second of each channel.
     """
-    from truearm.cli.findings_text import show
+    from truearm.files.plan_file import read_plan
     from truearm.finding_texts import Severity
     from truearm.report.result_findings import result_findings
-    from truearm.workflows.demo import demonstrate
+    from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
+    from truearm.workflows.inputs import Sources
+    from truearm.workflows.selection import last_of_each
+    from truearm.workflows.simulate import SESSION, simulate_fast
 
     request = replace(request, poses=FULL_POSES) if full else request
-    command_line, say = shlex.join(["truearm", *(context.obj or [])]), partial(typer.echo, err=json)
-    document = demonstrate(request, command_line, say, warn).document
-    page = request.out / "report.html"
-    if json:
-        print_json({"report": str(page), "result": document})
-    else:
-        answers = [
-            finding
-            for finding in result_findings(document)
-            if finding.code == "simulated" or (finding.severity is Severity.RESULT and finding.code != "identified")
-        ]
-        show(answers, written=[page], more="")
+    simulate_fast(request, partial(typer.echo, err=json))
+    folder, command_line = request.out, shlex.join(["truearm", *(context.obj or [])])
+    table, page = folder / "observations.csv", folder / "report.html"
+    sources = Sources((folder / SESSION,), say=warn)
+    files = IdentifyFiles(request.robot, sources, (folder / "result.json",), table, page, command_line, force=True)
+    document = identify_files(files, last_of_each(read_plan(folder / "plan.csv")), DEFAULTS).document
+    answers = [
+        finding
+        for finding in result_findings(document)
+        if finding.code == "simulated" or (finding.severity is Severity.RESULT and finding.code != "identified")
+    ]
     if open:
         typer.launch(str(page))
+    return Answer({"report": str(page), "result": document}, findings=answers, written=[page], more="")

@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
-from truearm.cli.findings_text import table_of
 from truearm.findings import option
 from truearm.report.law_findings import law_steps
 from truearm.report.result_findings import has_little_freedom
-from truearm.report.result_words import ParameterRow, direction_text, kind_name
+from truearm.report.result_words import direction_text, kind_name, parameter_table
+from truearm.report.tables import Table
 from truearm.session.dwells import MOUNTING
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED, Floats, rms_of_columns
@@ -31,7 +29,7 @@ MOST_DIRECTIONS = 6
 
 def result_tables(document: Document) -> Iterator[Table | str]:
     """Return the parameters, the combinations that are unidentifiable, the errors and the joint laws."""
-    yield _parameter_table(document)
+    yield parameter_table(row for row in document["parameters"] if row["free"] and not row.get("law"))
     for field, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
         directions = document[field]
         if directions:
@@ -40,16 +38,7 @@ def result_tables(document: Document) -> Iterator[Table | str]:
             yield from _directions(directions, field)
     for suffix in document["residual_units"]:
         yield _error_table(document, suffix)
-        if steps := law_steps(document, suffix):
-            yield table_of((f"joint laws [{SUFFIXES[suffix].symbol}]", "fitted, RMS", "held out, mean"), steps)
-
-
-def _parameter_table(document: Document) -> Table:
-    free = (parameter for parameter in document["parameters"] if parameter["free"] and not parameter.get("law", False))
-    return table_of(
-        ("parameter", "nominal", "value", "change", "sigma", "unit "),
-        (row.texts for row in map(ParameterRow.of_document, free)),
-    )
+        yield from law_steps(document, suffix)
 
 
 def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
@@ -66,23 +55,20 @@ def _error_table(document: Document, suffix: str) -> Table:
     scale = SUFFIXES[suffix]
     before, after = f"rms_before_{suffix}", f"rms_after_{suffix}"
     form = f".{UNITS[scale.si].decimals}f"
-    table = table_of((title("error", scale.si), "before", "after", "rows"), ())
+    rows: list[tuple[str, ...]] = []
     entries = [entry for entry in document["observations"] if entry[after] is not None]
     says_nothing = has_little_freedom(document)
-    if entries:
-        rows = str(sum(entry["fitted"] for entry in entries))
-        fitted = _number(None if says_nothing else document[after], form)
-        table.add_row("fitted, RMS", _number(document[before], form), fitted, rows)
-    for entry in entries if len(document["observations"]) > 1 else ():
-        fitted = _number(None if says_nothing else entry[after], form)
-        cells = (_number(entry[before], form), fitted, str(entry["fitted"]))
-        table.add_row(f"  {_kind_of(entry)}", *cells)
+    fitted = [("fitted, RMS", {**document, "fitted": sum(entry["fitted"] for entry in entries)})] if entries else []
+    fitted += [(f"  {_kind_of(entry)}", entry) for entry in entries] if len(document["observations"]) > 1 else []
+    for words, entry in fitted:
+        numbers = entry[before], None if says_nothing else entry[after]
+        rows.append((words, *(_number(number, form) for number in numbers), str(entry["fitted"])))
     held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
     if held_out.get(f"n_{suffix}"):
         for figure, words in (("rms", "RMS"), ("mean", "mean"), ("max", "largest")):
-            numbers = (_number(errors.get(f"{figure}_{suffix}"), form) for errors in (held_out_before, held_out))
-            table.add_row(f"held out, {words}", *numbers, str(held_out[f"n_{suffix}"]))
-    return table
+            errors = (_number(errors.get(f"{figure}_{suffix}"), form) for errors in (held_out_before, held_out))
+            rows.append((f"held out, {words}", *errors, str(held_out[f"n_{suffix}"])))
+    return Table((title("error", scale.si), "before", "after", "rows"), rows)
 
 
 def _kind_of(entry: Mapping[str, Any]) -> str:
@@ -98,19 +84,19 @@ CURVES = ("error curve", "sigma/mrad", "in ranges/deg ", "not determined/deg ")
 def plan_tables(document: Document) -> Iterator[Table | str]:
     """Return lines or pairings, what can be held out, the predicted sigmas, combinations, error curves."""
     if "lines" in document:
-        yield table_of(PLANNED_LINES, map(_planned_line, document["lines"]))
+        yield Table(PLANNED_LINES, map(_planned_line, document["lines"]))
     else:
         pairings = (([row[key] for key in BAR_MOUNTED], row["poses"]) for row in document["pairings"])
-        yield table_of(("pairing", "poses"), ((" ".join(names), poses) for names, poses in pairings))
+        yield Table(("pairing", "poses"), ((" ".join(names), poses) for names, poses in pairings))
         if document["hold_outs"]:
-            yield table_of(HOLD_OUTS, map(_hold_out, document["hold_outs"]))
-    yield table_of(("parameter", "predicted sigma "), map(_sigma, document["parameters"]))
+            yield Table(HOLD_OUTS, map(_hold_out, document["hold_outs"]))
+    yield Table(("parameter", "predicted sigma "), map(_sigma, document["parameters"]))
     if document["null_space"] or document["hardly_seen"]:
         yield "Combinations of parameters, with weights in m, rad and 1:"
     for key, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
         yield from (f"{words}: {direction_text(direction.values(), direction)}" for direction in document[key])
     if document.get("curves"):
-        yield table_of(CURVES, map(_curve, document["curves"]))
+        yield Table(CURVES, map(_curve, document["curves"]))
         yield "Outside these ranges, corrections use geometry and sag alone. Curves and sag add to the other sigmas."
 
 
@@ -152,9 +138,9 @@ def session_tables(document: Mapping[str, Any]) -> Iterator[Table | str]:
 
     Names from the file have their control characters made visible; console text has so already.
     """
-    yield table_of(TOPICS, (_topic(name, topic) for name, topic in document["topics"].items()))
+    yield Table(TOPICS, (_topic(name, topic) for name, topic in document["topics"].items()))
     if document["streams"]:
-        yield table_of(STREAMS, map(_stream, document["streams"]))
+        yield Table(STREAMS, map(_stream, document["streams"]))
     runs = document["console"]
     yield from (f"  | {line}" for run in runs for line in run.splitlines())
     if document["losses"]["console_runs"] > len(runs):
@@ -165,7 +151,7 @@ def session_tables(document: Mapping[str, Any]) -> Iterator[Table | str]:
     ):
         shown = rows if len(rows) <= MOST_ROWS else [row for row in rows if row["reason"] not in ("", MOUNTING)]
         if shown:
-            yield table_of(titles, map(make, shown[:MOST_ROWS]))
+            yield Table(titles, map(make, shown[:MOST_ROWS]))
         if len(shown) > MOST_ROWS:
             yield f"… {len(shown) - MOST_ROWS} more; --json has all"
 
@@ -212,7 +198,7 @@ def correction_tables(done: CorrectedFile) -> Iterator[Table | str]:
     names, errors = [*done.places[:SHOWN], "RMS"], [[*of[:SHOWN], rms_of_columns(of)] for of in (before, after)]
     cells = map(_error_cells, *errors)
     titles = ("target", "before [mm]", "after [mm]", "before [deg]", "after [deg]")
-    yield table_of(titles, ((name, *row) for name, row in zip(names, cells, strict=True)))
+    yield Table(titles, ((name, *row) for name, row in zip(names, cells, strict=True)))
     if len(done.places) > SHOWN:
         yield f"RMS over these and {len(done.places) - SHOWN} more"
 

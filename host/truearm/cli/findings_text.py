@@ -7,10 +7,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Table as RichTable
 
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
+from truearm.report.tables import Table
 from truearm.text import counted, one_line
 
 MAX_LINES = 15  # of the short form
@@ -32,18 +33,18 @@ def show(
     console = Console(markup=False, highlight=False, emoji=False, width=width)
     files = [f"Written: {one_line(str(path))}" for path in written if path is not None]
     if tables is None:
-        lines = _short(findings, console, MAX_LINES - len(files), more)
+        lines: list[str | Table] = [*_short(findings, console, MAX_LINES - len(files), more)]
     else:
         advice = [finding for finding in findings if finding.severity is Severity.ADVICE]
         lines = [*(_text(finding) for finding in findings if finding not in advice), *tables, *map(_text, advice)]
     for line in [*lines, *files]:
-        console.print(line)
+        console.print(_printed(line) if isinstance(line, Table) else line)
 
 
-def _short(findings: Sequence[Finding], console: Console, room: int, more: str) -> list[str | Table]:
+def _short(findings: Sequence[Finding], console: Console, room: int, more: str) -> list[str]:
     """Return all findings but notes, in at most ``room`` lines."""
     texts = [_text(finding) for finding in findings if finding.severity is not Severity.NOTE]
-    shown: list[str | Table] = []
+    shown: list[str] = []
     used = 1
     for text in texts:
         used += len(console.render_lines(text, pad=False))
@@ -58,12 +59,12 @@ def _text(finding: Finding) -> str:
     return finding.text(option)
 
 
-def table_of(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
-    """Return a table whose first column is text and whose other columns are numbers; a title that ends in a space is text."""
-    table = Table(box=None, pad_edge=False)
-    for number, name in enumerate(titles):
+def _printed(content: Table) -> RichTable:
+    """Return a table as the terminal shows it, its texts wrapped."""
+    table = RichTable(box=None, pad_edge=False)
+    for number, name in enumerate(content.titles):
         is_text = not number or name.endswith(" ")
         table.add_column(name.strip(), justify="left" if is_text else "right", overflow="fold", no_wrap=not is_text)
-    for row in rows:
+    for row in content.rows:
         table.add_row(*map(str, row))
     return table

@@ -55,7 +55,7 @@ def validate(
         Hold the rig at its identified values: trackers, targets, chucks, bars, and the faults that --apply estimated
         over all rows (without @FIRST). Only if nothing was moved since.
     """
-    from truearm.report.validation_findings import error_lines
+    from truearm.report.validation_findings import error_tables
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
     from truearm.workflows.report import validate_files
@@ -67,4 +67,4 @@ def validate(
     command_line = shlex.join(["truearm", *(context.obj or [])])
     files = IdentifyFiles(robot, sources, report=report, command=command_line, force=force)
     document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
-    return Answer(document, tables=error_lines(document), written=[report], more="Errors by region: --details")
+    return Answer(document, tables=error_tables(document), written=[report], more="Errors by region: --details")

@@ -1,48 +1,61 @@
 """The HTML report of a calibration: the verdict, the pictures, the parameters, unidentifiable directions, how it was
 made.
 
-Names and notes may come from external files; all text passes through ``truearm.report.page_text.escape``.
+Names and notes may come from external files; blocks escape all text.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import assert_never
 
+import numpy as np
+
+from truearm.estimate.kind_errors import KindErrors, errors_by_kind
 from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
 from truearm.findings import Finding
+from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
-from truearm.report.calibration_tables import (
-    observability_table,
-    parameter_table,
-    residual_table,
-    suspect_table,
-    visibility,
-)
 from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.figures import convergences, figures_of
 from truearm.report.page_parts import (
-    command_block,
     fact_list,
-    finding_parts,
+    folded,
     html_page,
+    making,
+    paragraph,
     picture,
     pictures,
     section,
-    table_of,
+    sentences,
+    table,
     tiles,
 )
-from truearm.report.page_text import escape, figures, size
+from truearm.report.page_text import ABSENT, figures, number, size
 from truearm.report.parameter_figures import correlation, law_figures
-from truearm.report.residual_rows import rows_by_kind
-from truearm.report.result_words import before_words
-from truearm.report.scene_view import Scene, script, view_section
-from truearm.results import Estimate, PredictedError
+from truearm.report.residual_rows import row_name, rows_by_kind
+from truearm.report.result_words import (
+    OBSERVABILITY,
+    ParameterRow,
+    before_words,
+    direction_text,
+    drawing,
+    kind_name,
+    residual_words,
+)
+from truearm.report.scene_view import Scene
+from truearm.report.tables import Table
+from truearm.results import Estimate, Figures, PredictedError
 from truearm.text import counted
 from truearm.types import Floats
-from truearm.units import symbol, tolerances
+from truearm.units import shown, symbol, title, tolerances
+
+MAX_ROWS = 40  # suspect rows that are listed
+MAX_DIRECTIONS = 40
+MAX_TERMS = 6
 
 
 @dataclass(frozen=True)
@@ -66,7 +79,7 @@ class CalibrationPage:
     command: str = ""
     prior: str = "none"
     predicted: PredictedError | None = None
-    law_steps: tuple[tuple[str, str, str, str], ...] = ()  # unit, fit, fitted RMS, held-out mean
+    law_steps: tuple[Table, ...] = ()  # fits with joint laws, by unit
     curves: tuple[SampledCurve, ...] = ()
     certificate: Certificate | None = None  # shown on page one
     findings: tuple[Finding, ...] = ()  # the verdict first
@@ -82,85 +95,65 @@ class CalibrationPage:
 
 def render(page: CalibrationPage) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
-    sections = (
-        certificate_section(page.certificate) if page.certificate else "",
-        _verdict(page),
-        view_section(page.scene),
-        _notes(page),
-        _pictures(page),
-        _parameters(page.estimate),
-        _laws(page),
-        section("Identifiable and unidentifiable combinations", _sight(page.estimate)),
-        section("The recording", fact_list(page.facts)) if page.facts else "",
-        _making(page),
+    e = page.estimate
+    blocks = (
+        section("Residuals", *_residuals(page)),
+        section("Parameters", *_parameters(e)),
+        section("Joint laws", *map(table, page.law_steps), pictures(law_figures(page.curves))),
+        section("Identifiable and unidentifiable combinations", *visibility(e), *observability(e)),
+        section("The recording", fact_list(page.facts)),
+        making(page.command, _facts(page)),
     )
-    simulated = page.table.simulated
-    title, watermark = page.title + " (simulated)" * simulated, "simulated" * simulated
-    return html_page("truearm", title, page.subtitle, sections, watermark, script(page.scene))
+    first = certificate_section(page.certificate) if page.certificate else ""
+    head = "truearm", page.title, page.subtitle
+    return html_page(*head, blocks, page.findings, figures=tiles(_tiles(page)), certificate=first, scene=page.scene)
 
 
-def _verdict(page: CalibrationPage) -> str:
+def _tiles(page: CalibrationPage) -> Iterator[tuple[str, str, list[tuple[str, str]], str]]:
     e, judged = page.estimate, page.estimate.held_out
     n_used = counted(int(e.used.sum()), "fitted observation")
-    entries = [("old", "RMS before", _sizes(e.rms_before), f"{n_used}, the nominal robot{before_words(e)}")]
+    yield "old", "RMS before", _sizes(e.rms_before), f"{n_used}, the nominal robot{before_words(e)}"
     if not e.has_little_freedom:
-        entries.append(("fit", "RMS after", _sizes(e.rms_after), "the same observations, identified parameters"))
+        yield "fit", "RMS after", _sizes(e.rms_after), "the same observations, identified parameters"
     if judged:
         of_units = judged.figures.items()
         more = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in of_units)
         held_out = _sizes({si: error.rms for si, error in of_units})
-        entries.append(("val", "RMS held out", held_out, f"{counted(judged.n, 'observation')} not used to fit; {more}"))
+        yield "val", "RMS held out", held_out, f"{counted(judged.n, 'observation')} not used to fit; {more}"
     if page.predicted:
         over = f"over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
         more = f"from the parameters, faults that the rows do not exclude and the arm's own scatter, {over}"
-        entries.append(("old", "RMS of the tool, predicted", _sizes({"m": page.predicted.rms}), more))
-    verdict, doubts, _ = finding_parts(page.findings) if page.findings else ("", "", "")
-    return f"<section>{verdict}{tiles(entries)}{doubts}</section>\n"
+        yield "old", "RMS of the tool, predicted", _sizes({"m": page.predicted.rms}), more
 
 
 def _sizes(errors: Mapping[str, float]) -> list[tuple[str, str]]:
     return [(size(value, si, ""), symbol(si)) for si, value in errors.items()]
 
 
-def _notes(page: CalibrationPage) -> str:
-    notes = finding_parts(page.findings)[2] if page.findings else ""
-    return section("Notes", notes) if notes else ""
-
-
-def _pictures(page: CalibrationPage) -> str:
-    e, table = page.estimate, page.table
-    kinds = rows_by_kind(e, table, page.longitude)
-    shown = [picture(figure, rows.title if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
-    several = len(e.rms_history) > 1
-    shown += [picture(of, symbol(si) if several else "") for si, of in zip(e.rms_history, convergences(e), strict=True)]
-    content = residual_table(e, table) + (suspect_table(e, table) if e.suspect.any() else "")
-    return section("Residuals", content + pictures(shown))
-
-
-def _sight(e: Estimate) -> str:
-    return visibility(e) + observability_table(e)
-
-
-def _parameters(e: Estimate) -> str:
-    robot, rig = range(e.law_parameters.start), range(e.n_robot_parameters, len(e.parameter_names))
-    parts = [
-        "<p>A single parameter may differ from the drawing because of how the fixtures are mounted, or because it "
-        "takes over the error of a parameter that is held fixed; judge the arm by its predictions.</p>",
-        parameter_table(e, robot),
+def _residuals(page: CalibrationPage) -> Iterator[str]:
+    e, rows = page.estimate, page.table
+    by_kind = rows_by_kind(e, rows, page.longitude)
+    yield from residual_tables(e, rows)
+    if e.suspect.any():
+        yield table(suspect_table(e, rows))
+    figures = [
+        figure._replace(title=f"{figure.title} · {of_kind.title}") if len(by_kind) > 1 else figure
+        for of_kind in by_kind
+        for figure in figures_of(of_kind)
     ]
+    yield pictures([*figures, *convergences(e)])
+
+
+def _parameters(e: Estimate) -> Iterator[str]:
+    robot, rig = range(e.law_parameters.start), range(e.n_robot_parameters, len(e.parameter_names))
+    yield paragraph(
+        "A single parameter may differ from the drawing because of how the fixtures are mounted, or because it "
+        "takes over the error of a parameter that is held fixed; judge the arm by its predictions."
+    )
+    yield table(parameter_table(e, robot), "numbers")
     if rig:
-        summary = f"{counted(len(rig), 'parameter')} of the rig"
-        parts.append(f"<details><summary>{summary}</summary>{parameter_table(e, rig)}</details>")
-    drawn = correlation(e)
-    return section("Parameters", "".join(parts) + (picture(drawn) if drawn else ""))
-
-
-def _laws(page: CalibrationPage) -> str:
-    """Return the fits with joint laws, and the error curves; "" without any."""
-    rows = [(escape(name), fitted, held, escape(unit)) for unit, name, fitted, held in page.law_steps]
-    steps = table_of(("fit", "fitted, RMS", "held out, mean", "unit"), rows, "fits", "numbers") if rows else ""
-    drawn = pictures(map(picture, law_figures(page.curves)))
-    return section("Joint laws", steps + drawn) if steps or drawn else ""
+        yield folded(f"{counted(len(rig), 'parameter')} of the rig", table(parameter_table(e, rig), "numbers"))
+    yield from (picture(figure) for figure in [correlation(e)] if figure)
 
 
 def _prior(name: str) -> str:
@@ -175,9 +168,9 @@ def _prior(name: str) -> str:
             assert_never(never)
 
 
-def _making(page: CalibrationPage) -> str:
+def _facts(page: CalibrationPage) -> tuple[tuple[str, str], ...]:
     e = page.estimate
-    facts = [
+    return (
         ("solver", e.solver),
         ("loss", f"{e.loss}: {loss_summary(Loss(e.loss))}"),
         ("prior of the robot", _prior(page.prior)),
@@ -185,5 +178,130 @@ def _making(page: CalibrationPage) -> str:
         ("status", f"{e.status}: {e.message}" if e.message else e.status),
         ("χ² per degree of freedom", figures(e.chi2_reduced)),
         ("solver's time", f"{figures(e.seconds, 2)} s"),
+    )
+
+
+# tables
+
+
+def residual_tables(e: Estimate, rows: ObservationTable) -> Iterator[str]:
+    """Return definitions, and a table per unit: RMS and largest residual of each kind, by rig if there are several."""
+    errors = errors_by_kind(e, rows)
+    yield paragraph(" ".join(residual_words(kind) for kind in kinds() if any(of.kind == kind for of in errors)))
+    for si in dict.fromkeys(si for of in errors for si in (*of.after, *of.judged)):
+        yield table(_residuals_in(si, errors))
+
+
+def _residuals_in(si: str, errors: Sequence[KindErrors]) -> Table:
+    several, none = any(rows.rig for rows in errors), Figures.of(np.zeros(0))
+    titles = ["observations", *["rig"] * several, "fitted rows", title("RMS before", si), title("RMS after", si)]
+    titles += [title("largest after", si), "held-out rows", title("RMS held out", si)]
+    cells = []
+    for rows in errors:
+        if si in rows.after or si in rows.judged:
+            before, after, judged = (of.get(si, none) for of in (rows.before, rows.after, rows.judged))
+            sizes = [figures(shown(value, si)) for value in (before.rms, after.rms, after.max, judged.rms)]
+            counts = [int(chosen.sum()) for chosen in (rows.fitted, rows.held_out)]
+            names = [kind_name(rows.kind), *[rows.rig or ABSENT] * several]
+            cells.append([*names, counts[0], *sizes[:3], counts[1], sizes[3]])
+    return Table(titles, cells, f"residuals {symbol(si)}")
+
+
+def suspect_table(e: Estimate, table: ObservationTable) -> Table:
+    """Return the fitted rows that are farther from the others than chance allows, the farthest first."""
+    rows = np.flatnonzero(e.suspect)
+    rows = rows[np.argsort(-e.distance[rows], kind="stable")]
+    units = Figures.by_unit(e.residual, rows)
+    cells = [
+        [
+            row_name(table.source[row]),
+            kind_name(str(table.kind[row])),
+            number(float(e.distance[row]), 1),
+            *(figures(shown(float(e.residual[si][row]), si)) for si in units),
+            figures(float(e.weight[row]), 2),
+        ]
+        for row in rows[:MAX_ROWS]
     ]
-    return section("How it was made", command_block(page.command) + fact_list(facts))
+    sizes = [title("residual", si) for si in units]
+    titles = ["row", "observation", "distance from the others [σ]", *sizes, "weight in the fit [1]"]
+    more = f"and {rows.size - MAX_ROWS} more (suspect in result.json)" if rows.size > MAX_ROWS else ""
+    return Table(titles, cells, "rows far from the others", more)
+
+
+def observability(e: Estimate) -> Iterator[str]:
+    """Return the four indices of the suggested free set, and that set if more parameters were free; nothing if they were
+    not computed.
+    """
+    if e.observability is None or not e.suggested_free.any():
+        return
+    names = [name for name, is_in in zip(e.parameter_names, e.suggested_free, strict=False) if is_in]
+    values = e.observability._asdict()
+    rows = [(key.upper(), figures(values[key]), unit, words) for key, (words, unit) in OBSERVABILITY.items()]
+    length, angle, gain = tolerances("weak")
+    yield paragraph(
+        f"How well the observations alone determine the largest set of parameters that they can distinguish ({len(names)}). A step is {length}, "
+        f"{angle} or {gain}. Larger is better. Compare sets of poses of the same robot only."
+    )
+    yield table(Table(("index", "value", "unit", "what it says"), rows, "observability"), "plain words")
+    if len(names) < int(e.free[: e.n_robot_parameters].sum()):
+        summary = f"the {counted(len(names), 'parameter')} that can be distinguished"
+        yield folded(summary, paragraph(", ".join(names), 4000))
+
+
+def parameter_table(estimate: Estimate, which: range) -> Table:
+    """Return nominal, identified, change and σ of the parameters ``which``, in mm, deg or 1."""
+    sigma = np.where(estimate.free & estimate.identifiable, estimate.sigma, np.nan)
+    columns = (estimate.parameter_names, estimate.units, estimate.free, estimate.nominal, estimate.value, sigma)
+    rows = [ParameterRow.of(*row) for row in zip(*columns, strict=True)][which.start : which.stop]
+    owners = ["", *(row.name.rpartition(".")[0] for row in rows)]
+    firsts = ["first" * (k > 0 and owners[k] != owners[k + 1]) for k in range(len(rows))]
+    notes = [_note(row) for row in rows]
+    marks = [f"{mark} {first}".strip() for (mark, _), first in zip(notes, firsts, strict=True)]
+    cells = [(*_cells(row), note) for row, (_, note) in zip(rows, notes, strict=True)]
+    return Table(("parameter", "nominal", "identified", "change", "σ", "unit", ""), cells, "parameters", marks=marks)
+
+
+def _note(row: ParameterRow) -> tuple[str, str]:
+    """Return the class of a row and a remark."""
+    if not row.free:
+        return "held", "held fixed"
+    return ("unseen", "unidentifiable alone") if math.isnan(row.sigma) else ("", "")
+
+
+def _cells(row: ParameterRow) -> tuple[str, ...]:
+    decimals = row.unit.decimals
+    values = number(row.nominal, decimals), number(row.value, decimals), number(row.change, decimals, sign=True)
+    return row.name, *values, _sigma(row.sigma, decimals), row.unit.symbol or row.unit.si
+
+
+def _sigma(sigma: float, decimals: int) -> str:
+    """Return σ with the decimals of the value, or more if that would show zero."""
+    return number(sigma, decimals) if not sigma < 5.0 * 10.0**-decimals else figures(sigma, 2)
+
+
+def visibility(estimate: Estimate) -> Iterator[str]:
+    """Return rank, null space and weakly identifiable combinations in words."""
+    free = int(estimate.free[: estimate.n_robot_parameters].sum())
+    held = estimate.n_robot_parameters - free
+    words = [f"The observations determine {estimate.rank} of {free} combinations of the robot's free parameters."]
+    if math.isfinite(estimate.rank_gap):
+        gap = figures(estimate.rank_gap, 2)
+        words.append(f"The weakest of these is a factor of {gap} above the unidentifiable ones.")
+    if held:
+        words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
+    yield paragraph(" ".join(words))
+    timed = any(unit == "s" and is_free for unit, is_free in zip(estimate.units, estimate.free, strict=True))
+    for directions, text in (
+        (
+            estimate.null_space,
+            "Unidentifiable (weights in m, rad and 1). Changes along these combinations do not change any prediction, so the values are one choice of many.",
+        ),
+        (
+            estimate.hardly_seen,
+            f"Weakly identifiable: the observations alone determine these combinations less accurately than a manufacturer's drawing ({drawing(timed)}).",
+        ),
+    ):
+        if directions:
+            texts = [direction_text(of.weights, of.names, MAX_TERMS) for of in directions[:MAX_DIRECTIONS]]
+            texts += [f"and {len(directions) - MAX_DIRECTIONS} more"] * (len(directions) > MAX_DIRECTIONS)
+            yield paragraph(text) + sentences(texts, "directions")

@@ -87,7 +87,7 @@ def recorded(recordings: Sequence[Recording]) -> str:
 
 def certificate_section(certificate: Certificate) -> str:
     """Return page one as HTML."""
-    body = "".join(f"<h3>{title}</h3>{fact_list(facts)}" for title, facts in certificate.groups if facts)
+    body = "".join(f"<h3>{escape(title)}</h3>{fact_list(facts)}" for title, facts in certificate.groups if facts)
     excluded = f"<h3>Not included</h3>{sentences(certificate.excluded, 'excluded')}" * bool(certificate.excluded)
     return (
         f'<section class="certificate"><h2>{certificate.heading}</h2>'

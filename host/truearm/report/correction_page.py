@@ -6,17 +6,18 @@ It shows the document of the correction (docs/reference/target-format.md), and t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from truearm.findings import Reason, findings_of, option
 from truearm.report import svg
-from truearm.report.figures import Figure, drawn
-from truearm.report.page_parts import fact_list, finding_parts, html_page, picture, pictures, section, table_of, tiles
-from truearm.report.page_text import ABSENT, escape, figures, number
-from truearm.report.scene_view import Scene, script, view_section
+from truearm.report.page_parts import html_page, making, paragraph, pictures, section, table, tiles
+from truearm.report.page_text import ABSENT, figures, number
+from truearm.report.scene_view import Scene
+from truearm.report.svg import Figure
+from truearm.report.tables import Table
 from truearm.text import counted, one_line
 from truearm.types import Floats, rms, thinned
 from truearm.units import MM
@@ -38,18 +39,17 @@ def render(document: Document, scene: Scene | None = None) -> str:
         (f"{move['file']}:{move['line']}", move["statement"], Reason(move["reason"], move["values"]).text(option))
         for move in document["refused"]
     ]
-    sections = [
-        _summary(document),
-        view_section(scene),
-        section("Not corrected", _rows(_REFUSED, refused, "statements not corrected")) if refused else "",
-        section("Shifts", pictures(map(picture, _pictures(document)))),
-        section("Targets", _targets(document)),
-        section("Straight moves", _rows(_MOVES, _moves(document), "straight moves")) if document["moves"] else "",
-        section("How it was made", fact_list(_facts(document))),
-    ]
-    simulated = any(finding["code"] == "simulated" for finding in document["findings"])
+    moves, words = _moves(document), _TARGETS.format(document["error_point"])
+    blocks = (
+        section("Not corrected", table(Table(_REFUSED, refused, "statements not corrected"))) if refused else "",
+        section("Shifts", pictures(_pictures(document))),
+        section("Targets", table(_targets(document)), paragraph(words)),
+        section("Straight moves", table(_cut(_MOVES, moves, "straight moves", len(moves)))) if moves else "",
+        making("", _facts(document)),
+    )
     title, subtitle = f"{one_line(document['file'])} corrected", f"written to {one_line(document['out'])}"
-    return html_page("truearm correct", title, subtitle, sections, "simulated" * simulated, script(scene))
+    shown = tiles(_tiles(document))
+    return html_page("truearm correct", title, subtitle, blocks, findings_of(document), figures=shown, scene=scene)
 
 
 def _facts(document: Document) -> tuple[tuple[str, str], ...]:
@@ -98,21 +98,19 @@ def _moves(document: Document) -> list[tuple[str, ...]]:
     return rows
 
 
-def _summary(document: Document) -> str:
+def _tiles(document: Document) -> Iterator[tuple[str, str, list[tuple[str, str]], str]]:
     point, due = document["error_point"], _column(document, "expected_mm")
     before, shift = _column(document, "error_before_mm"), _column(document, "shift_mm")
     largest = float(due.max()) if np.isfinite(due).all() else float("nan")
-    entries = [
+    for css, name, value, note in (
         ("old", "shift, median", float(np.median(shift)), "of the commanded position"),
         ("val", "error without correction, RMS", rms(before), f"of {point}, by the model"),
         ("fit", "expected error, largest (k = 2)", largest, f"of {point}, {_EXPECTED}"),
-    ]
-    shown = tiles((css, name, [(figures(value), "mm")], note) for css, name, value, note in entries)
-    verdict, doubts, notes = finding_parts(findings_of(document))
-    return f"<section>{verdict}{shown}{doubts}{notes}</section>\n"
+    ):
+        yield css, name, [(figures(value), "mm")], note
 
 
-def _targets(document: Document) -> str:
+def _targets(document: Document) -> Table:
     titles = ("", "x", "y", "z [mm]", "shift [mm]", "[mrad]", "error before [mm]", "expected [mm]", "[mrad]", "nearest joint limit", "singular value")  # fmt: skip
     keys = ("shift_mm", "shift_mrad", "error_before_mm", "expected_mm", "expected_mrad")
     columns = [_column(document, key) for key in keys]
@@ -121,8 +119,7 @@ def _targets(document: Document) -> str:
         position = [number(row["before"][f"{axis}_mm"], 2) for axis in "xyz"]
         errors = [number(column[i], 3) for column in columns]
         rows.append((row["place"], *position, *errors, _limit(row), figures(row["singular_value"], 2)))
-    words = escape(_TARGETS.format(document["error_point"]), 600)
-    return _rows(titles, rows, "targets", len(document["targets"])) + f"<p>{words}</p>"
+    return _cut(titles, rows, "targets", len(document["targets"]))
 
 
 _TARGETS = (
@@ -131,12 +128,10 @@ _TARGETS = (
 )
 
 
-def _rows(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, total: int = 0) -> str:
-    """Return a table of plain cells, cut at MOST_ROWS."""
-    total = total or len(rows)
-    more = f"<p>and {total - MOST_ROWS} more; the JSON document has all</p>" if total > MOST_ROWS else ""
-    cells = ([escape(cell) for cell in row] for row in rows[:MOST_ROWS])
-    return table_of([escape(title) for title in titles], cells, label) + more
+def _cut(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, total: int) -> Table:
+    """Return a table of at most MOST_ROWS of ``total`` rows."""
+    more = f"and {total - MOST_ROWS} more; the JSON document has all" if total > MOST_ROWS else ""
+    return Table(titles, rows[:MOST_ROWS], label, more)
 
 
 def _pictures(document: Document) -> list[Figure]:
@@ -161,30 +156,25 @@ def _arrows(title: str, axes: Sequence[int], at: Floats, by: Floats, names: Sequ
     plot = svg.Plot(x, y, height=420.0)
     lines = zip(plot.px(at[:, 0]), plot.py(at[:, 1]), plot.px(ends[:, 0]), plot.py(ends[:, 1]), strict=True)
     path = "".join(f"M{svg.num(a)} {svg.num(b)}L{svg.num(c)} {svg.num(d)}" for a, b, c, d in lines)
-    parts = [f'<path class="fit" fill="none" d="{path}"/>', svg.scatter(plot, at[:, 0], at[:, 1], "old", names)]
-    entries = [("old", "target"), ("fit line", f"its shift, × {factor:g}")]
+    plot.scatter(at[:, 0], at[:, 1], "old", names, "target")
+    plot.draw(f'<path class="fit" fill="none" d="{path}"/>', "fit line", f"its shift, × {factor:g}")
     caption = f"Each line runs from a target to where the command moved it, drawn {factor:g} times as long."
-    return drawn(plot, title, caption, parts, entries)
+    return plot.figure(title, caption)
 
 
 def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Sequence[str]) -> Figure:
     """Return the errors without correction and the expected errors with it, in the order of the file."""
     order = np.asarray(chosen, dtype=float) + 1.0
     before, due = (_column(document, key)[chosen] for key in ("error_before_mm", "expected_mm"))
-    known, last = np.isfinite(due), max(float(len(document["targets"])), 2.0)
+    last = max(float(len(document["targets"])), 2.0)
     plot = svg.Plot(
         svg.linear_axis("target", 1.0, last, max(svg.round_step(last / 6.0), 1.0)),
-        svg.log_axis("error [mm]", np.concatenate([before, due[known]])),
+        svg.log_axis("error [mm]", np.concatenate([before, due[np.isfinite(due)]])),
     )
-    tips = [
-        [f"{name}: {figures(value)} mm" for name, value in zip(names, values, strict=True)] for values in (before, due)
-    ]
-    parts = [
-        svg.scatter(plot, order, before, "val", tips[0]),
-        svg.scatter(plot, order[known], due[known], "fit", np.array(tips[1])[known]),
-    ]
-    entries = [("val", "without correction"), ("fit", "expected with it, k = 2")]
+    for css, name, values in (("val", "without correction", before), ("fit", "expected with it, k = 2", due)):
+        at = np.flatnonzero(np.isfinite(values)).tolist()
+        plot.scatter(order[at], values[at], css, [f"{names[i]}: {figures(values[i])} mm" for i in at], name)
     caption = f"Error of {document['error_point']} without the correction, and the bound expected with it (about 95 %)."
-    if not known.all():
+    if not np.isfinite(due).all():
         caption += f" Where it is not known ({ABSENT} in the table) there is no point."
-    return drawn(plot, "Errors", caption, parts, entries)
+    return plot.figure("Errors", caption)

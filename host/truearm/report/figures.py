@@ -6,8 +6,7 @@ Numbers here are in display units (units.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from truearm.kinds.registry import kinds
 from truearm.report import svg
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import ResidualRows, law_of
+from truearm.report.svg import Figure
 from truearm.results import Estimate
 from truearm.text import counted, outcome
 from truearm.types import Floats, Indices, Mask, rms, thinned
@@ -29,15 +29,6 @@ STRETCHES = 24  # sections of the order of measurement, each with its mean
 FINEST_BIN = 1e-6  # in display units; noise-free residuals are rounding errors or exactly zero
 LONGITUDE_BIN_DEG = 30.0
 FEWEST_IN_BIN = 5
-
-
-class Figure(NamedTuple):
-    """A picture with its title and caption, both plain text."""
-
-    title: str
-    caption: str
-    drawing: str
-    wide: bool = False
 
 
 def figures_of(rows: ResidualRows) -> list[Figure]:
@@ -60,26 +51,25 @@ def histogram(rows: ResidualRows) -> Figure:
     r, law = rows.residual[rows.fitted], law_of(rows)
     edges = _bin_edges(r)
     count, _ = np.histogram(r, edges)
-    width = edges[1] - edges[0]
-    scale = r.size * width
+    width, grid = edges[1] - edges[0], np.linspace(edges[0], edges[-1], 161)
     plain = law.sigma < width / 50.0  # noise-free data: a curve would be a needle
-    top = max(float(count.max()), 0.0 if plain else float(scale * law.density(_grid(edges)).max()))
-    plot = svg.Plot(svg.linear_axis(rows.name, edges[0], edges[-1]), svg.linear_axis("observations", 0.0, top * 1.05))
-    tips = [
+    curve = np.zeros(grid.size) if plain else r.size * width * law.density(grid)
+    top = 1.05 * max(float(count.max()), float(curve.max()))
+    plot = svg.Plot(svg.linear_axis(rows.name, edges[0], edges[-1]), svg.linear_axis("observations", 0.0, top))
+    tips = (
         f"{figures(a)} to {figures(b)} {rows.unit}: {n}" for a, b, n in zip(edges[:-1], edges[1:], count, strict=True)
-    ]
-    parts = [svg.bars(plot, edges, count, "fit bar", tips)]
+    )
+    plot.bars(edges, count, "fit", tips, "fitted rows")
     if not plain:
-        parts.append(svg.line(plot, _grid(edges), scale * law.density(_grid(edges)), "law line"))
-    what = law.name
+        plot.line(grid, curve, "law line", law.name)
     note = [f"mean {number(law.mean, 4)} {rows.unit}"] if law.width == 1 else []
     note += [f"σ {number(law.sigma, 4)} {rows.unit}", f"n {r.size}"]
     for k, text in enumerate(note):
-        parts.append(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
-    caption = f"{counted(r.size, 'row')} not held out, and the {what} fitted to them: {', '.join(note)}."
+        plot.draw(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
+    caption = f"{counted(r.size, 'row')} not held out, and the {law.name} fitted to them: {', '.join(note)}."
     if not rows.signed:
         caption += " Norms of 3-vectors have no sign; σ is the mean over the three coordinates."
-    return drawn(plot, "Residuals after calibration", caption, parts, [("fit", "fitted rows"), ("law line", what)])
+    return plot.figure("Residuals after calibration", caption)
 
 
 def _bin_edges(r: Floats) -> Floats:
@@ -91,36 +81,21 @@ def _bin_edges(r: Floats) -> Floats:
     return width * np.arange(first, math.floor(r.max() / width + 1e-9) + 2)
 
 
-def _grid(edges: Floats) -> Floats:
-    return np.linspace(edges[0], edges[-1], 161)
-
-
 def by_order(rows: ResidualRows) -> Figure:
     """Return residuals in the order of measurement, with sessions and mounts, to show drift or slip."""
     x, y = rows.number.astype(float), rows.residual
     plot = svg.Plot(svg.linear_axis("row", x[0], x[-1]), svg.linear_axis(rows.name, *_reach(y)), width=820.0)
-    floor, top = plot.y.low, plot.y.high
-    parts = []
     new_session, new_mount = (x[1:][of[1:] != of[:-1]] - 0.5 for of in (rows.session, rows.mount))
-    marked = [("mount", new_mount)] if new_mount.size <= MAX_MARKS else []
-    marked += [("session", new_session)] if new_session.size <= MAX_MARKS else []
-    for css, places in marked:
-        parts += [svg.line(plot, [at, at], [floor, top], css + " line") for at in places]
-    means = _means(x, y, np.array_split(np.flatnonzero(rows.fitted), STRETCHES))
-    residuals, entries = _residuals_and_means(plot, rows, x, np.isfinite(y), "row {}", means)
-    entries += [(css + " line", f"new {css}") for css, places in marked if places.size]
+    for css, places in (("mount", new_mount), ("session", new_session)):
+        for at in places if places.size <= MAX_MARKS else ():
+            plot.line([at, at], [plot.y.low, plot.y.high], css + " line", f"new {css}")
+    _draw_residuals(plot, rows, x, np.isfinite(y), "row {}", np.array_split(np.flatnonzero(rows.fitted), STRETCHES))
     n_mounts, n_sessions = new_mount.size + 1, new_session.size + 1
     caption = (
         f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'stretch', 'stretches')} of rows with the same items of the rig. A step or a "
         "trend in the mean indicates a slip or a drift that the parameters could not absorb."
     )
-    return drawn(plot, "Residual in the order of measurement", caption, parts + residuals, entries, wide=True)
-
-
-def _means(x: Floats, y: Floats, groups: Iterable[Indices]) -> list[tuple[float, float, float]]:
-    """Return the mean of x, and the mean of y with its standard error, of each group of enough rows."""
-    every = ((x[rows], y[rows]) for rows in groups if rows.size >= FEWEST_IN_BIN)
-    return [(float(a.mean()), float(b.mean()), float(b.std(ddof=1) / math.sqrt(b.size))) for a, b in every]
+    return plot.figure("Residual in the order of measurement", caption, wide=True)
 
 
 def by_longitude(rows: ResidualRows) -> Figure | None:
@@ -132,28 +107,35 @@ def by_longitude(rows: ResidualRows) -> Figure | None:
     low, high = _deg_range(x[known])
     plot = svg.Plot(svg.linear_axis("longitude [deg]", low, high, 60.0), svg.linear_axis(rows.name, *_reach(y[known])))
     chosen, interval = np.flatnonzero(known & rows.fitted), np.floor(x / LONGITUDE_BIN_DEG)
-    means = _means(x, y, (chosen[interval[chosen] == k] for k in np.unique(interval[chosen])))
-    residuals, entries = _residuals_and_means(plot, rows, x, known, "{}°", means)
+    _draw_residuals(plot, rows, x, known, "{}°", [chosen[interval[chosen] == k] for k in np.unique(interval[chosen])])
     caption = (
         "Longitude of the sphere about its chuck. Measurement errors do not depend on it: a mean that varies by more than "
         "its bars (two standard errors) indicates errors that the parameters do not model."
     )
-    return drawn(plot, "Residual against longitude", caption, residuals, entries)
+    return plot.figure("Residual against longitude", caption)
 
 
-def _residuals_and_means(
-    plot: svg.Plot, rows: ResidualRows, x: Floats, shown: Mask, where: str, means: Sequence[tuple[float, float, float]]
-) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return the drawing of the ``shown`` (n,) residuals at x (n,) and of means with two standard errors, and its legend."""
-    y, parts, entries = rows.residual, [], []
+def _draw_residuals(
+    plot: svg.Plot, rows: ResidualRows, x: Floats, shown: Mask, where: str, groups: Iterable[Indices]
+) -> None:
+    """Draw the ``shown`` (n,) residuals at x (n,), and the mean of each group of enough rows with two standard errors."""
+    y = rows.residual
     for css, name, chosen in _sets(rows):
         at = _drawn(y, shown & chosen)
-        parts.append(_points(plot, x[at], y[at], css, rows.source[at], rows.unit, where))
-        entries.append((css, name))
-    for centre, mean, error in means:
-        parts.append(svg.line(plot, [centre, centre], [mean - 2 * error, mean + 2 * error], "mean line"))
-    parts.append(svg.line(plot, [m[0] for m in means], [m[1] for m in means], "mean line"))
-    return parts, [*entries, ("mean line", "mean ± 2 s.e.")]
+        if at.size > MAX_TIPS:
+            plot.dots(x[at], y[at], css, name)
+            continue
+        tips = (
+            f"{s[:60]}: {figures(v)} {rows.unit} at {where.format(number(a, 0))}"
+            for s, v, a in zip(rows.source[at], y[at], x[at], strict=True)
+        )
+        plot.scatter(x[at], y[at], css, tips, name)
+    groups = [group for group in groups if group.size >= FEWEST_IN_BIN]
+    centres, means = ([float(values[group].mean()) for group in groups] for values in (x, y))
+    for group, centre, mean in zip(groups, centres, means, strict=True):
+        error = float(y[group].std(ddof=1) / math.sqrt(group.size))
+        plot.line([centre, centre], [mean - 2 * error, mean + 2 * error], "mean line")
+    plot.line(centres, means, "mean line", "mean ± 2 s.e.")
 
 
 def _deg_range(longitude: Floats) -> tuple[float, float]:
@@ -183,15 +165,6 @@ def _drawn(values: Floats, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.concatenate([index[:keep], index[keep::stride]])
 
 
-def _points(plot: svg.Plot, x: Floats, y: Floats, css: str, source: NDArray[np.str_], unit: str, where: str) -> str:
-    if x.size > MAX_TIPS:
-        return svg.dots(plot, x, y, css)
-    tips = (
-        f"{s[:60]}: {figures(v)} {unit} at {where.format(number(a, 0))}" for s, v, a in zip(source, y, x, strict=True)
-    )
-    return svg.scatter(plot, x, y, css, tips)
-
-
 def before_after(rows: ResidualRows) -> Figure:
     """Return the share of the rows with |residual| below a length, before and after."""
     lines = [(css, name + ", after", rows.residual[at]) for css, name, at in _sets(rows)]
@@ -203,10 +176,10 @@ def before_after(rows: ResidualRows) -> Figure:
         svg.log_axis(title("|residual|", rows.si), reach), svg.linear_axis("share of rows [%]", 0.0, 100.0, 20.0)
     )
     share = np.linspace(0.0, 100.0, 201)
-    curves = [svg.line(plot, np.percentile(np.abs(of), share), share, css + " line") for css, _, of in lines]
-    entries = [(css + " line", name.replace(" rows", "")) for css, name, _ in lines]
+    for css, name, values in lines:
+        plot.line(np.percentile(np.abs(values), share), share, css + " line", name.replace(" rows", ""))
     p95 = [f"{figures(float(np.percentile(np.abs(values), 95.0)))} {rows.unit} ({name})" for _, name, values in lines]
-    return drawn(plot, "Before and after", f"95 % of the rows lie below {', '.join(p95)}.", curves, entries)
+    return plot.figure("Before and after", f"95 % of the rows lie below {', '.join(p95)}.")
 
 
 def by_group(rows: ResidualRows) -> Figure | None:
@@ -221,13 +194,13 @@ def by_group(rows: ResidualRows) -> Figure | None:
     categories = svg.category_axis("", [str(names[g]) for g in shown[::-1]])
     left = max(104.0, 16.0 + svg.LETTER * max(map(len, categories.tick_labels)))
     plot = svg.Plot(values, categories, height, least_left=left, right=66.0)
-    parts = [svg.label(plot.width - 4, 18, f"RMS [{rows.unit}]", "end")]
+    plot.draw(svg.label(plot.width - 4, 18, f"RMS [{rows.unit}]", "end"))
     for k, g in enumerate(shown[::-1]):
         sets = [(css, name, rows.residual[at & (inverse == g)]) for css, name, at in _sets(rows)]
         sets = [entry for entry in sets if entry[2].size]
         for i, (css, name, inside) in enumerate(sets):
             offset = 0.0 if len(sets) == 1 else (0.21, -0.21)[i]
-            parts.append(_box(plot, k + offset, inside, css, f"{names[g]}, {name}", rows.unit))
+            _draw_box(plot, k + offset, inside, css, name, f"{names[g]}, {name}", rows.unit)
     place = kinds()[rows.kind].groups
     sizes = [rms(rows.residual[inverse == g]) for g in worst]
     # Variance of an RMS: σ²/(2·degrees of freedom).
@@ -237,24 +210,20 @@ def by_group(rows: ResidualRows) -> Figure | None:
     caption += f"By chance alone these vary by {figures(spread, 2)} % (one σ)."
     if len(shown) < names.size:
         caption += f" The {len(shown)} with the largest RMS of {names.size} are shown."
-    return drawn(plot, f"By {place}", caption, parts, [(css, name) for css, name, _ in _sets(rows)])
+    return plot.figure(f"By {place}", caption)
 
 
-def _box(plot: svg.Plot, row: float, values: Floats, css: str, name: str, unit: str) -> str:
+def _draw_box(plot: svg.Plot, row: float, values: Floats, css: str, set_name: str, name: str, unit: str) -> None:
     p05, p25, p50, p75, p95 = np.percentile(values, [5.0, 25.0, 50.0, 75.0, 95.0])
     x25, x75 = plot.px([p25, p75])
     y = float(plot.py(row))
     tip = f"{name}: {counted(values.size, 'row')}, median {figures(p50)} {unit}, RMS {figures(rms(values))} {unit}"
     outside = values[(values < p05) | (values > p95)]
-    return "".join(
-        (
-            svg.dots(plot, outside, np.full(outside.size, row), css),
-            svg.line(plot, [p05, p95], [row, row], css + " whisker"),
-            svg.rect(x25, y - 4, max(x75 - x25, 1.0), 8, css + " box", tip),
-            svg.line(plot, [p50, p50], [row - 0.16, row + 0.16], css + " median"),
-            svg.label(plot.width - 4, y + 4, figures(rms(values)), "end small " + css),
-        )
-    )
+    plot.dots(outside, np.full(outside.size, row), css, set_name)
+    plot.line([p05, p95], [row, row], css + " whisker")
+    plot.draw(svg.rect(x25, y - 4, max(x75 - x25, 1.0), 8, css + " box", tip))
+    plot.line([p50, p50], [row - 0.16, row + 0.16], css + " median")
+    plot.draw(svg.label(plot.width - 4, y + 4, figures(rms(values)), "end small " + css))
 
 
 def quantiles(rows: ResidualRows) -> Figure | None:
@@ -270,7 +239,8 @@ def quantiles(rows: ResidualRows) -> Figure | None:
         svg.linear_axis(f"quantile of the {what} [{rows.unit}]", low, high), svg.linear_axis(rows.name, low, high)
     )
     at = thinned(r.size, MAX_POINTS)
-    parts = [svg.line(plot, [low, high], [low, high], "law"), svg.dots(plot, expected[at], r[at], "fit")]
+    plot.line([low, high], [low, high], "law line", what)
+    plot.dots(expected[at], r[at], "fit", "fitted rows")
     beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.width == 1 else None
     caption = f"Points on the line follow the {what}. If the ends bend away from it, those rows have unexpectedly large residuals."
     if beyond is not None:
@@ -278,7 +248,7 @@ def quantiles(rows: ResidualRows) -> Figure | None:
             f" Beyond 3σ: {counted(beyond, 'row')}; a normal distribution would have {figures(0.0027 * r.size, 2)}."
         )
     name = "Quantiles" if law.width > 1 else "Normal probability"
-    return drawn(plot, name, caption, parts, [("fit", "fitted rows"), ("law line", what)])
+    return plot.figure(name, caption)
 
 
 def convergences(estimate: Estimate) -> list[Figure]:
@@ -296,22 +266,7 @@ def _convergence(estimate: Estimate, si: str) -> Figure:
         svg.log_axis(title("RMS", si), history),
     )
     tips = [f"iteration {k}: {figures(v, 4)} {symbol(si)}" for k, v in zip(steps, history, strict=True)]
-    parts = [svg.line(plot, steps, history, "fit line"), svg.scatter(plot, steps, history, "fit", tips, 4)]
+    plot.line(steps, history, "fit line")
+    plot.scatter(steps, history, "fit", tips, radius=4)
     caption = f"RMS of the fitted rows; {outcome(estimate.status, estimate.iterations)}."
-    return drawn(plot, "Convergence", caption, parts)
-
-
-def drawn(
-    plot: svg.Plot,
-    title: str,
-    caption: str,
-    marks: Sequence[str],
-    entries: Sequence[tuple[str, str]] = (),
-    wide: bool = False,
-) -> Figure:
-    """Return the figure of marks in a plot, with axes and the entries of its legend.
-
-    Screen readers read title and caption instead.
-    """
-    parts = [svg.axes(plot), *marks, svg.legend(plot, entries)]
-    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"), wide)
+    return plot.figure("Convergence" + f" · {symbol(si)}" * (len(estimate.rms_history) > 1), caption)

@@ -11,9 +11,10 @@ import numpy as np
 
 from truearm.report import svg
 from truearm.report.certificate import Certificate, Facts, certificate_section
-from truearm.report.figures import Figure, drawn
-from truearm.report.page_parts import html_page, picture, pictures, section, table_of
-from truearm.report.page_text import escape, figures, number
+from truearm.report.page_parts import html_page, pictures, section, table
+from truearm.report.page_text import figures, number
+from truearm.report.svg import Figure
+from truearm.report.tables import Table
 from truearm.types import Floats
 from truearm.units import MM, UM
 
@@ -45,12 +46,9 @@ class GaugePage:
 def render(page: GaugePage) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
     shown = [_residuals(page), *([_orders(page)] if len(page.orders) > 1 else [])]
-    sections = (
-        certificate_section(Certificate("Calibration of a sensor", page.decision, page.certificate)),
-        section("Residuals", pictures(map(picture, shown))),
-        section("The places", _table(page)),
-    )
-    return html_page("truearm", page.title, page.subtitle, sections)
+    blocks = section("Residuals", pictures(shown)), section("The places", table(_places(page)))
+    first = certificate_section(Certificate("Calibration of a sensor", page.decision, page.certificate))
+    return html_page("truearm", page.title, page.subtitle, blocks, certificate=first)
 
 
 _RESIDUAL_CAPTION = (
@@ -70,12 +68,11 @@ def _residuals(page: GaugePage) -> Figure:
         svg.linear_axis("reference [mm]", x.min(), x.max()), svg.linear_axis("residual [µm]", -reach, reach)
     )
     ends = [plot.x.low, plot.x.high]
-    tips = [f"{figures(a, 6)} mm: {number(b, 2, sign=True)} µm" for a, b in zip(x, y, strict=True)]
-    levels = ((-two_sigma, "old line"), (two_sigma, "old line"), (0.0, "mean line"))
-    parts = [svg.line(plot, ends, [level, level], css) for level, css in levels]
-    parts.append(svg.scatter(plot, x, y, "fit", tips, 3.2))
-    entries = [("fit", "places"), ("old line", "± 2 σ")]
-    return drawn(plot, "Residual at each place", _RESIDUAL_CAPTION, parts, entries)
+    for level, css, name in ((-two_sigma, "old line", "± 2 σ"), (two_sigma, "old line", ""), (0.0, "mean line", "")):
+        plot.line(ends, [level, level], css, name)
+    tips = (f"{figures(a, 6)} mm: {number(b, 2, sign=True)} µm" for a, b in zip(x, y, strict=True))
+    plot.scatter(x, y, "fit", tips, "places", 3.2)
+    return plot.figure("Residual at each place", _RESIDUAL_CAPTION)
 
 
 def _orders(page: GaugePage) -> Figure:
@@ -86,29 +83,19 @@ def _orders(page: GaugePage) -> Figure:
     )
     tips = [f"order {order}: {figures(e)} µm" for order, e in zip(page.orders, error, strict=True)]
     taken = page.orders.index(page.order)
-    parts = [
-        svg.line(plot, page.orders, error, "fit line"),
-        svg.scatter(plot, page.orders, error, "fit", tips),
-        svg.scatter(plot, [page.order], [error[taken]], "val", [tips[taken]], 4.5),
-    ]
-    entries = [("fit line", "cross-validation RMS"), ("val", "chosen")]
-    return drawn(plot, "Cross-validation error", _ORDER_CAPTION, parts, entries)
+    plot.line(page.orders, error, "fit line", "cross-validation RMS")
+    plot.scatter(page.orders, error, "fit", tips)
+    plot.scatter([page.order], [error[taken]], "val", [tips[taken]], "chosen", 4.5)
+    return plot.figure("Cross-validation error", _ORDER_CAPTION)
 
 
-def _table(page: GaugePage) -> str:
+def _places(page: GaugePage) -> Table:
     unit = f"[{page.unit}]"
-    titles = (
-        "",
-        "reference [mm]",
-        f"reading {unit}",
-        f"noise {unit}",
-        "residual [µm]",
-        "residual to a fit of the others [µm]",
-    )
+    of_errors = "residual [µm]", "residual to a fit of the others [µm]"
+    titles = ("", "reference [mm]", f"reading {unit}", f"noise {unit}", *of_errors)
     columns = (page.reference, page.reading, page.noise, page.residual, page.left_out)
     rows = []
     for place, (y, x, noise, residual, left_out) in enumerate(zip(*columns, strict=True), 1):
-        cells = (number(MM.of(y), 4), figures(x, 8), figures(noise, 2))
-        errors = (number(UM.of(residual), 3, sign=True), number(UM.of(left_out), 3, sign=True))
-        rows.append((str(place), *cells, *errors))
-    return table_of([escape(title) for title in titles], rows, "places")
+        errors = (number(UM.of(error), 3, sign=True) for error in (residual, left_out))
+        rows.append((place, number(MM.of(y), 4), figures(x, 8), figures(noise, 2), *errors))
+    return Table(titles, rows, "places")

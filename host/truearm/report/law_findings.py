@@ -7,7 +7,9 @@ from itertools import pairwise
 from typing import Any
 
 from truearm.findings import Finding
+from truearm.report.tables import Table
 from truearm.text import counted, one_line
+from truearm.units import SUFFIXES
 
 SMALL_SHARE = 0.5  # of the range of a sag: it is extrapolated by more than it was measured
 
@@ -88,15 +90,15 @@ def intervals_text(intervals: Sequence[Sequence[float]]) -> str:
     return f"{text} except {listed} deg{more}"
 
 
-def law_steps(document: Document, suffix: str) -> list[tuple[str, str, str]]:
-    """Return each fit's name, fitted RMS and held-out mean in a suffix's unit; empty if only geometry was fitted."""
-    found = document["joint_laws"]
-    steps = found["steps"] if found else []
+def law_steps(document: Document, suffix: str) -> list[Table]:
+    """Return the fits with joint laws by their errors in a suffix's unit; empty if only geometry was fitted."""
+    laws = document["joint_laws"]
     rows = []
-    for step in steps:
+    for step in laws["steps"] if laws else ():
         held = (step["held_out"] or {}).get(f"mean_{suffix}")
         rows.append((STEPS[step["name"]], _number(step.get(f"rms_after_{suffix}")), _number(held)))
-    return rows if len(rows) > 1 else []
+    titles = f"joint laws [{SUFFIXES[suffix].symbol}]", "fitted, RMS", "held out, mean"
+    return [Table(titles, rows, "fits")] if len(rows) > 1 else []
 
 
 def _number(value: float | None) -> str:

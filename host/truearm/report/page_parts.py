@@ -1,6 +1,7 @@
-"""The parts of every page: its frame, sections, tables and pictures.
+"""Pages: a list of blocks in one frame.
 
-A page is a single HTML file: style and pictures are included, and a Content-Security-Policy prevents the browser from
+A block is HTML, made here of plain text: a heading, sentences, facts, a table, a picture, what findings say. A page is a
+single HTML file: style and pictures are included, and a Content-Security-Policy prevents the browser from
 loading anything and from running any script but that of its 3-D view (report/scene_view.py). It opens from disk without a network, follows the reader's light or dark
 setting, can be printed, and fits a phone.
 """
@@ -14,41 +15,67 @@ from importlib.resources import files
 
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
-from truearm.report.figures import Figure
 from truearm.report.page_text import ABSENT, escape
+from truearm.report.scene_view import Scene, script, view_section
+from truearm.report.svg import Figure
+from truearm.report.tables import Table
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
 
 
 def html_page(
-    program: str, title: str, subtitle: str, sections: Iterable[str], watermark: str = "", script: str = ""
+    program: str,
+    title: str,
+    subtitle: str,
+    blocks: Iterable[str],
+    findings: Sequence[Finding] = (),
+    *,
+    figures: str = "",
+    certificate: str = "",
+    scene: Scene | None = None,
 ) -> str:
     """Return a complete page as HTML text, to be written as UTF-8.
 
-    ``program`` is shown above its title. ``watermark`` is a word across each page, on screen and on paper. ``script`` runs
-    when all of the page has been read.
+    ``program`` is shown above its title. The ``certificate`` is page one; the verdict of the findings follows, with ``figures`` in
+    large type and what to look at, then the 3-D view, notes, and the other blocks. If the findings tell that data are
+    simulated, a watermark does on each page.
     """
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    policy = f"{POLICY}; script-src 'sha256-{digest}'" if script else POLICY
-    run = f"<script>{script}</script>\n" if script else ""
-    across = f'<p class="watermark" aria-hidden="true">{escape(watermark)}</p>\n' if watermark else ""
+    run = script(scene)
+    digest = base64.b64encode(hashlib.sha256(run.encode()).digest()).decode()
+    policy = f"{POLICY}; script-src 'sha256-{digest}'" if run else POLICY
+    simulated = any(finding.code == "simulated" for finding in findings)
+    title = escape(title + " (simulated)" * simulated)
+    verdict, doubts, notes = finding_parts(findings)
+    top = f"<section>{verdict}{figures}{doubts}</section>\n" if verdict or figures else ""
+    body = "".join((certificate, top, view_section(scene), section("Notes", notes), *blocks))
+    across = '<p class="watermark" aria-hidden="true">simulated</p>\n' * simulated
     style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{GENERATOR}\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{across}"
-        f'<header><p class="brand">{program}</p><h1>{escape(title)}</h1>'
-        f'<p class="subtitle">{escape(subtitle, 400)}</p></header>\n'
-        f"<main>\n{''.join(sections)}</main>\n{run}</body>\n</html>\n"
+        f"<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{across}"
+        f'<header><p class="brand">{program}</p><h1>{title}</h1><p class="subtitle">{escape(subtitle, 400)}</p></header>\n'
+        f"<main>\n{body}</main>\n{f'<script>{run}</script>' * bool(run)}</body>\n</html>\n"
     )
 
 
-def section(title: str, content: str) -> str:
-    """Return a section of a page; ``title`` and ``content`` are HTML."""
-    return f"<section><h2>{title}</h2>{content}</section>\n"
+def section(title: str, *blocks: str) -> str:
+    """Return blocks below a heading; "" if all are empty."""
+    content = "".join(blocks)
+    return f"<section><h2>{escape(title)}</h2>{content}</section>\n" if content else ""
+
+
+def paragraph(text: str, limit: int = 1200) -> str:
+    """Return a paragraph."""
+    return f"<p>{escape(text, limit)}</p>"
+
+
+def folded(summary: str, *blocks: str) -> str:
+    """Return blocks that a reader unfolds."""
+    return f"<details><summary>{escape(summary)}</summary>{''.join(blocks)}</details>"
 
 
 def sentences(texts: Iterable[str], css: str, limit: int = 600) -> str:
@@ -58,14 +85,14 @@ def sentences(texts: Iterable[str], css: str, limit: int = 600) -> str:
 
 
 def finding_parts(findings: Sequence[Finding]) -> tuple[str, str, str]:
-    """Return the verdict as a heading, what to look at and to do, and notes, as HTML; a watermark tells that data are simulated."""
-    first, *others = [finding for finding in findings if finding.code != "simulated"]
+    """Return the verdict as a heading, what to look at and to do, and notes."""
+    stated = [finding for finding in findings if finding.code != "simulated"]
 
     def listed(css: str, *severities: Severity) -> str:
-        return sentences((finding.text(option) for finding in others if finding.severity in severities), css, 1200)
+        return sentences((one.text(option) for one in stated[1:] if one.severity in severities), css, 1200)
 
+    heading = "".join(f'<h2 class="verdict">{escape(first.text(option), 1200)}</h2>' for first in stated[:1])
     doubts = listed("remarks doubts", Severity.REFUSAL, Severity.WARNING) + listed("remarks", Severity.ADVICE)
-    heading = f'<h2 class="verdict">{escape(first.text(option), 1200)}</h2>'
     return heading, doubts, listed("remarks", Severity.RESULT, Severity.NOTE)
 
 
@@ -80,30 +107,24 @@ def _tile(css: str, name: str, sizes: Iterable[tuple[str, str]], note: str) -> s
     return f'<div class="tile {css}"><p class="name">{name}</p>{shown}<p class="small">{escape(note)}</p></div>'
 
 
-def command_block(command: str) -> str:
-    """Return the command that makes a page again; "" if there is none."""
-    return f'<pre tabindex="0"><code>{escape(command, 2000)}</code></pre>' if command else ""
+def making(command: str, facts: Sequence[tuple[str, str]] = ()) -> str:
+    """Return how a page was made: the command that makes it again, and facts."""
+    block = f'<pre tabindex="0"><code>{escape(command, 2000)}</code></pre>' * bool(command)
+    return section("How it was made", block, fact_list(facts))
 
 
-def head_of(titles: Sequence[str]) -> str:
-    """Return the head of a table."""
-    return "<thead><tr>" + "".join(f'<th scope="col">{title}</th>' for title in titles) + "</tr></thead>"
-
-
-def row_of(cells: Sequence[str]) -> str:
-    """Return a row of a table; the first cell names it."""
-    first, *rest = cells
-    return f'<tr><th scope="row">{first}</th>{"".join(f"<td>{cell}</td>" for cell in rest)}</tr>'
-
-
-def table_of(titles: Sequence[str], rows: Iterable[Sequence[str]], label: str, css: str = "plain") -> str:
-    """Return a table that scrolls on a phone. Its cells are HTML; the first column names the row."""
-    return table(titles, "".join(map(row_of, rows)), label, css)
-
-
-def table(titles: Sequence[str], body: str, label: str, css: str = "plain") -> str:
-    """Return a table that scrolls on a phone, with rows that are HTML."""
-    return scrolled(f'<table class="{css}">{head_of(titles)}<tbody>{body}</tbody></table>', label)
+def table(content: Table, css: str = "plain") -> str:
+    """Return a table that scrolls on a phone; its first column names the row, and ``content.marks`` are classes of rows."""
+    head = "".join(f'<th scope="col">{escape(title.strip())}</th>' for title in content.titles)
+    rows = []
+    for k, (first, *cells) in enumerate(content.rows):
+        mark = content.marks[k] if content.marks else ""
+        data = "".join(f"<td>{escape(str(cell), 600)}</td>" for cell in cells)
+        rows.append(
+            f'<tr{f" class={chr(34)}{mark}{chr(34)}" * bool(mark)}><th scope="row">{escape(str(first))}</th>{data}</tr>'
+        )
+    body = f'<table class="{css}"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+    return scrolled(body, content.label) + f"<p>{escape(content.more)}</p>" * bool(content.more)
 
 
 def scrolled(content: str, label: str) -> str:
@@ -111,22 +132,21 @@ def scrolled(content: str, label: str) -> str:
     return f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">{content}</div>'
 
 
-def picture(figure: Figure, kind: str = "") -> str:
-    """Return a picture with title and caption; ``kind`` is added to its title if there are several."""
-    title = escape(figure.title + (f" · {kind}" if kind else ""))
+def picture(figure: Figure) -> str:
+    """Return a picture with title and caption."""
+    title = escape(figure.title)
     drawing = scrolled(figure.drawing, title) if figure.wide else figure.drawing
-    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
-    css = ' class="wide"' if figure.wide else ""
-    return f"<figure{css}><h3>{title}</h3>{drawing}{caption}</figure>\n"
+    css = ' class="wide"' * figure.wide
+    return f"<figure{css}><h3>{title}</h3>{drawing}<figcaption>{escape(figure.caption, 800)}</figcaption></figure>\n"
 
 
-def pictures(shown: Iterable[str]) -> str:
+def pictures(figures: Iterable[Figure]) -> str:
     """Return several pictures side by side where there is space; "" if there are none."""
-    content = "".join(shown)
+    content = "".join(map(picture, figures))
     return f'<div class="pictures">{content}</div>' if content else ""
 
 
 def fact_list(facts: Sequence[tuple[str, str]]) -> str:
-    """Return labels and values as a definition list."""
+    """Return labels and values as a definition list; "" if there are none."""
     entries = (f"<div><dt>{escape(name)}</dt><dd>{escape(value, 400)}</dd></div>" for name, value in facts)
-    return f'<dl class="facts">{"".join(entries)}</dl>'
+    return f'<dl class="facts">{"".join(entries)}</dl>' if facts else ""

@@ -8,9 +8,9 @@ import numpy as np
 
 from truearm.estimate.law_curves import SampledCurve, spectrum
 from truearm.report import svg
-from truearm.report.figures import Figure, drawn
 from truearm.report.law_findings import intervals_text
 from truearm.report.page_text import figures, number
+from truearm.report.svg import Figure
 from truearm.results import Estimate
 from truearm.types import Floats, rms
 from truearm.units import DEG, MRAD
@@ -28,16 +28,16 @@ def _over_readings(curve: SampledCurve) -> Figure:
     plot = svg.Plot(
         svg.linear_axis("reading [deg]", float(x[0]), float(x[-1])), svg.linear_axis("error [mrad]", -top, top)
     )
-    lines = [(y - band, "old line"), (y + band, "old line"), (y, "law line")]
-    parts = [svg.line(plot, x, values, css) for values, css in lines]
-    parts += [svg.line(plot, x[run], y[run], "fit line") for run in _runs(curve.covered)]
-    entries = [("fit line", "covered"), ("law line", "outside"), ("old line", "±2σ")]
+    for values, css, name in ((y - band, "old line", ""), (y + band, "old line", "±2σ"), (y, "law line", "outside")):
+        plot.line(x, values, css, name)
+    for run in _runs(curve.covered):
+        plot.line(x[run], y[run], "fit line", "covered")
     caption = (
         f"Deviation of the joint from offset and gain. RMS over the covered readings {figures(rms(y[curve.covered]), 2)} mrad. "
         f"Covered: {intervals_text(DEG.of(np.array(curve.intervals)).tolist())}. Elsewhere no reading was measured: "
         "the curve returns to zero and its band widens."
     )
-    return drawn(plot, f"Error curve of {curve.joint}", caption, parts, entries)
+    return plot.figure(f"Error curve of {curve.joint}", caption)
 
 
 def _over_cycles(curve: SampledCurve) -> Figure | None:
@@ -50,13 +50,14 @@ def _over_cycles(curve: SampledCurve) -> Figure | None:
         svg.linear_axis("cycles per turn", 0.0, float(edges[-1])),
         svg.linear_axis("amplitude [mrad]", 0.0, 1.05 * float(amplitude.max(initial=1e-3))),
     )
-    tips = [f"{c:.0f} cycles: {figures(a, 2)} mrad" for c, a in zip(cycles, amplitude, strict=True)]
+    tips = (f"{c:.0f} cycles: {figures(a, 2)} mrad" for c, a in zip(cycles, amplitude, strict=True))
+    plot.bars(edges, amplitude, "fit", tips)
     strongest = cycles[int(np.argmax(amplitude))]
     caption = (
         f"Amplitude of each sine alone over the covered readings; the strongest has {strongest:.0f} cycles per turn. "
         f"The covered range resolves {figures(resolution, 2)} cycles per turn; sines of fewer than {cycles[0]:.0f} cycles per turn cannot be seen."
     )
-    return drawn(plot, f"Spectrum of {curve.joint}", caption, [svg.bars(plot, edges, amplitude, "fit bar", tips)])
+    return plot.figure(f"Spectrum of {curve.joint}", caption)
 
 
 def _runs(flags: np.ndarray) -> list[slice]:

@@ -7,6 +7,7 @@ from math import isfinite
 from typing import Any
 
 from truearm.findings import Finding, ordered
+from truearm.report.tables import Table
 from truearm.text import counted, one_line
 from truearm.units import MM, MRAD, MS, UM, S, Scale
 
@@ -69,13 +70,13 @@ def _findings(document: Document) -> Iterator[Finding]:
     yield Finding("noise-measured", values)
 
 
-def joint_rows(document: Document) -> Iterator[tuple[str, ...]]:
+def joint_table(document: Document) -> Table:
     """Return the figures of each joint [mrad]."""
     spread = document["repeatability"]
     columns = [spread[name] for name in ("backlash_si", "reading_difference_si", "reading_spread_si")]
     columns.append(document["noise"]["joint_sigma_si"])
-    for joint, *figures in zip(document["joints"], *columns, strict=True):
-        yield joint, *(interval(figure, MRAD, False) for figure in figures)
+    rows = zip(document["joints"], *columns, strict=True)
+    return Table(JOINTS, [(joint, *(interval(figure, MRAD, False) for figure in figures)) for joint, *figures in rows])
 
 
 def remarks(document: Document) -> Iterator[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from truearm.kinds.registry import kinds
+from truearm.report.tables import Table
 from truearm.results import Estimate, largest_terms
 from truearm.text import one_line, with_article
 from truearm.units import MS, UNITS, Unit, tolerances
@@ -95,3 +96,9 @@ class ParameterRow:
         numbers = ("-" if math.isnan(number) else f"{number:{form}}" for number, form in forms)
         sigma = "unidentifiable" if math.isnan(self.sigma) else f"{self.sigma:.2g}"
         return one_line(self.name), *numbers, sigma, self.unit.symbol
+
+
+def parameter_table(entries: Iterable[Mapping[str, Any]]) -> Table:
+    """Return the parameters of result.json."""
+    rows = [ParameterRow.of_document(entry).texts for entry in entries]
+    return Table(("parameter", "nominal", "value", "change", "sigma", "unit "), rows)

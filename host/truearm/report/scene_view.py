@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.report.page_parts import section
 from truearm.types import Floats
 from truearm.units import MM
 
@@ -79,7 +78,7 @@ def view_section(scene: Scene | None) -> str:
         return ""
     # No text can end the element: "<" is escaped. Everything that is not ASCII is too.
     data = json.dumps(_data(scene), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    shown = section("In the workspace", "").replace("<section>", '<section id="view3d" hidden>')
+    shown = '<section id="view3d" hidden><h2>In the workspace</h2></section>\n'
     return f'{shown}<script type="application/json" id="scene">{data}</script>\n'
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,9 +90,21 @@ def category_axis(label: str, names: Sequence[str]) -> Axis:
     return Axis(label, -0.5, len(names) - 0.5, tuple(float(k) for k in range(len(names))), labels)
 
 
-@dataclass(frozen=True)
+class Figure(NamedTuple):
+    """A picture with its title and caption, both plain text."""
+
+    title: str
+    caption: str
+    drawing: str
+    wide: bool = False
+
+
+@dataclass(eq=False)
 class Plot:
-    """Two axes and their space, in drawing units (about a pixel); y points up."""
+    """Two axes, their space in drawing units (about a pixel), and what is drawn there; y points up.
+
+    Its methods draw. Marks with a ``name`` get an entry in the legend, which has their class.
+    """
 
     x: Axis
     y: Axis
@@ -101,6 +114,8 @@ class Plot:
     right: float = 20.0  # half of the last tick's label
     top: float = 30.0
     bottom: float = 46.0
+    marks: list[str] = field(default_factory=list)
+    entries: dict[str, str] = field(default_factory=dict)  # names of the legend by class
 
     @property
     def left(self) -> float:
@@ -112,6 +127,42 @@ class Plot:
 
     def py(self, values: ArrayLike) -> Floats:
         return self.height - self.bottom - self.y.fraction(values) * (self.height - self.top - self.bottom)
+
+    def draw(self, mark: str, css: str = "", name: str = "") -> None:
+        """Add a mark, and an entry of the legend if it has a name."""
+        self.marks.append(mark)
+        if name:
+            self.entries[css] = name
+
+    def line(self, x: ArrayLike, y: ArrayLike, css: str, name: str = "") -> None:
+        points = " ".join(f"{num(a)},{num(b)}" for a, b in zip(self.px(x), self.py(y), strict=True))
+        self.draw(f'<polyline class="{css}" points="{points}"/>', css, name)
+
+    def scatter(
+        self, x: ArrayLike, y: ArrayLike, css: str, tips: Iterable[str], name: str = "", radius: float = 2.2
+    ) -> None:
+        """Draw a circle with a tooltip for every point."""
+        circles = (
+            f'<circle cx="{num(a)}" cy="{num(b)}" r="{radius}"><title>{escape(tip)}</title></circle>'
+            for a, b, tip in zip(self.px(x), self.py(y), tips, strict=True)
+        )
+        self.draw(f'<g class="{css}">{"".join(circles)}</g>', css, name)
+
+    def dots(self, x: ArrayLike, y: ArrayLike, css: str, name: str = "") -> None:
+        """Draw points without tooltips, as the round ends of zero-length strokes: a tenth of the size of circles."""
+        points = "".join(f"M{num(a)} {num(b)}h0" for a, b in zip(self.px(x), self.py(y), strict=True))
+        self.draw(f'<path class="{css} dots" d="{points}"/>', css, name)
+
+    def bars(self, edges: ArrayLike, heights: ArrayLike, css: str, tips: Iterable[str], name: str = "") -> None:
+        """Draw bars between neighbouring edges, from the bottom of the plot."""
+        x, y, floor = self.px(edges), self.py(heights), self.height - self.bottom
+        spans = zip(x[:-1], x[1:], y, tips, strict=True)
+        self.draw("".join(rect(a, top, b - a, floor - top, f"{css} bar", tip) for a, b, top, tip in spans), css, name)
+
+    def figure(self, title: str, caption: str, wide: bool = False) -> Figure:
+        """Return all that was drawn, with axes and legend. Screen readers read title and caption instead."""
+        parts = [axes(self), *self.marks, legend(self)]
+        return Figure(title, caption, drawing(self.width, self.height, parts, f"{title}. {caption}"), wide)
 
 
 def num(value: float) -> str:
@@ -126,11 +177,8 @@ def label(x: float, y: float, text: str, css: str = "", extra: str = "") -> str:
 
 def axes(plot: Plot) -> str:
     """Return grid lines, tick labels and axis labels."""
-    right, floor, middle = (
-        plot.width - plot.right,
-        plot.height - plot.bottom,
-        (plot.top + plot.height - plot.bottom) / 2,
-    )
+    right, floor = plot.width - plot.right, plot.height - plot.bottom
+    middle = (plot.top + floor) / 2
     parts = []
     for at, text in zip(plot.px(plot.x.ticks), plot.x.tick_labels, strict=True):
         parts.append(f'<path class="grid" d="M{num(at)} {num(plot.top)}V{num(floor)}"/>')
@@ -144,42 +192,16 @@ def axes(plot: Plot) -> str:
     return "".join(parts)
 
 
-def line(plot: Plot, x: ArrayLike, y: ArrayLike, css: str) -> str:
-    points = " ".join(f"{num(a)},{num(b)}" for a, b in zip(plot.px(x), plot.py(y), strict=True))
-    return f'<polyline class="{css}" points="{points}"/>'
-
-
-def scatter(plot: Plot, x: ArrayLike, y: ArrayLike, css: str, tips: Iterable[str], radius: float = 2.2) -> str:
-    """Return a circle with a tooltip for every point."""
-    circles = (
-        f'<circle cx="{num(a)}" cy="{num(b)}" r="{radius}"><title>{escape(tip)}</title></circle>'
-        for a, b, tip in zip(plot.px(x), plot.py(y), tips, strict=True)
-    )
-    return f'<g class="{css}">{"".join(circles)}</g>'
-
-
-def dots(plot: Plot, x: ArrayLike, y: ArrayLike, css: str) -> str:
-    """Return points without tooltips, as the round ends of zero-length strokes: a tenth of the size of circles."""
-    points = "".join(f"M{num(a)} {num(b)}h0" for a, b in zip(plot.px(x), plot.py(y), strict=True))
-    return f'<path class="{css} dots" d="{points}"/>'
-
-
 def rect(x: float, y: float, width: float, height: float, css: str, tip: str, extra: str = "") -> str:
     place = f'x="{num(x)}" y="{num(y)}" width="{num(width)}" height="{num(height)}"'
     return f'<rect class="{css}" {place}{extra}><title>{escape(tip)}</title></rect>'
 
 
-def bars(plot: Plot, edges: ArrayLike, heights: ArrayLike, css: str, tips: Iterable[str]) -> str:
-    """Return bars between neighbouring edges, from the bottom of the plot."""
-    x, y, floor = plot.px(edges), plot.py(heights), plot.height - plot.bottom
-    spans = zip(x[:-1], x[1:], y, tips, strict=True)
-    return "".join(rect(a, top, b - a, floor - top, css, tip) for a, b, top, tip in spans)
-
-
-def legend(plot: Plot, entries: Sequence[tuple[str, str]]) -> str:
-    """Return entries (css, text) in a row above the plot."""
+def legend(plot: Plot) -> str:
+    """Return the entries of the legend in a row above the plot."""
     parts, x = [], plot.left
-    for css, text in entries:
+    for css in sorted(plot.entries, key=lambda css: (css.endswith("line"), css == "val")):  # points first
+        text = plot.entries[css]
         # A line with round ends that is as long as it is thick is a dot, for data drawn as points.
         length = 14.0 if css.endswith("line") else 0.0
         parts.append(f'<path class="{css} key" d="M{num(x + 5)} 14h{num(length)}"/>' + label(x + length + 13, 18, text))

@@ -7,6 +7,7 @@ from typing import Any
 
 from truearm.findings import Finding, ordered
 from truearm.report.result_findings import FAR_OFF, SETTLED, audit, copies, fault_findings, sizes
+from truearm.report.tables import Table
 from truearm.results import chi2_text
 from truearm.text import one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, title
@@ -35,7 +36,10 @@ def validation_findings(document: Document, payload: Sequence[Finding] = ()) -> 
 
 
 def _verdict(document: Document) -> Finding:
-    """Return whether the errors are consistent with the expected ones, smaller than without the calibration, or neither."""
+    """Return whether the errors are consistent with the expected ones, smaller than without the calibration, or neither.
+
+    Rows that were fitted cannot tell.
+    """
     helped, units = any(document["better"].values()), document["residual_units"]
     expected = document["expected"] or {}
     due, noise, parameters = (sizes(expected, name, units) for name in ("rms", "by_noise", "by_parameters"))
@@ -45,6 +49,8 @@ def _verdict(document: Document) -> Finding:
         "n": document["rows"],
         "expected": due,
     }
+    if document["identified_from"]:
+        return Finding("validation-own-rows", {**values, "files": document["identified_from"]})
     if document["consistent"] and due:
         unsure = {suffix: size for suffix, size in parameters.items() if size > noise[suffix]}
         return Finding("validation-uncertain" if unsure else "validation-holds", {**values, "parameters": unsure})
@@ -72,8 +78,6 @@ def _limits(document: Document) -> Iterator[Finding]:
         yield Finding("regions-worse", {"regions": worse})
     if document["consistent"] and document["rows"] < FEW_ROWS:
         yield Finding("few-rows", {"n": document["rows"], "enough": FEW_ROWS})
-    if document["identified_from"]:
-        yield Finding("few-rows")
     yield from copies(document)
 
 
@@ -98,14 +102,14 @@ def _notes(document: Document) -> Iterator[Finding]:
         yield Finding("rig-unknowns", {"left_out": document["left_out"]})
 
 
-def error_tables(document: Document) -> list[list[tuple[str, ...]]]:
-    """Return a table of errors for each unit, its titles first: all rows, then the regions."""
-    return [_error_rows(document, SUFFIXES[suffix]) for suffix in document["residual_units"]]
+def error_tables(document: Document) -> list[Table]:
+    """Return a table of errors for each unit: all rows, then the regions."""
+    return [_error_table(document, SUFFIXES[suffix]) for suffix in document["residual_units"]]
 
 
-def _error_rows(document: Document, unit: Scale) -> list[tuple[str, ...]]:
+def _error_table(document: Document, unit: Scale) -> Table:
     due = document["expected"] if not document["unseen"] else None
-    rows: list[tuple[str, ...]] = [(title("error", unit.si), "before", "after", "expected", "rows")]
+    rows: list[tuple[str, ...]] = []
     for figure, words in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
         predicted = due[f"rms_{unit.suffix}"] if due and figure == "rms" else None
         rows.append(_error_row(words, document, figure, unit, predicted))
@@ -113,7 +117,7 @@ def _error_rows(document: Document, unit: Scale) -> list[tuple[str, ...]]:
         if region[f"n_{unit.suffix}"]:
             predicted = region[f"rms_expected_{unit.suffix}"]
             rows.append(_error_row(one_line(region["region"]), region, "rms", unit, predicted))
-    return rows
+    return Table((title("error", unit.si), "before", "after", "expected", "rows"), rows, "errors")
 
 
 def _error_row(words: str, numbers: Document, figure: str, unit: Scale, predicted: float | None) -> tuple[str, ...]:
@@ -121,12 +125,3 @@ def _error_row(words: str, numbers: Document, figure: str, unit: Scale, predicte
     before, after = (f"{numbers[f'{figure}_{name}_{unit.suffix}']:.{decimals}f}" for name in ("before", "after"))
     expected = "-" if predicted is None else f"{predicted:.{decimals}f}"
     return words, before, after, expected, str(numbers[f"n_{unit.suffix}"])
-
-
-def error_lines(document: Document) -> list[str]:
-    """Return the tables of errors as text."""
-    return [
-        f"{words:<{max(len(name) for name, *_ in rows)}}{before:>12}{after:>12}{expected:>12}{n:>8}"
-        for rows in error_tables(document)
-        for words, before, after, expected, n in rows
-    ]

@@ -26,7 +26,7 @@ from truearm.model.robot import Robot, poses
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
 from truearm.report.result_findings import verdict
-from truearm.report.result_words import ParameterRow, direction_text
+from truearm.report.result_words import direction_text, parameter_table
 from truearm.results import MOVES, NullDirection, weights_of
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
@@ -90,14 +90,8 @@ class Calibration(Displayed):
     unseen: Floats
 
     def __str__(self) -> str:
-        rows: list[tuple[str, ...]] = [("parameter", "nominal", "value", "change", "sigma", "unit")]
-        rows += [ParameterRow.of_document(one).texts for one in self.document["parameters"] if one["free"]]
-        wide = [max(len(row[k]) for row in rows) for k in range(6)]
-        table = [
-            " ".join([row[0].ljust(wide[0]), *(cell.rjust(w) for cell, w in zip(row[1:5], wide[1:5])), row[5]])
-            for row in rows
-        ]
-        return "\n".join([self._headline(), *(line.rstrip() for line in table)])
+        free = (row for row in self.document["parameters"] if row["free"])
+        return f"{self._headline()}\n{parameter_table(free)}"
 
     def _headline(self) -> str:
         """Return the verdict, as the first line of ``truearm identify``, and the robot."""

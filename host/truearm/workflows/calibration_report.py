@@ -15,7 +15,6 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Estimate, PredictedError
 from truearm.types import Floats, Rigs, rigs_by_name
-from truearm.units import SUFFIXES
 
 if TYPE_CHECKING:
     from truearm.report.certificate import Certificate, Recording
@@ -51,9 +50,7 @@ def write_page(
         prior=found.prior,
         predicted=found.predicted if found.predicted and _leads(found.predicted, estimate) else None,
         law_steps=tuple(
-            (SUFFIXES[suffix].symbol, *step)
-            for suffix in found.document["residual_units"]
-            for step in law_steps(found.document, suffix)
+            step for suffix in found.document["residual_units"] for step in law_steps(found.document, suffix)
         ),
         curves=_curves(found),
         facts=(*facts_of(recordings), *_facts(table)),

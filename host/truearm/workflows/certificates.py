@@ -103,15 +103,15 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
         if si in validation.expected:
             errors.append(("expected from noise and calibration", f"{size(validation.expected[si], si)} RMS"))
     error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
-    used = "the identification used these measurements too" if validation.document["identified_from"] else None
-    problem = unusable_because(calibration) or used
+    used = "the identification used these measurements" if validation.document["identified_from"] else ""
+    rows = counted(validation.n, "row")
     return Certificate(
         f"Certificate of {'a simulated ' * bool(validation.document['simulated'])}validation",
-        _decision(issue.tolerance, error, f", twice the RMS error of {counted(validation.n, 'row')}", problem),
+        _decision(issue.tolerance, error, f", twice the RMS error of {rows}", unusable_because(calibration), used),
         (
             ("What", _what(calibration, issue, recordings, "validated result")),
             (
-                f"Errors of {counted(validation.n, 'independent ' * (used is None) + 'measurement')}",
+                f"Errors of {counted(validation.n, 'independent ' * (not used) + 'measurement')}",
                 (*errors, ("measured region", _region(calibration, table))),
             ),
             ("Reference", _reference(rig, table, recordings)),
@@ -155,12 +155,14 @@ def _tool_error(found: Identification) -> float | None:
     return None if predicted is None else COVERAGE * math.hypot(predicted.rms, unexplained_error(found.document)[0])
 
 
-def _decision(tolerance: float | None, error: float | None, which: str, problem: str | None) -> str:
+def _decision(
+    tolerance: float | None, error: float | None, which: str, problem: str | None, undecided: str = ""
+) -> str:
     """Return the error (k = 2) and whether it is within the tolerance, in a sentence."""
     if problem:
         return f"NOT USABLE: {problem}."
-    if error is None:
-        return "NOT DECIDED: the observations do not determine the error of the tool."
+    if error is None or undecided:
+        return f"NOT DECIDED: {undecided or 'the observations do not determine the error of the tool'}."
     found = f"{size(error, 'm')}{which}"
     if tolerance is None:
         return f"{found}; no tolerance was given."

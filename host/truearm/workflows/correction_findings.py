@@ -123,8 +123,9 @@ def comparison(
         "expected_min_mm": number_or_null(MM.of(low)),
         "expected_max_mm": number_or_null(MM.of(high)),
     }
-    values = {"spread": "correction_spread_mm", "least": "expected_min_mm", "most": "expected_max_mm"}
-    return Finding("other-configurations", {name: {"mm": figures[key]} for name, key in values.items()}), figures
+    names = {"spread": "correction_spread_mm", "least": "expected_min_mm", "most": "expected_max_mm"}
+    values = {name: None if figures[key] is None else {"mm": figures[key]} for name, key in names.items()}
+    return Finding("other-configurations", values), figures
 
 
 def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:

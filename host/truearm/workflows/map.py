@@ -17,8 +17,8 @@ from truearm.errors import Argument, InputError
 from truearm.files.disk import check_outputs, write_atomic
 from truearm.findings import Finding, ordered
 from truearm.progress import step
-from truearm.report.map_page import render
 from truearm.report.map_picture import Cells, map_picture
+from truearm.report.page_parts import html_page, scrolled, section
 from truearm.results import Figures
 from truearm.text import one_line
 from truearm.types import Floats
@@ -152,8 +152,11 @@ def write_map_page(
 ) -> None:
     """Write the page of a map: its findings, the arm with the cells in 3-D, the picture."""
     scene = map_scene(calibration, _pair(calibration, own_frames), found.map)
-    picture = _picture(found.map, found.region, calibration, styled=False)
-    write_atomic(path, render(calibration.chain.name, findings, picture, scene))
+    picture = scrolled(_picture(found.map, found.region, calibration, styled=False), "map")
+    blocks = [section("The section", f'<figure class="map">{picture}</figure>')]
+    title = f"Error of {calibration.chain.name} without calibration"
+    subtitle = "over a section of the workspace"
+    write_atomic(path, html_page("truearm map", title, subtitle, blocks, findings, scene=scene))
 
 
 def _table(found: ErrorMap, calibration: Calibration) -> str:

@@ -14,9 +14,11 @@ from truearm.files.disk import sha256, write_atomic
 from truearm.files.project_folder import find_project
 from truearm.files.result_file import Result, read_result
 from truearm.files.robot_file import load_robot
+from truearm.findings import findings_of
 from truearm.progress import step
-from truearm.report import validation_page
-from truearm.report.certificate import Certificate
+from truearm.report.certificate import Certificate, certificate_section
+from truearm.report.page_parts import html_page, making, section, table
+from truearm.report.validation_findings import error_tables
 from truearm.workflows.calibration import frames_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
@@ -84,8 +86,15 @@ def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: b
     if files.report is not None:
         certificate = validation_certificate(measured, validation, issue)
         name = measured.calibration.chain.name
-        write_atomic(files.report, validation_page.render(name, certificate, validation.document, files.command))
+        write_atomic(files.report, validation_page(name, certificate, validation.document, files.command))
     return validation
+
+
+def validation_page(robot: str, certificate: Certificate, document: Mapping[str, Any], command: str) -> str:
+    """Return the page of a validation as HTML text; ``document`` is what ``truearm validate --json`` prints."""
+    blocks = section("Errors", *map(table, error_tables(document))), making(command)
+    title, first = f"Validation of {robot}", certificate_section(certificate)
+    return html_page("truearm validate", title, "", blocks, findings_of(document), certificate=first)
 
 
 def _options(path: Path, made: Mapping[str, Any] | None) -> tuple[IdentifyOptions, tuple[str, ...]]:

@@ -24,7 +24,7 @@ from truearm.model.chain import Chain, forward
 from truearm.model.joint_terms.gain import Gain
 from truearm.results import DriftWith, Effect
 from truearm.text import listed
-from truearm.types import Floats, Mask
+from truearm.types import Floats, Mask, Plan
 
 HOLD_OUT, FIT_ONLY, APPLY, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "apply", "leave_out"))
 
@@ -269,6 +269,12 @@ def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> Ho
                     fraction, seed, int((held if unused is None else held & ~unused).sum()), size.size
                 )
     return None
+
+
+def last_of_each(plan: Plan) -> list[str]:
+    """Return the last bar and the last line of a plan, to hold out; a fifth of the poses if it has one of each at most."""
+    names = {column: [name for name in np.unique(getattr(plan, column)).tolist() if name] for column in ("bar", "line")}
+    return [f"{column}={names[-1]}" for column, names in names.items() if len(names) > 1] or ["0.2"]
 
 
 def named_columns(table: ObservationTable) -> list[str]:

@@ -36,7 +36,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
 from truearm.progress import step
 from truearm.report.certificate import Recording
-from truearm.report.validation_findings import BY_PLACE, error_lines, validation_findings
+from truearm.report.validation_findings import BY_PLACE, error_tables, validation_findings
 from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
@@ -126,7 +126,7 @@ class Validation(Displayed):
 
     def summary(self) -> str:
         """Return errors, what is expected, and the verdict, as ``truearm validate`` prints them."""
-        return "\n".join([*(finding.text() for finding in findings_of(self.document)), *error_lines(self.document)])
+        return "\n".join([*(one.text() for one in findings_of(self.document)), *map(str, error_tables(self.document))])
 
 
 class Measured(NamedTuple):
@@ -190,21 +190,20 @@ def validated(
     due = expected(after, covariance, unseen)
     elsewhere = moved(chain, stored.defaults.still, table.q)
     if elsewhere.any():  # these rows depend on what their joints did not show in the identification
-        due = {si: of._replace(unseen=of.unseen | elsewhere) for si, of in due.items()}
         lost = np.array([[name == one for one in stored.defaults.lost] for name in after.identified], dtype=float)
         unseen = np.concatenate([unseen, lost], axis=1)
     test = consistency(after, covariance, unseen)
     with step("testing for faults"):
         faults = () if test is None else faults_beside(after, test.ways, table)
     errors = {
-        si: RegionErrors(before.error[si], error, due[si], judging & np.isfinite(error))
+        si: RowErrors.of(before.error[si], error, due[si], elsewhere, judging & np.isfinite(error))
         for si, error in after.error.items()
         if np.isfinite(error[judging]).any()
     }
     seen = {entry.sha256 for entry in stored.inputs}
     hashes = [entry for entry in inputs if entry.role == "observations"]
     figures, regions = _figures(errors, judging), _regions(calibration, table, errors, judging)
-    n_unseen = int((judging & np.any([of.due.unseen for of in errors.values()], axis=0)).sum())
+    n_unseen = int((judging & np.any([of.unseen for of in errors.values()], axis=0)).sum())
     due_rms, due_entries = _expected(errors)
     document: dict[str, Any] = {
         "simulated": every.simulated or calibration.simulated,
@@ -226,14 +225,14 @@ def validated(
         **{key("rms_raw", si): shown_or_null(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
         "unseen": n_unseen,
         "expected": due_entries,
-        **{key("unexplained", si): shown_or_null(_unexplained(of, of.rows), si) for si, of in errors.items()},
-        "better": {UNITS[si].scale.suffix: _is_better(of) for si, of in errors.items()},
+        **{key("unexplained", si): shown_or_null(of.unexplained, si) for si, of in errors.items()},
+        "better": {UNITS[si].scale.suffix: of.is_better for si, of in errors.items()},
         "consistent": None if test is None else test.chi2 <= test.limit and not faults,
         "chi2_reduced": None if test is None else test.chi2 / test.freedom,
         "chi2_limit": None if test is None else test.limit / test.freedom,
         "chi2_freedom": None if test is None else test.freedom,
         "faults": fault_entries(faults, table),
-        "worst_region": _worst_region(errors, judging, _named_regions(calibration, table)),
+        "worst_region": _worst_region(errors, _named_regions(calibration, table)),
         "regions": [_region_entry(region) for region in regions],
     }
     findings = validation_findings(document, calibration.payload_findings(payloads_of(rig, table.select(judging))))
@@ -292,48 +291,61 @@ def _placed(
     return raw if all(same) else found
 
 
-class RegionErrors(NamedTuple):
-    """Errors of n rows in one SI unit, without and with the calibration; ``rows`` that have such an error and judge."""
+class RowErrors(NamedTuple):
+    """Errors of n rows in one SI unit, without and with the calibration; ``rows`` that have such an error and judge.
+
+    ``noise`` and ``parameters`` are the squares expected from declared noise and from the parameters, NaN for ``unseen``
+    rows, which depend on what the identification did not observe.
+    """
 
     before: Floats
     after: Floats
-    due: Expected
+    noise: Floats
+    parameters: Floats
+    unseen: Mask
     rows: Mask
 
+    @classmethod
+    def of(cls, before: Floats, after: Floats, due: Expected, elsewhere: Mask, rows: Mask) -> RowErrors:
+        unseen = due.unseen | elsewhere
+        noise, parameters = (np.where(unseen, np.nan, square) for square in (due.by_noise, due.by_parameters))
+        return cls(before, after, noise, parameters, unseen, rows)
 
-def _unexplained(of: RegionErrors, rows: Mask) -> float:
-    """Return the RMS of the errors not explained by declared noise and covariance; NaN if the explained part is not
-    known.
-    """
-    rows = rows & ~of.due.unseen
-    left = of.after[rows] ** 2 - of.due.by_noise[rows] - of.due.by_parameters[rows]
-    return math.sqrt(max(float(left.mean()), 0.0)) if left.size else math.nan
+    @property
+    def explained(self) -> Floats:
+        """Return the expected squares (n,)."""
+        return self.noise + self.parameters
+
+    @property
+    def unexplained(self) -> float:
+        """Return the RMS of the errors that is not expected; NaN if no row has an expected error."""
+        left = (self.after**2 - self.explained)[self.rows & ~self.unseen]
+        return math.sqrt(max(float(left.mean()), 0.0)) if left.size else math.nan
+
+    @property
+    def is_better(self) -> bool:
+        """Return whether the errors are smaller with the calibration than without, beyond chance."""
+        gain = self.before[self.rows] ** 2 - self.after[self.rows] ** 2
+        return bool(gain.mean() * math.sqrt(gain.size) > BETTER * gain.std())
 
 
-def _is_better(of: RegionErrors) -> bool:
-    """Return whether the errors are smaller with the calibration than without, beyond chance."""
-    gain = of.before[of.rows] ** 2 - of.after[of.rows] ** 2
-    return bool(gain.mean() * math.sqrt(gain.size) > BETTER * gain.std())
-
-
-def _worst_region(errors: Mapping[str, RegionErrors], judging: Mask, regions: Sequence[tuple[str, Mask]]) -> str | None:
+def _worst_region(errors: Mapping[str, RowErrors], regions: Sequence[tuple[str, Mask]]) -> str | None:
     """Return the region where the errors exceed the expected ones most, if by more than elsewhere, beyond chance."""
     worst: tuple[float, str] | None = None
     for of in errors.values():
-        rows = judging & of.rows & ~of.due.unseen
-        ratio = np.where(rows, of.after**2 / np.maximum(of.due.by_noise + of.due.by_parameters, 1e-300), np.nan)
-        for name, mine in regions:
-            here, there = ratio[rows & mine], ratio[rows & ~mine]
-            if min(here.size, there.size) < LEAST_ROWS:
+        rows, ratio = of.rows & ~of.unseen, of.after**2 / np.maximum(of.explained, 1e-300)
+        for name, inside in regions:
+            region, elsewhere = ratio[rows & inside], ratio[rows & ~inside]
+            if min(region.size, elsewhere.size) < LEAST_ROWS:
                 continue
-            apart = here.mean() - there.mean()
-            error = math.sqrt(here.var() / here.size + there.var() / there.size)
-            if apart > BETTER * error and (worst is None or apart > worst[0]):
-                worst = float(apart), name
+            excess = region.mean() - elsewhere.mean()
+            error = math.sqrt(region.var() / region.size + elsewhere.var() / elsewhere.size)
+            if excess > BETTER * error and (worst is None or excess > worst[0]):
+                worst = float(excess), name
     return worst[1] if worst else None
 
 
-def _figures(errors: Mapping[str, RegionErrors], rows: Mask) -> tuple[ByUnit, ByUnit]:
+def _figures(errors: Mapping[str, RowErrors], rows: Mask) -> tuple[ByUnit, ByUnit]:
     """Return figures of some rows in each unit, without and with the calibration."""
     before = {si: Figures.of(of.before[rows & of.rows]) for si, of in errors.items()}
     return before, {si: Figures.of(of.after[rows & of.rows]) for si, of in errors.items()}
@@ -361,7 +373,7 @@ def _root_mean(square: Floats) -> float:
     return float(np.sqrt(np.mean(square))) if square.size else math.nan
 
 
-def _expected(errors: Mapping[str, RegionErrors]) -> tuple[dict[str, float], dict[str, float | None] | None]:
+def _expected(errors: Mapping[str, RowErrors]) -> tuple[dict[str, float], dict[str, float | None] | None]:
     """Return the RMS expected in each unit if the robot is as identified, empty if there are no such rows.
 
     It is also returned for display, with its parts and the actual errors; None if there are no such rows.
@@ -369,17 +381,17 @@ def _expected(errors: Mapping[str, RegionErrors]) -> tuple[dict[str, float], dic
     rms: dict[str, float] = {}
     out: dict[str, float | None] = {}
     for si, of in errors.items():
-        rows = of.rows & ~of.due.unseen
         squares = {
-            "rms": of.due.by_noise + of.due.by_parameters,
-            "by_noise": of.due.by_noise,
-            "by_parameters": of.due.by_parameters,
+            "rms": of.explained,
+            "by_noise": of.noise,
+            "by_parameters": of.parameters,
             "rms_after": of.after**2,
         }
-        rms[si] = _root_mean(squares["rms"][rows])
-        out |= {key(name, si): shown_or_null(_root_mean(square[rows]), si) for name, square in squares.items()}
-    known = {si: value for si, value in rms.items() if not math.isnan(value)}
-    return known, None if all(value is None for value in out.values()) else out
+        roots = {name: _root_mean(square[of.rows & ~of.unseen]) for name, square in squares.items()}
+        out |= {key(name, si): shown_or_null(root, si) for name, root in roots.items()}
+        if not math.isnan(roots["rms"]):
+            rms[si] = roots["rms"]
+    return rms, None if all(value is None for value in out.values()) else out
 
 
 def _reference(document: Mapping[str, Any], si: str) -> float | None:
@@ -389,15 +401,14 @@ def _reference(document: Mapping[str, Any], si: str) -> float | None:
 
 
 def _regions(
-    calibration: Calibration, table: ObservationTable, errors: Mapping[str, RegionErrors], judging: Mask
+    calibration: Calibration, table: ObservationTable, errors: Mapping[str, RowErrors], judging: Mask
 ) -> tuple[ValidationRegion, ...]:
     """Return the groups named by the rows, and four parts of the space by the position of the end."""
-    squares = {si: np.where(of.due.unseen, np.nan, of.due.by_noise + of.due.by_parameters) for si, of in errors.items()}
     found = []
     for name, mine in _named_regions(calibration, table):
         rows = mine & judging
         if rows.sum() >= LEAST_ROWS:
-            due = {si: _root_mean(squares[si][rows & of.rows]) for si, of in errors.items()}
+            due = {si: _root_mean(of.explained[rows & of.rows]) for si, of in errors.items()}
             found.append(ValidationRegion(name, int(rows.sum()), *_figures(errors, rows), due))
     return tuple(found)
 

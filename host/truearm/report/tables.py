@@ -1,0 +1,29 @@
+"""A table of texts, for the screen, a page, and Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+
+class Table(NamedTuple):
+    """Rows of cells below titles. The first column names the row; the others are numbers, or text if the title ends in a space.
+
+    ``label`` names it for screen readers, ``more`` follows it, ``marks`` are style classes of its rows.
+    """
+
+    titles: Sequence[str]
+    rows: Iterable[Sequence[object]]
+    label: str = ""
+    more: str = ""
+    marks: Sequence[str] = ()
+
+    def __str__(self) -> str:
+        lines = [[title.strip() for title in self.titles], *([str(cell) for cell in row] for row in self.rows)]
+        wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        texts = [k == 0 or title.endswith(" ") for k, title in enumerate(self.titles)]
+        aligned = (
+            (cell.ljust(width) if is_text else cell.rjust(width) for cell, width, is_text in zip(line, wide, texts))
+            for line in lines
+        )
+        return "\n".join("  ".join(line).rstrip() for line in aligned)
