@@ -287,7 +287,7 @@ def test_quadrants_choose_the_configuration(q):
     quadrants[:, [0, 3, 5]] = np.floor(q[:, [0, 3, 5]] / (0.5 * np.pi))
     found = search(CHAIN, DESIGN, nominal_poses(q), quadrants=quadrants)
     same = np.floor(found.q[:, [0, 3, 5]] / (0.5 * np.pi)) == quadrants[:, [0, 3, 5]]
-    # among twelve starts a target may not have one of its configuration; most have
+    # the starts of a target may miss its configuration; most have it
     assert same.all(axis=1).mean() > 0.9
     flipped = quadrants.copy()
     flipped[:, 3] += np.where(quadrants[:, 3] < 0, 2, -2)  # the other way to turn the wrist

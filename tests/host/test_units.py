@@ -102,7 +102,6 @@ PHYSICAL = {
     "session/robot_clock.py": "a drift of ppm a minute",
     "session/device_clock.py": "µs of the box's timer as ns of the host's",
     "session/losses.py": "µs and ns as in device_clock",
-    "correct/inverse.py": "a penalty that makes one solution worse than another",
     "correct/error_map.py": "a share of a cell's width",
     "report/figures.py": "a share of the largest residual",
     "box/gauge_polynomial.py": "a share of the readings' span",
