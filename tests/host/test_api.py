@@ -372,126 +372,45 @@ def test_names_for_type_checkers_are_those_at_run_time():
     assert {name: module for module, name in imports} == truearm._MODULES
 
 
-WRONG = {
-    "robot as text": (
-        lambda f, r, t, g, c: truearm.read_table(f / "poses.csv", "puma560"),
-        TypeError,
-        "robot: must be a Robot (see load_robot)",
-    ),
-    "no robot": (lambda f, r, t, g, c: truearm.load_robot("nobody"), RobotError, "nobody"),
-    "not a file name": (lambda f, r, t, g, c: truearm.read_rig(3), TypeError, "path: must be"),
-    "not a file": (lambda f, r, t, g, c: truearm.read_rig("missing.toml"), InputError, "missing.toml"),
-    "table as path": (
-        lambda f, r, t, g, c: truearm.identify(r, "poses.csv", g),
-        TypeError,
-        "table: must be an ObservationTable (see read_table)",
-    ),
-    "rig's file": (lambda f, r, t, g, c: truearm.identify(r, t, f / "no.toml"), FileNotFoundError, "no.toml: no such"),
-    "rig's type": (
-        lambda f, r, t, g, c: truearm.read_session(f / "session.mcap", rig=3),
-        TypeError,
-        "rig: must be",
-    ),
-    "rig without chucks": (lambda f, r, t, g, c: truearm.identify(r, t), InputError, "rig: "),
-    "rig's name": (lambda f, r, t, g, c: truearm.identify(r, t, {"a": g}), InputError, "rig ''"),
-    "joints": (
-        lambda f, r, t, g, c: truearm.identify(truearm.load_robot("panda"), t, g),
-        InputError,
-        "6 joints",
-    ),
-    "hold-out": (lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out="shell=x"), InputError, "hold_out shell=x"),
-    "hold-out's type": (lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out=None), TypeError, "hold_out: must be"),
-    "hold-out's mask": (
-        lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out=np.zeros(3, bool)),
-        InputError,
-        "hold_out: must be one bool per row",
-    ),
-    "options": (
-        lambda f, r, t, g, c: truearm.identify(r, t, g, options="map"),
-        TypeError,
-        "options: must be an IdentifyOptions",
-    ),
-    "solver": (
-        lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(solver="newton")),
-        InputError,
-        "solver: 'newton'",
-    ),
-    "loss": (
-        lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(solver="ls", loss="huber")),
-        InputError,
-        "loss huber",
-    ),
-    "pattern": (
-        lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(also_free=("nothing",))),
-        InputError,
-        "also_free nothing",
-    ),
-    "result": (
-        lambda f, r, t, g, c: truearm.validate("result.json", t, g),
-        TypeError,
-        "result: must be a Calibration (see identify or read_result)",
-    ),
-    "result's file": (lambda f, r, t, g, c: truearm.read_result(f / "rig.toml"), InputError, "rig.toml"),
-    "budget": (lambda f, r, t, g, c: truearm.plan_ball_bar(r, g), InputError, "neither poses nor minutes"),
-    "poses": (
-        lambda f, r, t, g, c: truearm.correct_poses(c, [1.0, 2.0]),
-        InputError,
-        "(n, 4, 4)",
-    ),
-    "poses that are not poses": (
-        lambda f, r, t, g, c: truearm.correct_poses(c, [np.eye(4), 2.0 * np.eye(4)]),
-        InputError,
-        "poses: number 1 ",
-    ),
-    "a mirrored pose": (
-        lambda f, r, t, g, c: truearm.correct_poses(c, np.diag([1.0, 1.0, -1.0, 1.0])),
-        InputError,
-        "poses: number 0 ",
-    ),
-    "pattern as text": (
-        lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(free="joint*.offset")),
-        TypeError,
-        "'joint*.offset'",
-    ),
-    "no iteration": (
-        lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(max_iterations=0)),
-        InputError,
-        "max_iterations: must be",
-    ),
-    "table as session": (lambda f, r, t, g, c: truearm.read_session(f / "poses.csv"), InputError, "MCAP"),
-    "poses' type": (lambda f, r, t, g, c: truearm.correct_poses(c, "home"), TypeError, "poses: must be"),
-    "far pose": (
-        lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1]),
-        TargetError,
-        "pose 0",
-    ),
-    "method": (
-        lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4), method="magic"),
-        InputError,
-        "method: 'magic'",
-    ),
-    "home": (
-        lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4), home=[1.0]),
-        InputError,
-        "home: must be an array (6,)",
-    ),
-    "format": (lambda f, r, t, g, c: truearm.export_robot(c, "step"), InputError, "step"),
-    "over": (lambda f, r, t, g, c: truearm.export_robot(c, "dh", over=[[1.0]]), InputError, "over: must be"),
-    "cell": (lambda f, r, t, g, c: truearm.error_map(c, cell=0.0), InputError, "cell: must be"),
-    "joints of a map": (
-        lambda f, r, t, g, c: truearm.error_map(c, (2, 9)),
-        InputError,
-        "joints 2,9: must be two joints",
-    ),
-    "session": (lambda f, r, t, g, c: truearm.read_session(f / "rig.toml"), InputError, "rig.toml"),
-}
+# what a call is refused for, by the error and a part of its text; the next table has further arguments
+WRONG = [
+    (TypeError, "robot: must be a Robot (see load_robot)", lambda a: truearm.read_table(a.folder / "poses.csv", "puma560")),
+    (RobotError, "nobody", lambda a: truearm.load_robot("nobody")),
+    (InputError, "missing.toml", lambda a: truearm.read_rig("missing.toml")),
+    (TypeError, "table: must be an ObservationTable (see read_table)", lambda a: truearm.identify(a.robot, "poses.csv", a.rig)),
+    (FileNotFoundError, "no.toml: no such", lambda a: truearm.identify(a.robot, a.table, a.folder / "no.toml")),
+    (InputError, "rig: ", lambda a: truearm.identify(a.robot, a.table)),
+    (InputError, "rig ''", lambda a: truearm.identify(a.robot, a.table, {"a": a.rig})),
+    (InputError, "6 joints", lambda a: truearm.identify(truearm.load_robot("panda"), a.table, a.rig)),
+    (InputError, "hold_out shell=x", lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out="shell=x")),
+    (InputError, "hold_out: must be one bool per row", lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=np.zeros(3, bool))),
+    (TypeError, "options: must be an IdentifyOptions", lambda a: truearm.identify(a.robot, a.table, a.rig, options="map")),
+    (InputError, "loss huber", lambda a: truearm.IdentifyOptions(solver="ls", loss="huber")),
+    (InputError, "also_free nothing", lambda a: truearm.identify(a.robot, a.table, a.rig, options=options(also_free=("nothing",)))),
+    (TypeError, "result: must be a Calibration (see identify or read_result)", lambda a: truearm.validate("result.json", a.table, a.rig)),
+    (InputError, "rig.toml", lambda a: truearm.read_result(a.folder / "rig.toml")),
+    (InputError, "rig.toml", lambda a: truearm.read_session(a.folder / "rig.toml")),
+    (InputError, "MCAP", lambda a: truearm.read_session(a.folder / "poses.csv")),
+    (InputError, "neither poses nor minutes", lambda a: truearm.plan_ball_bar(a.robot, a.rig)),
+    (InputError, "(n, 4, 4)", lambda a: truearm.correct_poses(a.result, [1.0, 2.0])),
+    (InputError, "poses: number 1 ", lambda a: truearm.correct_poses(a.result, [np.eye(4), 2.0 * np.eye(4)])),
+    (InputError, "poses: number 0 ", lambda a: truearm.correct_poses(a.result, np.diag([1.0, 1.0, -1.0, 1.0]))),
+    (TargetError, "pose 0", lambda a: truearm.correct_poses(a.result, np.eye(4) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1])),
+    (InputError, "method: 'magic'", lambda a: truearm.correct_poses(a.result, np.eye(4), method="magic")),
+    (InputError, "joints 2,9: must be two joints", lambda a: truearm.error_map(a.result, (2, 9))),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_argument_is_named_in_one_line(case, folder, robot, table, rig, result):
-    call, error, says = WRONG[case]
+@pytest.fixture(scope="module")
+def given(folder, robot, table, rig, result):
+    bench = truearm.read_rig(folder / "bench.toml")
+    return SimpleNamespace(folder=folder, robot=robot, table=table, rig=rig, result=result, bench=bench)
+
+
+@pytest.mark.parametrize(("error", "says", "call"), WRONG)
+def test_a_wrong_argument_is_named_in_one_line(error, says, call, given):
     with pytest.raises(error) as caught:
-        call(folder, robot, table, rig, result)
+        call(given)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "--" not in str(caught.value)
@@ -511,11 +430,8 @@ REFUSED = [
     *((name, TypeError, lambda a, name=name, v=v: options(**{name: v})) for name in ("free", "also_free", "freeze") for v in ((3,), "x", None)),
     *(("max_iterations", TypeError, lambda a, v=v: options(max_iterations=v)) for v in (2.5, "5", True, None)),
     *(("max_iterations", InputError, lambda a, v=v: options(max_iterations=v)) for v in (0, 10_001)),
-    *(("seed", TypeError, lambda a, v=v: options(seed=v)) for v in ("a", 1.0)),
     ("seed", InputError, lambda a: options(seed=-1)),
-    *((name, TypeError, lambda a, name=name: options(**{name: ["lm"]})) for name in ("solver", "loss", "prior")),
     *((name, InputError, lambda a, name=name: options(**{name: "magic"})) for name in ("solver", "loss", "prior")),
-    ("progress", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, progress=3)),
     ("hold_out", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=[0.2])),
     ("hold_out", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=np.zeros(90))),
     ("hold_out", InputError, lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=np.ones(90, bool))),
@@ -534,35 +450,23 @@ REFUSED = [
       for name, v in (("candidates", 60.0), ("reserve", "1"), ("spread", None), ("dwell", "long"), ("seed", 0.5), ("criterion", 1), ("bars", "b46"), ("bars", (1,)))),
     *(("over", InputError, lambda a, v=v: truearm.export_robot(a.result, "dh", over=v)) for v in (np.full((4, 6), np.nan), np.zeros((0, 6)), np.zeros((3, 5)))),
     *(("over", TypeError, lambda a, v=v: truearm.export_robot(a.result, "dh", over=v)) for v in ("poses.csv", np.zeros((2, 6), complex), [[0.0] * 6, [0.0] * 5])),
-    ("format", TypeError, lambda a: truearm.export_robot(a.result, ["urdf"])),
     ("format", InputError, lambda a: truearm.export_robot(a.result, "step")),
     ("adjust", TypeError, lambda a: truearm.export_robot(a.result, "dh", adjust=(1,))),
     *(("joints", TypeError, lambda a, v=v: truearm.error_map(a.result, v)) for v in ((1,), 3, ("a", "b"), (2.5, 3), (1, 2, 3), "23")),
     *(("joints", InputError, lambda a, v=v: truearm.error_map(a.result, v)) for v in ((0, 2), (2, 7), (2, 2))),
     *(("cell", InputError, lambda a, v=v: truearm.error_map(a.result, cell=v)) for v in (float("inf"), float("nan"), 0.0, -0.1)),
-    ("cell", TypeError, lambda a: truearm.error_map(a.result, cell="a")),
-    *((name, TypeError, call) for name, call in (("at", lambda a: truearm.error_map(a.result, at=3)), ("home", lambda a: truearm.correct_poses(a.result, np.eye(4), home=3)), ("home", lambda a: truearm.correct_poses(a.result, np.eye(4), home="abcdef")))),
     *(("home", InputError, lambda a, v=v: truearm.correct_poses(a.result, np.eye(4), home=v)) for v in ([0.0] * 5, [float("nan")] * 6, [1e3] * 6, np.zeros((1, 6)))),
     ("poses", TypeError, lambda a: truearm.correct_poses(a.result, np.eye(4, dtype=complex))),
     ("poses", TypeError, lambda a: truearm.correct_poses(a.result, [np.eye(4), [[1.0]]])),
     ("poses", InputError, lambda a: truearm.correct_poses(a.result, np.zeros((0, 4, 4)))),
-    ("own_frames", TypeError, lambda a: truearm.correct_poses(a.result, np.eye(4), own_frames="no")),
-    ("own_frames", TypeError, lambda a: truearm.export_robot(a.result, "dh", own_frames=1)),
-    ("elbow_up", TypeError, lambda a: truearm.error_map(a.result, elbow_up="x")),
-    ("base", TypeError, lambda a: truearm.load_robot("puma560", base=3)),
     ("base", InputError, lambda a: truearm.load_robot("puma560", base="link1")),
     ("line_points", InputError, lambda a: truearm.read_session(a.folder / "session.mcap", line_points=1)),
-    ("allow_damaged", TypeError, lambda a: truearm.read_session(a.folder / "session.mcap", allow_damaged="yes")),
-    *((field, TypeError, lambda a, field=field: truearm.Rig(**{field: 3})) for field in ("chucks", "bars", "lines", "socket_distances", "joint_cov", "backlash")),
     ("chucks", TypeError, lambda a: truearm.Rig(chucks={"c": (0.0, 0.0, 0.0)})),
     ("xyz", TypeError, lambda a: truearm.Point("c", (1.0, 2.0))),
     ("xyz", InputError, lambda a: truearm.Point("c", (1.0, 2.0, float("nan")))),
     ("sigma", InputError, lambda a: truearm.Point("c", (0.0, 0.0, 0.0), sigma=-1e-5)),
-    ("zero", TypeError, lambda a: truearm.BallBar("b", zero="0.46", gain=1.0, travel=0.075, sigma=1e-5)),
     ("gain_sigma", InputError, lambda a: truearm.BallBar("b", 0.46, 1.0, 0.075, 1e-5, gain_sigma=float("inf"))),
     ("sockets", TypeError, lambda a: truearm.SocketDistance(("a",), 0.05, 1e-5)),
-    ("sensor_cov", TypeError, lambda a: truearm.Device("t", 1e-5)),
-    ("normal", TypeError, lambda a: truearm.Plane("f", (0.4, 0.0, 0.0), 1.0, 2e-5)),
     ("line_sigma", InputError, lambda a: truearm.Rig(line_sigma=(1e-5, -1e-5, 1e-5))),
     ("identify", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, solver="map")),
     ("kind", InputError, lambda a: truearm.ObservationTable(q=[[1.0, 2.0]], kind=["a", "b"])),
@@ -608,11 +512,8 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", range(len(REFUSED)), ids=lambda i: f"{REFUSED[i][0]}-{i}")
-def test_a_message_begins_with_the_argument_that_is_wrong(case, folder, robot, table, rig, result):
-    name, error, call = REFUSED[case]
-    bench = truearm.read_rig(folder / "bench.toml")
-    given = SimpleNamespace(folder=folder, robot=robot, table=table, rig=rig, result=result, bench=bench)
+@pytest.mark.parametrize(("name", "error", "call"), REFUSED)
+def test_a_message_begins_with_the_argument_that_is_wrong(name, error, call, given):
     with pytest.raises((TypeError, InputError)) as caught:
         call(given)
     assert isinstance(caught.value, error)

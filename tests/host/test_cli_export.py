@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 from tests.host.findings_bench import listed
-from tests.refusals import ended
 
 import truearm
 from truearm.correct.inverse import inverse
@@ -152,55 +151,3 @@ def test_an_evaluator_of_a_result_holds_its_gains_too(result, tmp_path, run):
     q = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
     np.testing.assert_allclose(arm["forward"](q), truearm.read_result(result).forward(q)[:3], atol=1e-12)
     assert run("export", result, "--format", "evaluator-c", "--out", tmp_path / "arm.py")[0] == 2
-
-
-BOMB = '<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>'
-HOSTILE = {
-    "bomb": (BOMB, "document type"),
-    "loop": (
-        '<robot name="puma560"><link name="chuck_fixture"/><link name="sphere_fixture"/>'
-        '<joint name="a" type="fixed"><parent link="chuck_fixture"/><child link="sphere_fixture"/></joint>'
-        '<joint name="b" type="fixed"><parent link="sphere_fixture"/><child link="chuck_fixture"/></joint></robot>',
-        "no joint moves",
-    ),
-    "other": ('<robot name="x"><link name="a"/></robot>', "no link 'chuck_fixture'"),
-    "huge": (" " * 8_000_001, "MiB"),
-    "text": ("hello", "valid XML"),
-}
-
-
-@pytest.mark.parametrize("what", HOSTILE)
-def test_hostile_urdfs_are_one_line(result, tmp_path, run, what):
-    text, says = HOSTILE[what]
-    (tmp_path / "r.urdf").write_text(text)
-    given = ("export", result, "--format", "urdf", "--model", tmp_path / "r.urdf", "--out", tmp_path / "o.urdf")
-    code, said, err = run(*given)
-    assert (code, said, err.count("\n")) == (2, "", 1)
-    assert says in err
-    assert not (tmp_path / "o.urdf").exists()
-
-
-def test_bad_requests_are_one_line(result, tmp_path, run):
-    (tmp_path / "short.csv").write_text("kind,q1_rad,place,socket\nseat,0,a,0\n")
-    (tmp_path / "mine.toml").write_text("precious")
-    good = ("export", result, "--format", "urdf", "--out", tmp_path / "o.urdf")
-    cases = [
-        ((*good, "--adjust", "nothing*"), "matches no parameter"),
-        ((*good, "--adjust", "*.gain"), "leaves no parameter that urdf can hold"),
-        ((*good, "--over", tmp_path / "short.csv"), "other-robot"),
-        ((*good, "--over", tmp_path / "none.csv"), "missing-file"),
-        (("export", result, "--format", "ur", "--out", tmp_path / "o.yaml"), "Universal Robots"),
-        (
-            ("export", result, "--format", "dh-hayati", "--out", tmp_path / "mine.toml"),
-            "file-exists",
-        ),
-        (
-            ("export", tmp_path / "short.csv", "--format", "urdf", "--out", tmp_path / "o.urdf"),
-            "observations, where",
-        ),
-    ]
-    for arguments, says in cases:
-        code, _, err = run(*arguments)
-        assert (code, err.count("\n")) == (2, 1), err
-        ended(err, says)
-    assert (tmp_path / "mine.toml").read_text() == "precious"

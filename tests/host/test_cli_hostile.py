@@ -16,6 +16,7 @@ from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
 
 CORRECT = "correct result.json targets.csv --out new.csv"
+PROGRAM = "correct result.json program.mod --own-frames"
 PLAN = "plan ballbar --model irb120 --rig irb120.toml --poses 36 --bar bar25 --candidates 60 --out new.csv"
 LINE = "plan line --model irb120 --rig irb120.toml --lines 2 --candidates 4 --length-mm 200 --out new.csv"
 EXPORT = "export result.json --format urdf --out new.urdf"
@@ -40,7 +41,11 @@ def origin(tmp_path_factory):
     (folder / "targets.csv").write_text(table(targets, q))
     (folder / "program.mod").write_bytes(rapid(targets, q))
     (folder / "program.script").write_text(script(targets))
-    (folder / "precious.csv").write_text("precious")
+    for name in ("precious.csv", "precious.toml", "precious.svg", "precious.mod"):
+        (folder / name).write_text("precious")
+    (folder / "short.csv").write_text("kind,q1_rad,place,socket\nseat,0,a,0\n")
+    (folder / "socket.csv").write_text(f"kind,{JOINTS},place,socket\nseat,0,0,0,0,0,0,a,0\n")
+    (folder / "targets.urdf").write_text(table(targets, q))
     write_rig(folder / "rig.toml", RIG)
     write_rig(folder / "irb120.toml", bench.RIGS["irb120"])
     pairs = [("c0", "s0")] * len(q)
@@ -112,21 +117,16 @@ RESULTS = {
         "integer value out",
     ),
     "tomorrow's": (result("format_version", 99), "format version 99"),
+    "of another program": (result("format", "other"), "truearm-result"),
+    "of an unknown robot": (result("robot/name", "x\ny"), "other-robot"),
     "no parameters": (result("parameters", []), "parameters: their names"),
-    "parameters a text": (result("parameters", "all"), "parameters: expected array, got str"),
     "value null": (result("parameters/0/value", None), "missing or implausible"),
-    "value true": (result("parameters/0/value", True), "parameters[0].value: expected float | null, got bool"),
     "value huge": (result("parameters/0/value", 1e300), "missing or implausible"),
     "nominal null": (result("parameters/0/nominal", None), "parameters[0].nominal: expected float, got null"),
     "nominal of another": (result("parameters/0/nominal", 0.5), "other-robot"),
-    "free a text": (result("parameters/0/free", "yes"), "parameters[0].free: expected bool, got str"),
     "a name twice": (result("parameters/0/name", "link1.y"), "parameters"),
     "joints in metres": (result("robot/joint_units", ["m"] * 6), "differ from those"),
-    "covariance cut off": (result("covariance/upper", "AAAA"), "covariance: upper needs 666 numbers for 36 names"),
-    "covariance no base64": (result("covariance/upper", "none of it"), "covariance.upper: invalid base64"),
-    "covariance gone": (result("covariance", None), "covariance: expected object, got null"),
     "null space a text": (result("null_space", "none"), "null_space: expected array, got str"),
-    "null space of lists": (result("null_space", [[1]]), "null_space[0]: expected object, got array"),
     "a digit of a value": (edited("result.json", '"value": 0.', '"value": 0.1'), "was changed or damaged"),
     "no checksum": (edited("result.json", '"checksum"', '"checksun"'), "was changed or damaged"),
     "weights beyond": (
@@ -150,6 +150,9 @@ URDFS = {
     "no axis": (URDF.replace("0 0 1", "0 0 0"), "no length"),
     "xacro": (URDF.replace("0 0 1", "${pi} 0 0"), "expand xacro"),
     "of another robot": (URDF, "differ from those"),
+    "of other links": ('<robot name="x"><link name="a"/></robot>', "no link 'chuck_fixture'"),
+    "no joint": (URDF.replace("revolute", "fixed"), "no joint moves"),
+    "text": ("hello", "valid XML"),
 }
 TARGETS = {
     "not a number": (f"{HEAD}\nnan,0,0\n", "row 2 column x_mm: nan"),
@@ -168,6 +171,16 @@ TARGETS = {
     "UTF-16": (f"{HEAD}\n1,2,3\n".encode("utf-16"), "not-text"),
     "long line": (f"{HEAD}\n{'1' * 200_000},2,3\n", "field larger than"),
     "an open quote": (f'{HEAD}\n"1,2,3\n', "CSV"),
+    "empty": ("", "no-rows"),
+    "no rows": (f"{HEAD}\n", "no-rows"),
+    "two cells": (f"{HEAD}\n1,2\n", "malformed-file"),
+    "two axes": ("x_mm,y_mm\n1,2\n", "has no column z"),
+    "no units": ("x,y,z\n1,2,3\n", "unknown-column"),
+    "an angle": ("x_deg,y_mm,z_mm\n1,2,3\n", "wrong-value"),
+    "an axis twice": ("x_mm,x_m,y_mm,z_mm\n1,2,3,4\n", "given-twice"),
+    "one joint": (f"{HEAD},q1_deg\n1,2,3,4\n", "has no column q2"),
+    "a joint in mm": (f"{HEAD},{JOINTS.replace('q1_rad', 'q1_mm')}\n1,2,3,4,5,6,7,8,9\n", "wrong-value"),
+    "far": (f"{HEAD}\n1e9,0,0\n", "too large"),
 }
 MODULES = {
     "expressions": (move(x="reg1,0,0"), "uncertain-moves"),
@@ -180,6 +193,9 @@ MODULES = {
     "closed bracket": ("MODULE m\n]", "nothing to correct"),
     "in a comment": (move().replace("MoveL", "! MoveL").replace("ENDPROC", "\nENDPROC"), "nothing to correct"),
     "NUL": ("MODULE m\n\0", "not-text"),
+    "binary": (b"\xff\xfe\x00binary", "UTF-8"),
+    "no move": ("MODULE m\nPROC main()", "no-move"),
+    "too large": (" " * (64 * 2**20 + 1), "64 MiB"),
 }
 SCRIPTS = {
     "not a number": ("\nmovel(p[nan,0,0,0,0,0])", "uncertain-moves"),
@@ -189,6 +205,10 @@ SCRIPTS = {
     "wound up": ("movel(p[0.5,0,0.5,1e9,0,0])", "uncertain-moves"),
     "cut off": ("movel(p[1,0,0,0,0,0", "uncertain-moves"),
     "in a text": ('x = "p[1,2,3,4,5,6]"', "nothing to correct"),
+    "empty": ("", "no-move"),
+    "brackets": ("[" * 100_000, "no-move"),
+    "joints": ("movej([0,0,0,0,0,0])", "give --joint-moves keep or correct"),
+    "relative": ("movel(pose_trans(get_actual_tcp_pose(),p[0,0,0.02500,0,0,0]))", "uncertain-moves"),
 }
 VISITS = {
     "empty": ("", "no-rows"),
@@ -236,11 +256,43 @@ OPTIONS = {
     f"{MAP} --cell-mm nan": "--cell-mm",
     "map result.json --out new --picture-out new": "given-twice",
     f"{MAP} --picture-out result.json": "given-twice",
+    f"{MAP} --vary 2": "wrong-value",
+    f"{MAP} --vary 2,9": "must be two joints between 1 and 6",
+    f"{MAP} --vary 1,2": "--vary",
+    f"{MAP} --at 1,2": "needs 6 numbers",
+    f"{MAP} --task 0x10": "wrong-value",
+    f"{MAP} --task ax10": "wrong-value",
+    f"{MAP} --task 9x9 --within 9:1,0:1": "wrong-value",
+    f"{MAP} --task 9x9 --within 0:1": "wrong-value",
+    f"{MAP} --within 0:1,0:1": "needs-option",
+    f"{MAP} --cell-mm 0.1": "--cell-mm",
+    f"{MAP} --cell-mm 1": "choose larger cells",
+    "map result.json --picture-out a.png": "wrong-suffix",
+    "map result.json --picture-out precious.svg": "file-exists",
     f"{EXPORT} --adjust nope*": "--adjust nope*: matches no parameter",
     f"{EXPORT} --adjust *.gain": "leaves no parameter",
     f"{EXPORT} --over targets.csv": "missing-column",
+    f"{EXPORT} --over short.csv": "other-robot",
+    f"{EXPORT} --over none.csv": "missing-file",
+    "export result.json --format dh-hayati --out precious.toml": "file-exists",
+    EXPORT.replace("result.json", "rows.csv"): "observations, where",
     "export result.json --format ur --out new.yaml": "Universal Robots",
     f"{EXPORT} --out result.json": "given-twice",
+    f"{CORRECT} --home 1,2": "needs 6 numbers",
+    f"{CORRECT} --home 1,2,3,4,5,nan": "needs 6 numbers",
+    f"{CORRECT} --work 1,2,3": "needs 6 numbers",
+    f"{CORRECT} --tool 0,0,0,0,0,9999": "rotation vector in deg",
+    f"{CORRECT} --model ur5e": "robot ur5e",
+    f"{CORRECT} --method magic": "magic",
+    f"{CORRECT} --mark": "--mark needs --partial",
+    f"{CORRECT} --harmless=grip": "give --unchanged NAME",
+    CORRECT.replace("new.csv", "-"): "wrong-suffix",
+    CORRECT.replace(
+        "targets.csv", "targets.urdf"
+    ): ".mod, .prg, .modx, .sys, .sysx, .script, .urscript, .src, .dat, .sub, .ls",
+    f"{PROGRAM} --out program.mod": "given-twice",
+    f"{PROGRAM} --out program.script": "wrong-suffix",
+    f"{PROGRAM} --out precious.mod": "file-exists",
     f"{CORRECT} --home 1e300,0,0,0,0,0": "1e+300 deg",
     f"{CORRECT} --work 1e9,0,0,0,0,0": "--work",
     f"{CORRECT} --margin nan": "--margin",
@@ -259,6 +311,10 @@ OPTIONS = {
     f"{CORRECT.replace('result.json', '/dev/null')}": "unreadable-file",
     f"{VALIDATE} --rig irb120.toml": "several rigs need names",
     f"{VALIDATE.replace('rows.csv', 'targets.csv')}": "missing-column",
+    VALIDATE.replace("rows.csv", "none.csv"): "missing-file",
+    VALIDATE.replace("rows.csv", "result.json"): "session (.mcap) or",
+    VALIDATE.replace("rows.csv", "rows.csv rows.csv"): "given-twice",
+    "validate result.json socket.csv": "no row can judge",
 }
 
 
@@ -283,6 +339,18 @@ def cases():
             f"{CORRECT.replace('targets.csv', 'bad.script').replace('new.csv', 'new.script')} --own-frames --tool 0,0,0,0,0,0",
             ".script",
             SCRIPTS,
+        ),
+        (
+            "joints kept",
+            "correct result.json bad.script --own-frames --joint-moves keep --out new.script",
+            ".script",
+            {"only": ("movej([0,0,0,0,0,0])", "no move besides those to joint values")},
+        ),
+        (
+            "Fanuc",
+            "correct result.json bad.ls --own-frames --partial --mark --out new.ls",
+            ".ls",
+            {"no comments": ("/MN\n   1:J PR[1] 100% FINE ;\n/POS\n/END\n", "no-effect")},
         ),
         ("over", f"{EXPORT} --over bad.csv", ".csv", VISITS),
         ("rows", VALIDATE.replace("rows.csv", "bad.csv"), ".csv", ROWS),

@@ -10,8 +10,6 @@ import correct_bench
 import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
-from result_schema import signed
-from tests.refusals import ended
 
 from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
@@ -204,35 +202,6 @@ def test_a_robot_without_errors_has_an_empty_map():
     assert np.nanmax(found.error) == 0.0
 
 
-def test_bad_requests_are_one_line(result, tmp_path, run):
-    document = json.loads(result.read_text())
-    document["null_space"] = [{"names": ["link1.x"], "weights": ["much"]}]
-    (tmp_path / "bad.json").write_text(signed(document))
-    (tmp_path / "mine.svg").write_text("<svg>precious</svg>")
-    cases = [
-        (("map", result, "--vary", "2"), "wrong-value"),
-        (("map", result, "--vary", "2,9"), "must be two joints between 1 and 6"),
-        (("map", result, "--vary", "1,2"), "--vary"),
-        (("map", result, "--at", "1,2"), "needs 6 numbers"),
-        (("map", result, "--task", "0x10"), "wrong-value"),
-        (("map", result, "--task", "ax10"), "wrong-value"),
-        (("map", result, "--task", "9x9", "--within", "9:1,0:1"), "wrong-value"),
-        (("map", result, "--task", "9x9", "--within", "0:1"), "wrong-value"),
-        (("map", result, "--within", "0:1,0:1"), "needs-option"),
-        (("map", result, "--cell-mm", "0.1"), "--cell-mm"),
-        (("map", tmp_path / "bad.json"), "null_space[0].weights[0]: expected float, got str"),
-        (
-            ("map", result, "--picture-out", tmp_path / "a.png"),
-            "wrong-suffix",
-        ),
-        (("map", result, "--picture-out", tmp_path / "mine.svg"), "file-exists"),
-    ]
-    for arguments, says in cases:
-        code, said, err = run(*arguments)
-        assert (code, said, err.count("\n")) == (2, "", 1), err
-        ended(err, says)
-
-
 @pytest.mark.parametrize("cell", [0.012, 0.05])
 def test_a_map_has_no_holes_and_its_cells_are_at_their_middles(cell):
     """An empty cell between four full ones would be one that the search has missed."""
@@ -260,9 +229,3 @@ def test_a_page_of_many_cells_stays_small(result, tmp_path, run):
     assert len(text) < 1.3e6
     squares, step = text.count("<title>") - 1, int(re.search(r"1 of (\d+)² cells shown", text)[1])
     assert squares == pytest.approx(cells / step**2, rel=0.1)
-
-
-def test_too_many_cells_are_refused(result, run):
-    code, _, err = run("map", result, "--cell-mm", "1")
-    assert code == 2
-    assert "choose larger cells" in err

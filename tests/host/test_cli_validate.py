@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 from tests.host.findings_bench import listed
-from tests.refusals import ended
 
 from truearm.files.observation_table import write_table
 from truearm.files.project_file import Project, format_project
@@ -254,22 +253,3 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     assert listed(json.loads(said))["targets-frames"]["held"]
     code, _, err = run("report", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig, "--out", tmp_path / "r.html")
     assert code == 0, err  # base and tip are those of the result
-
-
-def test_bad_input_is_one_line(folder, tmp_path, run):
-    (tmp_path / "one.csv").write_text(
-        "kind," + ",".join(f"q{i}_rad" for i in range(1, 7)) + ",place,socket\nseat,0,0,0,0,0,0,a,0\n"
-    )
-    cases = [
-        ((tmp_path / "none.csv",), "missing-file"),
-        ((tmp_path / "one.csv",), "no row can judge"),
-        ((tmp_path / "one.csv", tmp_path / "one.csv"), "given-twice"),
-        (
-            (folder / "result.json",),
-            "session (.mcap) or",
-        ),
-    ]
-    for inputs, says in cases:
-        code, said, err = run("validate", folder / "result.json", *inputs)
-        assert (code, said, err.count("\n")) == (2, "", 1), err
-        ended(err, says)
