@@ -1,6 +1,5 @@
 """Options: docs/reference/options.md says what each means, every command follows it, and earlier names are refused."""
 
-import inspect
 import re
 import subprocess
 import sys
@@ -14,8 +13,8 @@ from truearm.cli import command as declaration
 from truearm.cli.main import command_tree, main
 from truearm.cli.names import EARLIER, MEANINGS
 from truearm.errors import RobotError
-from truearm.files.robot_file import RobotChoice, load_robot
-from truearm.workflows.requests import PoseOptions, SimulateOptions
+from truearm.files.robot_file import load_robot
+from truearm.workflows.requests import PoseOptions
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "options.md").read_text()
 ROWS = {
@@ -164,49 +163,10 @@ def test_a_help_page_shows_ten_options_and_describes_all():
         assert len(shown) <= 10, name
 
 
-def test_a_docstring_describes_parameters_that_exist():
-    def wrong(*, here: bool = False) -> None:
-        """Do nothing.
-
-        Options
-        -------
-        there
-            A typing error.
-        """
-
-    with pytest.raises(TypeError, match="there"):
-        declaration.command()(wrong)
-
-
 def test_options_become_a_record_in_si():
     given = {"dwell_s": 3.0, "spread_mm": 2.0, "bars": ["b1"], "visits": None, "json": True}
     made = declaration.fill(PoseOptions, given, candidates=9)
     assert made == PoseOptions(dwell=3.0, spread=2e-3, bars=("b1",), candidates=9)
-
-
-def test_the_described_fields_of_a_record_are_options():
-    def made(request: SimulateOptions, *, fast: bool = False) -> SimulateOptions:
-        """Do nothing.
-
-        Options
-        -------
-        robot_delay_ms : MS
-            Delay.
-        fault : TEXT
-            Repeatable.
-        fast
-            Not of the record.
-        """
-        return request
-
-    run = declaration.command()(made)
-    parameters = inspect.signature(run).parameters
-    assert {"model", "robot_delay_ms", "fault", "seed", "fast"} <= set(parameters)
-    assert not {"robot", "pty", "truth"} & set(parameters), "they are not described, or of another name"
-    assert (parameters["model"].default, parameters["fault"].default) == ("puma560", None)
-    assert run(model="ur5e", robot_delay_ms=2.0, fault=["1:flip"], branch=None, fast=True) == SimulateOptions(
-        robot=RobotChoice("ur5e"), robot_delay=2e-3, fault=("1:flip",)
-    )
 
 
 WITHOUT_JSON = {

@@ -60,12 +60,11 @@ def test_a_urdf_begins_with_its_branch(tmp_path, run, monkeypatch):
     assert code == 2
     assert "--branch" in err
     assert not [path for path in (tmp_path / "cell").rglob("*") if path.is_file()]
-    bounds = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
-    assert run("init", "cell", *known, f"--branch={bounds}").code == 0
+    assert run("init", "cell", *known, f"--branch={BOUNDS}").code == 0
     project = read_project(tmp_path / "cell" / FILE)
-    assert (project.model, project.branch) == ("../arm.urdf", bounds)
+    assert (project.model, project.branch) == ("../arm.urdf", BOUNDS)
     monkeypatch.chdir(tmp_path / "cell")
-    assert defaults(Path())["plan"]["ballbar"]["branch"]() == bounds
+    assert defaults(Path())["plan"]["ballbar"]["branch"]() == BOUNDS
     assert Path(defaults(Path())["identify"]["model"]()).is_file()
 
 
@@ -112,18 +111,7 @@ def test_init_writes_a_rig_that_every_robot_reaches(tmp_path, run, name):
 
 
 def test_init_takes_what_was_measured(tmp_path, run):
-    given = [
-        "--chucks",
-        2,
-        "--spheres",
-        1,
-        "--bars-mm",
-        "460,610",
-        "--measured-with",
-        "machine",
-        "--minutes",
-        0,
-    ]
+    given = ["--chucks", "2", "--spheres", "1", "--bars-mm", "460,610", "--measured-with", "machine", "--minutes", "0"]
     assert run("init", tmp_path, "--model", "puma560", *given).code == 0
     rig = read_rig(tmp_path / "rig.toml")
     assert [list(parts) for parts in (rig.chucks, rig.spheres, rig.bars)] == [["c1", "c2"], ["s1"], ["bar46", "bar61"]]
@@ -136,40 +124,38 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_init_asks_for_the_links_and_the_branch_of_a_urdf(tmp_path, run, monkeypatch):
+BOUNDS = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
+
+
+@pytest.mark.parametrize(
+    ("answers", "expected", "sigmas", "named"),
+    [
+        (["puma560", "tcp://127.0.0.1:7008", "tape"], Project("puma560", address="tcp://127.0.0.1:7008"), {1e-3}, ()),
+        (  # one wrong answer to each question that can be wrong: each is named, and the answers after them hold
+            ["ur55", "puma560", "192.168.0.2", "rtde://192.168.0.2", "ruler", "calliper"],
+            Project("puma560", address="rtde://192.168.0.2"),
+            {1e-4},
+            ("ur55", "address", "nothing, tape, calliper, machine"),
+        ),
+        (
+            ["arm.urdf", "panda_link,panda_link8", "panda_link0, panda_link8", "-150:150", BOUNDS, *[""] * 10],
+            Project("arm.urdf", base="panda_link0", tip="panda_link8", branch=BOUNDS),
+            {1e-4, 1e-3},
+            (),
+        ),
+    ],
+)
+def test_init_asks_on_a_terminal_and_again_after_a_typing_error(
+    tmp_path, run, monkeypatch, answers, expected, sigmas, named
+):
     shutil.copy(Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf", tmp_path / "arm.urdf")
-    bounds = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
-    answers = ["arm.urdf", "panda_link,panda_link8", "panda_link0, panda_link8", "-150:150", bounds, *[""] * 10]
-    monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
-    monkeypatch.chdir(tmp_path)
-    assert run("init", "--minutes", 0).code == 0
-    said = read_project(tmp_path / FILE)
-    assert (said.model, said.base, said.tip, said.branch) == ("arm.urdf", "panda_link0", "panda_link8", bounds)
-
-
-def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", Terminal("puma560\ntcp://127.0.0.1:7008\ntape\n"))
-    monkeypatch.chdir(tmp_path)
-    assert run("init", "--minutes", 0).code == 0
-    said = read_project(tmp_path / FILE)
-    assert (said.model, said.address, said.box) == ("puma560", "tcp://127.0.0.1:7008", "")
-    rig = read_rig(tmp_path / "rig.toml")
-    assert {bar.zero_sigma for bar in rig.bars.values()} == {rig.chucks["c1"].sigma} == {1e-3}
-
-
-def test_init_asks_again_after_a_typing_error(tmp_path, run, monkeypatch):
-    """One wrong answer to each question that can be wrong: each is named, and the answers after them hold."""
-    answers = ["ur55", "puma560", "192.168.0.2", "rtde://192.168.0.2", "ruler", "calliper"]
     monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
     monkeypatch.chdir(tmp_path)
     code, _, err = run("init", "--minutes", 0)
     assert code == 0, err
-    for said in ("ur55", "address"):
-        assert said in err
-    assert "nothing, tape, calliper, machine" in err
-    assert read_project(tmp_path / FILE).address == "rtde://192.168.0.2"
-    rig = read_rig(tmp_path / "rig.toml")
-    assert {bar.zero_sigma for bar in rig.bars.values()} == {1e-4}
+    assert all(word in err for word in named)
+    assert read_project(tmp_path / FILE) == expected
+    assert {bar.zero_sigma for bar in read_rig(tmp_path / "rig.toml").bars.values()} == sigmas
 
 
 def test_the_devices_that_init_offers_are_a_valid_rig(project):
