@@ -863,6 +863,10 @@ PLAN: Mapping[str, Statement] = {
         RESULT,
         "[{poses:#pose}][{lines:#line}] in {minutes:#minute}[, with {mounts:#mount} of the bar][ and {via_points:#via point}][, every mount visited {visits} times][, {checks:#pose} of the first mount visited again half-way and at the end, and as many of another at the end]: the error in the region will be [{rms} RMS and {largest} at the worst pose||unknown, because an unidentifiable combination moves the tool][{relative:!} (excluding the pose of the base)].",
     ),
+    "planned-seats": Statement(
+        RESULT,
+        "{seats:#seat} at {places:#place}: the error at a place that is not fitted will be [{rms} RMS and {largest} at the worst pose, excluding the pose of the base||unknown, because an unidentifiable combination moves the tool]. This assumes seats that repeat to {sigma} per coordinate, and an arm with errors in its geometry only.",
+    ),
     "planned-approaches": Statement(
         RESULT,
         "{poses:#pose} of bar {bar} from {chuck} to {sphere} in {minutes:#minute}, with {via_points:#approach point}.",

@@ -7,7 +7,10 @@ method. Of these, the ones that differ most are taken.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +41,8 @@ UNIT_Z = np.array([0.0, 0.0, 1.0])  # the stem of a ball in the origin of the en
 MARGIN = 0.03  # rad, m from the limits
 DIFFERENT = 0.1  # rad, m between the postures in a socket
 SLAB = 0.1  # of the reach: random postures within it of a place tell how well the arm gets there
-RAISED = 0.15  # of the reach: height of the box under every second place
+RAISED = 0.15  # of the reach: height of the lowest box, and from one box to the next
+N_HEIGHTS = 6  # of places: on the table, and on boxes
 N_TRIED = 6  # spots, for each place
 
 
@@ -86,11 +90,14 @@ class _Arm:
         return q[short_tour(np.abs(q).max(axis=1), distance)] if len(q) else q
 
 
-def plan_sites(robot: Robot, ball: Triple, block: SocketBlock, table: float, n_sites: int, n_seats: int) -> list[Site]:
-    """Return ``n_sites`` places with ``n_seats`` seats each, for a ball on the end and a table at this height [m].
+def plans_of_sites(
+    robot: Robot, ball: Triple, block: SocketBlock, table: float, n_sites: int, n_seats: int
+) -> Iterator[list[Site]]:
+    """Yield plans of ``n_sites`` places with ``n_seats`` seats each, for a ball on the end and a table at this height [m].
 
-    Every second place is on a box. All are before the base, where its x axis points. Raises PlanError for an arm with
-    fewer than four joints, or one that does not reach as many places.
+    Each has places at two heights: the table or a box, and a higher box. Plans with low boxes come first. All places are
+    before the base, where its x axis points. Raises PlanError for an arm with fewer than four joints, or one that does
+    not reach as many places.
     """
     chain = robot.chain
     if len(chain.joints) < MIN_JOINTS:
@@ -103,22 +110,31 @@ def plan_sites(robot: Robot, ball: Triple, block: SocketBlock, table: float, n_s
     reach = float(distance.max(initial=0.0))
     before = (p_ball[:, 0] > 0.0) & (distance > NEAREST * reach)
     q, p_ball = q[before], p_ball[before]
-    levels = [_level(block, p_ball, table + height, reach) for height in (0.0, round(RAISED * reach, 2))]
-    sites: list[Site] = []
-    for bottoms, count in zip(levels, (n_sites - n_sites // 2, n_sites), strict=True):
-        occupied = np.array([site.place[:2] for site in sites]).reshape(-1, 2)
-        order = _spread(np.concatenate([occupied, bottoms[:, :2]]), N_TRIED * n_sites, len(sites))
-        for bottom in bottoms[order - len(sites)]:
-            if len(sites) < count and (site := _site(arm, block, q, p_ball, bottom, n_seats)) is not None:
-                sites.append(site)
-    if len(sites) < n_sites:
+
+    @cache
+    def site_at(bottom: tuple[float, ...]) -> Site | None:
+        return _site(arm, block, q, p_ball, np.array(bottom), n_seats)
+
+    levels = [_level(block, p_ball, table + round(step * RAISED * reach, 2), reach) for step in range(N_HEIGHTS)]
+    most = 0
+    for pair in sorted(combinations(range(N_HEIGHTS), 2), key=sum):
+        sites: list[Site] = []
+        for bottoms, count in zip((levels[step] for step in pair), (n_sites - n_sites // 2, n_sites), strict=True):
+            occupied = np.array([site.place[:2] for site in sites]).reshape(-1, 2)
+            order = _spread(np.concatenate([occupied, bottoms[:, :2]]), N_TRIED * n_sites, len(sites))
+            for bottom in bottoms[order - len(sites)].tolist():
+                if len(sites) < count and (site := site_at(tuple(bottom))) is not None:
+                    sites.append(site)
+        most = max(most, len(sites))
+        if len(sites) == n_sites:
+            yield sites
+    if most < n_sites:
         raise PlanError(
-            f"robot {chain.name} reaches {len(sites)} of {n_sites} places on a table at {MM.text(table)} in {n_seats} "
+            f"robot {chain.name} reaches {most} of {n_sites} places on a table at {MM.text(table)} in {n_seats} "
             "postures that differ; ask for fewer ",
             *(Argument("places"), " or ", Argument("seats"), ", or correct ", Argument("ball_xyz_mm")),
             *(" or ", Argument("table_mm")),
         )
-    return sites
 
 
 def _arm(robot: Robot, ball: Floats, block: SocketBlock, table: float) -> _Arm:
@@ -163,13 +179,13 @@ def _site(arm: _Arm, block: SocketBlock, q: Floats, p_ball: Floats, place: Float
 def _spread(points: Floats, count: int, n_taken: int = 0, least: float = 0.0) -> NDArray[np.intp]:
     """Return up to ``count`` of the points (n, d), always the one farthest from all others taken.
 
-    The first ``n_taken`` count as taken. No two are closer than ``least``.
+    The first ``n_taken`` count as taken. No two are equal, or as close as ``least``.
     """
     taken = list(range(n_taken))
     distance = np.abs(points[:, None] - points[:n_taken]).max(axis=2).min(axis=1, initial=np.inf)
     while len(points) and len(taken) < n_taken + count:
         farthest = int(distance.argmax())
-        if distance[farthest] < least:
+        if distance[farthest] <= least:
             break
         taken.append(farthest)
         distance = np.minimum(distance, np.abs(points - points[farthest]).max(axis=1))

@@ -111,7 +111,7 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
     route = planned.route
     _write(files, known, route.visits, route.stops, options.dwell)
     document = {
-        **_document(planned.forecast),
+        **forecast_document(planned.forecast),
         "poses": len(route.plan),
         "via_points": int(np.sum(route.pose < 0)),
         "mounts": route.n_mounts,
@@ -217,7 +217,7 @@ def plan_line_files(
     tool = known.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
     _write(files, known, planned.visits, planned.stops, 0.0, tool)
     document = {
-        **_document(planned.forecast),
+        **forecast_document(planned.forecast),
         "lines": _places(planned, known, np.array(tool)),
         "minutes": planned.minutes,
         "written": [str(path) for path in files.outputs],
@@ -378,7 +378,7 @@ def _write(
         )
 
 
-def _document(forecast: Forecast) -> dict[str, Any]:
+def forecast_document(forecast: Forecast) -> dict[str, Any]:
     """Return the forecast as it is printed and as in JSON."""
     return {
         "rows": forecast.n_rows,

@@ -146,7 +146,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
     from truearm.workflows.controller_model import ROBOT_FILE, controller_choice
     from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
     from truearm.workflows.requests import PlanFiles
-    from truearm.workflows.socket_project import SEATS, socket_files
+    from truearm.workflows.socket_project import SEATS, plan_sockets
 
     project = wanted.project
     paths = {"project": folder / FILE, "rig": folder / project.rig, "plan": folder / project.plan}
@@ -165,7 +165,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
         plan = None
         if wanted.sockets is not None:
             bounded = robot if wanted.branch is None else replace(robot, branch=branch_of(robot, wanted.branch))
-            contents = socket_files(bounded, wanted.sockets, project.name or robot.chain.name)
+            contents, plan = plan_sockets(bounded, wanted.sockets, project.name or robot.chain.name)
             for name, content in contents.items():
                 if (folder / name).exists():
                     raise InputError(f"{folder / name} already exists; move it, or use another folder")

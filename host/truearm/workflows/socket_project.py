@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator
+from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,12 +16,18 @@ from truearm.errors import InputError
 from truearm.files.csv_cells import read_cells
 from truearm.files.disk import read_text
 from truearm.files.observation_table import MAX_BYTES
+from truearm.files.rig_file import parse_rig
+from truearm.findings import Finding, entries
+from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
+from truearm.plan.forecast import Aim, Forecast, Known, forecast, planned_table
 from truearm.plan.socket_block import SocketBlock
-from truearm.plan.socket_places import Site, plan_sites
-from truearm.types import Triple
+from truearm.plan.socket_places import Site, plans_of_sites
+from truearm.types import Rig, Triple, rms_of_columns
 from truearm.units import DEG, MM
+from truearm.workflows.plan import forecast_document, known_of
 
+SEAT_NOISE = np.sqrt(3.0) * Rig().seat_sigma  # m, of all coordinates
 SEATS, PLACES, BLOCK, DRAWING = "seats.csv", "places.csv", "socket.stl", "places.svg"
 RIG = """\
 # The rig of {name}: a ball on the robot's end, and a printed block with two sockets that is moved from place to place.
@@ -63,10 +71,32 @@ class SeatsNoted(NamedTuple):
     last_place: str
 
 
-def socket_files(robot: Robot, wanted: SocketsWanted, name: str) -> dict[str, str | bytes]:
-    """Return the files of a project by name: rig, plan, table to fill in, block and drawing. Raises PlanError."""
+class SocketPlan(NamedTuple):
+    """The files of a project by name (rig, plan, table to fill in, block and drawing), and the ``forecast`` as JSON."""
+
+    files: dict[str, str | bytes]
+    forecast: dict[str, Any]
+
+
+def plan_sockets(robot: Robot, wanted: SocketsWanted, name: str) -> SocketPlan:
+    """Plan seats in printed sockets. Raises PlanError.
+
+    The first plan is taken that predicts every place from the others as well as a ball repeats in its socket, or else
+    the best one.
+    """
     block = SocketBlock(wanted.radius)
-    sites = plan_sites(robot, wanted.ball, block, wanted.table, wanted.places, wanted.seats)
+    ball = ", ".join(f"{MM.of(x):g}" for x in wanted.ball)
+    rig_text = RIG.format(name=name, ball=ball, distance=MM.of(block.distance))
+    rig = parse_rig(rig_text, "rig.toml")
+    known, plans = known_of(robot, rig), []
+    for sites in plans_of_sites(robot, wanted.ball, block, wanted.table, wanted.places, wanted.seats):
+        predicted = _forecast(known, sites)
+        errors = predicted.cartesian
+        worst = np.inf if errors is None else float(rms_of_columns(errors.reshape(len(sites), -1).T).max())
+        plans.append((worst, sites, predicted))
+        if worst < SEAT_NOISE:
+            break
+    _, sites, predicted = min(plans, key=itemgetter(0))
     units = [DEG if joint.kind == "revolute" else MM for joint in robot.chain.joints]
     joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
     plan: list[list[object]] = [["seat", "place", "socket", "ball_x_mm", "ball_y_mm", "ball_z_mm", *joints]]
@@ -79,14 +109,36 @@ def socket_files(robot: Robot, wanted: SocketsWanted, name: str) -> dict[str, st
                 values = [unit.of(value) for unit, value in zip(units, q.tolist(), strict=True)]
                 plan.append([len(seats), *row, *(f"{MM.of(x):.1f}" for x in centre), *(f"{x:.2f}" for x in values)])
                 seats.append(["seat", *row, *("" for _ in joints)])
-    ball = ", ".join(f"{MM.of(x):g}" for x in wanted.ball)
-    return {
-        "rig.toml": RIG.format(name=name, ball=ball, distance=MM.of(block.distance)),
+    files: dict[str, str | bytes] = {
+        "rig.toml": rig_text,
         PLACES: _csv(plan),
         SEATS: _csv(seats),
         BLOCK: stl(block),
         DRAWING: "\n".join(_drawing(sites, block, wanted.table)) + "\n",
     }
+    document = forecast_document(predicted)
+    error = {name: document[f"cartesian_{key}_mm"] for name, key in (("rms", "rms"), ("largest", "worst"))}
+    facts: dict[str, Any] = {"seats": len(seats) - 1, "places": len(sites), "sigma": {"mm": MM.of(rig.seat_sigma)}}
+    facts |= {name: None if of is None else {"mm": of} for name, of in error.items()}
+    return SocketPlan(files, {**document, "findings": entries([Finding("planned-seats", facts)])})
+
+
+def _forecast(known: Known, sites: list[Site]) -> Forecast:
+    """Return what all seats will determine; its ``cartesian`` is the error of each place if the others are fitted."""
+    tables = [
+        ObservationTable.joined(
+            [planned_table(q, "seat", place=f"p{number}", socket=str(socket)) for socket, q in enumerate(site.q)]
+        )
+        for number, site in enumerate(sites)
+    ]
+    balls = tuple(known.rig.spheres)
+    by_place = [
+        forecast(known, ObservationTable.joined([*tables[:i], *tables[i + 1 :]]), Aim(table.q, balls)).cartesian
+        for i, table in enumerate(tables)
+    ]
+    errors = [error for error in by_place if error is not None]
+    whole = forecast(known, ObservationTable.joined(tables))
+    return replace(whole, cartesian=np.concatenate(errors) if len(errors) == len(tables) else None, relative=True)
 
 
 def seats_noted(path: Path) -> SeatsNoted:
