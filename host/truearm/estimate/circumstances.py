@@ -104,8 +104,11 @@ def _steps(table: ObservationTable) -> tuple[Floats, Indices]:
 def sessions(table: ObservationTable) -> Indices:
     """Return numbers (n,) of the files that rows came from, in order: consecutive rows with one file name and rig."""
     # Examples of sources: "poses.csv row 17", "monday.mcap dwell 3", "monday.mcap pass 2.7", "table[16]".
-    names = [re.sub(r"(\s*\w+ [\d.]+|\[\d+\])$", "", str(source)) for source in table.source]
-    return runs(np.array(names, dtype=np.str_), table.rig)
+    without_number = np.strings.rstrip(table.source, "0123456789.]")
+    numbered = np.strings.endswith(without_number, " ") | np.strings.endswith(without_number, "[")
+    names, number = np.unique(np.where(numbered, without_number, table.source), return_inverse=True)
+    files = np.array([re.sub(r"(\s*\w+ |\[)$", "", str(name)) for name in names], dtype=np.str_)
+    return runs(files[number], table.rig)
 
 
 def runs(*columns: NDArray[np.str_]) -> Indices:

@@ -48,7 +48,7 @@ from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Defaults, StillJoint
-from truearm.types import Floats, Mask, Rigs
+from truearm.types import Floats, Mask, Rigs, thinned
 from truearm.units import UNITS
 
 STILL = 4.0  # weak σ, largest minus smallest reading
@@ -58,6 +58,7 @@ PRELIMINARY = 20  # iterations
 LEAST_POSES = 300  # random ones; three times the number of parameters of any robot
 INVARIANT = 1e-6  # of the gradient: in a null direction in which χ² is the same
 MOTION = 0.5  # rad, m: assumed motion of a still joint
+MANY = 20_000  # rows: of more, so many stand for all, unless some unknown is seen by others only
 
 
 def choose_defaults(
@@ -77,7 +78,13 @@ def choose_defaults(
     """
     if len(table) == 0:
         return free, np.full(free.size, np.inf), Defaults()
-    problem = build_problem(chain, rig, table, None, effects)
+    still = still_joints(chain, table.q)
+    problem, every = build_problem(chain, rig, table, None, effects), len(table)
+    some = thinned(every, MANY)
+    if some.size < every:
+        few = build_problem(chain, rig, table.select(some), None, [effect.select(some) for effect in effects])
+        if few.names == problem.names:
+            problem, table = few, table.select(some)
     p, rig_only = problem.n_robot, problem.of_rig
     x = fit(problem, rig_only, problem.start, Options()).x if rig_only.any() else problem.start
     gross, x = gross_rows(problem, rig_only, x)
@@ -86,14 +93,14 @@ def choose_defaults(
     anywhere = _root(build_problem(chain, rig, in_any_pose(chain, table)), x, free)
     framed = held_as_frames(anywhere, mounted, free, named, unit)
     left = free & ~framed
-    still = still_joints(chain, table.q)
     lost = np.zeros(p, dtype=bool)
     if still:
         lost = _seen_by_moving_only(chain, rig, table, x, left, named, [joint.joint for joint in still])
         left &= ~lost
     sigma = np.full(p, np.inf)
     if prior:
-        sigma = _weak_where_needed(only(problem, ~gross), x, left, unit, mounted.either)
+        times = math.sqrt(every / len(table))
+        sigma = _weak_where_needed(only(problem, ~gross), x, left, unit * times, mounted.either) / times
 
     def named_by(mask: Mask) -> tuple[str, ...]:
         return tuple(names[mask].tolist())

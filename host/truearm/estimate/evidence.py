@@ -87,9 +87,11 @@ def seen_by(marginal: Marginal, blocks: Sequence[PriorBlock]) -> Seen:
     cap = np.zeros(marginal.root.shape[1])
     for block in blocks:
         cap[block.columns] = block.cap
-    u, singular, vt = np.linalg.svd(marginal.root * cap, full_matrices=False)
-    some = singular**2 > UNSEEN
-    return Seen(vt[some].T * singular[some] / cap[:, None], u[:, some].T @ marginal.rhs)
+    scaled = marginal.root * cap
+    square, vectors = np.linalg.eigh(scaled.T @ scaled)  # rounding, 1e-16 of 1e10 at most, is far below UNSEEN
+    some = square > UNSEEN
+    root = vectors[:, some] * np.sqrt(square[some])
+    return Seen(root / cap[:, None], root.T @ (scaled.T @ marginal.rhs) / square[some])
 
 
 def weigh(seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> Weighed:
@@ -128,8 +130,9 @@ def coefficients(
     information = (marginal.root**2).sum(axis=0)
     roots = [prior_root(b, v, information[b.columns].max(initial=0.0)) for b, v in zip(blocks, variances, strict=True)]
     root = scipy.linalg.block_diag(*roots) if roots else np.zeros((here.z.size, 0))
-    inner = np.linalg.qr(np.concatenate([np.eye(root.shape[1]), marginal.root @ root]), mode="r")
-    half = scipy.linalg.solve_triangular(inner, root.T, trans="T", check_finite=False)
+    seen = marginal.root @ root
+    lower = np.linalg.cholesky(np.eye(root.shape[1]) + seen.T @ seen)
+    half = scipy.linalg.solve_triangular(lower, root.T, lower=True, check_finite=False)
     return Coefficients(root @ (root.T @ here.z), half.T @ half, root)
 
 

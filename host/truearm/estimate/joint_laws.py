@@ -22,11 +22,11 @@ from truearm.estimate.identifiability import spread
 from truearm.estimate.identify import determined, judged, merged, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
-from truearm.estimate.law_choice import regions, supported, without_absent
+from truearm.estimate.law_choice import LawChoice, regions, supported, without_absent
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
 from truearm.estimate.law_elsewhere import nearer_geometry
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, law_problem, learn, nats_of_scatter, posterior
-from truearm.estimate.law_outliers import outlying_beside_laws
+from truearm.estimate.law_outliers import WithLaws, outlying_beside_laws
 from truearm.estimate.law_rows import law_rows, with_predicted
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
@@ -96,15 +96,21 @@ class _Fitted(NamedTuple):
 
 
 def with_joint_laws(
-    chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, request: LawRequest
-) -> tuple[Chain, Estimate]:
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    estimate: Estimate,
+    request: LawRequest,
+    nearly: LawChoice | None = None,
+) -> WithLaws:
     """Return the robot with the laws that the evidence supports, and the estimate with their parameters.
 
     Both are returned unchanged if nothing was requested, if ``auto`` has nothing to do, if the rows cannot determine
-    laws, or if no law is worthwhile. ``Estimate.joint_laws`` records which; it is None in the first two cases.
+    laws, or if no law is worthwhile. ``Estimate.joint_laws`` records which; it is None in the first two cases. Where
+    ``nearly`` the same rows were fitted before, only the laws that they kept are tried.
     """
     if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(chain, estimate, table)):
-        return chain, estimate
+        return WithLaws(chain, estimate)
     gravity = gravity_of(table.select(estimate.fitted), request.gravity)
     payloads = tuple(dict.fromkeys(payloads_of(rig, table.select(estimate.fitted))))
     laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity, payloads)
@@ -113,14 +119,14 @@ def with_joint_laws(
         laws = []
     work = _Work(chain, rig, table, estimate, request)
     steps = [_step(GEOMETRY, estimate)]
-    best = None
+    best, choice = None, None
     tried: dict[Law, float] = {}
     if laws:
-        carried, learned, dropped = work.supported(laws)
-        tried = {**dropped, **learned.nats}
-        best = work.fitted(carried, learned) if carried else None
+        choice = work.supported(laws, nearly)
+        tried = {**choice.dropped, **choice.learned.nats}
+        best = work.fitted(choice.kept, choice.learned) if choice.kept else None
         steps.append(_step(LAWS, best) if best else _step(LAWS, estimate))
-        why_none = ERRORS_EXPLAIN if request.faults and not carried else ""
+        why_none = ERRORS_EXPLAIN if request.faults and not choice.kept else ""
     found = work.estimate(best) if best else estimate
     if found.chi2_reduced > estimate.chi2_reduced:
         # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
@@ -141,7 +147,7 @@ def with_joint_laws(
         payloads,
     )
     if best is None:
-        return chain, replace(estimate, joint_laws=report)
+        return WithLaws(chain, replace(estimate, joint_laws=report))
     noise = best.learned.noise
     report = replace(
         report,
@@ -152,7 +158,7 @@ def with_joint_laws(
         linear=tuple(joint.name for joint in chain.joints if joint.kind != "revolute"),
         noise_nats=nats_of_scatter(best.of, best.learned),
     )
-    return with_laws(chain, kept), replace(found, joint_laws=report)
+    return WithLaws(with_laws(chain, kept), replace(found, joint_laws=report), choice)
 
 
 def _nothing_to_explain(chain: Chain, estimate: Estimate, table: ObservationTable) -> bool:
@@ -212,14 +218,14 @@ class _Work:
     before: Estimate
     request: LawRequest
 
-    def supported(self, laws: Sequence[Law]) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
-        """Return those of some laws that the rows support beside faults, what was learned with them, and the others' nats."""
-        start = PoseNoise.of(max(self.before.chi2_reduced / 2.0, 1e-3), len(self.chain.joints), JOINT_NOISE)
+    def supported(self, laws: Sequence[Law], nearly: LawChoice | None) -> LawChoice:
+        """Return those of some laws that the rows support beside faults; ``nearly``: the choice of nearly the same rows."""
+        noise = PoseNoise.of(max(self.before.chi2_reduced / 2.0, 1e-3), len(self.chain.joints), JOINT_NOISE)
         fitted, make = self.table.select(self.before.fitted), partial(self.problem, beside=self.request.faults)
-        kept, learned, dropped = supported(make, laws, regions(fitted, poses(fitted)), start)
-        of = self.problem(kept)
-        kept, learned, absent = without_absent(of, learn(of, start) if kept and self.request.faults else learned)
-        return kept, learned, {**dropped, **absent}
+        choice = supported(make, laws, regions(fitted, poses(fitted)), nearly or noise)
+        of = self.problem(choice.kept)
+        learned = learn(of, noise) if choice.kept and self.request.faults else choice.learned
+        return without_absent(of, learned, choice.dropped)
 
     def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
         of = self.problem(laws)

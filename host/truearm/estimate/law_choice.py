@@ -17,7 +17,8 @@ without it the errors fall by more nats, ½ Σ |y_r − G_r u|², than the evide
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -42,19 +43,29 @@ PRIVATE = 1e-9  # of its information, all that other regions have of an unknown
 Unit = tuple[Law, ...]  # stands or falls as a whole
 
 
-def supported(
-    make: Callable[[Sequence[Law]], LawProblem], laws: Sequence[Law], region: Indices, noise: PoseNoise
-) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
-    """Return the laws that the rows support, what was learned with them, and the nats at which each other was dropped.
+class LawChoice(NamedTuple):
+    """The laws that are kept, what was learned with them, and the nats at which each other one was dropped."""
 
-    ``make`` builds the problem with some laws, ``region`` (n_rows,) are the numbers of the rows' regions, and ``noise``
-    is where learning starts.
+    kept: tuple[Law, ...]
+    learned: Learned
+    dropped: Mapping[Law, float]
+
+
+def supported(
+    make: Callable[[Sequence[Law]], LawProblem], laws: Sequence[Law], region: Indices, start: PoseNoise | LawChoice
+) -> LawChoice:
+    """Return the laws that the rows support.
+
+    ``make`` builds the problem with some laws, ``region`` (n_rows,) are the numbers of the rows' regions, and ``start``
+    is the noise where learning starts, or the choice of nearly the same rows, of which no further law is tried.
     """
-    first = learn(make(laws), noise, rounds=2)
-    absent = [unit for unit in _units(laws) if all(first.nats[law] < ABSENT for law in unit)]
-    dropped = {law: first.nats[law] for unit in absent for law in unit}
-    found = _without(make(laws), first, dropped)
-    laws = _but(laws, dropped)
+    if isinstance(start, LawChoice):
+        laws, dropped, found = start.kept, dict(start.dropped), start.learned
+    else:
+        found = learn(make(laws), start, rounds=2)
+        absent = [unit for unit in _units(laws) if all(found.nats[law] < ABSENT for law in unit)]
+        dropped = {law: found.nats[law] for unit in absent for law in unit}
+        found, laws = _without(make(laws), found, dropped), _but(laws, dropped)
     found = learn(make(laws), found)
     sure: set[Unit] = set()
     while laws:
@@ -78,13 +89,13 @@ def supported(
             continue
         dropped |= {law: found.nats[law] for law in gone}
         laws, found = fewer, without
-    return tuple(laws), found, dropped
+    return LawChoice(tuple(laws), found, dropped)
 
 
-def without_absent(of: LawProblem, found: Learned) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
-    """Return the laws of which something was learned, as ``supported`` does: a joint may have no sag beside others."""
-    absent = {law: found.nats[law] for law in of.laws if found.nats[law] < ABSENT}
-    return tuple(_but(of.laws, absent)), _without(of, found, absent), absent
+def without_absent(of: LawProblem, learned: Learned, dropped: Mapping[Law, float]) -> LawChoice:
+    """Return the choice without laws of which nothing was learned: a joint may have no sag beside others."""
+    absent = {law: learned.nats[law] for law in of.laws if learned.nats[law] < ABSENT}
+    return LawChoice(tuple(_but(of.laws, absent)), _without(of, learned, absent), {**dropped, **absent})
 
 
 def regions(table: ObservationTable, pose: Indices) -> Indices:

@@ -10,9 +10,11 @@ changes. Where no law is kept without those rows, none is left out, and the fit 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
+from truearm.estimate.law_choice import LawChoice
 from truearm.estimate.law_rows import LawRows
 from truearm.estimate.outliers import matter, misfit, single
 from truearm.estimate.recursive import within
@@ -23,7 +25,13 @@ from truearm.types import Mask
 
 MAX_ROUNDS = 6  # of fits with laws
 
-WithLaws = tuple[Chain, Estimate]
+
+class WithLaws(NamedTuple):
+    """The robot with its laws, the estimate with their parameters, and how they were chosen; None if none is kept."""
+
+    chain: Chain
+    estimate: Estimate
+    choice: LawChoice | None = None
 
 
 def outlying_beside_laws(rows: LawRows, used: Mask) -> Mask:
@@ -35,31 +43,29 @@ def outlying_beside_laws(rows: LawRows, used: Mask) -> Mask:
 
 
 def fitted_without_outliers(
-    geometry: Estimate, without: Callable[[Mask], Estimate], with_laws: Callable[[Estimate], WithLaws]
+    geometry: Estimate,
+    without: Callable[[Mask], Estimate],
+    with_laws: Callable[[Estimate, LawChoice | None], WithLaws],
 ) -> WithLaws:
     """Return the result of ``with_laws`` for the geometry without outlying rows.
 
-    ``without`` fits the geometry without some rows (n,) of the table.
+    ``without`` fits the geometry without some rows (n,) of the table. ``with_laws`` is given the choice of laws of the
+    round before: a few rows more or less only drop laws.
     """
     first = geometry
     if not np.array_equal(geometry.outlying, geometry.weight == 0.0):
         first = without(geometry.outlying)
-    best = with_laws(first)
-    if first is not geometry and not _has_laws(best):
-        return with_laws(geometry)
+    best = with_laws(first, None)
+    if first is not geometry and best.choice is None:
+        return with_laws(geometry, None)
     seen = {geometry.outlying.tobytes()}
     for _ in range(MAX_ROUNDS):
-        following = best[1].outlying
-        if not _has_laws(best) or following.tobytes() in seen or not single(following[geometry.fitted]):
+        following = best.estimate.outlying
+        if best.choice is None or following.tobytes() in seen or not single(following[geometry.fitted]):
             break
         seen.add(following.tobytes())
-        further = with_laws(without(following))
-        if not _has_laws(further):
+        further = with_laws(without(following), best.choice)
+        if further.choice is None:
             break
         best = further
     return best
-
-
-def _has_laws(found: WithLaws) -> bool:
-    laws = found[1].joint_laws
-    return bool(laws and laws.kept)

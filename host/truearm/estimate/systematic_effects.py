@@ -27,7 +27,7 @@ from truearm.model.chain import Chain, Element
 from truearm.model.poses import pose_of, six_of
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.results import Effect
-from truearm.types import Floats, Indices
+from truearm.types import Floats, Indices, Mask
 
 # First columns of ``Linearised.wrenches``: force and couple on each axis of the base frame, derivatives by its
 # displacement.
@@ -74,7 +74,7 @@ class Modelled(NamedTuple):
     column: str
     profile: Floats  # (n,)
 
-    def select(self, rows: NDArray[np.bool_]) -> Modelled:
+    def select(self, rows: Mask | Indices) -> Modelled:
         """Return the effect for some of the rows."""
         return self._replace(profile=self.profile[rows])
 

@@ -33,7 +33,7 @@ from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
-from truearm.kinds.unknowns import XYZ, Fault, Layout, RigNumber, Used, or_inf
+from truearm.kinds.unknowns import XYZ, Fault, Layout, RigNumber, Used, or_inf, rows_of
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import rotation, rotation_and_jacobian, rotation_vector
 from truearm.model.transforms import cross
@@ -184,7 +184,9 @@ def points_of(
     offset = RigNumber(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
     number = offset if _moving(scope) else offset._replace(sigma=0.0)
     clock = Used([""], [[number]], np.zeros(len(rows), dtype=np.intp), (Fault(slice(None), step=False),))
-    declared = [rotation(np.array(d.rotation)) for d in devices]
+    declared = np.array([rotation(np.array(d.rotation)) for d in devices])
+    still = np.broadcast_to(0.0, (len(rows), table.q.shape[1]))
+    rates = np.nan_to_num(table.q_rate[rows], nan=0.0) if number is offset else still
     cov = _device_cov(scope, rows, devices, which)
 
     def make(layout: Layout) -> PositionRows:
@@ -192,11 +194,11 @@ def points_of(
             row=rows,
             sensor_cov=cov,
             q=table.q[rows],
-            q_rate=np.nan_to_num(table.q_rate[rows], nan=0.0),
+            q_rate=rates,
             xyz=xyz,
             target=layout.index(targets),
             device=layout.index(poses),
-            reference=np.array(declared)[which],
+            reference=rows_of(declared, which),
             scale=layout.index(scales),
             time_offset=layout.index(clock),
             constants=layout.constants,

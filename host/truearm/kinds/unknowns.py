@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.types import Indices, Point
@@ -75,7 +76,12 @@ class Layout:
     def index(self, used: Used) -> Indices:
         """Return the indices (n, c) of what each row uses."""
         table = np.array([[self._at[number.name] for number in thing] for thing in used.numbers], dtype=np.intp)
-        return np.asarray(table[used.which])
+        return rows_of(table, used.which)
+
+
+def rows_of(values: NDArray[Any], which: Indices) -> NDArray[Any]:
+    """Return ``values[which]`` (n, …) of values (m, …), in the memory of one row where there is only one, as usual."""
+    return np.broadcast_to(values, (which.size, *values.shape[1:])) if len(values) == 1 else values[which]
 
 
 def enumerate_labels(labels: Sequence[Hashable]) -> tuple[list[Hashable], Indices]:

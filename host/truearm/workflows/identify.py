@@ -22,7 +22,8 @@ from truearm.estimate.gain import with_gain
 from truearm.estimate.identify import SolverOptions, judged, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, is_of_joint, with_joint_laws
-from truearm.estimate.law_outliers import fitted_without_outliers
+from truearm.estimate.law_choice import LawChoice
+from truearm.estimate.law_outliers import WithLaws, fitted_without_outliers
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import build_problem, modelled_of
@@ -420,19 +421,19 @@ def identified(
             estimate = replace(estimate, faults=())
         return with_scale(chain, estimate)
 
-    def with_laws(estimate: Estimate) -> tuple[Chain, Estimate]:
+    def with_laws(estimate: Estimate, nearly: LawChoice | None) -> WithLaws:
         estimate = checked(estimate)
         faults, _ = split_causes(chain, rig, fitted, rivals_of_laws(chain, estimate))
         request = LawRequest(LawMode(options.joint_laws), sigma, effects, faults, robot.gravity)
         with step("fitting joint laws"):
-            return with_joint_laws(chain, rig, table, estimate, request)
+            return with_joint_laws(chain, rig, table, estimate, request, nearly)
 
     estimate = geometry()
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     if options.joint_laws == LawMode.NONE:
         estimate = checked(estimate)
     else:
-        chain, estimate = fitted_without_outliers(estimate, geometry, with_laws)
+        chain, estimate, _ = fitted_without_outliers(estimate, geometry, with_laws)
     if not estimate.unusable:
         examination = examine_once(chain, estimate)
         estimate = with_faults(estimate, examination)
