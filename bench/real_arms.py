@@ -34,7 +34,8 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
 from truearm.types import BallBar, Device, Floats, Point, Rig
-from truearm.workflows.identify import Identification, IdentifyOptions, Selection, identified
+from truearm.workflows.calibration import Identification
+from truearm.workflows.identify import IdentifyOptions, Selection, identified
 from truearm.workflows.selection import held_out_rows
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from truearm_wire.version import VERSION as __version__
+from truearm.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from truearm.api import SessionObservations as SessionObservations
@@ -53,9 +53,9 @@ if TYPE_CHECKING:
     from truearm.types import Rig as Rig
     from truearm.types import SocketDistance as SocketDistance
     from truearm.workflows.calibration import Calibration as Calibration
+    from truearm.workflows.calibration import Identification as Identification
     from truearm.workflows.calibration import ParameterEstimate as ParameterEstimate
     from truearm.workflows.export import ExportedRobot as ExportedRobot
-    from truearm.workflows.identify import Identification as Identification
     from truearm.workflows.identify import IdentifyOptions as IdentifyOptions
     from truearm.workflows.plan import BallBarOptions as BallBarOptions
     from truearm.workflows.validate import Validation as Validation
@@ -74,7 +74,7 @@ _MODULES = {
     "ExportedRobot": "workflows.export",
     "Figures": "results",
     "HeldOut": "results",
-    "Identification": "workflows.identify",
+    "Identification": "workflows.calibration",
     "IdentifyOptions": "workflows.identify",
     "InputError": "errors",
     "MissingFileError": "errors",

@@ -36,8 +36,8 @@ from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
 from truearm.workflows import identify as identification
 from truearm.workflows import map as maps
-from truearm.workflows.calibration import Calibration, read_calibration
-from truearm.workflows.identify import Identification, IdentifyOptions, Progress
+from truearm.workflows.calibration import Calibration, Identification, read_calibration
+from truearm.workflows.identify import IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.plan import BallBarOptions, Budget
 from truearm.workflows.session_observations import channel_samples, is_session, joint_readings

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from truearm.errors import RobotError
 from truearm.export import mjcf
-from truearm.export.formats import FORMATS, writer
+from truearm.export.formats import FORMATS
 from truearm.export.link_frames import link_frames
 from truearm.export.toml_tables import dh_table, modified_dh_table, sheth_uicker_table
 from truearm.export.ur import KEYS, SEGMENTS, ur_segments, ur_yaml
 from truearm.export.urdf import edited, joint_origins, new_urdf
-from truearm.export.writing import RobotToWrite, fit_to, refit, written
+from truearm.export.writing import RobotToWrite, fit_to, refit, writer, written
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Parameter, forward

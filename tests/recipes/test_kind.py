@@ -42,13 +42,19 @@ COMMAND = ("--model", "puma560", "--rig", "rig.toml")
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
-    """The package with the kind, points of a tracker and readings of two inclinometers on a PUMA 560."""
+    """The package with the kind, and its inputs."""
     copy = Copy(tmp_path_factory.mktemp("kind"))
     copy.apply("A kind of observation")
     assert copy.changes() == {
         "host/truearm/kinds/inclinometer.py": "new file",
         "host/truearm/kinds/registry.py": "+1 -0",
     }
+    write_inputs(copy.folder)
+    return copy
+
+
+def write_inputs(folder):
+    """Write poses.csv and rig.toml: points of a tracker and readings of two inclinometers on a PUMA 560."""
     robot, rng = builtin_robot("puma560"), np.random.default_rng(4)
     q = rng.uniform(-2.0, 2.0, (500, 6))
     pose = forward(robot.chain, robot.parameter_sets["optimised"], q)
@@ -67,9 +73,8 @@ def copy(tmp_path_factory):
         else:
             continue
         lines.append(",".join([*cells, *map(repr, joints)]))
-    (copy.folder / "poses.csv").write_text("\n".join(lines) + "\n")
-    (copy.folder / "rig.toml").write_text(RIG)
-    return copy
+    (folder / "poses.csv").write_text("\n".join(lines) + "\n")
+    (folder / "rig.toml").write_text(RIG)
 
 
 def test_a_session_has_a_row_for_each_dwell(copy):

@@ -7,12 +7,12 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from truearm import __version__
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.box.requests import FlashOptions
 from truearm.errors import Argument, InputError, LinkError
 from truearm.progress import step
 from truearm.record.ports import usb_ports
+from truearm.version import VERSION
 
 if TYPE_CHECKING:
     from truearm.box.uf2 import Image
@@ -39,7 +39,7 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
 
 def own_image() -> Path:
     """Return the image of this version, from the wheel or built in this checkout by make uf2. Raises InputError."""
-    package, name = Path(__file__).parent, f"truearm-{__version__}.uf2"
+    package, name = Path(__file__).parent, f"truearm-{VERSION}.uf2"
     places = (package / "image" / name, package.parents[2] / "build" / "uf2" / name)
     for path in places:
         if path.is_file():

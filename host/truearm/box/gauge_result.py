@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from truearm import __version__
 from truearm.errors import Argument, ConfigError, InputError
 from truearm.schema import raising
 from truearm.text import counted
 from truearm.types import rms
 from truearm.units import MM, UM
+from truearm.version import VERSION
 
 if TYPE_CHECKING:
     from truearm.box.gauge_polynomial import PolyFit
@@ -239,7 +239,7 @@ def _certificate(
         ("operator", of.operator or "not given"),
         ("date", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
         ("box", f"{of.uid or 'without a uid'}, firmware {of.firmware or 'not known'}"),
-        ("software", f"truearm {__version__}"),
+        ("software", f"truearm {VERSION}"),
         ("temperature of the box", "unknown" if degc is None else f"{degc / 1000:.1f} °C"),
     )
     reference = (

@@ -16,7 +16,6 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from truearm import __version__
 from truearm.cli.box import app as box
 from truearm.cli.characterize import characterize
 from truearm.cli.command import OPTIONS, stem_of
@@ -44,6 +43,7 @@ from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode, table
 from truearm.findings import Finding, option
 from truearm.text import one_line
+from truearm.version import VERSION
 
 # What ``truearm --help`` lists for each task; a typer app is a group of commands.
 TASKS: dict[str, tuple[Any, ...]] = {
@@ -83,7 +83,7 @@ CLASS_OF = {"simulate": SimulateCommand, "record": RecordCommand}
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"truearm {__version__}")
+        typer.echo(f"truearm {VERSION}")
         raise typer.Exit
 
 

@@ -1,21 +1,20 @@
 """The formats to export by name. Imports nothing slow, so that ``--help`` can list them.
 
 To add a format, write a module with a function that returns the text of a ``writing.RobotToWrite``, and add its line to
-FORMATS. The module is imported when it is used.
+FORMATS. The module is imported when it is used. Other packages add a ``Format`` by an entry point of the group
+``truearm.formats``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from truearm.export.writing import Writer
+from truearm.additions import with_additions
 
 
 class Format(NamedTuple):
-    """A format: its writer as "module:function" of this package, its text in ``--help``, and what it can hold.
+    """A format: its writer as "module:function", where ".module" is one of this package, its text in ``--help``, and what it can hold.
 
     ``suffix``: of its files. ``holds``: the terms of the joint law (``joint_law.terms``) that its writer writes. Other
     terms are neutral in the robot passed to the writer: the remaining parameters are refitted, and the remaining error
@@ -29,36 +28,30 @@ class Format(NamedTuple):
     mountings: bool = True
 
 
-FORMATS: Mapping[str, Format] = {
-    "urdf": Format("urdf:write", ".urdf", "the robot's own URDF with other origins, or a new one", ("offset",)),
-    "mjcf": Format("mjcf:write", ".xml", "MuJoCo's MJCF", ("offset",)),
-    "ur": Format("ur:write", ".yaml", "Universal Robots' kinematics", ("offset",), mountings=False),
+OWN: Mapping[str, Format] = {
+    "urdf": Format(".urdf:write", ".urdf", "the robot's own URDF with other origins, or a new one", ("offset",)),
+    "mjcf": Format(".mjcf:write", ".xml", "MuJoCo's MJCF", ("offset",)),
+    "ur": Format(".ur:write", ".yaml", "Universal Robots' kinematics", ("offset",), mountings=False),
     "calibration-conf": Format(
-        "ur:write_conf", ".conf", "Universal Robots' controller's own file", ("offset",), mountings=False
+        ".ur:write_conf", ".conf", "Universal Robots' controller's own file", ("offset",), mountings=False
     ),
-    "dh": Format("toml_tables:write_dh", ".toml", "Denavit-Hartenberg rows", ("offset", "gain")),
+    "dh": Format(".toml_tables:write_dh", ".toml", "Denavit-Hartenberg rows", ("offset", "gain")),
     "dh-hayati": Format(
-        "toml_tables:write_dh_hayati",
+        ".toml_tables:write_dh_hayati",
         ".toml",
         "the same, with Hayati's β where axes are nearly parallel",
         ("offset", "gain"),
     ),
-    "mdh": Format("toml_tables:write_mdh", ".toml", "Craig's rows", ("offset", "gain")),
+    "mdh": Format(".toml_tables:write_mdh", ".toml", "Craig's rows", ("offset", "gain")),
     "evaluator-c": Format(
-        "evaluator:write_c", ".c", "the arm with its joint laws as a C99 file", ("offset", "gain", "curve", "sag")
+        ".evaluator:write_c", ".c", "the arm with its joint laws as a C99 file", ("offset", "gain", "curve", "sag")
     ),
     "evaluator-python": Format(
-        "evaluator:write_python", ".py", "the same as a Python file", ("offset", "gain", "curve", "sag")
+        ".evaluator:write_python", ".py", "the same as a Python file", ("offset", "gain", "curve", "sag")
     ),
-    "sheth-uicker": Format("toml_tables:write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain")),
+    "sheth-uicker": Format(".toml_tables:write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain")),
 }
-
-
-def writer(name: str) -> Writer:
-    """Return the function that writes a format, loading its module. Raises KeyError for an unknown name."""
-    module, _, function = FORMATS[name].writer.partition(":")
-    found: Writer = getattr(import_module(f"{__package__}.{module}"), function)
-    return found
+FORMATS = {name: Format(*form) for name, form in with_additions("formats", OWN).items()}
 
 
 def formats_help() -> str:

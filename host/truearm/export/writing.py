@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import RobotError
-from truearm.export.formats import FORMATS, Format, writer
+from truearm.export.formats import FORMATS, Format
 from truearm.export.link_frames import LinkFrames, link_frames, predicted
 from truearm.model import joint_law
 from truearm.model.chain import GEOMETRY, Chain, Parameter, forward, point_forward, point_jacobians
@@ -63,6 +64,13 @@ class RobotToWrite:
 
 
 Writer = Callable[[RobotToWrite], str]
+
+
+def writer(name: str) -> Writer:
+    """Return the function that writes a format, loading its module. Raises KeyError for an unknown name."""
+    module, _, function = FORMATS[name].writer.partition(":")
+    found: Writer = getattr(import_module(module, __package__), function)
+    return found
 
 
 class FormatFit(NamedTuple):

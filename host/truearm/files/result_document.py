@@ -16,7 +16,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm import __version__
 from truearm.estimate.gain import gain_of
 from truearm.estimate.kind_errors import errors_by_kind
 from truearm.files.result_covariance import Covariance
@@ -34,6 +33,7 @@ from truearm.results import (
     ToolClaim,
 )
 from truearm.units import MM, MRAD, UNITS, key, named, shown
+from truearm.version import VERSION
 
 
 def result_of(
@@ -60,7 +60,7 @@ def result_of(
         **_by_unit(parts, "rms_", "declared", "unexplained"),
         "faults": fault_entries(estimate.faults, table),
         "claim": _claim(estimate.claim, predicted is not None),
-        "truearm_version": __version__,
+        "truearm_version": VERSION,
         "simulated": table.simulated,
         "robot": robot,
         "joint_range": {"lower": q.min(axis=0), "upper": q.max(axis=0)},

@@ -1,5 +1,7 @@
 """The registry of kinds of observation. A kind is a module of this package with a ``KIND``, listed here by name.
 
+Other packages add kinds by entry points of the group ``truearm.kinds``, a script by ``add_kind``.
+
 Importing this module is cheap; the kinds themselves are imported when they are first used.
 """
 
@@ -9,6 +11,8 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar
+
+from truearm.additions import with_additions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +40,8 @@ T = TypeVar("T")
 @cache
 def kinds() -> Mapping[str, Kind]:
     """Return every kind by its name, which its rows have in the column ``kind``."""
-    return {name: import_module(f"truearm.kinds.{name}").KIND for name in NAMES} | ADDED
+    own = {name: import_module(f"{__package__}.{name}").KIND for name in NAMES}
+    return with_additions("kinds", own) | ADDED
 
 
 def add_kind(name: str, kind: Kind) -> None:

@@ -1,10 +1,11 @@
-"""The built-in robots: one file each in ``robots/``. Imports nothing slow, so that ``--help`` can list them."""
+"""The built-in robots: one file each in ``robots/``, and those of other packages (entry points "truearm.robots"). Imports nothing slow, so that ``--help`` can list them."""
 
 from __future__ import annotations
 
 import re
 from importlib import resources
 
+from truearm.additions import additions
 from truearm.errors import RobotError
 
 SUFFIX = ".toml"
@@ -13,14 +14,17 @@ SUFFIX = ".toml"
 def builtin_names() -> tuple[str, ...]:
     """Return the names of the built-in robots, sorted."""
     files = resources.files(__package__).joinpath("robots").iterdir()
-    return tuple(sorted(file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX)))
+    own = (file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX))
+    return tuple(sorted({*own, *additions("robots")}))
 
 
 def builtin_text(name: str) -> str:
     """Return the robot file of a built-in robot. Raises RobotError for an unknown name."""
     if name not in builtin_names():
         raise RobotError("wrong-value", place="built-in robot", value=name, names=list(builtin_names()))
-    return resources.files(__package__).joinpath("robots", name + SUFFIX).read_text("utf-8")
+    own = resources.files(__package__).joinpath("robots", name + SUFFIX)
+    file = own if own.is_file() else resources.files(additions("robots")[name].load()).joinpath(name + SUFFIX)
+    return file.read_text("utf-8")
 
 
 def names_with_branch() -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from truearm.additions import with_additions
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.joint_terms.term import Term
@@ -47,8 +48,9 @@ GOOD = 1e-9  # rad, m: largest error of a valid inverse
 
 @cache
 def terms() -> tuple[type[Term], ...]:
-    """Return the terms in the order of TERM_FILES."""
-    return tuple(import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES)
+    """Return the terms in the order of TERM_FILES, then those of other packages (entry points "truearm.joint_terms")."""
+    own = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
+    return tuple(with_additions("joint_terms", own).values())
 
 
 @dataclass(frozen=True, eq=False)

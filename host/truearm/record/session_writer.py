@@ -44,7 +44,6 @@ from typing import Any, BinaryIO, assert_never
 
 from mcap.writer import CompressionType, Writer
 
-from truearm import __version__
 from truearm.errors import InputError, WriteError
 from truearm.files.write_lock import hold
 from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, rescued_file
@@ -52,6 +51,7 @@ from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
 from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, PLAN_COPY, metadata_crc
+from truearm.version import VERSION
 
 CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
@@ -117,7 +117,7 @@ class SessionWriter:
         if hold:
             self._reserve()
         if clock is not None:
-            self.metadata("session", {"version": __version__, "clock": clock.kind, **_anchor(clock)})
+            self.metadata("session", {"version": VERSION, "clock": clock.kind, **_anchor(clock)})
 
     def __enter__(self) -> SessionWriter:
         return self
@@ -455,7 +455,7 @@ def _begun(out: _Output | io.BytesIO) -> Writer:
         compression=CompressionType.ZSTD,
         enable_data_crcs=True,
     )
-    writer.start(profile="truearm", library=f"truearm {__version__}")
+    writer.start(profile="truearm", library=f"truearm {VERSION}")
     return writer
 
 

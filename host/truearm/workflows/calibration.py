@@ -19,6 +19,7 @@ from truearm.files.result_file import Result, read_result
 from truearm.files.robot_file import NO_ROBOT, RobotChoice, is_urdf, load_robot
 from truearm.files.strict_json import number_or_null
 from truearm.findings import Finding
+from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain, point_jacobians
 from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
@@ -27,8 +28,8 @@ from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
 from truearm.report.result_findings import verdict
 from truearm.report.result_words import direction_text, parameter_table
-from truearm.results import MOVES, NullDirection, weights_of
-from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, SagMasses
+from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of
+from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, Rigs, SagMasses
 from truearm.units import DEG, MM, UNITS
 
 NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: farther is outside
@@ -196,6 +197,34 @@ class Calibration(Displayed):
     def document(self) -> Mapping[str, Any]:
         """The content of result.json (docs/reference/result-format.md)."""
         return self.stored.document
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Calibration):
+    """A calibration with its observations and the complete estimate.
+
+    ``predicted`` is the predicted error of the measured point (``predicted_error`` of result.json), None if unknown.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> result = truearm.identify(robot, table, rig)
+    >>> result.estimate.n_observations, result.prior
+    (90, 'none')
+    """
+
+    rig: Rigs
+    table: ObservationTable
+    estimate: Estimate
+    # The expected error of the tool; None if the residuals hold more than the declared noise and it is smaller than that.
+    predicted: PredictedError | None
+
+    @property
+    def prior(self) -> str:
+        """The name of the robot's prior."""
+        return str(self.document["prior"])
 
 
 def read_calibration(result: Path, choice: RobotChoice = NO_ROBOT) -> Calibration:

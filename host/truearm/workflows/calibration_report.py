@@ -18,7 +18,7 @@ from truearm.types import Floats, Rigs, rigs_by_name
 
 if TYPE_CHECKING:
     from truearm.report.certificate import Certificate, Recording
-    from truearm.workflows.identify import Identification
+    from truearm.workflows.calibration import Identification
 
 
 def write_page(

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from truearm import __version__
 from truearm.estimate.gain import gain_of
 from truearm.estimate.prediction import nominal_error, predicted_point_error
 from truearm.files.project_file import Project
@@ -22,9 +21,9 @@ from truearm.results import Figures, Gain
 from truearm.text import counted
 from truearm.types import Rigs, rigs_by_name, rms
 from truearm.units import MM, PPM
-from truearm.workflows.calibration import Calibration, masses_of, unusable_because
+from truearm.version import VERSION
+from truearm.workflows.calibration import Calibration, Identification, masses_of, unusable_because
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error
-from truearm.workflows.identify import Identification
 from truearm.workflows.validate import Measured, Validation
 
 NOT_GIVEN = "not given"
@@ -137,7 +136,7 @@ def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording
         ("controller", project.controller or NOT_GIVEN),
         ("payload", f"{masses} kg" if masses else "none declared: as mounted during the measurement"),
         ("operator", project.operator or NOT_GIVEN),
-        ("software", f"truearm {__version__}"),
+        ("software", f"truearm {VERSION}"),
         (
             result,
             f"{checksum or 'without checksum'}, by truearm {calibration.document.get('truearm_version', 'of unknown version')}",

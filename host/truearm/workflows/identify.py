@@ -40,9 +40,9 @@ from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.result_findings import result_findings
-from truearm.results import Effect, Estimate, PredictedError
+from truearm.results import Effect, Estimate
 from truearm.types import Mask, Rigs
-from truearm.workflows.calibration import Calibration, calibration_of
+from truearm.workflows.calibration import Identification, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.requests import FitOptions
@@ -125,34 +125,6 @@ class IdentifyOptions(FitOptions, Checked):
 
 
 DEFAULTS = IdentifyOptions()
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Identification(Calibration):
-    """A calibration with its observations and the complete estimate.
-
-    ``predicted`` is the predicted error of the measured point (``predicted_error`` of result.json), None if unknown.
-
-    Examples
-    --------
-    >>> import truearm
-    >>> robot = truearm.load_robot("puma560")
-    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
-    >>> result = truearm.identify(robot, table, rig)
-    >>> result.estimate.n_observations, result.prior
-    (90, 'none')
-    """
-
-    rig: Rigs
-    table: ObservationTable
-    estimate: Estimate
-    # The expected error of the tool; None if the residuals hold more than the declared noise and it is smaller than that.
-    predicted: PredictedError | None
-
-    @property
-    def prior(self) -> str:
-        """The name of the robot's prior."""
-        return str(self.document["prior"])
 
 
 @dataclass(frozen=True)

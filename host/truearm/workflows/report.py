@@ -19,10 +19,10 @@ from truearm.progress import step
 from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.page_parts import html_page, making, section, table
 from truearm.report.validation_findings import error_tables
-from truearm.workflows.calibration import frames_of
+from truearm.workflows.calibration import Identification, frames_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
-from truearm.workflows.identify import Identification, IdentifyFiles, IdentifyOptions, identified, selected
+from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.project import folders_of
 from truearm.workflows.validate import Validation, measured_files, validated

@@ -24,7 +24,7 @@ from truearm.workflows.calibration import Calibration
 from truearm.workflows.correction_findings import COVERAGE, CorrectedTargets
 
 if TYPE_CHECKING:
-    from truearm.workflows.identify import Identification
+    from truearm.workflows.calibration import Identification
 
 FEWEST = 4  # poses between which errors are predicted
 BEFORE, AFTER, EXPECTED = "error before", "residual after", "expected after (k = 2)"

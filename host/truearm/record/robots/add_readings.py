@@ -15,7 +15,7 @@ from operator import attrgetter
 from pathlib import Path
 
 from truearm.errors import Argument, InputError, SessionError
-from truearm.record.robots.joint_table import AddedReading
+from truearm.record.robots.sources import AddedReading
 from truearm.record.session_schemas import ROBOT_PREVIEW
 from truearm.record.session_writer import Anchor, SessionWriter, media_type, read_anchor
 from truearm.session.joint_format import JOINTS, READINGS

@@ -20,8 +20,8 @@ from urllib.parse import quote
 
 from truearm.errors import Argument, InputError, SessionError
 from truearm.file_names import open_input, reading
-from truearm.record.robots.joint_table import NO_ARRIVAL, AddedReading
-from truearm.record.robots.sources import FileOptions
+from truearm.record.robots.joint_table import NO_ARRIVAL
+from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading
 from truearm.session.session_file import open_session

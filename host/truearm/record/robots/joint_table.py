@@ -9,23 +9,15 @@ from collections.abc import Iterator, Sequence
 from io import TextIOWrapper
 from itertools import chain
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 from truearm.errors import Argument, InputError, TableError
 from truearm.file_names import open_input, reading
 from truearm.files.csv_cells import Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
-from truearm.record.robots.sources import FileOptions
+from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.session.joint_format import parse_reading
-
-
-class AddedReading(NamedTuple):
-    """Controller time [s] and the line of a reading that was added afterwards."""
-
-    t: float
-    line: bytes
-
 
 NO_ARRIVAL = {"arrival": False}  # in every such line: its arrival was not observed
 

@@ -2,7 +2,7 @@
 
 This module imports nothing slow, so that ``--help`` can list the sources; a source's module is imported when it is
 used. To add a live source, write a module here with ``connect(url, clock, last) -> Link`` and add its line to
-``SOURCES``. ``last`` is the link of an earlier connection to the same address, None for the first one. To add a file
+``SOURCES``; other packages add a ``SourceEntry`` by an entry point of the group ``truearm.sources``. ``last`` is the link of an earlier connection to the same address, None for the first one. To add a file
 format, write a module with ``readings(path, options) -> Iterator[Reading]`` and add its line to ``FILES``.
 """
 
@@ -14,16 +14,23 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple
 
+from truearm.additions import with_additions
 from truearm.errors import InputError
 
 if TYPE_CHECKING:
     from truearm.record.links import Clock, Link
     from truearm.record.reopening import Reopening
-    from truearm.record.robots.joint_table import AddedReading
+
+
+class AddedReading(NamedTuple):
+    """Controller time [s] and the line of a reading that was added afterwards."""
+
+    t: float
+    line: bytes
 
 
 class SourceEntry(NamedTuple):
-    """A live source: its module in this package, the part of an address after the scheme, and what sends such readings."""
+    """A live source: its module (".module" is one of this package), the part of an address after the scheme, and what sends such readings."""
 
     module: str
     example: str
@@ -31,7 +38,7 @@ class SourceEntry(NamedTuple):
 
 
 class FileEntry(NamedTuple):
-    """A file of readings: its module in this package, its suffixes, whether a folder can be one, and a description."""
+    """A file of readings: its module (as of a source), its suffixes, whether a folder can be one, and a description."""
 
     module: str
     suffixes: tuple[str, ...]
@@ -53,15 +60,16 @@ class FileOptions(NamedTuple):
 
 
 RTDE = "rtde"
-SOURCES: Mapping[str, SourceEntry] = {
-    "tcp": SourceEntry("session_lines", "127.0.0.1:7008", "JSON lines"),
-    RTDE: SourceEntry("rtde", "192.168.0.2", "Universal Robots"),
-    "lines+tcp": SourceEntry("text_lines", "192.168.0.2:7008", "CSV, or JSON with names and units of its own"),
-    "lines+udp": SourceEntry("text_lines", "0.0.0.0:7008", "the same in datagrams, sent to this computer"),
+OWN: Mapping[str, SourceEntry] = {
+    "tcp": SourceEntry(".session_lines", "127.0.0.1:7008", "JSON lines"),
+    RTDE: SourceEntry(".rtde", "192.168.0.2", "Universal Robots"),
+    "lines+tcp": SourceEntry(".text_lines", "192.168.0.2:7008", "CSV, or JSON with names and units of its own"),
+    "lines+udp": SourceEntry(".text_lines", "0.0.0.0:7008", "the same in datagrams, sent to this computer"),
 }
-TABLE = FileEntry("joint_table", (".csv",), False, "a table (.csv)")
+SOURCES = {scheme: SourceEntry(*entry) for scheme, entry in with_additions("sources", OWN).items()}
+TABLE = FileEntry(".joint_table", (".csv",), False, "a table (.csv)")
 FILES: tuple[FileEntry, ...] = (
-    FileEntry("bags", (".mcap", ".db3"), True, "a ROS 2 bag (a folder, .mcap or .db3)"),
+    FileEntry(".bags", (".mcap", ".db3"), True, "a ROS 2 bag (a folder, .mcap or .db3)"),
     TABLE,
 )
 
@@ -115,4 +123,4 @@ def readings_of_file(path: Path, options: FileOptions) -> Iterator[AddedReading]
 
 
 def _module(name: str) -> ModuleType:
-    return import_module(f"{__package__}.{name}")
+    return import_module(name, __package__)

@@ -1,0 +1,3 @@
+"""The version of truearm: that of firmware and image."""
+
+from truearm_wire.version import VERSION as VERSION
