@@ -127,28 +127,28 @@ def correct(
         document=json,
     )
     try:
-        found = correct_file(calibration, files, options)
+        done = correct_file(calibration, files, options)
     except ProgramRefused as exc:
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise
     if not json:
-        print_lines(refused_lines(found.refused))
-    end = ExitCode.INCOMPLETE if found.refused else ExitCode.DONE
+        print_lines(refused_lines(done.refused))
+    end = ExitCode.INCOMPLETE if done.refused else ExitCode.DONE
     written = files.out, files.report
-    return Answer(found.document, findings=found.findings, tables=correction_tables(found), written=written, end=end)
+    return Answer(done.document, findings=done.findings, tables=correction_tables(done), written=written, end=end)
 
 
 def _named(option: str, given: list[str] | None) -> dict[str, Six]:
     """Return poses by name, "" for one without a name. Raises InputError."""
-    found: dict[str, Six] = {}
+    poses: dict[str, Six] = {}
     for text in given or ():
         name, equals, pose = text.rpartition("=")
         if equals and not name.isidentifier():
             raise InputError(
                 f"{option} {text[:60]}: {name[:40]!r} is not a name of a tool or work object; use letters, digits and _"
             )
-        if name.lower() in found:
+        if name.lower() in poses:
             raise InputError("given-twice", place=f"{option} {text[:60]}", what="it")
-        found[name.lower()] = frame_of(option, pose)
-    return found
+        poses[name.lower()] = frame_of(option, pose)
+    return poses

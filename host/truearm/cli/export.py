@@ -38,7 +38,7 @@ def export(files: ExportFiles) -> Answer:
     """
     from truearm.workflows.export import export_file
 
-    found = export_file(files)
+    exported = export_file(files)
     written = [path for path in (files.out, files.curves_out) if path is not None]
-    document = {"format": files.format, "findings": entries(found.findings), "written": list(map(str, written))}
+    document = {"format": files.format, "findings": entries(exported.findings), "written": list(map(str, written))}
     return Answer(document, written=written)

@@ -76,14 +76,14 @@ def map_(
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, None if elbow is None else elbow is Elbow.up, MM.to_si(cell_mm), own_frames)
-    found = map_files(calibration, files, section, wanted)
-    findings = map_findings(found, section.cell, task, calibration.simulated)
+    mapped = map_files(calibration, files, section, wanted)
+    findings = map_findings(mapped, section.cell, task, calibration.simulated)
     if files.report is not None:
-        write_map_page(files.report, findings, found, calibration, own_frames)
+        write_map_page(files.report, findings, mapped, calibration, own_frames)
     written = [path for path in (files.out, files.picture_out, files.report) if path is not None]
-    spans = {} if found.region is None else {"u_mm": found.region.u, "v_mm": found.region.v}
+    spans = {} if mapped.region is None else {"u_mm": mapped.region.u, "v_mm": mapped.region.v}
     region = {name: [MM.of(end) for end in span] for name, span in spans.items()} or None
-    axes = [axis(direction) for direction in found.map.axes]
+    axes = [axis(direction) for direction in mapped.map.axes]
     document = {"axes": axes, "best_region": region, "findings": entries(findings)}
     return Answer({**document, "written": list(map(str, written))}, written=written)
 

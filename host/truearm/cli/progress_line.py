@@ -83,7 +83,7 @@ class Shown:
             if self._ended.is_set():
                 return
             now_s = time.monotonic()
-            text = shown_text([one for one in self._steps if now_s - one.begun_s >= QUIET_S], now_s)
+            text = shown_text([step for step in self._steps if now_s - step.begun_s >= QUIET_S], now_s)
             if text:
                 # the cursor returns to the start of the line, so that other output is not appended to it
                 self._write(f"\x1b[2K{text[: shutil.get_terminal_size().columns - 1]}\r")
@@ -104,18 +104,18 @@ class Shown:
 
 def shown_text(steps: Sequence[RunningStep], now_s: float) -> str:
     """Return the text for nested steps, the outermost first; "" for none."""
-    whole = next((one for one in steps if one.share >= LEAST_SHARE), None)
-    texts = [said(one, now_s) for one in (steps[-1:] if whole in (None, *steps[-1:]) else [whole, steps[-1]]) if one]
+    whole = next((step for step in steps if step.share >= LEAST_SHARE), None)
+    texts = [said(step, now_s) for step in (steps[-1:] if whole in (None, *steps[-1:]) else [whole, steps[-1]]) if step]
     return "; ".join(texts)
 
 
-def said(one: RunningStep, now_s: float) -> str:
+def said(step: RunningStep, now_s: float) -> str:
     """``reading monday.mcap: 42 %, 12 s, about 17 s left``."""
-    elapsed_s = now_s - one.begun_s
-    if one.share < LEAST_SHARE:
-        return f"{one.what}: {duration(elapsed_s)}"
-    left_s = elapsed_s * (1.0 - one.share) / one.share
-    return f"{one.what}: {100.0 * one.share:.0f} %, {duration(elapsed_s)}, about {duration(left_s)} left"
+    elapsed_s = now_s - step.begun_s
+    if step.share < LEAST_SHARE:
+        return f"{step.what}: {duration(elapsed_s)}"
+    left_s = elapsed_s * (1.0 - step.share) / step.share
+    return f"{step.what}: {100.0 * step.share:.0f} %, {duration(elapsed_s)}, about {duration(left_s)} left"
 
 
 def duration(seconds: float) -> str:

@@ -53,10 +53,10 @@ class ProjectCommand(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """List arguments and options below their headings."""
         panels: dict[str, list[tuple[str, str]]] = {}
-        for one in self.get_params(ctx):
-            if row := one.get_help_record(ctx):
-                usual = "Options" if one.opts[0].startswith("-") else ARGUMENTS
-                panels.setdefault(getattr(one, "rich_help_panel", None) or usual, []).append(row)
+        for parameter in self.get_params(ctx):
+            if row := parameter.get_help_record(ctx):
+                usual = "Options" if parameter.opts[0].startswith("-") else ARGUMENTS
+                panels.setdefault(getattr(parameter, "rich_help_panel", None) or usual, []).append(row)
         for heading in (ARGUMENTS, "Options", EXPERT):
             if heading in panels:
                 with formatter.section(heading):
@@ -64,7 +64,7 @@ class ProjectCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the command line. Of a command that takes a result and further files, the project's result may be left out."""
-        files = [one.name or "" for one in self.params if not one.opts[0].startswith("-")]
+        files = [parameter.name or "" for parameter in self.params if not parameter.opts[0].startswith("-")]
         if files[:1] == ["result"] and len(files) == 2:
             words, *_ = self.make_parser(ctx).parse_args(list(args))
             first, further = (words.get(name) for name in files)
@@ -80,18 +80,18 @@ class ProjectCommand(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Raises InputError for an option that is nan or inf, which typer accepts, and for a file of another kind."""
-        for one in self.params:
-            given = ctx.params[one.name or ""]
-            for value in given if isinstance(given, list | tuple) else (given,):
+        for parameter in self.params:
+            argument = ctx.params[parameter.name or ""]
+            for value in argument if isinstance(argument, list | tuple) else (argument,):
                 if isinstance(value, float) and not math.isfinite(value):
-                    raise InputError(f"{one.opts[0]} must be a finite number, is {value}")
-                if one.name in TAKES and isinstance(value, str | Path):
-                    _check_kind(one.name, value, self.params)
+                    raise InputError(f"{parameter.opts[0]} must be a finite number, is {value}")
+                if parameter.name in TAKES and isinstance(value, str | Path):
+                    _check_kind(parameter.name, value, self.params)
         taken = [
             word
-            for one in self.params
-            if _source(ctx, one.name or "") == "DEFAULT_MAP" and ctx.params[one.name or ""] is not None
-            for word in _words(one, ctx.params[one.name or ""])
+            for parameter in self.params
+            if _source(ctx, parameter.name or "") == "DEFAULT_MAP" and ctx.params[parameter.name or ""] is not None
+            for word in _words(parameter, ctx.params[parameter.name or ""])
         ]
         before = ctx.meta.get(RESULT_TAKEN, [])
         if before or taken:
@@ -168,7 +168,7 @@ def _words(option: Any, value: Any) -> Sequence[str]:
     """Return an option as words of a command line."""
     flag = [option.opts[0]] if option.opts[0].startswith("-") else []
     values = value if isinstance(value, list | tuple) else [value]
-    return [word for one in values for word in (*flag, str(one))]
+    return [word for item in values for word in (*flag, str(item))]
 
 
 def defaults(folder: Path) -> dict[str, Any]:
@@ -209,8 +209,8 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         return [shown(home / project.rig)] if project.table else None  # a session has its own
 
     def newest_session() -> str | None:
-        found = sessions()
-        return found[-1] if found else None
+        paths = sessions()
+        return paths[-1] if paths else None
 
     def newest_result() -> str | None:
         from truearm.workflows.project import result_in_use
@@ -294,7 +294,7 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
 
     if parameter == "result":
         return f"{lack(project.results, 'result')}; make one with truearm identify"
-    sessions = by_time(path for one in folders_of(home) for path in sessions_of(one))
+    sessions = by_time(path for subfolder in folders_of(home) for path in sessions_of(subfolder))
     if not sessions:
         return f"{lack(project.sessions, 'session')}; make one with truearm record"
     *others, newest = (os.path.relpath(path, folder) for path in sessions)

@@ -11,6 +11,7 @@ from truearm.bounds import OneOf
 from truearm.cli.command import Answer, command, fill
 from truearm.cli.output import warn_of_further_parts
 from truearm.cli.project import ProjectCommand, command_group
+from truearm.files.robot_file import NO_ROBOT, RobotChoice
 from truearm.record.robots.sources import FileOptions, files_help
 from truearm.text import counted, one_line
 from truearm.workflows.requests import ExportSession
@@ -50,14 +51,14 @@ def recover(
     from truearm.workflows.session_copies import recover_file, recovered_name
 
     out = out or recovered_name(session)
-    found = recover_file(session, out, force)
-    if found is None:
+    recovered = recover_file(session, out, force)
+    if recovered is None:
         text = f"{one_line(str(session))}: is intact; there is nothing to recover, and nothing was written"
         return Answer({"whole": True, "out": None}, [text])
     warn_of_further_parts(session, f"later commands do not find them from {one_line(out.name)}; name each file")
-    reading = "every command reads it" if found.samples else "but no sample in it can be used"
+    reading = "every command reads it" if recovered.samples else "but no sample in it can be used"
     written = f"{one_line(str(out))}: written, with all data that are intact; {reading}"
-    return Answer({"whole": False, "out": str(out), **asdict(found)}, [*lines(found), written])
+    return Answer({"whole": False, "out": str(out), **asdict(recovered)}, [*lines(recovered), written])
 
 
 def lines(found: Recovered) -> list[str]:
@@ -98,9 +99,7 @@ def _named(names: tuple[str, ...], what: str) -> str:
 def relabel(
     session: Path,
     *,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
+    robot: RobotChoice = NO_ROBOT,
     rig: Path | None = None,
     trust: Annotated[str | None, OneOf(("plan", "typed", "evidence"))] = None,
     mounted: list[str] | None = None,
@@ -125,11 +124,10 @@ def relabel(
         What was mounted at some dwells, numbered as printed: 12:14=bar46,c1,s2; of a further part, "s.2.mcap 12=...".
     """
     from truearm.files.rig_file import read_rig
-    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.relabel import relabel as relabel_session
 
-    robot = RobotChoice(model, base, tip).load() if model else None
-    document = relabel_session(session, robot, trust, mounted or (), read_rig(rig) if rig else None)
+    nominal = robot.load() if robot.robot else None
+    document = relabel_session(session, nominal, trust, mounted or (), read_rig(rig) if rig else None)
     left_out, saved = document["left_out"], document["saved"]
     sessions, dwells = ", ".join(map(one_line, document["sessions"])), counted(document["dwells"], "dwell")
     summary = f"{sessions}: {dwells}, {document['with_reading']} with a reading within the stroke; "
@@ -151,9 +149,7 @@ def add_joints(
     out: Path,
     topic: str = "/joint_states",
     joints: str | None = None,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
+    robot: RobotChoice = NO_ROBOT,
     columns: str | None = None,
     zero_s: float | None = None,
     replace: bool = False,
@@ -191,11 +187,10 @@ def add_joints(
     replace
         Replace the joint readings that the session has.
     """
-    from truearm.files.robot_file import RobotChoice
     from truearm.record.robots.joint_columns import parse_renames
     from truearm.workflows.session_copies import AddJoints, add_joints_file, joint_names
 
-    joint_list = joint_names(joints, RobotChoice(model, base, tip))
+    joint_list = joint_names(joints, robot)
     renames = () if columns is None else parse_renames(columns)
     files = fill(AddJoints, locals(), options=FileOptions(topic, joint_list, allow_damaged, renames))
     count = add_joints_file(files, force)

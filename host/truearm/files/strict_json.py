@@ -6,17 +6,10 @@ import json
 import math
 from typing import Any
 
-from truearm.units import shown
-
 
 def number_or_null(value: Any) -> float | None:
     """Return a number for JSON, or None if it is not finite."""
     return float(value) if math.isfinite(value) else None
-
-
-def shown_or_null(value: Any, si: str) -> float | None:
-    """Return an SI value for JSON, in the display unit; None if it is not finite."""
-    return number_or_null(shown(value, si))
 
 
 def without_nan(value: Any) -> Any:

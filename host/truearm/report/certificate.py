@@ -48,7 +48,9 @@ def facts_of(recordings: Sequence[Recording]) -> Facts:
     """Return labels and values of how sessions were recorded; of several, labels start with the session's name."""
     several = len(recordings) > 1
     return tuple(
-        (f"{one.name}: {label}" if several else label, value) for one in recordings for label, value in one.facts
+        (f"{recording.name}: {label}" if several else label, value)
+        for recording in recordings
+        for label, value in recording.facts
     )
 
 
@@ -59,18 +61,18 @@ def conditions(recordings: Sequence[Recording]) -> Facts:
     if len(recordings) == 1:
         return facts_of(recordings)
     readings: dict[str, list[float]] = {}
-    for name, *degc in (reading for one in recordings for reading in one.temperatures):
+    for name, *degc in (reading for recording in recordings for reading in recording.temperatures):
         readings.setdefault(name, []).extend(degc)
     return (
         ("sessions", f"{len(recordings)}, listed under The recording"),
-        ("samples lost", f"{sum(one.samples_lost for one in recordings):,}"),
+        ("samples lost", f"{sum(recording.samples_lost for recording in recordings):,}"),
         *((f"temperature of the {name}", between(min(degc), max(degc))) for name, degc in readings.items()),
     )
 
 
 def sensor_facts(recordings: Sequence[Recording]) -> Facts:
     """Return the sensors of the boxes with their calibrations."""
-    sensors = tuple(dict.fromkeys(sensor for one in recordings for sensor in one.sensors))
+    sensors = tuple(dict.fromkeys(sensor for recording in recordings for sensor in recording.sensors))
     return sensors[:MOST] + more(len(sensors))
 
 
@@ -81,7 +83,7 @@ def more(count: int) -> Facts:
 
 def recorded(recordings: Sequence[Recording]) -> str:
     """Return the days on which sessions were recorded."""
-    days = sorted({one.begun[:10] for one in recordings if one.begun})
+    days = sorted({recording.begun[:10] for recording in recordings if recording.begun})
     return " to ".join(dict.fromkeys((days[0], days[-1]))) if days else "not known"
 
 

@@ -100,14 +100,14 @@ def by_order(rows: ResidualRows) -> Figure:
 
 def by_longitude(rows: ResidualRows) -> Figure | None:
     """Return residuals against the longitude of the sphere about its chuck (Goswami 1993, Fig. 3)."""
-    known = np.isfinite(rows.longitude)
-    if not (known & rows.fitted).any():
+    finite = np.isfinite(rows.longitude)
+    if not (finite & rows.fitted).any():
         return None
     x, y = rows.longitude, rows.residual
-    low, high = _deg_range(x[known])
-    plot = svg.Plot(svg.linear_axis("longitude [deg]", low, high, 60.0), svg.linear_axis(rows.name, *_reach(y[known])))
-    chosen, interval = np.flatnonzero(known & rows.fitted), np.floor(x / LONGITUDE_BIN_DEG)
-    _draw_residuals(plot, rows, x, known, "{}°", [chosen[interval[chosen] == k] for k in np.unique(interval[chosen])])
+    low, high = _deg_range(x[finite])
+    plot = svg.Plot(svg.linear_axis("longitude [deg]", low, high, 60.0), svg.linear_axis(rows.name, *_reach(y[finite])))
+    chosen, interval = np.flatnonzero(finite & rows.fitted), np.floor(x / LONGITUDE_BIN_DEG)
+    _draw_residuals(plot, rows, x, finite, "{}°", [chosen[interval[chosen] == k] for k in np.unique(interval[chosen])])
     caption = (
         "Longitude of the sphere about its chuck. Measurement errors do not depend on it: a mean that varies by more than "
         "its bars (two standard errors) indicates errors that the parameters do not model."
@@ -232,17 +232,18 @@ def quantiles(rows: ResidualRows) -> Figure | None:
     if r.size < 10 or law.sigma < svg.SMALLEST:
         return None
     expected = law.quantile((np.arange(r.size) + 0.5) / r.size)
-    what = law.name
+    distribution = law.name
     both = np.concatenate([r, expected])
     low, high = _reach(both)
     plot = svg.Plot(
-        svg.linear_axis(f"quantile of the {what} [{rows.unit}]", low, high), svg.linear_axis(rows.name, low, high)
+        svg.linear_axis(f"quantile of the {distribution} [{rows.unit}]", low, high),
+        svg.linear_axis(rows.name, low, high),
     )
     at = thinned(r.size, MAX_POINTS)
-    plot.line([low, high], [low, high], "law line", what)
+    plot.line([low, high], [low, high], "law line", distribution)
     plot.dots(expected[at], r[at], "fit", "fitted rows")
     beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.width == 1 else None
-    caption = f"Points on the line follow the {what}. If the ends bend away from it, those rows have unexpectedly large residuals."
+    caption = f"Points on the line follow the {distribution}. If the ends bend away from it, those rows have unexpectedly large residuals."
     if beyond is not None:
         caption += (
             f" Beyond 3σ: {counted(beyond, 'row')}; a normal distribution would have {figures(0.0027 * r.size, 2)}."

@@ -82,10 +82,10 @@ def _orders(page: GaugePage) -> Figure:
         svg.log_axis("RMS [µm]", error),
     )
     tips = [f"order {order}: {figures(e)} µm" for order, e in zip(page.orders, error, strict=True)]
-    taken = page.orders.index(page.order)
+    chosen = page.orders.index(page.order)
     plot.line(page.orders, error, "fit line", "cross-validation RMS")
     plot.scatter(page.orders, error, "fit", tips)
-    plot.scatter([page.order], [error[taken]], "val", [tips[taken]], "chosen", 4.5)
+    plot.scatter([page.order], [error[chosen]], "val", [tips[chosen]], "chosen", 4.5)
     return plot.figure("Cross-validation error", _ORDER_CAPTION)
 
 

@@ -72,13 +72,13 @@ def map_picture(
     right = max(SCALE, LETTER * len(title) - across)
     plot = Plot(x, y, up + TOP + BOTTOM, LEFT + across + right, LEFT, right, TOP, BOTTOM)
     scale = linear_axis("error [mm]", *errors, intervals=min(6.0, up / TICK_SPACE[1]))
-    parts = [f"<style>{STYLE}</style>" * styled, axes(plot), label(plot.left, 18, title, "name")]
+    marks = [f"<style>{STYLE}</style>" * styled, axes(plot), label(plot.left, 18, title, "name")]
     for i, j in zip(*np.nonzero(~np.isnan(error_mm)), strict=True):
         left, top = plot.px(u_mm[j] - 0.5 * cell), plot.py(v_mm[i] + 0.5 * cell)
         sure = f" ± {sigma_mm[i, j]:.3f}" if np.isfinite(sigma_mm[i, j]) else ""
         tip = f"{u_mm[j]:.0f}, {v_mm[i]:.0f}: {error_mm[i, j]:.3f}{sure} mm" + ", not covered" * bool(outside[i, j])
         side = unit * cell + 0.2  # no seams between cells
-        parts.append(
+        marks.append(
             rect(
                 float(left),
                 float(top),
@@ -90,14 +90,14 @@ def map_picture(
             )
         )
     if step > 1:
-        parts.append(label(LEFT + across + 4.0, plot.height - 24, f"1 of {step}² cells shown"))
+        marks.append(label(LEFT + across + 4.0, plot.height - 24, f"1 of {step}² cells shown"))
     if (outside & ~np.isnan(error_mm)).any():
-        parts.append(label(LEFT + across + 4.0, plot.height - 8, "pale: not calibrated"))
+        marks.append(label(LEFT + across + 4.0, plot.height - 8, "pale: not calibrated"))
     if task_mm is not None:
         (x0, x1), (y1, y0) = plot.px(task_mm[:2]), plot.py(task_mm[2:])
-        parts.append(rect(x0, y0, x1 - x0, y1 - y0, "task", "the best place for the task"))
-    parts += _colours(plot, scale, LEFT + across + 28.0)
-    picture = drawing(plot.width, plot.height, parts, title)
+        marks.append(rect(x0, y0, x1 - x0, y1 - y0, "task", "the best place for the task"))
+    marks += _colours(plot, scale, LEFT + across + 28.0)
+    picture = drawing(plot.width, plot.height, marks, title)
     return picture.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
 
 
@@ -105,12 +105,12 @@ def _colours(plot: Plot, scale: Axis, left: float) -> list[str]:
     """Return the colours of the scale, with its ticks."""
     floor, steps = plot.height - plot.bottom, 60
     side = (floor - plot.top) / steps
-    parts = [
+    marks = [
         rect(left, floor - (k + 1) * side, 18.0, side + 0.3, "", "", _fill(k / (steps - 1.0))) for k in range(steps)
     ]
     for share, text in zip(scale.fraction(scale.ticks), scale.tick_labels, strict=True):
-        parts.append(label(left + 24.0, floor - share * (floor - plot.top) + 4.0, text))
-    return [*parts, label(left, plot.top - 12.0, scale.label)]
+        marks.append(label(left + 24.0, floor - share * (floor - plot.top) + 4.0, text))
+    return [*marks, label(left, plot.top - 12.0, scale.label)]
 
 
 def _fill(share: float) -> str:

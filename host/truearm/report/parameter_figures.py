@@ -82,18 +82,18 @@ def correlation(estimate: Estimate) -> Figure | None:
     cell, left, top = 16.0, 118.0, 8.0
     size = cell * len(names)
     width = max(left + size, 640.0) + 8.0  # room for the key next to a small triangle
-    parts = [
+    marks = [
         _cell(rho[i, j], left + cell * j, top + cell * i, cell, names[i], names[j])
         for i, j in zip(*np.tril_indices(len(names), -1))
     ]
     for k, name in enumerate(names):
         at = cell * (k + 0.5)
-        parts.append(svg.label(left - 6, top + at + 4, _short(name), "end small"))
+        marks.append(svg.label(left - 6, top + at + 4, _short(name), "end small"))
         turned = f' transform="translate({svg.num(left + at + 4)} {svg.num(top + size + 6)}) rotate(-90)"'
-        parts.append(svg.label(0, 0, _short(name), "end small", turned))
-    parts.append(_colour_key(width - 212.0, top + 14.0))
+        marks.append(svg.label(0, 0, _short(name), "end small", turned))
+    marks.append(_colour_key(width - 212.0, top + 14.0))
     caption = "Of the parameters that were identified. Strongest: " + "; ".join(_strongest(rho, names)) + "."
-    picture = svg.drawing(width, top + size + 112.0, parts, "Correlation. " + caption)
+    picture = svg.drawing(width, top + size + 112.0, marks, "Correlation. " + caption)
     return Figure("Correlation of the parameters", caption, picture, wide=True)
 
 
@@ -108,12 +108,12 @@ def _short(name: str) -> str:
 
 
 def _colour_key(x: float, y: float) -> str:
-    parts = []
+    cells = []
     for k in range(11):
         rho = k / 5.0 - 1.0
-        parts.append(_cell(rho, x + 18.0 * k, y, 18.0, "key", "correlation"))
+        cells.append(_cell(rho, x + 18.0 * k, y, 18.0, "key", "correlation"))
     marks = zip((0, 5, 10), (-1, 0, 1), strict=True)
-    return "".join(parts) + "".join(svg.label(x + 18.0 * k + 9, y + 34, number(v, 0), "mid small") for k, v in marks)
+    return "".join(cells) + "".join(svg.label(x + 18.0 * k + 9, y + 34, number(v, 0), "mid small") for k, v in marks)
 
 
 def _strongest(rho: Floats, names: Sequence[str]) -> list[str]:

@@ -95,7 +95,7 @@ class Law(NamedTuple):
 
 def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[ResidualRows]:
     """Return the observations of each kind and unit for display, without rows that have no finite residual."""
-    group, source, found = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
+    group, source, sets = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
     order = np.arange(1, len(table) + 1), sessions(table), mountings(table)
     wrapped = DEG.of(np.arctan2(np.sin(longitude), np.cos(longitude)))
     for kind in np.unique(table.kind):
@@ -107,10 +107,10 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
         for si in units:
             at = finite[si]
             after, before = (shown(residual[si][at], si) for residual in (estimate.residual, estimate.residual_before))
-            part = PARTS.get(si, si) if len(units) > 1 else ""
-            rest = (wrapped[at], estimate.fitted[at], group[at], source[at], *(of[at] for of in order), part)
-            found.append(ResidualRows(str(kind), si, after, before, *rest))
-    return found
+            component = PARTS.get(si, si) if len(units) > 1 else ""
+            rest = (wrapped[at], estimate.fitted[at], group[at], source[at], *(of[at] for of in order), component)
+            sets.append(ResidualRows(str(kind), si, after, before, *rest))
+    return sets
 
 
 def row_name(source: str) -> str:

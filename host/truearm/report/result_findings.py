@@ -436,13 +436,13 @@ def tool_error(document: Document) -> list[Finding]:
     if document["status"] != "converged" or not document["usable"]:
         return []
     predicted, shown = document["predicted_error"], document["unexplained"]
-    parts = _parts(document)
+    decomposition = _parts(document)
     if shown is None:
         if predicted is None:
             return [Finding("tool-error-unpredictable")]
         sizes = {"rms": {"mm": predicted["rms_mm"]}, "largest": {"mm": predicted["max_mm"]}}
         where = {"n": predicted["n"], "relative": predicted["relative"], "row": predicted["at"]}
-        return [Finding("tool-error", {**sizes, **where, **parts})]
+        return [Finding("tool-error", {**sizes, **where, **decomposition})]
     bad, tool = document["without_bad_rows"], predicted["rms_mm"] if predicted else None
     faults = "The fit has faults that it does not contain"
     values = {
@@ -461,7 +461,7 @@ def tool_error(document: Document) -> list[Finding]:
         "by": "held out" if shown["by"] == "held out" else "left out in turn",
         "tool": None if tool is None else {"mm": tool},
         "tool_n": predicted["n"] if predicted else None,
-        **parts,
+        **decomposition,
     }
     if bad is not None:
         return [Finding("tool-error-bad-rows", {**values, "moves": {"mm": bad["tool_moves_mm"]}})]

@@ -56,8 +56,8 @@ def kind_name(kind: str) -> str:
 def residual_words(kind: str) -> str:
     """Return a sentence that defines the residual of a kind for each unit."""
     of = kinds()[kind]
-    parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
-    return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."
+    definitions = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
+    return f"Residual of {with_article(of.name)} observation: {'; '.join(definitions)}."
 
 
 @dataclass(frozen=True)

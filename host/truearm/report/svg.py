@@ -68,10 +68,10 @@ def log_axis(label: str, values: ArrayLike) -> Axis:
     v = v[v > SMALLEST]
     first = math.floor(math.log10(v.min(initial=1.0 if v.size == 0 else np.inf)) + 1e-9)
     last = max(math.ceil(math.log10(v.max(initial=SMALLEST)) - 1e-9), first + 1)
-    every = math.ceil((last - first) / 6)
+    stride = math.ceil((last - first) / 6)
     mantissas = (1.0, 2.0, 5.0) if last - first <= 2 else (1.0,)
-    marks = [(m, k) for k in range(first, last, every) for m in mantissas] + [(1.0, last)] * (
-        (last - first) % every == 0
+    marks = [(m, k) for k in range(first, last, stride) for m in mantissas] + [(1.0, last)] * (
+        (last - first) % stride == 0
     )
     ticks, labels = tuple(m * 10.0**k for m, k in marks), tuple(_power_label(m, k) for m, k in marks)
     return Axis(label, 10.0**first, 10.0**last, ticks, labels, log=True)
@@ -161,8 +161,8 @@ class Plot:
 
     def figure(self, title: str, caption: str, wide: bool = False) -> Figure:
         """Return all that was drawn, with axes and legend. Screen readers read title and caption instead."""
-        parts = [axes(self), *self.marks, legend(self)]
-        return Figure(title, caption, drawing(self.width, self.height, parts, f"{title}. {caption}"), wide)
+        drawn = [axes(self), *self.marks, legend(self)]
+        return Figure(title, caption, drawing(self.width, self.height, drawn, f"{title}. {caption}"), wide)
 
 
 def num(value: float) -> str:
@@ -179,17 +179,17 @@ def axes(plot: Plot) -> str:
     """Return grid lines, tick labels and axis labels."""
     right, floor = plot.width - plot.right, plot.height - plot.bottom
     middle = (plot.top + floor) / 2
-    parts = []
+    marks = []
     for at, text in zip(plot.px(plot.x.ticks), plot.x.tick_labels, strict=True):
-        parts.append(f'<path class="grid" d="M{num(at)} {num(plot.top)}V{num(floor)}"/>')
-        parts.append(label(at, floor + 17, text, "mid"))
+        marks.append(f'<path class="grid" d="M{num(at)} {num(plot.top)}V{num(floor)}"/>')
+        marks.append(label(at, floor + 17, text, "mid"))
     for at, text in zip(plot.py(plot.y.ticks), plot.y.tick_labels, strict=True):
-        parts.append(f'<path class="grid" d="M{num(plot.left)} {num(at)}H{num(right)}"/>')
-        parts.append(label(plot.left - 7, at + 4, text, "end"))
-    parts.append(f'<path class="axis" d="M{num(plot.left)} {num(plot.top)}V{num(floor)}H{num(right)}"/>')
-    parts.append(label((plot.left + right) / 2, plot.height - 8, plot.x.label, "mid name"))
-    parts.append(label(0, 0, plot.y.label, "mid name", f' transform="translate(14 {num(middle)}) rotate(-90)"'))
-    return "".join(parts)
+        marks.append(f'<path class="grid" d="M{num(plot.left)} {num(at)}H{num(right)}"/>')
+        marks.append(label(plot.left - 7, at + 4, text, "end"))
+    marks.append(f'<path class="axis" d="M{num(plot.left)} {num(plot.top)}V{num(floor)}H{num(right)}"/>')
+    marks.append(label((plot.left + right) / 2, plot.height - 8, plot.x.label, "mid name"))
+    marks.append(label(0, 0, plot.y.label, "mid name", f' transform="translate(14 {num(middle)}) rotate(-90)"'))
+    return "".join(marks)
 
 
 def rect(x: float, y: float, width: float, height: float, css: str, tip: str, extra: str = "") -> str:
@@ -199,17 +199,17 @@ def rect(x: float, y: float, width: float, height: float, css: str, tip: str, ex
 
 def legend(plot: Plot) -> str:
     """Return the entries of the legend in a row above the plot."""
-    parts, x = [], plot.left
+    marks, x = [], plot.left
     for css in sorted(plot.entries, key=lambda css: (css.endswith("line"), css == "val")):  # points first
         text = plot.entries[css]
         # A line with round ends that is as long as it is thick is a dot, for data drawn as points.
         length = 14.0 if css.endswith("line") else 0.0
-        parts.append(f'<path class="{css} key" d="M{num(x + 5)} 14h{num(length)}"/>' + label(x + length + 13, 18, text))
+        marks.append(f'<path class="{css} key" d="M{num(x + 5)} 14h{num(length)}"/>' + label(x + length + 13, 18, text))
         x += length + 27 + 7.2 * len(text)
-    return "".join(parts)
+    return "".join(marks)
 
 
-def drawing(width: float, height: float, parts: Iterable[str], description: str) -> str:
+def drawing(width: float, height: float, marks: Iterable[str], description: str) -> str:
     """Return the SVG element; screen readers read ``description`` instead of the picture."""
     box = f'viewBox="0 0 {num(width)} {num(height)}"'
-    return f'<svg {box} role="img" aria-label="{escape(description, 400)}">{"".join(parts)}</svg>'
+    return f'<svg {box} role="img" aria-label="{escape(description, 400)}">{"".join(marks)}</svg>'

@@ -177,9 +177,9 @@ class Calibration(Displayed):
         has_sag = any(isinstance(law, SagMasses) for law in self.stored.laws)
         values = {"holder": "the calibration", "masses": masses, "several": False}
         findings = [Finding("sag-payload", values)] if has_sag else []
-        others = [payload for payload in payloads or () if not any(map(payload.is_like, self.stored.payloads))]
-        if payloads and masses and others:
-            values = {"n": len(others), "rows": len(payloads), "payload": masses_of(others), "masses": masses}
+        unmeasured = [payload for payload in payloads or () if not any(map(payload.is_like, self.stored.payloads))]
+        if payloads and masses and unmeasured:
+            values = {"n": len(unmeasured), "rows": len(payloads), "payload": masses_of(unmeasured), "masses": masses}
             findings.append(Finding("other-payload", values))
         return findings
 
@@ -272,8 +272,8 @@ def calibration_of(stored: Result, robot: Robot, called: str, result: str) -> Ca
     InputError.
     """
     robot = robot_with_laws(robot, _laws_of(stored, robot, result))
-    chain, mine = robot.chain, stored.column("of") == "robot"
-    names = tuple(stored.column("name")[mine].tolist())
+    chain, of_robot = robot.chain, stored.column("of") == "robot"
+    names = tuple(stored.column("name")[of_robot].tolist())
     if names != chain.parameter_names or stored.robot.joint_units != chain.joint_units:
         first, last = stored.robot.base_frame, stored.robot.end_frame
         other = robot.is_urdf and (first, last) != (chain.base_frame, chain.end_frame)
@@ -283,7 +283,7 @@ def calibration_of(stored: Result, robot: Robot, called: str, result: str) -> Ca
             Argument("robot"),
             *(links if other else ()),
         )
-    nominal, identified = (stored.column(name)[mine] for name in ("nominal", "value"))
+    nominal, identified = (stored.column(name)[of_robot] for name in ("nominal", "value"))
     if not np.allclose(nominal, chain.params_nominal, rtol=0.0, atol=1e-9):
         at = int(np.argmax(np.abs(nominal - chain.params_nominal)))
         raise InputError(
@@ -324,16 +324,16 @@ def six_text(pose: Floats) -> str:
 
 def mounting_values(chain: Chain, nominal: Floats, identified: Floats) -> dict[str, str]:
     """Return the mountings in words, with the names of the frames between which they lie."""
-    found = mountings(chain, nominal, identified)
-    poses = {"base": six_text(found.base), "end": six_text(found.tool)}
+    placed = mountings(chain, nominal, identified)
+    poses = {"base": six_text(placed.base), "end": six_text(placed.tool)}
     return {**poses, "base_frame": chain.base_frame, "end_frame": chain.end_frame}
 
 
-def check_joints(argument: str, given: Sequence[float] | None, chain: Chain) -> Floats | None:
+def check_joints(argument: str, readings: Sequence[float] | None, chain: Chain) -> Floats | None:
     """Check joint readings (j,) [rad, m] given as an argument; None if it was not given. Raises InputError."""
-    if given is None:
+    if readings is None:
         return None
-    q = np.array(given, dtype=float)
+    q = np.array(readings, dtype=float)
     if q.shape != (len(chain.joints),) or not np.isfinite(q).all():
         raise InputError(Argument(argument), f": must be {len(chain.joints)} finite numbers, one per joint")
     largest = largest_readings(chain)
@@ -405,7 +405,9 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
 
     def moving(directions: Sequence[NullDirection]) -> list[NullDirection]:
         return [
-            one for one in directions if np.abs(jac @ weights_of([one], chain.parameter_names)).max(initial=0.0) > MOVES
+            direction
+            for direction in directions
+            if np.abs(jac @ weights_of([direction], chain.parameter_names)).max(initial=0.0) > MOVES
         ]
 
     findings = []

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def write_page(
     path: Path,
-    found: Identification,
+    identification: Identification,
     command: str = "",
     recordings: Sequence[Recording] = (),
     certificate: Certificate | None = None,
@@ -38,32 +38,36 @@ def write_page(
     from truearm.report.result_findings import result_findings
     from truearm.workflows.scene import calibration_scene
 
-    table, estimate = found.table, found.estimate
+    table, estimate = identification.table, identification.estimate
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
     page = CalibrationPage(
-        title=f"Calibration of {found.chain.name}",
+        title=f"Calibration of {identification.chain.name}",
         subtitle=", ".join(files),
         estimate=estimate,
         table=table,
-        longitude=longitudes(found.chain, found.rig, table, estimate),
+        longitude=longitudes(identification.chain, identification.rig, table, estimate),
         command=command,
-        prior=found.prior,
-        predicted=found.predicted if found.predicted and _leads(found.predicted, estimate) else None,
+        prior=identification.prior,
+        predicted=identification.predicted
+        if identification.predicted and _leads(identification.predicted, estimate)
+        else None,
         law_steps=tuple(
-            step for suffix in found.document["residual_units"] for step in law_steps(found.document, suffix)
+            step
+            for suffix in identification.document["residual_units"]
+            for step in law_steps(identification.document, suffix)
         ),
-        curves=_curves(found),
+        curves=_curves(identification),
         facts=(*facts_of(recordings), *_facts(table)),
         certificate=certificate,
-        findings=tuple(result_findings(found.document)),
-        scene=None if found.estimate.unusable else calibration_scene(found),
+        findings=tuple(result_findings(identification.document)),
+        scene=None if identification.estimate.unusable else calibration_scene(identification),
     )
     write_atomic(path, render(page))
 
 
-def _curves(found: Identification) -> tuple[SampledCurve, ...]:
-    laws = found.estimate.joint_laws.kept if found.estimate.joint_laws else ()
-    return sampled_curves(found.chain, laws, found.identified, found.covariance)
+def _curves(identification: Identification) -> tuple[SampledCurve, ...]:
+    laws = identification.estimate.joint_laws.kept if identification.estimate.joint_laws else ()
+    return sampled_curves(identification.chain, laws, identification.identified, identification.covariance)
 
 
 def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
@@ -86,8 +90,8 @@ def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estim
     """
     out, params = np.full(len(table), np.nan), estimate.value[: estimate.n_robot_parameters]
     for name, kind in kinds().items():
-        for of, one in rigs_by_name(rig).items():
+        for of, entries in rigs_by_name(rig).items():
             rows = np.flatnonzero((table.kind == name) & (table.rig == of))
             if kind.longitude and rows.size:
-                out[rows] = kind.longitude(chain, params, one, table.select(rows))
+                out[rows] = kind.longitude(chain, params, entries, table.select(rows))
     return out

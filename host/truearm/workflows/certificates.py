@@ -48,17 +48,17 @@ class Issue:
 
 
 def calibration_certificate(
-    found: Identification, issue: Issue, recordings: Sequence[Recording], inputs: Sequence[Input]
+    identification: Identification, issue: Issue, recordings: Sequence[Recording], inputs: Sequence[Input]
 ) -> Certificate:
     """Return page one of the report on an identification."""
-    e, tool = found.estimate, _tool_error(found)
-    before = nominal_error(found.chain, found.rig, found.table, e)
+    e, tool = identification.estimate, _tool_error(identification)
+    before = nominal_error(identification.chain, identification.rig, identification.table, e)
     described = f"{size(rms(before), 'm')} RMS, {size(before.max(), 'm')} at most"
     few = f"not determined by {counted(len(before), 'row')}"  # which the placing of base and tool fits
     errors = (
         ("before: the nominal robot, base and tool placed", few if len(before) < FEWEST else described),
         (f"after: expanded uncertainty (k = {COVERAGE:g})", "not determined" if tool is None else size(tool, "m")),
-        ("measured region", _region(found, found.table)),
+        ("measured region", _region(identification, identification.table)),
     )
     rows: list[tuple[str, str]] = []
     used, outliers = int(e.used.sum()), int(e.n_observations - e.used.sum())
@@ -68,25 +68,27 @@ def calibration_certificate(
         rows.append((f"{used} fitted, RMS", f"{size(e.rms_before[si], si)} before, {size(after, si)} after"))
     held_out = {} if e.held_out is None else e.held_out.figures
     for si, figures in held_out.items():
-        rows.append((f"{figures.n} held out ({', '.join(found.document['held_out_by'])})", _figures_text(figures, si)))
+        rows.append(
+            (f"{figures.n} held out ({', '.join(identification.document['held_out_by'])})", _figures_text(figures, si))
+        )
     if not held_out:
         rows.append(("independent validation", "none: nothing was held out; see truearm validate"))
     if tool is not None and "m" in held_out:
         tool = max(tool, COVERAGE * held_out["m"].rms)
     gain = gain_of(e.mean_change) is Gain.NONE
-    problem = "no better than the nominal robot" if gain else unusable_because(found)
+    problem = "no better than the nominal robot" if gain else unusable_because(identification)
     return Certificate(
-        f"Certificate of {'a simulated ' * found.table.simulated}calibration",
+        f"Certificate of {'a simulated ' * identification.table.simulated}calibration",
         _decision(issue.tolerance, tool, f" (k = {COVERAGE:g}) at the tool in the measured region", problem),
         (
-            ("What", _what(found, issue, recordings, "result")),
+            ("What", _what(identification, issue, recordings, "result")),
             ("Error of the tool in the measured region", errors),
             ("Observations and independent validation", tuple(rows)),
-            ("Reference", _reference(found.rig, found.table, recordings)),
+            ("Reference", _reference(identification.rig, identification.table, recordings)),
             ("Conditions", conditions(recordings)),
             ("Files read", _files(inputs)),
         ),
-        _excluded(found),
+        _excluded(identification),
     )
 
 
@@ -144,14 +146,20 @@ def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording
     )
 
 
-def _tool_error(found: Identification) -> float | None:
+def _tool_error(identification: Identification) -> float | None:
     """Return the expanded uncertainty [m] of the measured point, from covariance and unexplained error; None if undetermined."""
-    e = found.estimate
+    e = identification.estimate
     if e.status != "converged" or e.unusable:
         return None
-    any_base = bool(found.document["defaults"]["base"])
-    predicted = found.predicted or predicted_point_error(found.chain, found.rig, found.table, e, any_base)
-    return None if predicted is None else COVERAGE * math.hypot(predicted.rms, unexplained_error(found.document)[0])
+    any_base = bool(identification.document["defaults"]["base"])
+    predicted = identification.predicted or predicted_point_error(
+        identification.chain, identification.rig, identification.table, e, any_base
+    )
+    return (
+        None
+        if predicted is None
+        else COVERAGE * math.hypot(predicted.rms, unexplained_error(identification.document)[0])
+    )
 
 
 def _decision(
@@ -162,10 +170,10 @@ def _decision(
         return f"NOT USABLE: {problem}."
     if error is None or undecided:
         return f"NOT DECIDED: {undecided or 'the observations do not determine the error of the tool'}."
-    found = f"{size(error, 'm')}{which}"
+    statement = f"{size(error, 'm')}{which}"
     if tolerance is None:
-        return f"{found}; no tolerance was given."
-    return f"{'PASS' if error <= tolerance else 'FAIL'}: {found}, tolerance {MM.text(tolerance)}."
+        return f"{statement}; no tolerance was given."
+    return f"{'PASS' if error <= tolerance else 'FAIL'}: {statement}, tolerance {MM.text(tolerance)}."
 
 
 def _region(calibration: Calibration, table: ObservationTable) -> str:
@@ -196,22 +204,27 @@ def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[Recordi
 
 
 def _length(length: float, sigma: float) -> str:
-    known = f"± {MM.of(COVERAGE * sigma):.3f} mm (k = {COVERAGE:g})" if sigma else "mm, taken as exact"
-    return f"{MM.of(length):.3f} {known}"
+    uncertainty = f"± {MM.of(COVERAGE * sigma):.3f} mm (k = {COVERAGE:g})" if sigma else "mm, taken as exact"
+    return f"{MM.of(length):.3f} {uncertainty}"
 
 
 def _files(inputs: Sequence[Input]) -> Facts:
-    listed = tuple((f"{one.role}: {one.name}", f"SHA-256 {one.sha256}") for one in inputs[:MOST])
+    listed = tuple((f"{file.role}: {file.name}", f"SHA-256 {file.sha256}") for file in inputs[:MOST])
     return listed + more(len(inputs))
 
 
-def _excluded(found: Identification) -> tuple[str, ...]:
+def _excluded(identification: Identification) -> tuple[str, ...]:
     """Return what the error of the tool does not include."""
-    e, sentences = found.estimate, [Finding("simulated").text()] if found.simulated else []
-    if found.predicted and found.predicted.relative:
+    e, sentences = identification.estimate, [Finding("simulated").text()] if identification.simulated else []
+    if identification.predicted and identification.predicted.relative:
         sentences.append("A common displacement of all poses: the observations do not determine where the base stands.")
-    exact = {name for rig in rigs_by_name(found.rig).values() for name, bar in rig.bars.items() if not bar.zero_sigma}
-    if names := sorted(exact & set(found.table.bar.tolist())):
+    exact = {
+        name
+        for rig in rigs_by_name(identification.rig).values()
+        for name, bar in rig.bars.items()
+        if not bar.zero_sigma
+    }
+    if names := sorted(exact & set(identification.table.bar.tolist())):
         sentences.append(
             f"Errors of the length of {', '.join(names[:3])}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre."
         )

@@ -153,16 +153,16 @@ def _refuse_steps(options: CorrectOptions) -> None:
         raise InputError(Argument("steps"), text)
 
 
-def _refuse_for_table(targets: Path, given: ProgramOptions) -> None:
+def _refuse_for_table(targets: Path, options: ProgramOptions) -> None:
     """Raise InputError for an option that would have no effect on a table."""
     of_programs = {
-        "joint_moves": given.joint_moves is not None,
-        "strict": given.strict,
-        "partial": given.partial,
-        "unchanged": bool(given.unchanged),
-        "flange": given.flange is not None,
+        "joint_moves": options.joint_moves is not None,
+        "strict": options.strict,
+        "partial": options.partial,
+        "unchanged": bool(options.unchanged),
+        "flange": options.flange is not None,
     }
-    named = {"tool": given.tools, "work": given.works}
+    named = {"tool": options.tools, "work": options.works}
     for option in (name for name, is_given in of_programs.items() if is_given):
         raise InputError(f"{targets}: is a table, and ", Argument(option), " is for programs; leave it out")
     for option in (name for name, poses in named.items() if any(poses)):
@@ -244,7 +244,7 @@ def tool0_in_flange(robot: RobotChoice, chain: Chain) -> Floats | None:
     if [joint.name for joint in flange.joints] != [joint.name for joint in tool0.joints]:
         return None
     q = np.zeros((1, len(flange.joints)))
-    poses = (forward(one, one.params_nominal, q)[0] for one in (flange, tool0))
+    poses = (forward(arm, arm.params_nominal, q)[0] for arm in (flange, tool0))
     return np.asarray(inverted(next(poses)) @ next(poses))
 
 

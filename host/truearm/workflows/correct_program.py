@@ -292,8 +292,11 @@ def _ends(moves: Iterable[Move | None]) -> list[Goal | None]:
         is_single = all(goal.argument is not None for goal in goals)
         chosen = goals[-1:] if is_single else goals
         ends.update(dict.fromkeys(chosen if 0 < len(chosen) <= MOST_ORIGINS else [None]))
-    known = [goal for goal in ends if goal is not None]
-    return [*known[:MOST_ORIGINS], *[None] * (len(known) < len(ends) or not 0 < len(known) <= MOST_ORIGINS)]
+    goals_known = [goal for goal in ends if goal is not None]
+    return [
+        *goals_known[:MOST_ORIGINS],
+        *[None] * (len(goals_known) < len(ends) or not 0 < len(goals_known) <= MOST_ORIGINS),
+    ]
 
 
 def _near(goal: Goal | None) -> Sequence[float] | Floats:

@@ -98,10 +98,10 @@ def _expected_errors(
     The mountings of ``pair`` were removed.
     """
     points = (inverted(pair.mountings.tool) @ tools)[:, :3, 3]
-    own = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)
+    is_own_base = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)
     unseen, relative_to = unseen_within(calibration)
-    known = ParametersKnown(calibration.chain, calibration.identified, calibration.covariance, unseen)
-    sigmas = end_sigmas(known, q, points, any_base=own)
+    distribution = ParametersKnown(calibration.chain, calibration.identified, calibration.covariance, unseen)
+    sigmas = end_sigmas(distribution, q, points, any_base=is_own_base)
     if sigmas is None:
         return np.full((len(q), 2), np.nan), relative_to
     if sigmas.relative and "base" not in relative_to:
@@ -233,7 +233,7 @@ def _head(calibration: Calibration) -> dict[str, Any]:
 
 def _target_entries(calibration: Calibration, of: CorrectedTargets, expected: Floats) -> list[dict[str, Any]]:
     done, units = of.correction, calibration.joint_units
-    poses = [position_and_rotation(part) for part in (of.asked, of.told)]
+    poses = [position_and_rotation(frames) for frames in (of.asked, of.told)]
     shift = apart(of.told, of.asked)
     shift[np.isnan(done.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
     limits, singular = (
@@ -299,9 +299,9 @@ def _move_entries(moves: CorrectedMoves, units: Sequence[str]) -> list[dict[str,
 def _several(places: Sequence[str]) -> str:
     """Join places under one name: "lines 3, 5 and 9"."""
     unique = list(dict.fromkeys(places))
-    what = unique[0].partition(" ")[0]
+    noun = unique[0].partition(" ")[0]
     numbers = [place.partition(" ")[2] for place in unique]
-    return f"{what}{'s' if len(unique) > 1 else ''} {listed(numbers)}"
+    return f"{noun}{'s' if len(unique) > 1 else ''} {listed(numbers)}"
 
 
 MOST_NAMED = 6  # quarter turns
@@ -309,12 +309,12 @@ MOST_NAMED = 6  # quarter turns
 
 def _other_quarters(lines: Sequence[str], q: Floats, quarters: Floats, wrong: NDArray[np.bool_]) -> list[str]:
     """Return "line 2: cf4 is 0, axis 4 at -95° needs -2" for the first wrong quarter turns (n, j)."""
-    found = np.argwhere(wrong)
-    said = [
+    places = np.argwhere(wrong)
+    texts = [
         f"line {lines[i]}: cf{j + 1} is {quarters[i, j]:.0f}, axis {j + 1} at {_in_its_quarter(DEG.of(q[i, j]))}° needs {np.floor(q[i, j] / (0.5 * np.pi)):.0f}"
-        for i, j in found[:MOST_NAMED].tolist()
+        for i, j in places[:MOST_NAMED].tolist()
     ]
-    return said + [f"and {len(found) - MOST_NAMED} more"] * (len(found) > MOST_NAMED)
+    return texts + [f"and {len(places) - MOST_NAMED} more"] * (len(places) > MOST_NAMED)
 
 
 def _in_its_quarter(angle: float) -> str:

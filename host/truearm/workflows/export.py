@@ -123,13 +123,13 @@ def export_file(files: ExportFiles) -> ExportedRobot:
     check_outputs([("curves", files.curves_out)], files.force, [*inputs, files.out])
     calibration = read_usable(files.result, files.robot, files.allow_unusable).carrying(*(files.payload or NO_PAYLOAD))
     over = None if files.over is None else _poses_of(files.over, calibration.chain)
-    found = exported(calibration, files.format, over, files.own_frames, files.adjust)
+    robot = exported(calibration, files.format, over, files.own_frames, files.adjust)
     curves = files.curves_out
     table = None if curves is None else curve_table(_curves(calibration, curves), calibration.simulated)
-    write_atomic(files.out, found.text)
+    write_atomic(files.out, robot.text)
     if curves is not None and table is not None:
         write_atomic(curves, table)
-    return found
+    return robot
 
 
 def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:

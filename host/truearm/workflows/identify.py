@@ -171,13 +171,15 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     selection = selected(robot, table, hold_out, options)
     if files.save_table is not None:
         write_table(files.save_table, table, robot.chain.joint_units)
-    found = identified(robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot), counts=counts)
+    identification = identified(
+        robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot), counts=counts
+    )
     if files.report is not None:
         with step("drawing the report"):
-            write_page(files.report, found, files.command, recordings)
+            write_page(files.report, identification, files.command, recordings)
     for path in files.results:
-        write_result(path, found.stored)
-    return found
+        write_result(path, identification.stored)
+    return identification
 
 
 def _other_robots() -> Robots:

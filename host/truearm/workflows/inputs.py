@@ -131,9 +131,11 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
     rigs = {name: read_rig(rig) if isinstance(rig, Path) else rig for name, rig in sources.rigs.items()}
-    given = {name: with_noise(rig, noise) for name, rig in rigs.items()}
+    given_rigs = {name: with_noise(rig, noise) for name, rig in rigs.items()}
     sessions = _opened([path for path in inputs if is_session(path)], sources.allow_damaged)
-    of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, given).items()}
+    of_session = {
+        path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, given_rigs).items()
+    }
     tables: list[ObservationTable] = []
     of_sessions: list[_SessionRead] = []
     for path in inputs:
@@ -155,7 +157,7 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     table = concatenate([part for part in tables if len(part)] or tables)
     if not len(table):
         raise SessionError("; ".join(one.nothing for one in of_sessions))
-    rigs = given | dict(of_session.values())
+    rigs = given_rigs | dict(of_session.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
     if "" in rigs or not rigs:
@@ -248,12 +250,12 @@ def _read_session(
             f"{path}: was recorded for robot {one_line(model)}, and {doubtful} of its {len(result.table)} observations "
             f"do not fit {robot.chain.name}; leave it out, or move it to the project of its robot"
         )
-    used = sum(table.kind == "ball_bar")
+    n_used = sum(table.kind == "ball_bar")
     n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
     lines, lines_used = len(result.passes), sum(not one.reason for one in result.passes)
     reasons, of_lines = (dict(sorted(counts.items())) for counts in (rejected, result.pass_reasons))
     count = DwellCount(
-        path.name, n, int(used), reasons, labels, mountings, lines, lines_used, of_lines, result.with_bar
+        path.name, n, int(n_used), reasons, labels, mountings, lines, lines_used, of_lines, result.with_bar
     )
     nothing = nothing_observed(path, reasons, of_lines, result.survey.marks.plan() is not None)
     return _SessionRead(table.replace(rig=name), count, recording_of(session, result, count), nothing)
@@ -332,8 +334,8 @@ def _sigma(calibration: Mapping[str, Any], key: str) -> float | None:
     if calibration.get("unit") != "m" or not (isinstance(pair, list) and len(pair) == 2):
         return None
     mantissa, exponent = pair
-    known = type(mantissa) is int and type(exponent) is int and abs(exponent) < 30
-    return float(mantissa * 10.0**exponent) if known else None
+    is_number = type(mantissa) is int and type(exponent) is int and abs(exponent) < 30
+    return float(mantissa * 10.0**exponent) if is_number else None
 
 
 LONGEST = 64  # letters in a name, as for a table's identifiers
@@ -345,32 +347,34 @@ def session_name(path: Path) -> str:
     return re.sub(r"[^\w-]", "_", first_stem(path), flags=re.ASCII)[:LONGEST]
 
 
-def session_rigs(sessions: Mapping[Path, Session], given: Mapping[str, Rig]) -> dict[Path, Assigned]:
+def session_rigs(sessions: Mapping[Path, Session], given_rigs: Mapping[str, Rig]) -> dict[Path, Assigned]:
     """Return name and rig of every session; ``given`` holds the rigs given by the user, by name.
 
     If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
     a name. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
     """
-    if "" in given:
-        return dict.fromkeys(sessions, ("", given[""]))
-    recorded = {path: attached_rig(one, path) for path, one in sessions.items() if session_name(path) not in given}
+    if "" in given_rigs:
+        return dict.fromkeys(sessions, ("", given_rigs[""]))
+    recorded = {path: attached_rig(one, path) for path, one in sessions.items() if session_name(path) not in given_rigs}
     for path, rig in recorded.items():
         if rig is None:
-            name = f" {session_name(path)}=FILE" * bool(given)
+            name = f" {session_name(path)}=FILE" * bool(given_rigs)
             raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"), name)
-    own = {path: rig for path, rig in recorded.items() if rig is not None}
-    if not given and all(rig == next(iter(own.values())) for rig in own.values()):
-        return {path: ("", rig) for path, rig in own.items()}
-    named = {path: (session_name(path), given[session_name(path)]) for path in sessions if path not in own}
-    return named | _named_apart(own)
+    recorded_rigs = {path: rig for path, rig in recorded.items() if rig is not None}
+    if not given_rigs and all(rig == next(iter(recorded_rigs.values())) for rig in recorded_rigs.values()):
+        return {path: ("", rig) for path, rig in recorded_rigs.items()}
+    named = {
+        path: (session_name(path), given_rigs[session_name(path)]) for path in sessions if path not in recorded_rigs
+    }
+    return named | _named_apart(recorded_rigs)
 
 
-def _named_apart(own: Mapping[Path, Rig]) -> dict[Path, Assigned]:
+def _named_apart(recorded_rigs: Mapping[Path, Rig]) -> dict[Path, Assigned]:
     """Return each session's own rig under the session's name; sessions recorded with the same rig share the first
     one's.
     """
     named: dict[Path, Assigned] = {}
-    for path, rig in own.items():
+    for path, rig in recorded_rigs.items():
         same = next((name for name, other in named.values() if other == rig), session_name(path))
         if any(name == same and other != rig for name, other in named.values()):
             raise InputError(f"{path}: another session is also named {same} but has another rig; rename one of them")

@@ -99,7 +99,7 @@ def describe(session: Session) -> dict[str, Any]:
     Raises SessionError if the file is damaged.
     """
     contents = Contents()
-    found = surveyed(session, lambda: contents.watched(session.batches()))
+    survey = surveyed(session, lambda: contents.watched(session.batches()))
     times = [t for topic in contents.topics.values() for t in (topic.first_ns, topic.last_ns)]
     document = {
         "file": str(session.path),
@@ -111,20 +111,20 @@ def describe(session: Session) -> dict[str, Any]:
         },
         "attachments": sorted(session.attachments),
         "topics": {name: _topic(name, topic) for name, topic in sorted(contents.topics.items())},
-        "simulated": any(ident.simulated for ident in found.idents.values()),
-        "firmware": sorted({ident.firmware for ident in found.idents.values()}),
-        "streams": [_stream(stream, found) for stream in found.streams],
-        "losses": asdict(found.losses) | _silences(contents.silences, min(times, default=0), found),
+        "simulated": any(ident.simulated for ident in survey.idents.values()),
+        "firmware": sorted({ident.firmware for ident in survey.idents.values()}),
+        "streams": [_stream(stream, survey) for stream in survey.streams],
+        "losses": asdict(survey.losses) | _silences(contents.silences, min(times, default=0), survey),
         "console": [printable(data) for data in contents.console],
-        "clock": [asdict(report) for report in found.clock_reports],
+        "clock": [asdict(report) for report in survey.clock_reports],
         "temperature_degc": {
-            "box": found.temperature.extremes,
-            "thermometers": {name: readings.extremes for name, readings in found.thermometers.items()},
+            "box": survey.temperature.extremes,
+            "thermometers": {name: readings.extremes for name, readings in survey.thermometers.items()},
         },
-        "robot": _robot(found, contents),
-        "events": found.marks.kinds,
-        "plan_poses": len(found.marks.dwells),
-        **_measured(session, found),
+        "robot": _robot(survey, contents),
+        "events": survey.marks.kinds,
+        "plan_poses": len(survey.marks.dwells),
+        **_measured(session, survey),
     }
     document = without_nan(document)
     return {**document, "findings": entries(session_findings(document))}
@@ -146,9 +146,9 @@ def _topic(name: str, topic: Topic) -> dict[str, Any]:
     }
 
 
-def _stream(stream: Any, found: Survey) -> dict[str, Any]:
+def _stream(stream: Any, survey: Survey) -> dict[str, Any]:
     """Return rates by the box's own stamps, and by the host's clock if the exchanges relate the two."""
-    ppm = found.clock_reports[-1].rate_ppm if found.clock_reports else math.nan
+    ppm = survey.clock_reports[-1].rate_ppm if survey.clock_reports else math.nan
     by_host = NS.factor / (stream.measured_ns * (1.0 + PPM.to_si(ppm)))
     return {
         **asdict(stream),
@@ -158,14 +158,14 @@ def _stream(stream: Any, found: Survey) -> dict[str, Any]:
     }
 
 
-def _silences(silences: Silences, begin_ns: int, found: Survey) -> dict[str, Any]:
+def _silences(silences: Silences, begin_ns: int, survey: Survey) -> dict[str, Any]:
     """Return the times when nothing came from the box, in seconds of the session, and the number of samples lost in them.
 
     After a silence the indices of the samples tell what is missing: a computer that slept receives everything late. They
     do not where the box began again, or the silence never ended; then it is what the box would have taken.
     """
-    gaps, losses = silences.finish(), found.losses
-    rate_hz = sum(NS.factor / stream.period_ns for stream in found.streams if stream.period_ns)
+    gaps, losses = silences.finish(), survey.losses
+    rate_hz = sum(NS.factor / stream.period_ns for stream in survey.streams if stream.period_ns)
     begun_again = losses.restarts or losses.starts
     ended_ns = sum(end - start for start, end in gaps if end < silences.last_ns and not begun_again)
     other_ns = sum(end - start for start, end in gaps) - ended_ns
@@ -176,8 +176,8 @@ def _silences(silences: Silences, begin_ns: int, found: Survey) -> dict[str, Any
     }
 
 
-def _robot(found: Survey, contents: Contents) -> dict[str, Any]:
-    joints = found.joints
+def _robot(survey: Survey, contents: Contents) -> dict[str, Any]:
+    joints = survey.joints
     console = contents.topics.get("/robot/console")
     names = ("readings", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz")
     return {
@@ -191,21 +191,21 @@ def _robot(found: Survey, contents: Contents) -> dict[str, Any]:
     }
 
 
-def _measured(session: Session, found: Survey) -> dict[str, Any]:
+def _measured(session: Session, survey: Survey) -> dict[str, Any]:
     """Return dwells by the joint readings and passes along lines; with a rig also their outcome."""
     from truearm.session.observations import observations
 
-    rejected = [dwell.reason for dwell in found.dwells if dwell.reason]
+    rejected = [dwell.reason for dwell in survey.dwells if dwell.reason]
     dwells: dict[str, Any] = {
-        "found": len(found.dwells),
+        "found": len(survey.dwells),
         "rejected": _tally(rejected),
         "mountings": 0,
         "observations": None,
         "samples_used": None,
         "not_paired": None,
-        "table": _dwell_rows(found.dwells),
+        "table": _dwell_rows(survey.dwells),
     }
-    planned = sum(row.move == Move.LINE for row in found.marks.rows)
+    planned = sum(row.move == Move.LINE for row in survey.marks.rows)
     passes: dict[str, Any] = {"planned": planned, "found": None, "rejected": {}, "points": None, "table": []}
     document = {"dwells": dwells, "passes": passes}
     try:
@@ -213,7 +213,7 @@ def _measured(session: Session, found: Survey) -> dict[str, Any]:
         if rig is None:
             dwells["not_paired"] = "no rig is attached"
             return document
-        result = observations(session.batches, rig, found=found, labels=labels_of(session.path))
+        result = observations(session.batches, rig, found=survey, labels=labels_of(session.path))
     except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
         dwells["not_paired"] = one_line(str(exc))
         return document
@@ -235,25 +235,25 @@ def _measured(session: Session, found: Survey) -> dict[str, Any]:
     return document
 
 
-def _pass_row(number: int, one: LinePass) -> dict[str, Any]:
+def _pass_row(number: int, line_pass: LinePass) -> dict[str, Any]:
     """Describe a pass: time, line and direction, what was measured and how well, or why not."""
     return {
         "pass": number,
-        "t_robot_s": one.leg.start_s,
-        "line": one.mounted["line"],
-        "pose": one.pose,
-        "direction": one.direction,
-        "speed_m_s": one.speed,
-        "points": len(one.xyz),
-        "dropped": one.dropped,
-        "window_s": 2e-9 * one.window_ns,
-        "noise_m": one.noise.tolist(),
-        "correlation_s": one.correlation_s,
-        "joint_noise": one.q_noise.tolist(),
-        "joint_error": one.q_error,
-        "time_sigma_s": one.time_sigma_s,
-        "clock_bound_ns": one.clock_bound_ns,
-        "reason": one.reason,
+        "t_robot_s": line_pass.leg.start_s,
+        "line": line_pass.mounted["line"],
+        "pose": line_pass.pose,
+        "direction": line_pass.direction,
+        "speed_m_s": line_pass.speed,
+        "points": len(line_pass.xyz),
+        "dropped": line_pass.dropped,
+        "window_s": 2e-9 * line_pass.window_ns,
+        "noise_m": line_pass.noise.tolist(),
+        "correlation_s": line_pass.correlation_s,
+        "joint_noise": line_pass.q_noise.tolist(),
+        "joint_error": line_pass.q_error,
+        "time_sigma_s": line_pass.time_sigma_s,
+        "clock_bound_ns": line_pass.clock_bound_ns,
+        "reason": line_pass.reason,
     }
 
 

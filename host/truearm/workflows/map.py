@@ -84,21 +84,21 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
     check_names(files.out, files.picture_out, files.report)
     outputs = [("map", files.out), ("picture", files.picture_out), ("page", files.report)]
     check_outputs(outputs, files.force, [files.result, *files.robot.files])
-    found = mapped(calibration, section)
-    region = None if task is None else best_region(found, *task.size, task.within)
+    grid = mapped(calibration, section)
+    region = None if task is None else best_region(grid, *task.size, task.within)
     if files.out is not None:
-        write_atomic(files.out, _table(found, calibration))
+        write_atomic(files.out, _table(grid, calibration))
     if files.picture_out is not None:
-        write_atomic(files.picture_out, _picture(found, region, calibration))
-    unknown = found.q[np.isnan(found.sigma) & ~np.isnan(found.error)]
+        write_atomic(files.picture_out, _picture(grid, region, calibration))
+    unknown = grid.q[np.isnan(grid.sigma) & ~np.isnan(grid.error)]
     why = undetermined(calibration, unknown[:SOME], section.own_frames) if len(unknown) else []
-    relative_to, outside = unseen_within(calibration)[1], _outside_everywhere(calibration, found)
-    return Mapped(found, region, relative_to, calibration.payload_findings(), why, outside)
+    relative_to, outside = unseen_within(calibration)[1], _outside_everywhere(calibration, grid)
+    return Mapped(grid, region, relative_to, calibration.payload_findings(), why, outside)
 
 
-def _outside_everywhere(calibration: Calibration, found: ErrorMap) -> tuple[str, ...]:
+def _outside_everywhere(calibration: Calibration, grid: ErrorMap) -> tuple[str, ...]:
     """Return the joints whose readings are outside the fitted ones in every reachable cell."""
-    outside = calibration.outside(found.q[~np.isnan(found.error)])
+    outside = calibration.outside(grid.q[~np.isnan(grid.error)])
     if outside is None or not outside.size:
         return ()
     return tuple(joint.name for joint, out in zip(calibration.chain.joints, outside.T, strict=True) if out.all())
@@ -112,9 +112,13 @@ def _pair(calibration: Calibration, own_frames: bool) -> ModelPair:
 def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     """Return the map of a section. Raises InputError for joints that the robot does not have or cannot reach."""
     pair, chain = _pair(calibration, section.own_frames), calibration.chain
-    q, seen = check_joints("at", section.at, calibration.chain), calibration.stored.joint_range
+    q, readings = check_joints("at", section.at, calibration.chain), calibration.stored.joint_range
     if q is None:
-        q = np.zeros(len(chain.joints)) if seen is None else 0.5 * (np.array(seen.lower) + np.array(seen.upper))
+        q = (
+            np.zeros(len(chain.joints))
+            if readings is None
+            else 0.5 * (np.array(readings.lower) + np.array(readings.upper))
+        )
         q[min(section.joints) : max(section.joints) - 1] = (
             0.0  # between the two: elsewhere their axes may not be parallel
         )
@@ -126,40 +130,43 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
             raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits; give a reading within them")
     unseen = unseen_within(calibration)[0]
-    found = error_map(pair, q, varied, section.cell, calibration.covariance, unseen, section.elbow_up)
-    outside = calibration.outside(found.q.reshape(-1, q.size))
+    grid = error_map(pair, q, varied, section.cell, calibration.covariance, unseen, section.elbow_up)
+    outside = calibration.outside(grid.q.reshape(-1, q.size))
     if outside is None:
-        return found
-    found = replace(found, outside=np.any(outside, axis=1).reshape(*found.error.shape))
-    return _within_readings(found) if section.at is None else found
+        return grid
+    grid = replace(grid, outside=np.any(outside, axis=1).reshape(*grid.error.shape))
+    return _within_readings(grid) if section.at is None else grid
 
 
-def _within_readings(found: ErrorMap) -> ErrorMap:
+def _within_readings(grid: ErrorMap) -> ErrorMap:
     """Return the part of a map whose cells are within the fitted readings; all of it if none is."""
-    covered = ~np.isnan(found.error) & ~np.asarray(found.outside)
+    covered = ~np.isnan(grid.error) & ~np.asarray(grid.outside)
     if not covered.any():
-        return found
-    rows, columns = (slice(used[0], used[-1] + 1) for used in map(np.flatnonzero, (covered.any(1), covered.any(0))))
+        return grid
+    rows, columns = (
+        slice(covered_lines[0], covered_lines[-1] + 1)
+        for covered_lines in map(np.flatnonzero, (covered.any(1), covered.any(0)))
+    )
     only = covered[rows, columns]
-    cells = {name: getattr(found, name)[rows, columns] for name in ("q", "point", "error", "sigma", "outside")}
+    cells = {name: getattr(grid, name)[rows, columns] for name in ("q", "point", "error", "sigma", "outside")}
     for values in (cells[name] for name in ("q", "point", "error", "sigma")):
         values[~only] = np.nan
-    return replace(found, u=found.u[columns], v=found.v[rows], **cells)
+    return replace(grid, u=grid.u[columns], v=grid.v[rows], **cells)
 
 
 def write_map_page(
-    path: Path, findings: Sequence[Finding], found: Mapped, calibration: Calibration, own_frames: bool
+    path: Path, findings: Sequence[Finding], mapped: Mapped, calibration: Calibration, own_frames: bool
 ) -> None:
     """Write the page of a map: its findings, the arm with the cells in 3-D, the picture."""
-    scene = map_scene(calibration, _pair(calibration, own_frames), found.map)
-    picture = scrolled(_picture(found.map, found.region, calibration, styled=False), "map")
+    scene = map_scene(calibration, _pair(calibration, own_frames), mapped.map)
+    picture = scrolled(_picture(mapped.map, mapped.region, calibration, styled=False), "map")
     blocks = [section("The section", f'<figure class="map">{picture}</figure>')]
     title = f"Error of {calibration.chain.name} without calibration"
     subtitle = "over a section of the workspace"
     write_atomic(path, html_page("truearm map", title, subtitle, blocks, findings, scene=scene))
 
 
-def _table(found: ErrorMap, calibration: Calibration) -> str:
+def _table(grid: ErrorMap, calibration: Calibration) -> str:
     """Return one row per reachable cell; u, v are the cell's centre, x, y, z the nominal end position.
 
     ``covered`` is 1 if all joints are near fitted readings, else 0, and empty if the result does not tell. A table of a
@@ -171,25 +178,25 @@ def _table(found: ErrorMap, calibration: Calibration) -> str:
     writer = csv.writer(text, lineterminator="\n")
     joints = [key(f"q{i}", unit) for i, unit in enumerate(units, start=1)]
     writer.writerow(["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm", "covered", *mark])
-    for i, j in zip(*np.nonzero(~np.isnan(found.error)), strict=True):
-        place = MM.of(np.array([found.u[j], found.v[i], *found.point[i, j]]))
-        sigma = number(found.sigma[i, j], "m", 5) if np.isfinite(found.sigma[i, j]) else ""
+    for i, j in zip(*np.nonzero(~np.isnan(grid.error)), strict=True):
+        place = MM.of(np.array([grid.u[j], grid.v[i], *grid.point[i, j]]))
+        sigma = number(grid.sigma[i, j], "m", 5) if np.isfinite(grid.sigma[i, j]) else ""
         cells = [f"{value:.3f}" for value in place] + [
-            number(value, unit, 5) for value, unit in zip(found.q[i, j], units, strict=True)
+            number(value, unit, 5) for value, unit in zip(grid.q[i, j], units, strict=True)
         ]
-        covered = "" if found.outside is None else int(not found.outside[i, j])
-        writer.writerow([*cells, number(found.error[i, j], "m", 5), sigma, covered, *mark.values()])
+        covered = "" if grid.outside is None else int(not grid.outside[i, j])
+        writer.writerow([*cells, number(grid.error[i, j], "m", 5), sigma, covered, *mark.values()])
     return text.getvalue()
 
 
-def _picture(found: ErrorMap, region: BestRectangle | None, calibration: Calibration, styled: bool = True) -> str:
+def _picture(grid: ErrorMap, region: BestRectangle | None, calibration: Calibration, styled: bool = True) -> str:
     task = None if region is None else MM.of(np.array([*region.u, *region.v])).tolist()
-    labels = [f"{axis(direction)} [mm]" for direction in found.axes]
+    labels = [f"{axis(direction)} [mm]" for direction in grid.axes]
     title = (
         "Simulated: " * calibration.simulated + f"Error of {one_line(calibration.chain.name)[:40]} without calibration"
     )
-    outside = np.zeros(found.error.shape, dtype=bool) if found.outside is None else found.outside
-    cells = Cells(MM.of(found.u), MM.of(found.v), MM.of(found.error), MM.of(found.sigma), outside)
+    outside = np.zeros(grid.error.shape, dtype=bool) if grid.outside is None else grid.outside
+    cells = Cells(MM.of(grid.u), MM.of(grid.v), MM.of(grid.error), MM.of(grid.sigma), outside)
     return map_picture(cells, title, task, labels, styled)
 
 

@@ -64,12 +64,12 @@ def sessions_of(folder: Path) -> list[Path]:
     from truearm.workflows.session_copies import recovered_name
     from truearm.workflows.session_parts import first_stem
 
-    every = by_time(folder.glob("*.mcap"))
+    recordings = by_time(folder.glob("*.mcap"))
     return [
         path
-        for path in every
-        if (first_stem(path) == path.stem or path.with_name(f"{first_stem(path)}.mcap") not in every)
-        and recovered_name(path) not in every
+        for path in recordings
+        if (first_stem(path) == path.stem or path.with_name(f"{first_stem(path)}.mcap") not in recordings)
+        and recovered_name(path) not in recordings
     ]
 
 
@@ -127,9 +127,9 @@ def new_file(folder: Path, suffix: str) -> Path:
 def new_plan(path: Path) -> Path:
     """Return the path, or a numbered one next to it if it exists."""
     number = 1
-    while (found := path if number == 1 else path.with_stem(f"{path.stem}-{number}")).exists():
+    while (candidate := path if number == 1 else path.with_stem(f"{path.stem}-{number}")).exists():
         number += 1
-    return found
+    return candidate
 
 
 @step("making the project")
@@ -233,11 +233,11 @@ def _as_known(rig: Rig, wanted: ProjectWanted) -> Rig:
     made = bars(*wanted.bars) if wanted.bars else rig.bars
     first, others = (INSTRUMENTS["calliper"], INSTRUMENTS["tape"]) if sigma is None else (sigma, sigma)
     sigmas = [first] + [others] * (len(made) - 1)
-    known = {
+    bars_measured = {
         bar.name: replace(bar, zero_sigma=sigma, gain_sigma=GAIN_SIGMA)
         for bar, sigma in zip(made.values(), sigmas, strict=True)
     }
-    return replace(rig, chucks=chucks, spheres=spheres, bars=known)
+    return replace(rig, chucks=chucks, spheres=spheres, bars=bars_measured)
 
 
 def _rig_text(rig: Rig, name: str) -> str:
@@ -252,8 +252,8 @@ def _rig_text(rig: Rig, name: str) -> str:
 
 def _point_text(kind: str, point: Point) -> str:
     xyz = ", ".join(f"{MM.of(x):g}" for x in point.xyz)
-    known = '"unknown"' if point.sigma is None else f"{MM.of(point.sigma):g}"
-    return f'[[{kind}]]\nname = "{point.name}"\nxyz_mm = [{xyz}]\nsigma_mm = {known}\n'
+    sigma = '"unknown"' if point.sigma is None else f"{MM.of(point.sigma):g}"
+    return f'[[{kind}]]\nname = "{point.name}"\nxyz_mm = [{xyz}]\nsigma_mm = {sigma}\n'
 
 
 def _bar_text(bar: BallBar) -> str:

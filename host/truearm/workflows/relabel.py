@@ -129,21 +129,21 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
     from truearm.session.dwells import DwellRules
     from truearm.session.observations import observations
 
-    every, marks, tolerance = survey.dwells, survey.marks, DwellRules().pose_tolerance
-    numbers = may_be_dwells(every, marks, tolerance)
-    said = said_of_dwells([every[i] for i in numbers], marks, tolerance)
+    dwells, marks, tolerance = survey.dwells, survey.marks, DwellRules().pose_tolerance
+    numbers = may_be_dwells(dwells, marks, tolerance)
+    statements = said_of_dwells([dwells[i] for i in numbers], marks, tolerance)
     bar = max(rig.bars.values(), key=lambda bar: bar.travel).name
     mounted = dict(zip(BAR_MOUNTED, (bar, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
-    labels = [DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted) for dwell in every]
+    labels = [DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted) for dwell in dwells]
     measured = observations(lambda: iter(()), rig, found=survey, labels=labels).dwells
-    return [Stop((path, i + 1), measured[i], words, marks) for i, words in zip(numbers, said, strict=True)]
+    return [Stop((path, i + 1), measured[i], words, marks) for i, words in zip(numbers, statements, strict=True)]
 
 
 def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances:
     """Return the probability of what was mounted at each stop, by all evidence. Raises InputError."""
-    dwells, wanted = [stop.dwell for stop in stops], len(robot.chain.joints)
-    for joints in {dwell.q.size for dwell in dwells} - {wanted}:
-        raise InputError("other-robot", place="session", joints=joints, expected=wanted)
+    dwells, n_joints = [stop.dwell for stop in stops], len(robot.chain.joints)
+    for joints in {dwell.q.size for dwell in dwells} - {n_joints}:
+        raise InputError("other-robot", place="session", joints=joints, expected=n_joints)
     extension, beyond = np.full(len(dwells), np.nan), np.zeros(len(dwells), dtype=bool)
     for i, dwell in enumerate(dwells):
         if not dwell.reason:
@@ -158,9 +158,9 @@ def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances
 def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.bool_]:
     """Return the rows (n,) of a session's table that are no dwells, or have labels that the readings support."""
     out = np.ones(len(result.table), dtype=bool)
-    used = {i + 1: pairing_of(dwell.mounted) for i, dwell in enumerate(result.dwells) if not dwell.reason}
-    if len(used) >= LEAST_DWELLS and result.table.q.shape[1] == len(robot.chain.joints):
+    labels = {i + 1: pairing_of(dwell.mounted) for i, dwell in enumerate(result.dwells) if not dwell.reason}
+    if len(labels) >= LEAST_DWELLS and result.table.q.shape[1] == len(robot.chain.joints):
         stops = stops_of(Path(), rig, result.survey)
         number, chances = {stop.place[1]: k for k, stop in enumerate(stops)}, chances_of(robot, rig, stops)
-        out[: len(used)] = [chances.supports(number[place], label) for place, label in used.items()]
+        out[: len(labels)] = [chances.supports(number[place], label) for place, label in labels.items()]
     return out

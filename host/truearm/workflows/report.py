@@ -40,14 +40,14 @@ def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) ->
     """
     stored = read_result(result)
     options, hold_out = _options(result, stored.made_with)
-    given = files.sources
+    typed = files.sources
     measured = {entry.sha256 for entry in stored.inputs if entry.role == "observations"}
-    named = tuple(path for path in given.inputs if sha256(path) in measured)
-    rigs = _nearby(result, stored, "rig") if not given.rigs else []
+    named = tuple(path for path in typed.inputs if sha256(path) in measured)
+    rigs = _nearby(result, stored, "rig") if not typed.rigs else []
     sources = replace(
-        given,
-        inputs=named or given.inputs or tuple(_nearby(result, stored, "observations")),
-        rigs={"": rigs[0]} if len(rigs) == 1 else given.rigs,
+        typed,
+        inputs=named or typed.inputs or tuple(_nearby(result, stored, "observations")),
+        rigs={"": rigs[0]} if len(rigs) == 1 else typed.rigs,
         noise=next(iter(_nearby(result, stored, "noise")), None),
     )
     choice = files.robot
@@ -58,11 +58,11 @@ def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) ->
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
     rig, table, counts, recordings = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)
-    found = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
-    _check_same(result, stored.column("value"), found)
-    certificate = calibration_certificate(found, issue, recordings, inputs)
+    identification = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
+    _check_same(result, stored.column("value"), identification)
+    certificate = calibration_certificate(identification, issue, recordings, inputs)
     with step("drawing the report"):
-        write_page(out, found, files.command, recordings, certificate)
+        write_page(out, identification, files.command, recordings, certificate)
     return certificate
 
 
@@ -104,37 +104,37 @@ def _options(path: Path, made: Mapping[str, Any] | None) -> tuple[IdentifyOption
             f"{path}: does not say how it was made (truearm demo or an earlier truearm wrote it); identify again with truearm identify"
         )
     names = {one.name for one in fields(IdentifyOptions)}
-    given = {key: value for key, value in made.items() if key in names}
+    values = {key: value for key, value in made.items() if key in names}
     hold_out = made.get("hold_out", ())
     if set(made) - names - {"hold_out"} or not isinstance(hold_out, tuple):
         raise InputError(
             f"{path}: made_with is damaged or comes from a later truearm; update truearm, or identify again"
         )
     try:
-        return IdentifyOptions(**given), hold_out
+        return IdentifyOptions(**values), hold_out
     except (TypeError, InputError) as exc:
         raise InputError(f"{path}: made_with: {exc}") from None
 
 
-def _check_inputs(path: Path, stored: Result, given: set[str]) -> None:
+def _check_inputs(path: Path, stored: Result, hashes: set[str]) -> None:
     """Raise InputError if a file used for the result is not among those given."""
     for entry in stored.inputs:
-        if entry.sha256 not in given:
+        if entry.sha256 not in hashes:
             raise InputError(
                 f"{path}: was made from {entry.role} {entry.name}, which is not among the files given, or was changed since; give that file unchanged, or identify again"
             )
 
 
-def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], found: Identification) -> None:
+def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], identification: Identification) -> None:
     """Raise InputError if the fit differs from the stored one."""
-    e = found.estimate
+    e = identification.estimate
     again = e.value[: len(value)]
     apart = np.abs(again - value[: len(again)]) > SAME * np.where(
         np.isfinite(e.sigma[: len(again)]), e.sigma[: len(again)], np.inf
     )
-    seen = e.free[: len(again)] & e.identifiable[: len(again)]
-    if (apart & seen).any() or len(e.value) != len(value):
-        name = e.parameter_names[int(np.argmax(apart & seen))]
+    determined = e.free[: len(again)] & e.identifiable[: len(again)]
+    if (apart & determined).any() or len(e.value) != len(value):
+        name = e.parameter_names[int(np.argmax(apart & determined))]
         raise InputError(
             f"{path}: the files given lead to another result (first difference: {name}); give only the files that it was made "
             "with, and the same ",

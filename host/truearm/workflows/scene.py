@@ -30,12 +30,18 @@ FEWEST = 4  # poses between which errors are predicted
 BEFORE, AFTER, EXPECTED = "error before", "residual after", "expected after (k = 2)"
 
 
-def calibration_scene(found: Identification) -> Scene:
+def calibration_scene(identification: Identification) -> Scene:
     """Return the measured poses with their errors before and after, and the errors predicted between them."""
-    e, rows = found.estimate, thinned(len(found.table), MOST_POINTS)
-    table, n = found.table.select(rows), rows.size
-    judged = judge(found.chain, found.rig, table, found.identified, dict(zip(e.parameter_names, e.value, strict=True)))
-    fixtures = _fixtures(found.rig, judged)
+    e, rows = identification.estimate, thinned(len(identification.table), MOST_POINTS)
+    table, n = identification.table.select(rows), rows.size
+    judged = judge(
+        identification.chain,
+        identification.rig,
+        table,
+        identification.identified,
+        dict(zip(e.parameter_names, e.value, strict=True)),
+    )
+    fixtures = _fixtures(identification.rig, judged)
     labels = [row_name(source) for source in table.source]
     names = {name: k for k, name in enumerate(fixtures)}
     of_rig = np.where(table.rig == "", "", np.char.add(table.rig, "."))
@@ -44,18 +50,18 @@ def calibration_scene(found: Identification) -> Scene:
     order = np.random.default_rng(0).permutation(n)
     both = table.select(np.concatenate([np.arange(n), order]))
     both = both.replace(q=np.concatenate([table.q, 0.5 * (table.q[order] + table.q)]))
-    places, _ = measured_points(found.rig, both, e)
+    places, _ = measured_points(identification.rig, both, e)
     xyz, gap = (
-        point_forward(found.chain, found.identified, both.q, places),
-        nominal_gap(found.chain, found.rig, both, e),
+        point_forward(identification.chain, identification.identified, both.q, places),
+        nominal_gap(identification.chain, identification.rig, both, e),
     )
     size = np.linalg.norm(gap, axis=1)
     values, vectors = {BEFORE: size[:n]}, {BEFORE: gap[:n]}
     if "m" in e.residual:
         values = {AFTER: np.abs(e.residual["m"][rows]), **values}
-        vectors[AFTER] = _residual_vectors(found, table, judged, places[:n])
+        vectors[AFTER] = _residual_vectors(identification, table, judged, places[:n])
     clouds = [Points("measured poses", xyz[:n], table.q, labels, values, vectors, chucks)]
-    covariance = point_covariance(found.chain, found.rig, both, e) if n >= FEWEST else None
+    covariance = point_covariance(identification.chain, identification.rig, both, e) if n >= FEWEST else None
     if n >= FEWEST:
         field = {BEFORE: size[n:]}
         if covariance is not None:
@@ -68,7 +74,7 @@ def calibration_scene(found: Identification) -> Scene:
     )
     if covariance is not None and covariance.relative:
         caption += " What is expected leaves out the pose of the base, which the rows do not determine."
-    return _scene(found, caption, clouds, fixtures, _tools(found.rig, judged))
+    return _scene(identification, caption, clouds, fixtures, _tools(identification.rig, judged))
 
 
 def map_scene(calibration: Calibration, pair: ModelPair, mapped: ErrorMap) -> Scene:
@@ -128,13 +134,15 @@ def _scene(
     return Scene(chain.name, caption, joints, links, np.array(drawn).reshape(-1, 8), fixtures or {}, points)
 
 
-def _residual_vectors(found: Identification, table: ObservationTable, judged: Judgement, places: Floats) -> Floats:
+def _residual_vectors(
+    identification: Identification, table: ObservationTable, judged: Judgement, places: Floats
+) -> Floats:
     """Return the smallest displacements (n, 3) of the measured points that the lengths' residuals are; NaN for rows without any.
 
     Rows depend on the joints only by the point that they measure, so ∂(row)/∂(point) follows from ∂(row)/∂q.
     """
     vectors = np.full((len(table), 3), np.nan)
-    _, _, by_joints = point_jacobians(found.chain, found.identified, table.q, places)
+    _, _, by_joints = point_jacobians(identification.chain, identification.identified, table.q, places)
     for group in judged.problem.groups:
         lengths, row = unit_columns(group.COMPONENTS).get("m"), group.row
         if lengths and row is not None:

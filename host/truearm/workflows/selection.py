@@ -39,9 +39,9 @@ def held_out_rows(
     others are held out. Raises InputError for an unknown or ambiguous group, or if nothing would be left to fit.
     """
     if fit_only:
-        others: Mask = ~np.any([_group_rows(table, group, FIT_ONLY) for group in fit_only], axis=0)
+        not_fitted: Mask = ~np.any([_group_rows(table, group, FIT_ONLY) for group in fit_only], axis=0)
         also = held_out_rows(table, wanted, seed)
-        held = others if also is None else others | also
+        held = not_fitted if also is None else not_fitted | also
         if held.all():
             raise InputError("nothing-left", what="observations", place=FIT_ONLY)
         return held if held.any() else None
@@ -81,27 +81,27 @@ def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask
         )
     rows: Mask = table[column] == identifier
     if not identifier or not rows.any():
-        known = [name for name in np.unique(table[column]) if name]
-        raise InputError(argument, f" {group}: the table has no row with that {column}; {_listed(column, known)}")
+        names = [name for name in np.unique(table[column]) if name]
+        raise InputError(argument, f" {group}: the table has no row with that {column}; {_listed(column, names)}")
     return rows
 
 
 def _bare_group_rows(table: ObservationTable, identifier: str, argument: Argument) -> Mask:
-    found = [column for column in GROUPS if identifier and np.any(table[column] == identifier)]
-    if len(found) > 1:
+    columns = [column for column in GROUPS if identifier and np.any(table[column] == identifier)]
+    if len(columns) > 1:
         raise InputError(
             argument, f" {identifier} is both a place and a shell; write place={identifier} or shell={identifier}"
         )
-    if not found and _is_number(identifier) and argument is HOLD_OUT:
+    if not columns and _is_number(identifier) and argument is HOLD_OUT:
         raise InputError(
             argument, f" {identifier}: a fraction lies between 0 and 1, such as 0.2; a group is written shell=NAME"
         )
-    if not found:
-        known = [f"{column}={name}" for column in GROUPS for name in np.unique(table[column]) if name]
+    if not columns:
+        groups = [f"{column}={name}" for column in GROUPS for name in np.unique(table[column]) if name]
         raise InputError(
-            argument, f" {identifier}: no place or shell has that name; {_listed('group', known, 'the table')}"
+            argument, f" {identifier}: no place or shell has that name; {_listed('group', groups, 'the table')}"
         )
-    return np.asarray(table[found[0]] == identifier)
+    return np.asarray(table[columns[0]] == identifier)
 
 
 def _is_number(text: str) -> bool:
@@ -112,8 +112,8 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _listed(what: str, known: Sequence[str], where: str = "it") -> str:
-    return f"{where} has {listed(known)}" if known else f"the observations have no {what} column"
+def _listed(noun: str, names: Sequence[str], where: str = "it") -> str:
+    return f"{where} has {listed(names)}" if names else f"the observations have no {noun} column"
 
 
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
@@ -129,9 +129,9 @@ def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
     of_pose = group[first]
     share = np.empty(first.size)
     for index in range(int(group.max()) + 1):
-        mine = np.flatnonzero(of_pose == index)
+        members = np.flatnonzero(of_pose == index)
         # The random start lets small groups round up in one draw and down in another.
-        share[mine] = (rng.permutation(mine.size) + rng.random()) / max(mine.size, 1)
+        share[members] = (rng.permutation(members.size) + rng.random()) / max(members.size, 1)
     drawn = np.zeros(first.size, dtype=bool)
     drawn[np.argsort(share, kind="stable")[: round(fraction * first.size)]] = True
     return np.asarray(drawn[pose.ravel()])
@@ -161,12 +161,12 @@ def free_parameters(
     return mask
 
 
-def matching(names: Sequence[str], argument: str, given: Sequence[str]) -> Mask:
+def matching(names: Sequence[str], argument: str, patterns: Sequence[str]) -> Mask:
     """Return a mask (p,) of the names that match one of an argument's patterns. Raises InputError if a pattern matches
     nothing.
     """
     mask = np.zeros(len(names), dtype=bool)
-    for pattern in (pattern.strip() for text in given for pattern in _parts(text, names)):
+    for pattern in (pattern.strip() for text in patterns for pattern in _parts(text, names)):
         matches = np.array([fnmatchcase(name, pattern) for name in names])
         if not matches.any():
             raise InputError(
@@ -222,17 +222,17 @@ def parse_rows(text: str, sources: NDArray[np.str_]) -> list[tuple[int, int]]:
         raise InputError(LEAVE_OUT, f" {text!r}: row {first} comes after row {last}; give the lower row first")
     if match[1] is None:
         return [(first - 1, last)]
-    parts = [source.rpartition(" ") for source in sources.tolist()]
-    found = [
+    split_sources = [source.rpartition(" ") for source in sources.tolist()]
+    matches = [
         i
-        for i, (name, _, row) in enumerate(parts)
+        for i, (name, _, row) in enumerate(split_sources)
         if match[1] in (name, Path(name).name) and row.isdigit() and first <= int(row) <= last
     ]
-    if not found:
+    if not matches:
         raise InputError(LEAVE_OUT, f" {text!r} names no row of the inputs; the first is {Path(str(sources[0])).name}")
-    if len(files := {parts[i][0] for i in found}) > 1:
+    if len(files := {split_sources[i][0] for i in matches}) > 1:
         raise InputError(LEAVE_OUT, f" {text!r} names rows of {len(files)} files of this name; give the path too")
-    return [(row, row + 1) for row in found]
+    return [(row, row + 1) for row in matches]
 
 
 FRACTIONS = (0.2, 0.1)
@@ -286,12 +286,12 @@ def named_columns(table: ObservationTable) -> list[str]:
 
 def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
     """Return the names without any row left in the fit: ``sphere=s1``."""
-    found = []
+    gone_names = []
     for column in named_columns(table):
         names = table[column]
         gone = np.setdiff1d(names[held], names[~held])
-        found += [f"{column}={name}" for name in gone.tolist() if name]
-    return found
+        gone_names += [f"{column}={name}" for name in gone.tolist() if name]
+    return gone_names
 
 
 def _combinations(table: ObservationTable) -> NDArray[np.intp]:
@@ -313,21 +313,21 @@ def check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
         more = "measure more poses" if len(table) == 1 else f"hold out or leave out fewer of the {len(table)}"
         raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; {more}")
     for name, kind in kinds().items():
-        mine = table.select(rows & (table.kind == name))
-        if len(mine) < LEAST_ROWS or not np.ptp(mine.q, axis=0).max() > 0.0:
+        kind_rows = table.select(rows & (table.kind == name))
+        if len(kind_rows) < LEAST_ROWS or not np.ptp(kind_rows.q, axis=0).max() > 0.0:
             continue
         for quantity in (column for column in kind.needs if isinstance(column, Quantity)):
-            values = mine[quantity.field].reshape(len(mine), -1)
+            values = kind_rows[quantity.field].reshape(len(kind_rows), -1)
             if not np.ptp(values, axis=0).any():
                 are = "are" if " and " in quantity.words else "is"
-                text = f"{quantity.words} {are} the same in all {len(mine)} {name} rows though the joints move"
-                raise ProblemError(f"{mine.source[0]}: {text}; check that the sensor was read")
+                text = f"{quantity.words} {are} the same in all {len(kind_rows)} {name} rows though the joints move"
+                raise ProblemError(f"{kind_rows.source[0]}: {text}; check that the sensor was read")
             same = [one for one, span in zip(quantity.columns, np.ptp(values, axis=0), strict=False) if not span]
-            if quantity == POINT and same and _moves_in_space(chain, mine.q):
+            if quantity == POINT and same and _moves_in_space(chain, kind_rows.q):
                 are = "are" if len(same) > 1 else "is"
-                text = f"{' and '.join(same)} {are} the same in all {len(mine)} {name} rows though the joints move the end in space"
+                text = f"{' and '.join(same)} {are} the same in all {len(kind_rows)} {name} rows though the joints move the end in space"
                 column = f"column{'s' if len(same) > 1 else ''} of {' and '.join(same)}"
-                raise ProblemError(f"{mine.source[0]}: {text}; check what the device wrote to the {column}")
+                raise ProblemError(f"{kind_rows.source[0]}: {text}; check what the device wrote to the {column}")
 
 
 def _moves_in_space(chain: Chain, q: Floats) -> bool:

@@ -44,15 +44,15 @@ def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Reco
     try:
         with working_folder(out.parent) as folder:
             partial = folder / "session.mcap"
-            found = recover_session(opened, partial, said)
-            if not found.topics and not opened.metadata:
+            recovered = recover_session(opened, partial, said)
+            if not recovered.topics and not opened.metadata:
                 raise SessionError(f"{path}: contains nothing that can be recovered; record again")
             os.replace(partial, out)
     except (OSError, WriteError) as exc:
         raise WriteError(
             f"{out}: cannot be written: {system_reason(exc)}; {path} is unchanged", exc.strerror or ""
         ) from exc
-    return found
+    return recovered
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from truearm.estimate.validation import Expected, Judgement, consistency, expect
 from truearm.files.result_document import copies_of, fault_entries
 from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
-from truearm.files.strict_json import shown_or_null
+from truearm.files.strict_json import without_nan
 from truearm.findings import entries, findings_of
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.kinds.table import ObservationTable
@@ -39,7 +39,7 @@ from truearm.report.certificate import Recording
 from truearm.report.validation_findings import BY_PLACE, error_tables, validation_findings
 from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, Rig, Rigs, rms
-from truearm.units import MM, UNITS, key
+from truearm.units import MM, UNITS, key, shown
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of, unusable_because
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.selection import parse_effect
@@ -164,23 +164,23 @@ def validated(
     nothing of the rig can be kept.
     """
     chain, stored = calibration.chain, calibration.stored
-    copied, every = copied_rows(chain, rig, table), table
+    copied, all_rows = copied_rows(chain, rig, table), table
     table = table.select(copied < 0)
-    kept = _identified_rig(calibration) if keep_rig else {}
+    rig_values = _identified_rig(calibration) if keep_rig else {}
     allowed = _allowed(calibration) if keep_rig else ()
     raw, after = (
-        judge(chain, rig, table, p, kept, None, allowed) for p in (calibration.nominal, calibration.identified)
+        judge(chain, rig, table, p, rig_values, None, allowed) for p in (calibration.nominal, calibration.identified)
     )
     n_settled, n_kept = int(after.settled.sum()), len(after.identified) - len(calibration.nominal)
     if keep_rig and n_settled and not n_kept:
         names = [name for name, settled in zip(after.problem.names, after.settled, strict=True) if settled]
         text = f": the result identified no unknown of this rig, such as {names[0]}; use the names of the rig that it was identified with"
         raise InputError(Argument("keep_rig"), text)
-    before, drawing = _placed(calibration, rig, table, raw, kept, allowed), calibration.robot.drawing
+    before, drawing = _placed(calibration, rig, table, raw, rig_values, allowed), calibration.robot.drawing
     drawn = None
     if drawing is not None:
-        drawn = judge(chain, rig, table, drawing, kept, None, allowed)
-        drawn = _placed(replace(calibration, nominal=drawing), rig, table, drawn, kept, allowed)
+        drawn = judge(chain, rig, table, drawing, rig_values, None, allowed)
+        drawn = _placed(replace(calibration, nominal=drawing), rig, table, drawn, rig_values, allowed)
     judging = before.judging & after.judging
     if not judging.any():
         raise InputError(
@@ -195,52 +195,55 @@ def validated(
     test = consistency(after, covariance, unseen)
     with step("testing for faults"):
         faults = () if test is None else faults_beside(after, test.ways, table)
-    errors = {
-        si: RowErrors.of(before.error[si], error, due[si], elsewhere, judging & np.isfinite(error))
-        for si, error in after.error.items()
-        if np.isfinite(error[judging]).any()
-    }
-    seen = {entry.sha256 for entry in stored.inputs}
+    errors: dict[str, RowErrors] = {}
+    for si, error in after.error.items():
+        rows = judging & np.isfinite(error)
+        if rows.any():
+            observed = rows & ~(due[si].unseen | elsewhere)
+            errors[si] = RowErrors(before.error[si], error, due[si], rows, observed)
+    fitted = {entry.sha256 for entry in stored.inputs}
     hashes = [entry for entry in inputs if entry.role == "observations"]
-    figures, regions = _figures(errors, judging), _regions(calibration, table, errors, judging)
-    n_unseen = int((judging & np.any([of.unseen for of in errors.values()], axis=0)).sum())
-    due_rms, due_entries = _expected(errors)
+    figures, expected_parts = _figures(errors, judging), {si: of.expected() for si, of in errors.items()}
+    regions = _regions(calibration, table, errors, judging)
+    expected_rms = {si: expected_parts[si]["rms"] for si in expected_parts if not math.isnan(expected_parts[si]["rms"])}
+    parts_shown = {
+        key(name, si): shown(value, si) for si in expected_parts for name, value in expected_parts[si].items()
+    }
+    n_judging = int(judging.sum())
+    n_unseen = int(np.any([of.rows & ~of.seen for of in errors.values()], axis=0).sum())
     document: dict[str, Any] = {
-        "simulated": every.simulated or calibration.simulated,
-        "rows": int(judging.sum()),
-        "left_out": int((~judging).sum()),
-        "copies": copies_of(copied, every),
+        "simulated": all_rows.simulated or calibration.simulated,
+        "rows": n_judging,
+        "left_out": judging.size - n_judging,
+        "copies": copies_of(copied, all_rows),
         "without_rig": _missing_rig(stored.inputs, rig),
         "settled": n_settled,
         "kept": n_kept,
-        "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
+        "identified_from": [entry.name for entry in hashes if entry.sha256 in fitted],
         "residual_units": [UNITS[si].scale.suffix for si in errors],
         **{key("reference", si): _reference(calibration.document, si) for si in errors},
         **_figure_entries(*figures),
         "placed": before is not raw,
-        **{
-            key("rms_drawing", si): drawn and shown_or_null(rms(drawn.error[si][of.rows]), si)
-            for si, of in errors.items()
-        },
-        **{key("rms_raw", si): shown_or_null(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
+        **{key("rms_drawing", si): drawn and shown(rms(drawn.error[si][of.rows]), si) for si, of in errors.items()},
+        **{key("rms_raw", si): shown(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
         "unseen": n_unseen,
-        "expected": due_entries,
-        **{key("unexplained", si): shown_or_null(of.unexplained, si) for si, of in errors.items()},
+        "expected": parts_shown if expected_rms else None,
+        **{key("unexplained", si): shown(of.unexplained, si) for si, of in errors.items()},
         "better": {UNITS[si].scale.suffix: of.is_better for si, of in errors.items()},
-        "consistent": None if test is None else test.chi2 <= test.limit and not faults,
-        "chi2_reduced": None if test is None else test.chi2 / test.freedom,
-        "chi2_limit": None if test is None else test.limit / test.freedom,
-        "chi2_freedom": None if test is None else test.freedom,
+        "consistent": test and test.chi2 <= test.limit and not faults,
+        "chi2_reduced": test and test.chi2 / test.freedom,
+        "chi2_limit": test and test.limit / test.freedom,
+        "chi2_freedom": test and test.freedom,
         "faults": fault_entries(faults, table),
         "worst_region": _worst_region(errors, _named_regions(calibration, table)),
         "regions": [_region_entry(region) for region in regions],
     }
+    document = without_nan(document)
     findings = validation_findings(document, calibration.payload_findings(payloads_of(rig, table.select(judging))))
     words = next(finding.text() for finding in findings if finding.code != "simulated")
-    counts = int(judging.sum()), int((~judging).sum()), n_settled, n_unseen
-    return Validation(
-        words, *counts, *figures, due_rms, regions, {**document, "verdict": words, "findings": entries(findings)}
-    )
+    counts = n_judging, judging.size - n_judging, n_settled, n_unseen
+    document |= {"verdict": words, "findings": entries(findings)}
+    return Validation(words, *counts, *figures, expected_rms, regions, document)
 
 
 def _missing_rig(inputs_then: Sequence[Input], rig: Rigs) -> str | None:
@@ -282,45 +285,43 @@ def _placed(
     place = mounting(chain, calibration.nominal).either & stored.column("free")[stored.column("of") == "robot"]
     if not place.any():
         return raw
-    found = judge(chain, rig, table, calibration.nominal, kept, place, allowed)
-    if (raw.judging & ~found.judging).any():
+    placed = judge(chain, rig, table, calibration.nominal, kept, place, allowed)
+    if (raw.judging & ~placed.judging).any():
         return raw
-    same = (
-        np.allclose(raw.error[si], error, rtol=0.0, atol=NOTHING, equal_nan=True) for si, error in found.error.items()
+    equal = (
+        np.allclose(raw.error[si], error, rtol=0.0, atol=NOTHING, equal_nan=True) for si, error in placed.error.items()
     )
-    return raw if all(same) else found
+    return raw if all(equal) else placed
 
 
 class RowErrors(NamedTuple):
     """Errors of n rows in one SI unit, without and with the calibration; ``rows`` that have such an error and judge.
 
-    ``noise`` and ``parameters`` are the squares expected from declared noise and from the parameters, NaN for ``unseen``
-    rows, which depend on what the identification did not observe.
+    ``seen``: those of them that depend only on what the identification observed.
     """
 
     before: Floats
     after: Floats
-    noise: Floats
-    parameters: Floats
-    unseen: Mask
+    due: Expected
     rows: Mask
-
-    @classmethod
-    def of(cls, before: Floats, after: Floats, due: Expected, elsewhere: Mask, rows: Mask) -> RowErrors:
-        unseen = due.unseen | elsewhere
-        noise, parameters = (np.where(unseen, np.nan, square) for square in (due.by_noise, due.by_parameters))
-        return cls(before, after, noise, parameters, unseen, rows)
+    seen: Mask
 
     @property
     def explained(self) -> Floats:
-        """Return the expected squares (n,)."""
-        return self.noise + self.parameters
+        """Return the squares (n,) expected from declared noise and the parameters' covariance, NaN where not ``seen``."""
+        return np.where(self.seen, self.due.by_noise + self.due.by_parameters, np.nan)
 
     @property
     def unexplained(self) -> float:
         """Return the RMS of the errors that is not expected; NaN if no row has an expected error."""
-        left = (self.after**2 - self.explained)[self.rows & ~self.unseen]
+        left = (self.after**2 - self.explained)[self.seen]
         return math.sqrt(max(float(left.mean()), 0.0)) if left.size else math.nan
+
+    def expected(self) -> dict[str, float]:
+        """Return the expected RMS, its parts and the RMS, of the rows that have all; NaN if there are none."""
+        squares = self.explained, self.due.by_noise, self.due.by_parameters, self.after**2
+        names = "rms", "by_noise", "by_parameters", "rms_after"
+        return {name: _root_mean(square[self.seen]) for name, square in zip(names, squares, strict=True)}
 
     @property
     def is_better(self) -> bool:
@@ -333,9 +334,9 @@ def _worst_region(errors: Mapping[str, RowErrors], regions: Sequence[tuple[str, 
     """Return the region where the errors exceed the expected ones most, if by more than elsewhere, beyond chance."""
     worst: tuple[float, str] | None = None
     for of in errors.values():
-        rows, ratio = of.rows & ~of.unseen, of.after**2 / np.maximum(of.explained, 1e-300)
+        ratio = of.after**2 / np.maximum(of.explained, 1e-300)
         for name, inside in regions:
-            region, elsewhere = ratio[rows & inside], ratio[rows & ~inside]
+            region, elsewhere = ratio[of.seen & inside], ratio[of.seen & ~inside]
             if min(region.size, elsewhere.size) < LEAST_ROWS:
                 continue
             excess = region.mean() - elsewhere.mean()
@@ -351,47 +352,25 @@ def _figures(errors: Mapping[str, RowErrors], rows: Mask) -> tuple[ByUnit, ByUni
     return before, {si: Figures.of(of.after[rows & of.rows]) for si, of in errors.items()}
 
 
-def _figure_entries(before: ByUnit, after: ByUnit) -> dict[str, float | None]:
-    """Return figures for display; None if no row has such an error."""
-    out: dict[str, float | None] = {}
-    for si in after:
-        for name, found in (("before", before[si]), ("after", after[si])):
-            out |= {
-                key(f"{what}_{name}", si): shown_or_null(getattr(found, what), si) for what in ("rms", "mean", "max")
-            }
-        out[key("n", si)] = after[si].n
-    return out
+def _figure_entries(before: ByUnit, after: ByUnit) -> dict[str, float]:
+    """Return figures for display; NaN if no row has such an error."""
+    entries = {
+        key(f"{figure}_{when}", si): shown(getattr(errors[si], figure), si)
+        for when, errors in (("before", before), ("after", after))
+        for si in after
+        for figure in ("rms", "mean", "max")
+    }
+    return entries | {key("n", si): figures.n for si, figures in after.items()}
 
 
 def _region_entry(region: ValidationRegion) -> dict[str, Any]:
-    due = {key("rms_expected", si): shown_or_null(rms, si) for si, rms in region.expected.items()}
+    due = {key("rms_expected", si): shown(rms, si) for si, rms in region.expected.items()}
     return {"region": region.name, "rows": region.n, **_figure_entries(region.before, region.after), **due}
 
 
 def _root_mean(square: Floats) -> float:
     """Return the root of a mean; NaN without rows or if one of them has no such square."""
     return float(np.sqrt(np.mean(square))) if square.size else math.nan
-
-
-def _expected(errors: Mapping[str, RowErrors]) -> tuple[dict[str, float], dict[str, float | None] | None]:
-    """Return the RMS expected in each unit if the robot is as identified, empty if there are no such rows.
-
-    It is also returned for display, with its parts and the actual errors; None if there are no such rows.
-    """
-    rms: dict[str, float] = {}
-    out: dict[str, float | None] = {}
-    for si, of in errors.items():
-        squares = {
-            "rms": of.explained,
-            "by_noise": of.noise,
-            "by_parameters": of.parameters,
-            "rms_after": of.after**2,
-        }
-        roots = {name: _root_mean(square[of.rows & ~of.unseen]) for name, square in squares.items()}
-        out |= {key(name, si): shown_or_null(root, si) for name, root in roots.items()}
-        if not math.isnan(roots["rms"]):
-            rms[si] = roots["rms"]
-    return rms, None if all(value is None for value in out.values()) else out
 
 
 def _reference(document: Mapping[str, Any], si: str) -> float | None:
@@ -404,13 +383,13 @@ def _regions(
     calibration: Calibration, table: ObservationTable, errors: Mapping[str, RowErrors], judging: Mask
 ) -> tuple[ValidationRegion, ...]:
     """Return the groups named by the rows, and four parts of the space by the position of the end."""
-    found = []
-    for name, mine in _named_regions(calibration, table):
-        rows = mine & judging
+    regions = []
+    for name, inside in _named_regions(calibration, table):
+        rows = inside & judging
         if rows.sum() >= LEAST_ROWS:
             due = {si: _root_mean(of.explained[rows & of.rows]) for si, of in errors.items()}
-            found.append(ValidationRegion(name, int(rows.sum()), *_figures(errors, rows), due))
-    return tuple(found)
+            regions.append(ValidationRegion(name, int(rows.sum()), *_figures(errors, rows), due))
+    return tuple(regions)
 
 
 def _named_regions(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
