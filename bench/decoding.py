@@ -82,7 +82,7 @@ def from_a_file(session: Session, ident: Ident) -> int:
 
 def n_samples(reader: BoxReader, batches: Iterable[Messages]) -> int:
     blocks = [some for messages in batches for some in reader.feed(messages)] + reader.finish()
-    return sum(len(some.counts()) for some in blocks)
+    return sum(len(some.counts) for some in blocks)
 
 
 def best_of(runs: int, job: Callable[[], int]) -> float:

@@ -250,8 +250,8 @@ def joints(batches: Sequence[Messages]) -> int:
 def samples(session: Session) -> int:
     reader, total = BoxReader(), 0
     for messages in session.batches():
-        total += sum(len(some.counts()) for some in reader.feed(messages))
-    return total + sum(len(some.counts()) for some in reader.finish())
+        total += sum(len(some.counts) for some in reader.feed(messages))
+    return total + sum(len(some.counts) for some in reader.finish())
 
 
 def observing(path: Path) -> tuple[float, float]:

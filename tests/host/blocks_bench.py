@@ -35,7 +35,6 @@ class Block(NamedTuple):
     gap: bool
     n: int
     channels: int
-    t_host_ns: int
     data: Data
     counts: Any
     ident: Ident
@@ -43,18 +42,12 @@ class Block(NamedTuple):
 
 def singly(blocks):
     """Yield the rows of the blocks of one stream."""
-    counts = np.split(blocks.counts(), blocks.first[1:])
-    columns = (
-        blocks.run,
-        blocks.gap,
-        blocks.n,
-        *(blocks.frames[key] for key in ("t_host_ns", "n0", "t_us", "period_ns", "flags")),
-    )
-    rows = zip(*(column.tolist() for column in columns), counts, strict=True)
-    for k, (run, gap, n, t_host_ns, n0, t0_us, period_ns, flags, samples) in enumerate(rows):
-        offsets = blocks.offsets_us.get(k, b"")
+    counts, within_ns = (np.split(of, blocks.first[1:-1]) for of in (blocks.counts, blocks.within_ns()))
+    for row, samples, within in zip(blocks.table.tolist(), counts, within_ns, strict=True):
+        n0, t0_us, period_ns, n, run, flags, gap = row
+        offsets = b"" if period_ns else (within // 1000).astype("<u2").tobytes()
         data = Data(-1, blocks.stream.id, n0, t0_us, period_ns, offsets, samples.tobytes(), flags)
-        yield Block(blocks.segment, run, gap, n, samples.shape[1], t_host_ns, data, samples, blocks.ident)
+        yield Block(blocks.segment, run, gap, n, samples.shape[1], data, samples, blocks.ident)
 
 
 def read(messages, ident=None):

@@ -68,7 +68,7 @@ def in_batches(messages, cuts, ident=IDENT):
     segments = [
         (s.booted, s.boot_id, s.ident, s.output, s.temperatures, reader.exchanges(s).tolist()) for s in reader.segments
     ]
-    return rows, np.concatenate([b.counts() for b in blocks] or [COUNTS[:0]]).tolist(), reader.losses(), segments
+    return rows, np.concatenate([b.counts for b in blocks] or [COUNTS[:0]]).tolist(), reader.losses(), segments
 
 
 @pytest.mark.parametrize("gone", [0, 3, 8, 70])
@@ -229,7 +229,7 @@ def test_counts_of_frames_of_several_lengths():
         box.data((k + 1) * BLOCK_NS, counts)
     reader = BoxReader()
     (blocks,) = reader.feed(columns_of(box.messages)) + reader.finish()
-    np.testing.assert_array_equal(blocks.counts(), np.concatenate(sent))
+    np.testing.assert_array_equal(blocks.counts, np.concatenate(sent))
     assert blocks.within_ns().tolist() == [k * PERIOD_NS for counts in sent for k in range(len(counts))]
 
 

@@ -68,18 +68,19 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
     """
     parts = []
     for some, host_ns in samples:
-        period_ns = np.where(some.period_ns > 0, some.period_ns, some.stream.period_ns)
-        bin_of_block = np.cumsum(some.gap) * 1e9 + np.floor(1e-9 * (host_ns - host_ns[0]) / BIN_S)
+        blocks_n, blocks_gap, period_ns = (some.table[name] for name in ("n", "gap", "period_ns"))
+        period_ns = np.where(period_ns > 0, period_ns, some.stream.period_ns).astype(np.int64)
+        bin_of_block = np.cumsum(blocks_gap) * 1e9 + np.floor(1e-9 * (host_ns - host_ns[0]) / BIN_S)
         starts = np.flatnonzero(np.diff(bin_of_block, prepend=-1.0))
-        ends = np.append(starts[1:], len(some.n)) - 1
+        ends = np.append(starts[1:], len(some)) - 1
         first = some.first[starts]
         metres = extension(some.counts[:, 0], some.channels[0])
-        n = np.add.reduceat(some.n, starts)
+        n = np.add.reduceat(blocks_n, starts)
         at_rail = np.logical_or.reduceat(railed(some.counts[:, 0]), first)
-        good = ~at_rail & (np.add.reduceat(some.n * period_ns, starts) >= 0.5e9 * BIN_S)
-        gap = some.gap[starts] | np.append(False, at_rail[:-1])
+        good = ~at_rail & (np.add.reduceat(blocks_n * period_ns, starts) >= 0.5e9 * BIN_S)
+        gap = blocks_gap[starts] | np.append(False, at_rail[:-1])
         mean, low, high = (of.reduceat(metres, first) for of in (np.add, np.minimum, np.maximum))
-        last_s = 1e-9 * (host_ns[ends] + period_ns[ends] * (some.n[ends] - 1))
+        last_s = 1e-9 * (host_ns[ends] + period_ns[ends] * (blocks_n[ends] - 1))
         columns = (np.full(len(n), some.segment), 1e-9 * host_ns[starts], last_s, n, mean / n, low, high, gap)
         parts.append([column[good] for column in columns])
     if not parts:

@@ -7,8 +7,8 @@ the channel). The rig provides the rest: length = zero + gain · extension, cent
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache, reduce
+from dataclasses import dataclass, replace
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -114,57 +114,13 @@ class Samples:
         return int(self.t_ns[first]), self.counts[first : first + int(n.max()), 0]
 
 
-@dataclass(eq=False)
-class ChannelBlocks:
-    """Blocks (b,) of samples of some channels of one stream, all of one segment and ident.
-
-    ``gap``: samples before the block are missing. ``fault``: the converter's. ``counts`` (Σ n, c), ``within_ns`` (Σ n,):
-    time from the block's first sample to each sample, (0,) if the periods give it.
-    """
-
-    segment: int
-    stream: Stream
-    columns: tuple[int, ...]
-    period_ns: NDArray[np.uint32]
-    n: NDArray[np.int32]
-    t0_us: Ints
-    gap: NDArray[np.bool_]
-    fault: NDArray[np.bool_]
-    counts: NDArray[np.int32]
-    within_ns: Ints
-    _placed: tuple[Ints, Floats] | None = field(default=None, init=False)
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """The channels in the columns of ``counts``."""
-        return tuple(self.stream.channels[column] for column in self.columns)
-
-    @cached_property
-    def first(self) -> Ints:
-        """Offset of each block in ``counts``."""
-        return np.asarray(np.cumsum(self.n, dtype=np.int64) - self.n)
-
-    @cached_property
-    def reach_ns(self) -> int:
-        """The longest time from the first sample of a block to its last."""
-        by_period = int(self.n.max()) * max(int(self.period_ns.max()), self.stream.period_ns)
-        return int(self.within_ns.max(initial=0)) or by_period
-
-    def placed(self, clock: DeviceClock) -> tuple[Ints, Floats]:
-        """Return the host time (b,) [ns] at which the signal had the first value of each block, and the bounds."""
-        if self._placed is None:
-            host, bound = clock.to_host_ns(self.t0_us)
-            self._placed = host - self.stream.group_delay_ns, bound
-        return self._placed
-
-
 class ChannelSamples:
     """All samples of some channels of one stream, kept on the disk."""
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._names = channels
         self._arrays = Spool()
-        self._of_arrays: list[tuple[int, Stream, tuple[int, ...]]] = []
+        self._kept: list[Blocks] = []  # without the arrays
         self._blocks = lru_cache(RECENT)(self._load)
         self._host_ns: NDArray[np.float64] = np.empty((0, 2))  # between which each lies; NaN without a clock
         self._clocks: Mapping[int, DeviceClock] = {}
@@ -177,24 +133,20 @@ class ChannelSamples:
             if place is None:
                 self._lacking = self._lacking or some.ident
             elif place[0].id == some.stream.id and len(some):
-                frames = some.frames
-                arrays: list[NDArray[Any]] = [
-                    frames["period_ns"].astype(np.uint32),
-                    some.n.astype(np.int32),
-                    frames["t_us"],
-                    some.gap,
-                    (frames["flags"] & wire.FLAG_CONVERTER) != 0,
-                    with_ratios(some.counts(), some.stream.channels)[:, place[1]],
-                    some.within_ns() if some.offsets_us else np.empty(0, np.int64),
-                ]
-                self._of_arrays.append((some.segment, some.stream, place[1]))
-                reach_us = ChannelBlocks(*self._of_arrays[-1], *arrays).reach_ns // 1000
-                begin_us = int(frames["t_us"].min()) - some.stream.group_delay_ns // 1000 - SLACK_US
-                span = some.segment, begin_us, int(frames["t_us"].max()) + reach_us + SLACK_US
-                self._arrays.append(arrays, span)
+                counts = with_ratios(some.counts, some.stream.channels)[:, place[1]]
+                begin_us = int(some.table["t_us"].min()) - some.stream.group_delay_ns // 1000 - SLACK_US
+                end_us = int(some.table["t_us"].max()) + some.reach_ns // 1000 + SLACK_US
+                self._arrays.append((some.table, counts, some.stated_ns), (some.segment, begin_us, end_us))
+                nothing = {"table": some.table[:0], "counts": counts[:0], "stated_ns": some.stated_ns[:0]}
+                self._kept.append(replace(some, columns=place[1], **nothing))
 
-    def _load(self, number: int) -> ChannelBlocks:
-        return ChannelBlocks(*self._of_arrays[number], *self._arrays.load(number))
+    def _load(self, number: int) -> tuple[Blocks, Ints, Floats]:
+        """Return blocks, the host time (b,) [ns] at which the signal had the first value of each, and the bounds."""
+        kept = self._kept[number]
+        table, counts, stated_ns = self._arrays.load(number)
+        host, bound = self._clocks[kept.segment].to_host_ns(table["t_us"])
+        some = replace(kept, table=table, counts=counts, stated_ns=stated_ns)
+        return some, host - some.stream.group_delay_ns, bound
 
     def place(self, clocks: Mapping[int, DeviceClock]) -> None:
         """Set the clock of each segment of the box."""
@@ -210,38 +162,34 @@ class ChannelSamples:
             have = ", ".join(c.name for stream in self._lacking.streams.values() for c in stream.channels)
             raise SessionError(f"the box has no channel {self._names[0]!r}; it has {have}")
 
-    def __iter__(self) -> Iterator[tuple[ChannelBlocks, Ints]]:
+    def __iter__(self) -> Iterator[tuple[Blocks, Ints]]:
         """Yield all samples that a clock places in time, and the host times of their blocks."""
-        for number, (segment, _, _) in enumerate(self._of_arrays):
-            if segment in self._clocks:
-                some = self._blocks(number)
-                yield some, some.placed(self._clocks[segment])[0]
+        for number, kept in enumerate(self._kept):
+            if kept.segment in self._clocks:
+                yield self._blocks(number)[:2]
 
     def during(self, start_ns: int, end_ns: int) -> Samples | None:
         """Return the samples between two host times; None if there are none, or no clock places them in time."""
         parts, segment = [], -1
         for k in np.flatnonzero((self._host_ns[:, 0] <= end_ns) & (self._host_ns[:, 1] >= start_ns)).tolist():
-            some = self._blocks(k)
-            host, bound = some.placed(self._clocks[some.segment])
+            some, host, bound = self._blocks(k)
             rows = slice(*np.searchsorted(host, [start_ns - some.reach_ns, end_ns + 1]))
             if rows.start == rows.stop:
                 continue
-            n, begin = some.n[rows], int(some.first[rows.start])
-            first = some.first[rows] - begin
-            within = some.within_ns[begin : begin + int(n.sum())]
-            if not within.size:
-                within = (np.arange(n.sum()) - np.repeat(first, n)) * np.repeat(some.period_ns[rows], n)
-            t_ns = np.repeat(host[rows], n) + within
+            table, first = some.table[rows], some.first[rows.start : rows.stop + 1]
+            counts, first = some.counts[first[0] : first[-1]], first - first[0]
+            t_ns = np.repeat(host[rows], table["n"]) + some.within_ns(rows)
             low, high = np.searchsorted(t_ns, [start_ns, end_ns + 1])
             if low == high:
                 continue
             gap = np.zeros(t_ns.size, np.bool_)
-            gap[first] = some.gap[rows]
+            gap[first[:-1]] = table["gap"]
             gap[low] |= some.segment != segment
             segment, last = some.segment, some
-            columns = t_ns, some.counts[begin : begin + t_ns.size], gap, np.repeat(some.fault[rows], n)
-            touched = slice(*(np.searchsorted(first, [low, high - 1], side="right") - [1, 0] + rows.start))
-            parts.append((*(c[low:high] for c in columns), bound[touched], some.period_ns[touched]))
+            fault = np.repeat((table["flags"] & wire.FLAG_CONVERTER) != 0, table["n"])
+            columns = t_ns, counts, gap, fault
+            touched = slice(*(np.searchsorted(first[:-1], [low, high - 1], side="right") - [1, 0]))
+            parts.append((*(c[low:high] for c in columns), bound[rows][touched], table["period_ns"][touched]))
         if not parts:
             return None
         t_ns, counts, gap, fault, bound, period_ns = map(np.concatenate, zip(*parts, strict=True))

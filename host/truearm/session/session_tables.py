@@ -131,27 +131,27 @@ def samples(blocks: Blocks, found: Survey) -> Columns:
     group delay, which is when the signal had that value; the bound of its error is given too. ``gap`` 1: samples are
     missing before this one.
     """
-    stream, n, within_ns = blocks.stream, blocks.n, blocks.within_ns()
-    counts = with_ratios(blocks.counts(), stream.channels)
+    stream, table, n, within_ns = blocks.stream, blocks.table, blocks.table["n"], blocks.within_ns()
+    counts = with_ratios(blocks.counts, stream.channels)
     total = len(counts)
     clock = found.clocks.get(blocks.segment)
     if clock is None:
         host, bounds = np.full(total, UNKNOWN, np.int64), np.full(total, np.nan)
     else:
-        block_host, block_bounds = clock.to_host_ns(blocks.frames["t_us"])
+        block_host, block_bounds = clock.to_host_ns(table["t_us"])
         host = np.repeat(block_host, n) + within_ns - stream.group_delay_ns
         bounds = np.repeat(block_bounds, n)
     gap = np.zeros(total, np.int8)
-    gap[blocks.first[blocks.gap]] = 1
+    gap[blocks.first[:-1][table["gap"]]] = 1
     columns: Columns = {
         "segment": np.full(total, blocks.segment),
-        "run": np.repeat(blocks.run, n),
-        "index": np.arange(total) + np.repeat(blocks.frames["n0"] - blocks.first, n),
+        "run": np.repeat(table["run"].astype(np.int64), n),
+        "index": np.arange(total) + np.repeat(table["n0"] - blocks.first[:-1], n),
         "gap": gap,
-        "device_time_ns": np.repeat(1000 * blocks.frames["t_us"], n) + within_ns,
+        "device_time_ns": np.repeat(1000 * table["t_us"], n) + within_ns,
         "host_time_ns": host,
         "host_bound_ns": bounds,
-        "flags": np.repeat(blocks.frames["flags"], n),
+        "flags": np.repeat(table["flags"].astype(np.int64), n),
     }
     for k, channel in enumerate(stream.channels):
         for title, values in _channel(counts[:, k], channel, f"channel{k + 1}"):

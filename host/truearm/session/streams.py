@@ -20,6 +20,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise, product
 from typing import Any
 
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
 from truearm.session.box_frames import Pages, is_boot, is_text, parse_exchange
-from truearm.session.box_ident import Ident, Stream, decode_ident
+from truearm.session.box_ident import Channel, Ident, Stream, decode_ident
 from truearm.session.frames import NO_FRAMES, NONE, Frames, frames_of
 from truearm.session.losses import COUNTED, Heartbeats, Losses, StreamReport, StreamTrack, summary_of
 from truearm.session.message_columns import Messages
@@ -40,56 +41,57 @@ MOST_HELD = 8192  # frames without a boot id, which a box states every second
 FELL_US = 10_000_000  # frames of one boot are sent in the order of their times, to within less than this
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Data frames (b,) of one stream, segment and ident, in order of sending: ``n`` samples per channel each.
+BLOCK = np.dtype(
+    [("n0", "i8"), ("t_us", "i8"), ("period_ns", "u4"), ("n", "i4"), ("run", "i4"), ("flags", "u1"), ("gap", "?")]
+)
 
-    ``frames`` (b,) of FRAME. ``gap``: samples before the block are missing. If its period is 0, the block's
-    ``offsets_us`` hold the sample times.
+
+@dataclass(eq=False)
+class Blocks:
+    """Data frames (b,) of one stream, segment and ident, in order of sending.
+
+    ``table`` (b,) of BLOCK: index and device time of the first sample, period, number of samples per channel, run, flags,
+    and whether samples before the block are missing. ``counts`` (Σ n, c): of the stream's channels at ``columns``.
+    ``stated_ns`` (Σ n,): time from the block's first sample to each sample; (0,) if the periods give it.
     """
 
     segment: int
     ident: Ident
     stream: Stream
-    data: bytes
-    frames: NDArray[Any]
-    n: Ints
-    gap: NDArray[np.bool_]
-    run: Ints
-    offsets_us: dict[int, bytes]
+    columns: tuple[int, ...]
+    table: NDArray[Any]
+    counts: NDArray[np.int32]
+    stated_ns: Ints
 
     def __len__(self) -> int:
-        return len(self.n)
+        return len(self.table)
 
     @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels in the columns of ``counts``."""
+        return tuple(self.stream.channels[column] for column in self.columns)
+
+    @cached_property
     def first(self) -> Ints:
-        """Offset of each block in ``counts``."""
-        return np.asarray(np.cumsum(self.n) - self.n)
+        """Offset (b + 1,) of each block in ``counts``, and their length."""
+        return np.append(0, np.cumsum(self.table["n"], dtype=np.int64))
 
-    def counts(self) -> NDArray[np.int32]:
-        """Return all samples as (Σ n, channels)."""
-        channels = len(self.stream.channels)
-        found = np.empty((int(self.n.sum()), channels), np.int32)
-        for n in np.unique(self.n).tolist():
-            alike = np.flatnonzero(self.n == n)
-            window = np.lib.stride_tricks.sliding_window_view(np.frombuffer(self.data, np.uint8), 4 * n * channels)
-            samples = np.asarray(window[self.frames["samples_at"][alike]]).view("<i4")
-            if len(alike) == len(self):
-                return samples.reshape(-1, channels)
-            found[self.first[alike][:, None] + np.arange(n)] = samples.reshape(len(alike), n, channels)
-        return found
+    @cached_property
+    def reach_ns(self) -> int:
+        """The longest time from the first sample of a block to its last."""
+        by_period = int(self.table["n"].max()) * max(int(self.table["period_ns"].max()), self.stream.period_ns)
+        return int(self.stated_ns.max(initial=0)) or by_period
 
-    def within_ns(self) -> Ints:
-        """Return the time from the first sample of its block to each sample [ns].
+    def within_ns(self, rows: slice = slice(None)) -> Ints:
+        """Return the time [ns] from the first sample of its block to each sample of some blocks.
 
         The nominal period is used: 1000 ppm over 13 ms is 13 µs.
         """
-        place = np.arange(int(self.n.sum())) - np.repeat(self.first, self.n)
-        within: Ints = place * np.repeat(self.frames["period_ns"], self.n)
-        for block, offsets in self.offsets_us.items():
-            begin = int(self.first[block])
-            within[begin : begin + int(self.n[block])] = 1000 * np.frombuffer(offsets, "<u2").astype(np.int64)
-        return within
+        table, first = self.table[rows], self.first[:-1][rows]
+        if self.stated_ns.size:
+            return self.stated_ns[first[0] : first[-1] + table["n"][-1]]
+        place = np.arange(table["n"].sum()) - np.repeat(first - first[0], table["n"])
+        return np.asarray(place * np.repeat(table["period_ns"], table["n"]))
 
 
 @dataclass
@@ -318,15 +320,30 @@ class BoxReader:
         return np.asarray(rows[whole])
 
     def _blocks(self, frames: Frames, index: Ints, lost: Ints, ident: Ident, stream: Stream) -> Blocks:
-        table = frames.table[index]
-        n = table["samples_bytes"] // (4 * len(stream.channels))
+        rows = frames.table[index]
+        channels = len(stream.channels)
+        n = rows["samples_bytes"] // (4 * channels)
         track = self._streams.setdefault(stream.id, StreamTrack())
-        self._described[stream.id], track.period_ns = stream, int(table["period_ns"][-1])
-        gap, run = track.take(table["n0"], n, table["t_us"], table["flags"], lost)
-        single = np.flatnonzero(table["period_ns"] == 0).tolist()
-        offsets = {k: frames.elements[int(index[k])][5].value for k in single}
-        data = frames.buffers[table["buffer"][0]]
-        return Blocks(self.segment.index, ident, stream, data, table, n, gap, run, offsets)
+        self._described[stream.id], track.period_ns = stream, int(rows["period_ns"][-1])
+        table = np.empty(len(rows), BLOCK)
+        table["gap"], table["run"] = track.take(rows["n0"], n, rows["t_us"], rows["flags"], lost)
+        table["n0"], table["t_us"], table["period_ns"], table["n"] = rows["n0"], rows["t_us"], rows["period_ns"], n
+        table["flags"] = rows["flags"] & 0xFF
+        counts = np.empty((int(n.sum()), channels), np.int32)
+        blocks = Blocks(self.segment.index, ident, stream, tuple(range(channels)), table, counts, np.empty(0, np.int64))
+        data = np.frombuffer(frames.buffers[rows["buffer"][0]], np.uint8)
+        for length in np.unique(n).tolist():
+            alike = np.flatnonzero(n == length)
+            window = np.lib.stride_tricks.sliding_window_view(data, 4 * length * channels)
+            samples = np.asarray(window[rows["samples_at"][alike]]).view("<i4")
+            counts[blocks.first[alike][:, None] + np.arange(length)] = samples.reshape(len(alike), length, channels)
+        single = np.flatnonzero(rows["period_ns"] == 0)
+        if single.size:
+            blocks.stated_ns = blocks.within_ns()
+            for k in single.tolist():
+                offsets = np.frombuffer(frames.elements[int(index[k])][5].value, "<u2")
+                blocks.stated_ns[blocks.first[k] : blocks.first[k + 1]] = 1000 * offsets.astype(np.int64)
+        return blocks
 
 
 _TEMPERATURE_AT = wire.names(wire.HEARTBEAT)[1:].index("temperature_mdegc")
