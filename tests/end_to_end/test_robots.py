@@ -30,7 +30,7 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
     assert np.array_equal(seq, np.rint((t - t[0]) * 500.0))
     states = World(1, standard_plan(9, 1), setup=Setup(robot_rate=500.0)).robot_states(0, 20 * 10**9)
     first = int(np.searchsorted(states.t_robot, t[0] - 1e-6))
-    for key, read in (("q", rows.q), ("q_cmd", rows.more["q_cmd"]), ("qd", rows.more["qd"])):
+    for key, read in (("q", rows.q), ("q_cmd", rows.columns["q_cmd"]), ("qd", rows.columns["qd"])):
         assert np.array_equal(read, getattr(states, key)[first + seq]), key
     assert not list(open_session(session).messages({"/robot/console"}))
     report = truearm("inspect", session, "--json")

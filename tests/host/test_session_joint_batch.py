@@ -64,7 +64,7 @@ def test_a_line_alone_says_the_same():
     batch = parse_lines([json.dumps(row, ensure_ascii=False).encode()], [3])
     assert (batch.arrival_ns, batch.t, batch.seq) == (3, 1.5, 7)
     assert batch.q.tolist() == [[1.0, 2.5]]
-    more = {key: values.tolist() for key, values in batch.more.items()}
+    more = {key: values.tolist() for key, values in batch.columns.items() if key not in ("arrival_ns", "t", "seq", "q")}
     assert more == {"q_cmd": [[1.0, 2.0]], "qd": [[0.0, 0.0]], "inputs": [5], "robot_mode": [7.0]}
 
 

@@ -179,11 +179,11 @@ def test_malformed_lines_are_counted_among_good_ones(line):
 
 
 def assert_same(one, other):
-    assert one.more.keys() == other.more.keys()
+    assert one.columns.keys() == other.columns.keys()
     for name in ("arrival_ns", "t", "seq", "q"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), strict=True)
-    for key, values in one.more.items():
-        np.testing.assert_array_equal(values, other.more[key], strict=True)
+    for key, values in one.columns.items():
+        np.testing.assert_array_equal(values, other.columns[key], strict=True)
 
 
 READING = st.tuples(st.floats(0, 1e9), st.integers(-(2**40), 2**40), st.lists(st.floats(-7, 7), min_size=2, max_size=2))

@@ -60,11 +60,7 @@ def in_batches(messages, cuts, ident=IDENT):
     for a, b in zip([0, *cuts], [*cuts, len(messages)], strict=True):
         blocks += reader.feed(columns_of(messages[a:b]))
     blocks += reader.finish()
-    rows = [
-        (b.segment, *row)
-        for b in blocks
-        for row in zip(b.run, b.gap, b.n, *(b.frames[k] for k in ("n0", "t_us")), strict=True)
-    ]
+    rows = [(b.segment, *row) for b in blocks for row in b.table[["run", "gap", "n", "n0", "t_us"]].tolist()]
     segments = [
         (s.booted, s.boot_id, s.ident, s.output, s.temperatures, reader.exchanges(s).tolist()) for s in reader.segments
     ]

@@ -139,7 +139,7 @@ def test_changes_are_told_between_readings_whatever_the_pieces():
 @pytest.mark.parametrize("value", [None, -1, 2**63, 2**200, True, 1.0, "3", [1]])
 def test_inputs_that_are_none(value):
     line = json.dumps({"t": 1.5, "q": [0.1], "inputs": value}).encode()
-    assert "inputs" not in parse_lines([line], [0]).more
+    assert "inputs" not in parse_lines([line], [0]).columns
 
 
 def pairing(edges, readings, level, late_s=0.004):

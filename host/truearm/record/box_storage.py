@@ -21,13 +21,12 @@ import numpy as np
 
 from truearm.errors import ProtocolError
 from truearm.record.clock_exchanges import ClockExchanges
-from truearm.record.fields import fields_of
 from truearm.record.frame_splitter import FrameSplitter, frame_head
 from truearm.record.operator import Operator
 from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.session.box_frames import Data, Pages, data_frame, too_many
+from truearm.session.box_frames import Data, Pages, data_frame, fields_of, too_many
 from truearm.session.box_ident import Ident, decode_ident
 from truearm.session.samples import shown, with_ratios
 from truearm.units import MDEGC

@@ -162,6 +162,14 @@ def conforms(frame: list[Any]) -> bool:
     return whole and all(0 <= frame[k] < limit for k, limit in limits)
 
 
+def fields_of(kind: int, payload: bytes) -> dict[str, Any] | None:
+    """Return the elements of a frame by name; None if it is not of this kind, or violates the specification."""
+    frame = decode(payload)
+    if frame is None or frame[0] != kind or kind not in wire.LAYOUT or not conforms(frame):
+        return None
+    return dict(zip(wire.names(kind), frame[1:], strict=False))
+
+
 def is_boot(frame: list[Any]) -> bool:
     """Return whether a frame is the first page of the ident that a box sends unprompted at boot (SPEC §5: req_id 0)."""
     return frame[0] == wire.IDENT and frame[2:4] == [0, 0]

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from operator import attrgetter
 from typing import Annotated, Any, NamedTuple, TypeGuard
@@ -65,6 +65,7 @@ NUMBERS = ("robot_mode", "runtime_state")
 OPTIONAL = (*ARRAYS, "inputs", *NUMBERS)
 WHOLE = ("arrival_ns", "seq", "inputs")  # of integers
 
+_TYPES = {field.name: field.type for field in msgspec.structs.fields(JointLine)}
 _usual_line = msgspec.json.Decoder(JointLine).decode
 
 
@@ -96,23 +97,14 @@ def _unusual_line(line: bytes) -> JointLine | None:
     """
     try:
         row = json.loads(line.decode())
-    except (ValueError, RecursionError):  # not UTF-8, not JSON, a number with a thousand digits, endless nesting
+        for key in OPTIONAL:
+            try:
+                msgspec.convert(row.get(key), _TYPES[key])
+            except msgspec.ValidationError:
+                del row[key]
+        return msgspec.convert(row, JointLine)
+    except (ValueError, AttributeError, RecursionError, msgspec.ValidationError):  # not UTF-8, JSON or an object
         return None
-    if not isinstance(row, dict):
-        return None
-    t, seq, q, inputs = row.get("t"), row.get("seq", 0), row.get("q"), row.get("inputs")
-    if not (_finite(t) and 0.0 <= t < MAX_T_S) or type(seq) is not int or abs(seq) >= MAX_SEQ:  # type: ignore[operator]
-        return None
-    if not are_joints(q):
-        return None
-    return JointLine(
-        float(t),  # type: ignore[arg-type]
-        [float(value) for value in q],
-        seq if "seq" in row else UNNUMBERED,
-        inputs=inputs if type(inputs) is int and 0 <= inputs < 2**63 else None,
-        **{key: row[key] for key in ARRAYS if are_joints(row.get(key))},
-        **{key: float(row[key]) for key in NUMBERS if _finite(row.get(key))},  # type: ignore[arg-type]
-    )
 
 
 def are_joints(value: object) -> TypeGuard[list[float]]:
@@ -157,22 +149,24 @@ _RANGES: dict[str, tuple[float, float]] = {  # of the numbers of a batch: from, 
 class JointBatch:
     """Readings (n,) of j joints in order of arrival.
 
-    ``seq`` is UNNUMBERED where a reading has no number. ``more``: what any reading has of commanded joints ``q_cmd``,
-    velocities ``qd``, ``current``, ``effort`` (n, j), ``inputs``, ``robot_mode`` and ``runtime_state`` (n,). Where a reading
-    does not have it, it is NaN, or NO_INPUTS.
+    ``columns``: host time ``arrival_ns`` (n,), the controller's time ``t`` (n,) [s], ``seq`` (n,), UNNUMBERED where a reading
+    has no number, joints ``q`` (n, j) [rad or m]; and what any reading has of commanded joints ``q_cmd``, velocities ``qd``,
+    ``current``, ``effort`` (n, j), ``inputs``, ``robot_mode`` and ``runtime_state`` (n,). Where a reading does not have it,
+    it is NaN, or NO_INPUTS.
     """
 
-    arrival_ns: Ints
-    t: Floats  # s, of the controller
-    seq: Ints
-    q: Floats  # (n, j) rad or m
-    more: Mapping[str, NDArray[Any]]
+    columns: Mapping[str, NDArray[Any]]
+
+    arrival_ns = property(lambda self: self.columns["arrival_ns"])
+    t = property(lambda self: self.columns["t"])
+    seq = property(lambda self: self.columns["seq"])
+    q = property(lambda self: self.columns["q"])
 
     def __len__(self) -> int:
         return len(self.t)
 
     def __getitem__(self, rows: slice | NDArray[Any]) -> JointBatch:
-        return _each(lambda column: column[rows], self)
+        return JointBatch({key: column[rows] for key, column in self.columns.items()})
 
 
 @uncollected()
@@ -188,18 +182,23 @@ def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints
 
 def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
     """Concatenate at least one batch of readings with equal numbers of joints."""
-    keys = dict.fromkeys(chain.from_iterable(batch.more for batch in batches))
-    filled = []
-    for batch in batches:
-        lacking = {key: _optional(key, [None] * len(batch), batch.q.shape[1]) for key in keys if key not in batch.more}
-        filled.append(replace(batch, more={**batch.more, **lacking}))
-    return filled[0] if len(filled) == 1 else _each(lambda *columns: np.concatenate(columns), *filled)
+    if len(batches) == 1:
+        return batches[0]
+    joined = {}
+    for key in dict.fromkeys(chain.from_iterable(batch.columns for batch in batches)):
+        joined[key] = np.concatenate([_column(batch, key) for batch in batches])
+    return JointBatch(joined)
+
+
+def _column(batch: JointBatch, key: str) -> NDArray[Any]:
+    if key in batch.columns:
+        return batch.columns[key]
+    return _optional(key, [None] * len(batch), batch.q.shape[1])
 
 
 def pack(batch: JointBatch) -> bytes:
     """Encode a batch as a message."""
-    columns = {"arrival_ns": batch.arrival_ns, "t": batch.t, "seq": batch.seq, "q": batch.q, **batch.more}
-    return cbor2.dumps({name: _tagged(column) for name, column in columns.items()})
+    return cbor2.dumps({name: _tagged(column) for name, column in batch.columns.items()})
 
 
 def unpack(*messages: bytes) -> JointBatch | None:
@@ -221,8 +220,7 @@ def unpack(*messages: bytes) -> JointBatch | None:
     good = good and all((column.dtype.kind == "i") == (key in WHOLE) for key, column in columns.items())
     for key, (least, beyond) in _RANGES.items():
         good = good and not (key in columns and np.any((columns[key] < least) | (columns[key] >= beyond)))
-    required = {key: columns.pop(key) for key in ("arrival_ns", "t", "seq", "q")}
-    return JointBatch(**required, more=columns) if good else None
+    return JointBatch(columns) if good else None
 
 
 def _tagged(column: NDArray[Any]) -> cbor2.CBORTag:
@@ -253,14 +251,17 @@ def columns_of_rows(
 ) -> JointBatch:
     """Return the columns of lines with equal numbers of joints; ``width`` is used if there are no lines."""
     width = len(rows[0].q) if rows else width or 0
-    values = {key: list(map(attrgetter(key), rows)) for key in OPTIONAL}
-    return JointBatch(
-        arrival_ns=np.array(arrival_ns, dtype=np.int64),
-        t=np.array([row.t for row in rows], dtype=np.float64),
-        seq=np.array([row.seq for row in rows], dtype=np.int64),
-        q=_table([row.q for row in rows], width),
-        more={key: _optional(key, column, width) for key, column in values.items() if column.count(None) < len(rows)},
-    )
+    columns: dict[str, NDArray[Any]] = {
+        "arrival_ns": np.array(arrival_ns, np.int64),
+        "t": np.array([row.t for row in rows], np.float64),
+        "seq": np.array([row.seq for row in rows], np.int64),
+        "q": _table([row.q for row in rows], width),
+    }
+    for key in OPTIONAL:
+        values = list(map(attrgetter(key), rows))
+        if values.count(None) < len(rows):
+            columns[key] = _optional(key, values, width)
+    return JointBatch(columns)
 
 
 def _optional(key: str, values: Sequence[Any], width: int) -> NDArray[Any]:
@@ -275,11 +276,3 @@ def _optional(key: str, values: Sequence[Any], width: int) -> NDArray[Any]:
 
 def _table(rows: Sequence[Sequence[float]], width: int) -> Floats:
     return np.fromiter(chain.from_iterable(rows), np.float64, width * len(rows)).reshape(len(rows), width)
-
-
-def _each(made: Callable[..., NDArray[Any]], *batches: JointBatch) -> JointBatch:
-    """Combine each column of ``batches``, which have the same columns, into one batch."""
-    names = ("arrival_ns", "t", "seq", "q")
-    columns = {name: made(*(getattr(batch, name) for batch in batches)) for name in names}
-    more = {key: made(*(batch.more[key] for batch in batches)) for key in batches[0].more}
-    return JointBatch(**columns, more=more)

@@ -328,8 +328,8 @@ class JointReader:
         if kept.size:
             self._last = (self._latest_s, int(kept[-1]))
             self._arrivals[-1].add(t[keep], batch.arrival_ns[keep])
-            if "inputs" in batch.more:
-                self._inputs[-1].add(t[keep], batch.more["inputs"][keep])
+            if "inputs" in batch.columns:
+                self._inputs[-1].add(t[keep], batch.columns["inputs"][keep])
             self._bin(t[keep], batch.q[keep])
             if self.keeps:
                 readings = Readings(t[keep], kept, batch.q[keep])

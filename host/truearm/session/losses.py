@@ -38,27 +38,23 @@ EXTREMES: Mapping[str, tuple[Callable[[int, int], int], str]] = {
 Summary = Mapping[str, int | None]
 
 
+@dataclass
 class Heartbeats:
-    """Adds up the counters of one boot from its heartbeats, in order."""
+    """The heartbeats of one boot: their number, the first and the last one, and the worst of every extreme."""
 
-    def __init__(self) -> None:
-        self.boot: dict[str, int] = {}  # the counters of the first heartbeat: what they had counted since the boot
-        self.since: Counter[str] = Counter()
-        self.worst: dict[str, int] = {}
-        self._last: dict[str, int] = {}
+    count: int = 0
+    first: Mapping[str, int] = field(default_factory=dict)
+    last: Mapping[str, int] = field(default_factory=dict)
+    worst: dict[str, int] = field(default_factory=dict)
 
     def take(self, elements: Sequence[int]) -> None:
         """Take the elements of a heartbeat: boot id, time, counters."""
-        beat = {name: value for (name, _), value in zip(_ELEMENTS, elements, strict=False)}
-        self._last = self._last or beat
-        self.boot = self.boot or {name: beat.get(name, 0) for name in COUNTERS}
-        for name in COUNTERS:
-            self.since[name] += (beat.get(name, 0) - self._last.get(name, 0)) % WRAP
-        self.since["heartbeats"] += 1
-        self._last = beat
+        self.last = {name: value for (name, _), value in zip(_ELEMENTS, elements, strict=False)}
+        self.first = self.first or self.last
+        self.count += 1
         for name, (extreme, key) in EXTREMES.items():
-            if name in beat:
-                self.worst[key] = extreme(self.worst.get(key, beat[name]), beat[name])
+            if name in self.last:
+                self.worst[key] = extreme(self.worst.get(key, self.last[name]), self.last[name])
 
 
 def summary_of(boots: Sequence[tuple[Heartbeats, bool]]) -> Summary:
@@ -68,12 +64,14 @@ def summary_of(boots: Sequence[tuple[Heartbeats, bool]]) -> Summary:
     """
     total: Counter[str] = Counter()
     worst: dict[str, int | None] = {key: None for _, key in EXTREMES.values()}
-    for boot, booted in boots:
-        total.update(boot.since)
-        total.update(boot.boot if booted else {})
+    for beats, booted in boots:
+        total["heartbeats"] += beats.count
+        for name in COUNTERS:
+            begin = beats.first.get(name, 0)
+            total[name] += (beats.last.get(name, 0) - begin) % WRAP + (begin if booted else 0)
         for extreme, key in EXTREMES.values():
-            before, value = worst[key], boot.worst.get(key)
-            worst[key] = value if before is None else before if value is None else extreme(before, value)
+            values = [value for value in (worst[key], beats.worst.get(key)) if value is not None]
+            worst[key] = extreme(*values) if len(values) == 2 else values[0] if values else None
     return {"heartbeats": total["heartbeats"], **{name: total[name] for name in COUNTERS}, **worst}
 
 

@@ -6,9 +6,9 @@ the channel). The rig provides the rest: length = zero + gain · extension, cent
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial, reduce
 from typing import Any
 
 import numpy as np
@@ -120,7 +120,7 @@ class ChannelSamples:
     def __init__(self, channels: Sequence[str]) -> None:
         self._names = channels
         self._arrays = Spool()
-        self._kept: list[Blocks] = []  # without the arrays
+        self._kept: list[Callable[..., Blocks]] = []  # of their arrays
         self._blocks = lru_cache(RECENT)(self._load)
         self._host_ns: NDArray[np.float64] = np.empty((0, 2))  # between which each lies; NaN without a clock
         self._clocks: Mapping[int, DeviceClock] = {}
@@ -137,15 +137,12 @@ class ChannelSamples:
                 begin_us = int(some.table["t_us"].min()) - some.stream.group_delay_ns // 1000 - SLACK_US
                 end_us = int(some.table["t_us"].max()) + some.reach_ns // 1000 + SLACK_US
                 self._arrays.append((some.table, counts, some.stated_ns), (some.segment, begin_us, end_us))
-                nothing = {"table": some.table[:0], "counts": counts[:0], "stated_ns": some.stated_ns[:0]}
-                self._kept.append(replace(some, columns=place[1], **nothing))
+                self._kept.append(partial(Blocks, some.segment, some.ident, some.stream, place[1]))
 
     def _load(self, number: int) -> tuple[Blocks, Ints, Floats]:
         """Return blocks, the host time (b,) [ns] at which the signal had the first value of each, and the bounds."""
-        kept = self._kept[number]
-        table, counts, stated_ns = self._arrays.load(number)
-        host, bound = self._clocks[kept.segment].to_host_ns(table["t_us"])
-        some = replace(kept, table=table, counts=counts, stated_ns=stated_ns)
+        some = self._kept[number](*self._arrays.load(number))
+        host, bound = self._clocks[some.segment].to_host_ns(some.table["t_us"])
         return some, host - some.stream.group_delay_ns, bound
 
     def place(self, clocks: Mapping[int, DeviceClock]) -> None:
@@ -164,8 +161,8 @@ class ChannelSamples:
 
     def __iter__(self) -> Iterator[tuple[Blocks, Ints]]:
         """Yield all samples that a clock places in time, and the host times of their blocks."""
-        for number, kept in enumerate(self._kept):
-            if kept.segment in self._clocks:
+        for number, (segment, _, _) in enumerate(self._arrays.spans):
+            if segment in self._clocks:
                 yield self._blocks(number)[:2]
 
     def during(self, start_ns: int, end_ns: int) -> Samples | None:

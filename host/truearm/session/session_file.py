@@ -18,16 +18,18 @@ from __future__ import annotations
 import io
 import os
 import re
+import struct
 import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Statistics
+from mcap.reader import SeekingReader
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor
 
@@ -49,7 +51,6 @@ from truearm.session.message_columns import (
     chunk_records,
     columns_of_records,
     has_footer,
-    parse,
     parse_attachment,
     parse_metadata,
     records,
@@ -58,7 +59,6 @@ from truearm.types import Message
 
 MAX_BAD = 1000  # damaged records and false starts; for each, a chunk may have been decompressed
 MAX_ITEMS = 1000  # attachments, and metadata records
-MAX_SUMMARY_BYTES = 16 << 20  # a day's chunks
 REPEATED = ("/plan", "/events")  # topics of which the writer repeats messages
 _BLOCK = 1 << 20
 _HEAD_BYTES = 64  # of a chunk, before its contents
@@ -335,27 +335,19 @@ class RecordWalk:
         return self._size
 
     def _summary(self) -> None:
-        """Read what a complete file repeats at its end: its channels, and times and number of the messages.
-
-        If bytes are missing, the footer's offset is wrong: the summary is then what follows the end of data.
-        """
-        self._file.seek(max(0, self._size - MAX_SUMMARY_BYTES))
-        tail = self._file.read()
-        begin = tail.rfind(RECORD.pack(Opcode.DATA_END, 4))
-        channels = self.session.channels
+        """Read what a complete file repeats at its end: its channels, and times and number of the messages."""
+        self._file.seek(0)
         try:
-            for opcode, at, length in records(io.BytesIO(tail), len(tail), begin) if begin >= 0 else ():
-                body = tail[at : at + length]
-                if opcode == Opcode.CHANNEL and len(channels) < MAX_CHANNELS:
-                    channel = parse(Channel, body)
-                    channels[channel.id] = channel.topic
-                elif opcode == Opcode.STATISTICS:
-                    statistics = parse(Statistics, body)
-                    self._span_ns = statistics.message_start_time, statistics.message_end_time
-                    counts = statistics.channel_message_counts
-                    self.session.counted = {channels[k]: n for k, n in counts.items() if k in channels}
-        except Unreadable:  # the summary is damaged too: what was read of it is used
-            pass
+            summary = SeekingReader(self._file, record_size_limit=MAX_METADATA_BYTES).get_summary()
+        except (McapError, struct.error, ValueError, OverflowError):  # the summary is damaged too
+            return
+        if summary is None or summary.statistics is None:
+            return
+        topics = {number: channel.topic for number, channel in islice(summary.channels.items(), MAX_CHANNELS)}
+        self.session.channels.update(topics)
+        self._span_ns = summary.statistics.message_start_time, summary.statistics.message_end_time
+        counts = summary.statistics.channel_message_counts
+        self.session.counted = {topics[k]: n for k, n in counts.items() if k in topics}
 
 
 def _messages_of_copy(copy: bytes) -> Messages | None:

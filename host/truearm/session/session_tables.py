@@ -215,7 +215,7 @@ class _Robot:
             **_joints(batch.q, self._units),
         }
         for key, title in _TITLES.items():
-            values = batch.more.get(key)
+            values = batch.columns.get(key)
             if values is None:
                 continue
             if key in ARRAYS:
