@@ -2,9 +2,7 @@
 
 import json
 import math
-import sqlite3
 import sys
-import tracemalloc
 
 import pytest
 from mcap.writer import CompressionType
@@ -12,8 +10,8 @@ from mcap.writer import Writer as McapWriter
 from ros_bags import STORAGES, joint_state, write_bag
 
 from truearm.errors import InputError
-from truearm.record.robots.bags import bag_files, readings
-from truearm.record.robots.sources import FileOptions, readings_of_file
+from truearm.record.robots.bags import readings
+from truearm.record.robots.sources import FileOptions
 from truearm.session.joint_format import parse_reading
 
 TOPIC = "/joint_states"
@@ -32,14 +30,21 @@ def states(n, names=NAMES):
         yield T0 + 2_000_000 * k + 300_000, state
 
 
+def files_of(bag):
+    return [file for file in bag.iterdir() if file.suffix in (".mcap", ".db3")]
+
+
 def read(path, joints=JOINTS, **more):
     return list(readings(path, FileOptions(TOPIC, joints, **more)))
 
 
-@pytest.mark.parametrize(("storage", "compress"), [("mcap", None), ("mcap", "STORAGE"), ("sqlite3", None)])
+@pytest.mark.parametrize(
+    ("storage", "compress"),
+    [("mcap", None), ("mcap", "STORAGE"), ("sqlite3", None), ("sqlite3", "FILE"), ("sqlite3", "MESSAGE")],
+)
 def test_exactly_and_in_the_order_of_the_joints(tmp_path, storage, compress):
     bag = write_bag(tmp_path / "bag", storage, states(50), compress)
-    for path in (bag, *bag_files(bag)):
+    for path in (bag, *files_of(bag)) if compress in (None, "STORAGE") else (bag,):
         found = read(path)
         assert len(found) == 50
         for k, (t, line) in enumerate(found):
@@ -67,31 +72,6 @@ def test_chunks_of_lz4(tmp_path):
             writer.add_message(channel, received_ns, data, received_ns)
         writer.finish()
     assert [parse_reading(reading.line).q[2] for reading in read(path)] == list(range(100))
-
-
-def test_a_bag_in_pieces(tmp_path):
-    messages = list(states(12))
-    for k in range(12):
-        part = write_bag(tmp_path / f"part{k}", "mcap", messages[k : k + 1])
-        (tmp_path / "bag").mkdir(exist_ok=True)
-        next(part.glob("*.mcap")).rename(tmp_path / "bag" / f"bag_{k}.mcap")
-    assert [parse_reading(reading.line).q[2] for reading in read(tmp_path / "bag")] == list(range(12))  # 9 before 10
-
-
-@storages
-def test_memory_is_that_of_a_chunk(tmp_path, storage):
-    """11 MB of messages, read by batches of 2 MiB and the chunk of 1 MiB that fills one: gathered, joined, and the batch before."""
-    names = ["long" * 50 + str(i) for i in range(32)]
-    bag = write_bag(tmp_path / "bag", storage, states(1600, names))
-    size = sum(file.stat().st_size for file in bag_files(bag))
-    next(readings_of_file(bag, FileOptions(TOPIC, names)))  # the types are made once
-    tracemalloc.start()
-    count = sum(1 for _ in readings_of_file(bag, FileOptions(TOPIC, names)))
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert count == 1600
-    assert size > 11e6
-    assert peak < 3 * 3.2e6
 
 
 WRONG = {
@@ -129,7 +109,6 @@ STATES = {
     "no positions": (joint_state(T0, NAMES, []), "finite position"),
     "not a number": (joint_state(T0, NAMES, [0.0] * 5 + [math.nan]), "finite position"),
     "before 1970": (joint_state(-(10**18), NAMES, [0.0] * 6), "valid time"),
-    "compressed": (b"\x28\xb5\x2f\xfd" + bytes(40), "compressed"),
 }
 
 
@@ -144,7 +123,7 @@ def test_messages_that_are_none(tmp_path, storage, data, says):
 @storages
 @pytest.mark.parametrize("share", range(0, 100, 9))
 def test_a_bag_that_is_cut_off_anywhere(tmp_path, storage, share):
-    (path,) = bag_files(write_bag(tmp_path / "bag", storage, states(200)))
+    (path,) = files_of(write_bag(tmp_path / "bag", storage, states(200)))
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) * share // 100])
     with pytest.raises(InputError) as failure:
@@ -153,53 +132,10 @@ def test_a_bag_that_is_cut_off_anywhere(tmp_path, storage, share):
     assert "\n" not in str(failure.value)
 
 
-def test_what_is_whole_of_a_damaged_bag(tmp_path):
-    messages = list(states(8_000))
-    (path,) = bag_files(write_bag(tmp_path / "bag", "mcap", messages))
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    found = read(path, allow_damaged=True)
-    assert 1000 < len(found) < 5000
-    assert [parse_reading(reading.line).q[2] for reading in found] == list(range(len(found)))
-
-
-HOSTILE = {
-    "a view": "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id+1 FROM n) "
-    "SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n",
-    "a computed column": "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
-    "data BLOB AS (zeroblob(900000000)))",
-    "no table": "CREATE TABLE other(id INTEGER)",
-}
-
-
-@pytest.mark.parametrize("sql", HOSTILE.values(), ids=HOSTILE)
-def test_a_database_that_is_more_than_it_seems(tmp_path, sql):
-    path = tmp_path / "bag.db3"
-    with sqlite3.connect(path) as connection:
-        connection.execute(
-            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
-        )
-        connection.execute("INSERT INTO topics VALUES(1, '/joint_states', 'sensor_msgs/msg/JointState', 'cdr')")
-        connection.execute(sql)
-    with pytest.raises(InputError, match="plain table 'messages'"):
-        read(path)
-
-
-def test_a_message_of_a_gigabyte_is_not_read(tmp_path):
-    (path,) = bag_files(write_bag(tmp_path / "bag", "sqlite3", states(1)))
-    with sqlite3.connect(path) as connection:
-        connection.execute("UPDATE messages SET data = zeroblob(2000000)")
-    with pytest.raises(InputError, match="too big"):
-        read(path)
-
-
 def test_what_is_no_bag(tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=r"no \.mcap and no \.db3"):
+    with pytest.raises(InputError, match="is not a bag"):
         read(tmp_path / "empty")
-    bag = write_bag(tmp_path / "packed", "sqlite3", states(3), "FILE")
-    with pytest.raises(InputError, match="unpack them"):
-        read(bag)
     with pytest.raises(InputError, match="no such file"):
         read(tmp_path / "nothing.db3")
 

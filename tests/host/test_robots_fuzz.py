@@ -18,7 +18,6 @@ from ros_bags import joint_state, write_bag
 from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.joint_lines import MAX_LINE, JointLines
 from truearm.record.robots import rtde
-from truearm.record.robots.bags import bag_files
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.robots.text_lines import LineDialect, LinesLink
 from truearm.session.joint_format import parse_reading
@@ -289,7 +288,8 @@ def test_tables(tmp_path, n):
 def bag(request, tmp_path_factory):
     names = ["b", "a"]
     states = [(10**18 + k, joint_state(10**18 + k, names, [k, -k])) for k in range(60)]
-    (path,) = bag_files(write_bag(tmp_path_factory.mktemp("bag") / "bag", request.param, states))
+    folder = write_bag(tmp_path_factory.mktemp("bag") / "bag", request.param, states)
+    (path,) = (file for file in folder.iterdir() if file.suffix != ".yaml")
     return path
 
 

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import cbor2
+import msgspec
 
 from truearm import units
 from truearm.errors import ProtocolError, SessionError
@@ -37,7 +37,6 @@ _MAX_DEPTH = 16
 _SHOWN = 60  # characters of untrusted text quoted in our messages
 _REFERENCES = (25, 28, 29, 256)  # tags that let a short document expand to an endless one
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 # A stream with one of these names would share its topic with the frames of that kind.
 RESERVED_NAMES = frozenset({"event", "heartbeat", "ident", "temperature", "sync", "reply", "other", "console"})
 
@@ -73,21 +72,26 @@ class Channel:
         return None if self.fault or not self.poly else units.length(self.calibrated_unit)
 
 
-@dataclass(frozen=True)
-class Stream:
+_Unsigned31 = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
+_Unsigned32 = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
+_Unsigned40 = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
+_Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}\Z")]
+
+
+class Stream(msgspec.Struct, frozen=True):
     """A stream of samples, on the topic ``/box/<name>``. The signal precedes a sample's timestamp by
     ``group_delay_ns``.
 
     ``period_ns`` and ``group_delay_ns`` apply to ``osr``. Below ``shortest_period_ns`` the box would lose samples (0: not stated).
     """
 
-    id: int
-    name: str
-    period_ns: int
-    osr: int
-    group_delay_ns: int
+    id: _Unsigned31
+    name: _Name
+    period_ns: _Unsigned32
+    osr: _Unsigned32
+    group_delay_ns: _Unsigned40
     channels: tuple[Channel, ...]
-    shortest_period_ns: int = 0
+    shortest_period_ns: _Unsigned32 = 0
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,23 @@ class Ident:
     def simulated(self) -> bool:
         """Whether the box is a simulated one."""
         return self.document.get("board") == "vm" or self.document.get("uid") == EMULATED_UID
+
+
+_Streams = Annotated[list[dict[str, Any]], msgspec.Meta(min_length=1, max_length=MAX_STREAMS)]
+_Channels = Annotated[list[Any], msgspec.Meta(min_length=1, max_length=MAX_CHANNELS)]
+
+
+class _Calibration(msgspec.Struct):
+    unit: str = ""
+    poly: Annotated[list[Any], msgspec.Meta(max_length=MAX_COEFFICIENTS)] = []
+    temperature_mdegc: Any = None
+
+
+class _ChannelEntry(msgspec.Struct):
+    name: str
+    scale: Any
+    unit: str = ""
+    calibration: _Calibration | None = None
 
 
 class _Wrong(ValueError):
@@ -143,9 +164,32 @@ def parse_ident(document: object) -> Ident:
     if a stream lacks an id, name, times or channels.
     """
     try:
-        return _ident(_plain(_typed(document, dict, "document")))
+        table = _plain(document)
+        if not isinstance(table, dict):
+            raise _Wrong("it is not a map")
+        _check_protocol(table.get("protocol"))
+        boot_id: int = _converted(table.get("boot_id"), _Unsigned32, "boot_id")
+        streams = [_stream(entry) for entry in _converted(table.get("streams"), _Streams, "streams")]
+        if len({s.id for s in streams}) < len(streams) or len({s.name for s in streams}) < len(streams):
+            raise _Wrong("two streams have the same id or name")
     except _Wrong as exc:
         raise ProtocolError("old-firmware", reason=f"sends a wrong description of itself: {exc}") from exc
+    firmware = table.get("firmware")
+    faults = [f"channel {_shown(c.name)} of stream {s.name}: {c.fault}" for s in streams for c in s.channels if c.fault]
+    if "last_error" in table:
+        faults.insert(0, f"the box's firmware stopped with an error earlier: {_last_line(table['last_error'])}")
+    if "fault" in table:
+        faults.insert(0, f"the box says {_shown(table['fault'])}")
+    if not isinstance(firmware, str):
+        faults.append("the box does not say its firmware's version")
+    return Ident(
+        firmware=firmware if isinstance(firmware, str) else "",
+        boot_id=boot_id,
+        streams={stream.id: stream for stream in streams},
+        faults=tuple(faults),
+        thermometers=_thermometers(table.get("thermometers")),
+        document=table,
+    )
 
 
 def parse_ident_json(text: str) -> Ident:
@@ -171,35 +215,21 @@ def find_channel(ident: Ident, name: str) -> tuple[Stream, int] | None:
 
 def decimal(value: object, key: str) -> float:
     """Return the float nearest to ``[mantissa, exponent]``. Raises ValueError naming ``key`` if it is not such a pair."""
-    pair = _typed(value, list, key)
-    if len(pair) != 2 or any(type(part) is not int for part in pair):
+    if not isinstance(value, list) or len(value) != 2 or any(type(part) is not int for part in value):
         raise _Wrong(f"{key} must be [mantissa, exponent]")
-    mantissa, exponent = pair
+    mantissa, exponent = value
     if abs(mantissa) >= 2**64 or abs(exponent) > MAX_EXPONENT or math.isinf(number := float(f"{mantissa}e{exponent}")):
         raise _Wrong(f"{key} is out of range")
     return number
 
 
-def _ident(table: dict[Any, Any]) -> Ident:
-    _check_protocol(table.get("protocol"))
-    boot_id = _unsigned(table.get("boot_id"), "boot_id", 2**32)
-    streams = _streams(_typed(table.get("streams"), list, "streams"))
-    firmware = table.get("firmware")
-    faults = [f"channel {_shown(c.name)} of stream {s.name}: {c.fault}" for s in streams for c in s.channels if c.fault]
-    if "last_error" in table:
-        faults.insert(0, f"the box's firmware stopped with an error earlier: {_last_line(table['last_error'])}")
-    if "fault" in table:
-        faults.insert(0, f"the box says {_shown(table['fault'])}")
-    if not isinstance(firmware, str):
-        faults.append("the box does not say its firmware's version")
-    return Ident(
-        firmware=firmware if isinstance(firmware, str) else "",
-        boot_id=boot_id,
-        streams={stream.id: stream for stream in streams},
-        faults=tuple(faults),
-        thermometers=_thermometers(table.get("thermometers")),
-        document=table,
-    )
+def _converted(value: object, kind: Any, key: str) -> Any:
+    """Return a checked entry of the document. Raises _Wrong that names the key."""
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as exc:
+        reason, _, place = str(exc).partition(" - at `$")
+        raise _Wrong(f"{key}{place.rstrip('`')}: {reason}") from exc
 
 
 def _check_protocol(version: object) -> None:
@@ -218,37 +248,29 @@ def _thermometers(entries: object) -> tuple[str, ...]:
     return tuple(name if isinstance(name, str) else "" for name in names)
 
 
-def _streams(entries: list[Any]) -> list[Stream]:
-    if not 1 <= len(entries) <= MAX_STREAMS:
-        raise _Wrong(f"{len(entries)} streams; 1 to {MAX_STREAMS} are possible")
-    streams = [_stream(_typed(entry, dict, "a stream")) for entry in entries]
-    if len({s.id for s in streams}) < len(streams) or len({s.name for s in streams}) < len(streams):
-        raise _Wrong("two streams have the same id or name")
-    return streams
-
-
 def _stream(entry: dict[str, Any]) -> Stream:
-    name = _typed(entry.get("name"), str, "a stream's name")
-    if not _NAME.fullmatch(name) or name in RESERVED_NAMES:
-        raise _Wrong(f"a stream is named {_shown(name)}, which cannot be a topic")
-    channels = _typed(entry.get("channels"), list, "channels")
-    if not 1 <= len(channels) <= MAX_CHANNELS:
-        raise _Wrong(f"stream {name} has {len(channels)} channels, 1 to {MAX_CHANNELS} are possible")
-    found = [_channel(channel) for channel in channels]
-    return Stream(
-        id=_unsigned(entry.get("id"), "id", 2**31),
-        name=name,
-        period_ns=_unsigned(entry.get("period_ns"), "period_ns", 2**32),
-        osr=_unsigned(entry.get("osr"), "osr", 2**32),
-        group_delay_ns=_unsigned(entry.get("group_delay_ns"), "group_delay_ns", 2**40),
-        channels=tuple(_divided(channel, entry, found) for channel, entry in zip(found, channels, strict=True)),
-        shortest_period_ns=_unsigned(entry.get("shortest_period_ns", 0), "shortest_period_ns", 2**32),
-    )
+    listed = _converted(entry.get("channels"), _Channels, "channels")
+    stream: Stream = _converted({**entry, "channels": ()}, Stream, "stream")
+    if stream.name in RESERVED_NAMES:
+        raise _Wrong(f"a stream is named {_shown(stream.name)}, which cannot be a topic")
+    channels = [_channel(channel) for channel in listed]
+    divided = (_divided(channel, described, channels) for channel, described in zip(channels, listed, strict=True))
+    return msgspec.structs.replace(stream, channels=tuple(divided))
 
 
 def _channel(entry: object) -> Channel:
     try:
-        return _whole_channel(_typed(entry, dict, "its description"))
+        parsed = _converted(entry, _ChannelEntry, "")
+        calibration = parsed.calibration or _Calibration()
+        noted = calibration.temperature_mdegc
+        return Channel(
+            name=parsed.name,
+            unit=parsed.unit,
+            scale=decimal(parsed.scale, "scale"),
+            calibrated_unit=calibration.unit,
+            poly=tuple(decimal(coefficient, f"poly[{k}]") for k, coefficient in enumerate(calibration.poly)),
+            calibrated_degc=MDEGC.to_si(noted) if type(noted) is int and abs(noted) <= MAX_MDEGC else math.nan,
+        )
     except _Wrong as exc:
         name = entry.get("name") if isinstance(entry, dict) else None
         return Channel(name if isinstance(name, str) else "", "", math.nan, fault=str(exc))
@@ -268,37 +290,6 @@ def _divided(channel: Channel, entry: object, channels: list[Channel]) -> Channe
             fault=f"over is {_shown(over)}, which names no other channel that can be used",
         )
     return replace(channel, unit="V/V", scale=RATIO_STEP, over=index, per_count=channel.scale / channels[index].scale)
-
-
-def _whole_channel(entry: dict[str, Any]) -> Channel:
-    calibration = _typed(entry.get("calibration") or {}, dict, "calibration")
-    poly = _typed(calibration.get("poly", []), list, "poly")
-    noted = calibration.get("temperature_mdegc")
-    if len(poly) > MAX_COEFFICIENTS:
-        raise _Wrong(f"its calibration has {len(poly)} coefficients, {MAX_COEFFICIENTS} are possible")
-    return Channel(
-        name=_typed(entry.get("name"), str, "name"),
-        unit=_typed(entry.get("unit", ""), str, "unit"),
-        scale=decimal(entry.get("scale"), "scale"),
-        calibrated_unit=_typed(calibration.get("unit", ""), str, "the calibration's unit"),
-        poly=tuple(decimal(coefficient, f"poly[{k}]") for k, coefficient in enumerate(poly)),
-        calibrated_degc=MDEGC.to_si(noted) if type(noted) is int and abs(noted) <= MAX_MDEGC else math.nan,
-    )
-
-
-_KINDS: dict[type, str] = {dict: "map", list: "list", str: "text"}
-
-
-def _typed(value: object, kind: type, key: str) -> Any:
-    if not isinstance(value, kind):
-        raise _Wrong(f"{key} is missing or not a {_KINDS[kind]}")
-    return value
-
-
-def _unsigned(value: object, key: str, limit: int) -> int:
-    if type(value) is not int or not 0 <= value < limit:
-        raise _Wrong(f"{key} is missing or not an unsigned integer below {limit}")
-    return value
 
 
 def _last_line(text: object) -> str:

@@ -17,7 +17,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import lz4.frame
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -124,7 +123,7 @@ def chunk_records(body: bytes, zstd: zstandard.ZstdDecompressor) -> bytes:
     chunk = parse(Chunk, body)
     try:
         data = _decompress(chunk, zstd)
-    except (zstandard.ZstdError, RuntimeError) as exc:  # the last is what lz4 raises
+    except zstandard.ZstdError as exc:
         raise Unreadable from exc
     if len(data) != chunk.uncompressed_size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
         raise Unreadable
@@ -138,8 +137,6 @@ def _decompress(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes:
         claimed = zstandard.get_frame_parameters(chunk.data).content_size
         if claimed <= MAX_CHUNK_BYTES or claimed == zstandard.CONTENTSIZE_UNKNOWN:
             return zstd.decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES)
-    elif chunk.compression == "lz4":  # not used by truearm, but bags may use it
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=MAX_CHUNK_BYTES))
     elif chunk.compression == "":
         return bytes(chunk.data)
     raise Unreadable

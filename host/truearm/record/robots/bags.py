@@ -1,8 +1,4 @@
-"""Read joint states in ROS 2 bags (MCAP or sqlite3) as lines of a session.
-
-The package rosbags decodes the messages. Its readers are not used for the files around them, because they allocate and
-decompress as much as a file asks for, and keep all overlapping chunks. MCAP files are read by truearm's own session
-reader, sqlite3 files by Python's module with limits; neither holds more than a chunk or a message.
+"""Read joint states in ROS 2 bags (MCAP or sqlite3) as lines of a session, with the package rosbags.
 
 ``t`` is the stamp in the message's header, set by the driver on its own clock (usually UTC), ``q`` the position, ``qd``
 the velocity and ``effort`` the effort, as far as present, in the order of ``joints``: a driver publishes joints in any
@@ -11,29 +7,18 @@ order (Universal Robots' begins with the elbow). A joint state does not contain 
 
 from __future__ import annotations
 
-import re
-import sqlite3
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
+from typing import Any
 
 from truearm.errors import Argument, InputError, SessionError
-from truearm.file_names import open_input, reading
+from truearm.file_names import open_input
 from truearm.record.robots.joint_table import NO_ARRIVAL
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading
-from truearm.session.session_file import open_session
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
 
 MESSAGE_TYPE = "sensor_msgs/msg/JointState"
-MAX_MESSAGE_BYTES = 1 << 20
-MAX_FILES = 10_000
-SUFFIXES = (".mcap", ".db3")
-_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
@@ -44,112 +29,36 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
     """
     if options.columns:
         raise InputError("no-effect", place=Argument("columns"), reason="a bag has no columns")
-    found = 0
-    decoder = _decoder()
-    for file in bag_files(path):
-        for data in _messages(file, options.topic, options.allow_damaged):
-            found += 1
-            yield _reading(file, found, decoder, data, options.joints)
-    if not found:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as exc:
+        raise InputError("missing-package", place="a bag", package="rosbags", install="truearm[ros]") from exc
+    if not path.is_dir():
+        open_input(path).close()
+    number = 0
+    try:
+        store = get_typestore(Stores.ROS2_HUMBLE)  # the message is the same in all releases
+        with AnyReader([path], default_typestore=store) as bag:
+            named = [c for c in bag.connections if c.topic == options.topic and c.msgtype == MESSAGE_TYPE]
+            for number, (_, _, data) in enumerate(bag.messages(named) if named else (), start=1):
+                yield _reading(path, number, store.deserialize_cdr(data, MESSAGE_TYPE), options.joints)
+    except InputError:
+        raise
+    except Exception as exc:  # rosbags raises errors of many types for damaged bags
+        where = f"{path} message {number}" if number else path
+        raise SessionError(
+            f"{where}: is not a bag of {MESSAGE_TYPE} or is damaged ({quoted(str(exc))}); repair it with ros2 bag reindex"
+        ) from exc
+    if not number:
         raise InputError(
             f"{path}: has no messages on {options.topic}; name the topic of the joint states with ", Argument("topic")
         )
 
 
-def bag_files(path: Path) -> list[Path]:
-    """Return the files of a bag in order: name_0.mcap, name_1.mcap …. Raises InputError."""
-    if path.exists() and not path.is_dir():
-        return [path]
-    with reading(path):
-        names = sorted(path.iterdir(), key=_numbered)
-    files = [name for name in names if name.suffix.lower() in SUFFIXES]
-    if not files:
-        packed = any(name.suffix == ".zstd" for name in names)
-        why = (
-            "its files are compressed as a whole: unpack them with zstd -d"
-            if packed
-            else "there is no .mcap and no .db3"
-        )
-        raise InputError(f"{path}: is not a readable bag; {why}")
-    if len({file.suffix.lower() for file in files}) > 1 or len(files) > MAX_FILES:
-        raise InputError(f"{path}: holds files of several bags; name one file")
-    return files
-
-
-def _numbered(path: Path) -> list[str | int]:
-    """Split a name into text and numbers for sorting: name_10 comes after name_9."""
-    parts: list[str | int] = list(re.split(r"(\d{1,18})", path.name))
-    parts[1::2] = [int(part) for part in parts[1::2]]
-    return parts
-
-
-def _messages(path: Path, topic: str, allow_damaged: bool) -> Iterator[bytes]:
-    """Yield the data of the messages on a topic of one file. Raises InputError."""
-    if path.suffix.lower() == ".db3":
-        yield from _sqlite_messages(path, topic)
-        return
-    for message in open_session(path, allow_damaged).messages({topic}):
-        yield message.data
-
-
-def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
-    """Yield as ``_messages``, ordered by time of reception."""
-    open_input(path).close()
-    try:
-        connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1", uri=True)
-    except sqlite3.Error as exc:
-        raise InputError(f"{path}: cannot be opened ({exc})") from exc
-    try:
-        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
-        connection.text_factory = lambda data: data.decode(errors="replace")
-        connection.execute("PRAGMA trusted_schema = OFF")
-        for table in ("topics", "messages"):
-            _check_plain(path, connection, table)
-        query = (
-            "SELECT messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
-            "WHERE topics.name = ? AND topics.type = ? ORDER BY messages.timestamp, messages.id"
-        )
-        for (data,) in connection.execute(query, (topic, MESSAGE_TYPE)):
-            yield data if isinstance(data, bytes) else b""
-    except (sqlite3.Error, UnicodeDecodeError) as exc:  # the latter if an error's own text is damaged
-        raise SessionError(
-            f"{path}: is not a bag or is damaged ({quoted(str(exc))}); record it again, or repair it with ros2 bag reindex"
-        ) from exc
-    finally:
-        connection.close()
-
-
-def _check_plain(path: Path, connection: sqlite3.Connection, table: str) -> None:
-    """Reject views and computed columns: a few bytes of them could produce any number of rows of any size."""
-    (kinds,) = connection.execute(
-        "SELECT group_concat(type) FROM sqlite_master WHERE name = ?", (table,)
-    ).fetchone() or [None]
-    sql = connection.execute("SELECT sql FROM sqlite_master WHERE name = ? AND type = 'table'", (table,)).fetchone()
-    computed = kinds == "table" and any(row[6] for row in connection.execute(f"PRAGMA table_xinfo({table})"))
-    if kinds != "table" or computed or sql is None or str(sql[0]).lstrip().upper().startswith("CREATE VIRTUAL"):
-        raise SessionError(f"{path}: has no plain table {table!r}; is this a ROS 2 bag?")
-
-
-def _decoder() -> Typestore:
-    """Return the decoder of messages. Raises InputError if rosbags is not installed."""
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as exc:
-        raise InputError("missing-package", place="a bag", package="rosbags", install="truearm[ros]") from exc
-    return get_typestore(Stores.ROS2_HUMBLE)  # the message is the same in all releases
-
-
-def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: Sequence[str]) -> AddedReading:
+def _reading(path: Path, number: int, state: Any, joints: Sequence[str]) -> AddedReading:
     """Return the reading of a message. Raises InputError."""
-    from rosbags.serde import SerdeError
-
     where = f"{path} message {number}"
-    if data.startswith(_ZSTD):
-        raise InputError(f"{where}: this message is compressed; unpack the bag with ros2 bag convert")
-    try:
-        state: Any = decoder.deserialize_cdr(data, MESSAGE_TYPE)
-    except SerdeError as exc:
-        raise SessionError(f"{where}: is not a {MESSAGE_TYPE} or is damaged") from exc
     names = list(state.name)
     if not joints:
         raise InputError(
