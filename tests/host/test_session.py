@@ -99,17 +99,6 @@ class TestRoundTrip:
         assert set(json.loads(schema.data)["properties"]) == {"id", "t0_ns", "t1_us", "t2_us", "t3_ns"}
         assert sequences == list(range(500))
 
-    def test_a_file_without_chunks(self, tmp_path):
-        with (tmp_path / "s.mcap").open("wb") as file:
-            writer = Writer(file, use_chunking=False)
-            writer.start()
-            channel = writer.register_channel("/x", "json", 0)
-            writer.add_message(channel, 5, b"{}", 5)
-            writer.finish()
-        assert list(open_session(tmp_path / "s.mcap").messages()) == [("/x", 5, b"{}")]
-
-
-class TestCrash:
     def test_cut_anywhere_a_prefix_remains(self, tmp_path):
         messages = written(tmp_path / "s.mcap", 300)
         whole = (tmp_path / "s.mcap").read_bytes()

@@ -19,9 +19,8 @@ A completed file ends with a CRC of everything before it, so a flipped bit anywh
 
 Before each write, and twice a second, the writer checks that its file is still there and has the expected length
 (``FileLoss``). A deleted or replaced file is copied from the open descriptor to a new one next to it, where the
-recording continues; nothing is lost. A truncated file is left as it is, and a new one begins with the head of the
-recording. A renamed file is written to as before. At the end the file is read back and compared with the CRC of what
-was written.
+recording continues; nothing is lost. A renamed or truncated file is written to as before: what is repeated makes the end of
+a truncated one readable. At the end the file is read back and compared with the CRC of what was written.
 
 A writer that is held only reserves its name before ``keep``, so that no other recorder takes it: with the header of a
 new file, or with a lock on an earlier recording, which stays intact until there is something to replace it.
@@ -103,7 +102,7 @@ class SessionWriter:
         self._columns = COLUMNS  # their topic
         self._synced_s = self._watched_s = time.monotonic()
         self.losses: list[str] = []  # what happened to the file, one sentence each
-        self._renamed = False
+        self._reported: set[FileLoss] = set()  # of this file
         self._failed = False  # a write did, so the file is not as it should be
         self._size = 0  # on the disk, as last written
         self._waiting: list[_Message] = []  # of the current chunk
@@ -281,8 +280,11 @@ class SessionWriter:
                 self._writer.finish()
                 self._flushed()
                 os.fsync(self._out.file.fileno())
-                self._watch(ended=True)
-                if self._is_longer or self._is_changed:  # overwritten in place, or appended to: its name is the same
+                self._watch()
+                if not self._reported and content_crc(self._out.file, self._size) not in (
+                    self._out.crc,
+                    None,
+                ):  # its name is the same
                     self.losses.append(
                         f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
                         f"{self.path} shows what is left"
@@ -319,40 +321,27 @@ class SessionWriter:
         if not self._held:
             self._size = self._out.tell()
 
-    def _watch(self, ended: bool = False) -> None:
-        """Check the file before more is written to it. Raises OSError, WriteError."""
+    def _watch(self) -> None:
+        """Check the file before more is written to it; report each kind of loss once. Raises OSError, WriteError."""
         if self._held or self._failed:
             return
         self._watched_s = time.monotonic()
         loss = file_loss(self._out.file, self.path, self._size)
-        if loss is None and not ended and self._is_longer and self._is_changed:
-            loss = FileLoss.TRUNCATED  # and longer than before by now: another program wrote its own file there
-        if loss is None or (loss is FileLoss.RENAMED and self._renamed):
+        if loss is None or loss in self._reported:
             return
         old = self.path
         match loss:
             case FileLoss.RENAMED:
-                self._renamed = True
                 outcome = "the recording continues in it, under its new name"
             case FileLoss.DELETED | FileLoss.REPLACED:
                 self._move(loss)
                 outcome = f"all of it is in {self.path}"
-            case FileLoss.TRUNCATED if ended:
-                outcome = "run truearm session recover to save what is left"
             case FileLoss.TRUNCATED:
-                self._begin_again()
-                outcome = f"its earlier content is lost, and everything since then is in {self.path}"
+                outcome = "its earlier content is lost; truearm session recover saves what was written since"
             case _:
                 assert_never(loss)
+        self._reported = {loss} - {FileLoss.DELETED, FileLoss.REPLACED}
         self.losses.append(f"{old}: was {loss} while it was written; {outcome}")
-
-    @property
-    def _is_longer(self) -> bool:
-        return os.fstat(self._out.file.fileno()).st_size > self._size
-
-    @property
-    def _is_changed(self) -> bool:
-        return content_crc(self._out.file, self._size) not in (self._out.crc, None)
 
     def _move(self, loss: FileLoss) -> None:
         """Continue in a new file that has the contents of the old one."""
@@ -365,28 +354,9 @@ class SessionWriter:
                 why,
             ) from exc
         self._out.file.close()
-        self.path, self._out.file, self._renamed = path, new, False
+        self.path, self._out.file = path, new
 
-    def _begin_again(self) -> None:
-        """Continue in a new file that begins, like the old one, with plan, rig and what was mounted."""
-        old = self._out
-
-        def begin(new: BinaryIO) -> None:
-            self._out = _Output(new)
-            self._writer = self._head_into(self._out)
-            self._copy_head(attached=True)
-            self._out.flush()
-
-        try:
-            self.path, _ = rescued_file(self.path, begin)
-        except (OSError, WriteError):
-            self._out = old  # the next attempt begins again too
-            raise
-        old.file.close()
-        self._renamed = False
-        self._flushed()
-
-    def _head_into(self, out: _Output | io.BytesIO) -> Writer:
+    def _head_into(self, out: io.BytesIO) -> Writer:
         """Begin a file with all channels, the plan and what was mounted."""
         writer = _begun(out)
         for topic, encodings in self._encodings.items():

@@ -22,14 +22,15 @@ import struct
 import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
+from mcap.records import Channel, Statistics
+from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor
 
@@ -38,6 +39,7 @@ from truearm.file_names import open_input
 from truearm.progress import step
 from truearm.session.message_columns import (
     CHANNELS,
+    FOOTER_BYTES,
     MAX_ATTACHMENT_BYTES,
     MAX_CHANNELS,
     MAX_CHUNK_BYTES,
@@ -64,7 +66,7 @@ _BLOCK = 1 << 20
 _HEAD_BYTES = 64  # of a chunk, before its contents
 _LIMITS = {
     **dict.fromkeys((Opcode.HEADER, Opcode.METADATA, Opcode.MESSAGE_INDEX), MAX_METADATA_BYTES),
-    **dict.fromkeys((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK), MAX_CHUNK_BYTES),
+    Opcode.CHUNK: MAX_CHUNK_BYTES,
     Opcode.ATTACHMENT: MAX_ATTACHMENT_BYTES,
     Opcode.DATA_END: 4,
 }
@@ -99,7 +101,7 @@ class Session:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     truncated: bool = True
-    spans: list[tuple[int, int]] = field(default_factory=list)  # byte ranges that contain only complete records
+    chunks: list[tuple[int, int]] = field(default_factory=list)  # offset and length of their contents
     channels: dict[int, str] = field(default_factory=dict)  # that the records themselves may not declare
     damage: tuple[Damage, ...] = ()
     unread_bytes: int = 0  # of a damaged file: bytes that are not in a complete record
@@ -125,22 +127,15 @@ class Session:
 
     def packed(self) -> Iterator[bytes]:
         """Yield the records of one chunk after the other."""
-        first, last = min((start for start, _ in self.spans), default=0), max((end for _, end in self.spans), default=0)
         zstd = ZstdDecompressor()
         with open_input(self.path) as file, step(f"reading {self.path.name}") as advance:
-            for start, end in self.spans:
-                for opcode, at, length in records(file, end, start):
-                    advance((at - first) / (last - first))
-                    if opcode in (Opcode.CHUNK, Opcode.CHANNEL, Opcode.MESSAGE):
-                        body = file.read(length)
-                        try:  # files of other programs may have no chunks
-                            yield (
-                                chunk_records(body, zstd)
-                                if opcode == Opcode.CHUNK
-                                else RECORD.pack(opcode, length) + body
-                            )
-                        except Unreadable as exc:
-                            raise SessionError("damaged-session", place=self.path, where=f"at byte {at}") from exc
+            for number, (at, length) in enumerate(self.chunks):
+                advance(number / len(self.chunks))
+                file.seek(at)
+                try:
+                    yield chunk_records(file.read(length), zstd)
+                except Unreadable as exc:
+                    raise SessionError("damaged-session", place=self.path, where=f"at byte {at}") from exc
 
     def _not_restored(self, messages: Messages) -> Messages:
         """Return the messages that are not in the copy of the plan."""
@@ -209,7 +204,6 @@ class RecordWalk:
     def walk(self) -> None:
         """Go through all records up to the end of data."""
         at = len(MCAP0_MAGIC) if self.has_magic else 0
-        spans = self.session.spans
         while at + RECORD.size <= self._size and not self._data_end:
             end = self._record(at)
             if end is None:
@@ -219,32 +213,19 @@ class RecordWalk:
                     return
                 begin, at = at, self._search(at + 1)
                 self.session.unread_bytes += at - begin
-            elif not self._data_end:
-                spans.append((spans.pop()[0] if spans and spans[-1][1] == at else at, end))
+            else:
                 at = end
         self.session.unread_bytes += 0 if self._data_end else self._size - at
 
     def wrong_crc(self) -> str:
-        """Return where a CRC of a complete file does not match, "" if nowhere.
-
-        Other programs read the file by its summary, behind the end of data.
-        """
+        """Return where a CRC of a complete file does not match, "" if nowhere."""
         if not self._data_end:
             return "somewhere: its end of data is missing"
-        if self.crc not in (0, self._crc_of_bytes(0, self._data_end)):
-            return "somewhere: its CRC does not match"
-        end = self._size - len(MCAP0_MAGIC) - 4
-        self._file.seek(end)
-        summary_crc = int.from_bytes(self._file.read(4), "little")
-        own_crc = self._crc_of_bytes(self._data_end + RECORD.size + _LIMITS[Opcode.DATA_END], end)
-        return "" if summary_crc in (0, own_crc) else "in its summary: the CRC does not match"
-
-    def _crc_of_bytes(self, begin: int, end: int) -> int:
-        self._file.seek(begin)
+        self._file.seek(0)
         crc = 0
-        while block := self._file.read(max(0, min(end - self._file.tell(), _BLOCK))):
+        while block := self._file.read(min(self._data_end - self._file.tell(), _BLOCK)):
             crc = zlib.crc32(block, crc)
-        return crc
+        return "" if self.crc in (0, crc) else "somewhere: its CRC does not match"
 
     def salvaged(self, wrong_crc: bool) -> Session:
         """Return the session, with what is missing in each damaged place."""
@@ -273,17 +254,19 @@ class RecordWalk:
         """Take the record at ``at`` and return where it ends; None if it is damaged."""
         self._file.seek(at)
         opcode, length = RECORD.unpack(self._file.read(RECORD.size))
-        end: int = at + RECORD.size + length
+        begin = at + RECORD.size
+        end: int = begin + length
         if (
             end > self._size
             or length > _LIMITS.get(opcode, -1)
             or (opcode == Opcode.HEADER) != (at == len(MCAP0_MAGIC))
         ):
             return None
-        if opcode not in (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.DATA_END) and not self._every_record:
+        session = self.session
+        if opcode == Opcode.CHUNK and not self._every_record:
+            session.chunks.append((begin, length))
             return end
         body = self._file.read(length)
-        session = self.session
         try:
             if opcode == Opcode.DATA_END:
                 if length != _LIMITS[opcode]:
@@ -299,10 +282,9 @@ class RecordWalk:
                 self._keep(session.attachments, *parse_attachment(body))
             elif opcode == Opcode.MESSAGE_INDEX:
                 return end if length % 16 == 6 and int.from_bytes(body[2:6], "little") == length - 6 else None
-            elif opcode != Opcode.HEADER:
-                packed = opcode == Opcode.CHUNK
-                unpacked = chunk_records(body, ZstdDecompressor()) if packed else RECORD.pack(opcode, length) + body
-                messages = columns_of_records([unpacked], session.channels)
+            elif opcode == Opcode.CHUNK:
+                messages = columns_of_records([chunk_records(body, ZstdDecompressor())], session.channels)
+                session.chunks.append((begin, length))
                 if len(messages):
                     self._times_ns.append((int(messages.log_ns.min()), int(messages.log_ns.max())))
         except Unreadable:
@@ -336,18 +318,19 @@ class RecordWalk:
 
     def _summary(self) -> None:
         """Read what a complete file repeats at its end: its channels, and times and number of the messages."""
-        self._file.seek(0)
+        self._file.seek(self._size - len(MCAP0_MAGIC) - FOOTER_BYTES)
+        self._file.seek(min(int.from_bytes(self._file.read(8), "little"), self._size))
+        channels = self.session.channels
         try:
-            summary = SeekingReader(self._file, record_size_limit=MAX_METADATA_BYTES).get_summary()
+            for record in StreamReader(self._file, skip_magic=True, record_size_limit=MAX_METADATA_BYTES).records:
+                if isinstance(record, Channel) and len(channels) < MAX_CHANNELS:
+                    channels[record.id] = record.topic
+                elif isinstance(record, Statistics):
+                    self._span_ns = record.message_start_time, record.message_end_time
+                    counts = record.channel_message_counts
+                    self.session.counted = {channels[k]: n for k, n in counts.items() if k in channels}
         except (McapError, struct.error, ValueError, OverflowError):  # the summary is damaged too
-            return
-        if summary is None or summary.statistics is None:
-            return
-        topics = {number: channel.topic for number, channel in islice(summary.channels.items(), MAX_CHANNELS)}
-        self.session.channels.update(topics)
-        self._span_ns = summary.statistics.message_start_time, summary.statistics.message_end_time
-        counts = summary.statistics.channel_message_counts
-        self.session.counted = {topics[k]: n for k, n in counts.items() if k in topics}
+            pass
 
 
 def _messages_of_copy(copy: bytes) -> Messages | None:
