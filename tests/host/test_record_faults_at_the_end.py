@@ -76,7 +76,7 @@ def mute_robot(lab, box, robot, path):
 FAULTS = {
     "overwritten": (to_the_file(overwrite), "overwritten"),
     "truncated": (to_the_file(lambda path: os.truncate(path, 100)), "was truncated"),
-    "truncated and regrown": (to_the_file(regrow), "its earlier content"),
+    "truncated and regrown": (to_the_file(regrow), "were overwritten"),
     "deleted": (to_the_file(lambda path: path.unlink()), "was deleted"),
     "renamed": (to_the_file(lambda path: path.rename(path.with_name("other.mcap"))), "was renamed"),
     "full disk": (to_the_file(fill_disk), "cannot be written any more"),

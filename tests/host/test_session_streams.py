@@ -157,16 +157,6 @@ def test_frames_without_a_boot_id_are_not_held_for_ever(monkeypatch):
     assert (len(before), len(behind)) == (99, sum(m.topic == "/box/adc" for m in messages[beat + 1 :]) - 99)
 
 
-def test_a_clock_exchange_beside_a_restart_is_of_the_boot_that_answered():
-    box = box_with()
-    box.reboot(2 * 10**9)
-    box.data(2 * 10**9 + BLOCK_NS, COUNTS)  # its ident is lost
-    box.sync(2 * 10**9 + 3 * BLOCK_NS, 1e5, 1e5)
-    box.heartbeat(3 * 10**9)
-    _, reader = read(box.messages)
-    assert [len(reader.exchanges(segment)) for segment in reader.segments] == [1, 1]
-
-
 def recording(rng, frames, reboots):
     """Return the messages of a streaming box with all kinds of occasional frames; some are lost, doubled or flipped."""
     box, t = Box(), 0
@@ -240,3 +230,20 @@ def test_silences_of_the_box(batch):
         silences.take(columns_of(rows[at : at + batch]))
     expected = [(20_000_000_000, 26_000_000_000), (35_000_000_000, 35_100_000_000), (39_900_000_000, 41_950_000_000)]
     assert silences.finish() == expected
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_boot_without_an_identity_costs_none_of_the_others_samples(seed):
+    """Its ident is lost, and the box restarts again before its first heartbeat."""
+    rng = np.random.default_rng(seed)
+    box, received, whole = Box(), [], 0
+    for boot in range(4):
+        if boot:
+            box.reboot(box.messages[-1].t_host_ns + 10**9)
+        begin = len(box.messages)
+        box.ident(box.boot_host_ns)
+        stream(box, int(rng.choice([5, 60, 79, 150])), box.boot_host_ns)
+        new = [m for m in box.messages[begin:] if boot % 2 == 0 or m.topic != "/box/ident"]
+        whole += (boot % 2 == 0 or len(new) > SECOND) and sum(m.topic == "/box/adc" for m in new)
+        received += new
+    assert len(read(received)[0]) >= whole

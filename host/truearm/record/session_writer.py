@@ -281,10 +281,9 @@ class SessionWriter:
                 self._flushed()
                 os.fsync(self._out.file.fileno())
                 self._watch()
-                if not self._reported and content_crc(self._out.file, self._size) not in (
-                    self._out.crc,
-                    None,
-                ):  # its name is the same
+                is_longer = os.fstat(self._out.file.fileno()).st_size > self._size
+                is_changed = is_longer or content_crc(self._out.file, self._size) not in (self._out.crc, None)
+                if is_changed and not self._reported:  # overwritten in place, or appended to: its name is the same
                     self.losses.append(
                         f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
                         f"{self.path} shows what is left"

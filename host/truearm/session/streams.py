@@ -237,7 +237,9 @@ class BoxReader:
         ahead, least = self._ahead(seq)
         rows = np.arange(len(seq))
         if np.any(ahead != rows):
-            rows = _longest_rise(ahead, least)
+            # Frames ahead of one that states the boot id, behind which a group ends, are out of place too.
+            most = ahead[-1] if table["boot_id"][end - 1] != NONE and ahead[-1] >= least else CIRCLE
+            rows = _longest_rise(np.where(ahead <= most, ahead, least - 1), least)
         used, ahead = begin + rows, ahead[rows]
         gaps = np.diff(ahead, prepend=ahead[:1] - 1 if self._next is None else -1) - 1
         lost = self._count["frames_lost"] + np.cumsum(gaps)
