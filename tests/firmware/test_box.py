@@ -358,14 +358,17 @@ GOOD = {"name": "lvdt", "unit": "V", "scale": [1, -7]}
 @pytest.mark.parametrize(
     ("config", "fault"),
     [
-        ({"osr": 5, "channels": [GOOD] * 4}, "osr is not one of"),
-        ({"osr": 4096.0, "channels": [GOOD] * 4}, "osr is not one of"),
+        ({"osr": 5, "channels": [GOOD] * 4}, "osr: must be one of"),
+        ({"osr": 4096.0, "channels": [GOOD] * 4}, "osr: must be one of"),
         ([], "it is not a table"),
         ({"osr": 1024, "channels": [GOOD] * 3}, "four channels"),
         ({"osr": 1024, "channels": [{**GOOD, "scale": 1.43e-7}] * 4}, "mantissa, exponent"),
         ({"osr": 1024, "channels": [{**GOOD, "scale": [1.5, -7]}] * 4}, "mantissa, exponent"),
-        ({"osr": 1024, "channels": [{**GOOD, "calibration": None}] * 4}, "is a table with poly"),
-        ({"osr": 1024, "channels": [{**GOOD, "calibration": {"unit": "m", "poly": ["x"]}}] * 4}, "poly of lvdt"),
+        ({"osr": 1024, "channels": [{**GOOD, "calibration": None}] * 4}, "calibration: must be a table"),
+        (
+            {"osr": 1024, "channels": [{**GOOD, "calibration": {"unit": "m", "poly": ["x"]}}] * 4},
+            "lvdt: calibration: poly: must be",
+        ),
         ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 3000}] * 4}, "longer than"),
         ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 760}] * 4}, "it has 17 pages, at most 16 fit"),
         ({"osr": 1024, "channels": [{**GOOD, "note": 1.5}] * 4}, "not on this wire"),

@@ -1,13 +1,10 @@
-"""A box's configuration as a file: nothing is lost in either direction, mistakes are named, and the rules are those of the firmware."""
+"""A box's configuration as a file: nothing is lost in either direction, and mistakes are named."""
 
 import copy
 import importlib.util
-import random
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from truearm.box.configuration import (
     channel_names,
@@ -186,22 +183,22 @@ def test_single_values(change, key, wire):
         ("osr=1.5", r"osr: 1\.5"),
         ("osr=true", "osr: true"),
         ("osr=1e400", r"osr: 1E\+400"),
-        ("osr=4095", "osr: .* 128, .* 4095"),
-        ("magnetostrictive.period_us=99", r"period_us: .* 100 to 1000000, .* 0\.008, .* 99"),
+        ("osr=4095", "osr: .*128, .* 4095"),
+        ("magnetostrictive.period_us=99", "period_ns: .* 100000 to 1000000000 in steps of 8, .* 99000"),
         ("magnetostrictive.us_per_inch=nan", "us_per_inch: NaN"),
         ("magnetostrictive.us_per_inch=inf", "Infinity"),
         ("magnetostrictive.us_per_inch=1e999999999999999999999", "'1e9+'"),
         ("magnetostrictive.us_per_inch=9.0000000000000000000000001", "too many digits"),
         ("magnetostrictive.delay_us=0.0001", "at most 3 decimals"),
-        ("debounce_us=[1]", "debounce_us: must be"),
-        ("channel.lvdt.calibration.poly=[]", "^channel.lvdt.calibration.poly: must be"),
-        ("channel.lvdt.calibration.poly=[1, true]", r"poly: \[1\]: true"),
+        ("debounce_us=[1]", "debounce_us: needs a list of 2 values"),
+        ("channel.lvdt.calibration.poly=[]", "^channel.lvdt.calibration.poly: needs a list"),
+        ("channel.lvdt.calibration.poly=[1, true]", "poly: item 2: true"),
         ("magnetostrictive.serial=" + "x" * 300, "200 characters"),
     ],
 )
 def test_bad_values_are_named(change, says):
     with pytest.raises(ConfigError, match=says) as info:
-        with_assignment(full(), change)
+        check(with_assignment(full(), change))
     assert "\n" not in str(info.value)
 
 
@@ -209,7 +206,7 @@ def test_bad_values_are_named(change, says):
     ("text", "says"),
     [
         ("osr = ", "TOML"),
-        ("osr = 4095", "box.toml: osr: must be one"),
+        ("osr = 4095", "osr: must be one"),
         ("rate = 1", "box.toml: unknown key 'rate'.* osr"),
         ("version = 3", "unknown key 'version'"),
         ("magnetostrictive = 1", "magnetostrictive: must be"),
@@ -217,20 +214,20 @@ def test_bad_values_are_named(change, says):
         ("[[channel]]\ngain = 2", "lvdt"),
         ('[[channel]]\nname = "x"', "lvdt"),
         ('[[channel]]\nname = "lvdt"\n[[channel]]\nname = "lvdt"', "its own"),
-        ('[[channel]]\nname = "lvdt"\ngain = 3', "gain: .* 1, 2"),
+        ('[[channel]]\nname = "lvdt"\ngain = 3', r"channel lvdt: gain: must be one of \(1, 2"),
         ('[[channel]]\nname = "lvdt"\ncalibration = 3', "calibration: must be"),
-        ('[[channel]]\nname = "lvdt"\n[channel.calibration]\nunit = "m"', "channel lvdt: calibration: needs poly"),
+        ('[[channel]]\nname = "lvdt"\n[channel.calibration]\nunit = "m"', "channel lvdt: calibration: poly: must be"),
         (
             "[magnetostrictive]\nblanking_us = 4",
-            "magnetostrictive: blanking_us: .* 5 to 21, .* 4",
+            "magnetostrictive: blanking_ns: .* 5000 to 21000 in steps of 8, .* 4000",
         ),
         (
             "[magnetostrictive]\nperiod_us = 504",
-            "magnetostrictive: period_us: must be 0, or 10 or more above timeout_us",
+            "magnetostrictive: period_ns: must be 0, .* 10000 or more above timeout_ns",
         ),
-        ("[magnetostrictive]\ntimeout_us = 10", "timeout_us: must be above blanking_us"),
+        ("[magnetostrictive]\ntimeout_us = 10", "timeout_ns: must be above blanking_ns"),
         ("trigger_ms = [20, 10]", "trigger_ms: must be"),
-        ("debounce_us = [-1, 0]", r"debounce_us: \[0\]: .* 0 to 1000000, .* -1"),
+        ("debounce_us = [-1, 0]", r"debounce_us: .* 0 to 1000000, .* \[-1, 0\]"),
         ("a = " + "[" * 5000, "nested too deeply|not usable TOML"),
     ],
 )
@@ -238,54 +235,3 @@ def test_bad_files_are_named(text, says):
     with pytest.raises(ConfigError, match=says) as info:
         with_file(default(), text, "box.toml")
     assert "\n" not in str(info.value)
-
-
-LEAVES = st.one_of(  # what the wire can carry (SPEC §2): neither null nor booleans nor floats
-    st.integers(-(2**31), 2**31),
-    st.sampled_from([0, 1, 2, 3, 8, 128, 4096, 5000, 10_000, 21_000, 100_000, 500_000, 510_000, 983_040, 10**9]),
-    st.text(max_size=3),
-    st.lists(st.integers(-20, 20), max_size=3),
-    st.just({}),
-)
-
-
-def mutated(config, rng, value):
-    """Return ``config`` with one of its parts, at any depth, replaced or removed."""
-    new = copy.deepcopy(config)
-    place = new
-    while True:
-        key = rng.choice(list(place) if isinstance(place, dict) else range(len(place)))
-        if isinstance(place[key], dict | list) and place[key] and rng.random() < 0.7:
-            place = place[key]
-            continue
-        if rng.random() < 0.15 and isinstance(place, dict):
-            del place[key]
-        else:
-            place[key] = value
-        return new
-
-
-def exponents(config):
-    pairs = [channel["scale"] for channel in config["channels"]]
-    pairs += [pair for c in config["channels"] for pair in c.get("calibration", {}).get("poly", [])]
-    return [pair[1] for pair in pairs]
-
-
-@settings(max_examples=500, deadline=None)
-@given(st.integers(0, 2**31), LEAVES)
-def test_the_rules_are_those_of_the_firmware(seed, value):
-    """What truearm takes the box takes, and the other way round, decimals without meaning apart."""
-    config = mutated(full(), random.Random(seed), value)
-    try:
-        firmware.check(copy.deepcopy(config))
-        taken = True
-    except ValueError:
-        taken = False
-    try:
-        check(config)
-        ours = ""
-    except ConfigError as exc:
-        ours = str(exc)
-    if taken and ours:  # a decimal beyond what any host can read (session/box_ident.py), which the box does not look at
-        assert any(abs(e) > 300 for e in exponents(config))
-    assert taken or ours

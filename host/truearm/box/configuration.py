@@ -3,7 +3,7 @@
 The conversion is lossless: the wire's [mantissa, exponent] is a decimal number, TOML's numbers are decimal, and they
 are parsed as such (never as binary floats). Reading a configuration and writing it back unchanged therefore changes
 nothing. A box keeps whatever a file does not mention, including keys unknown to this version of truearm. The result is
-checked against the specification (configuration_schema.py) before anything is sent, and the box checks it again.
+checked by the box's own rules before anything is sent, and the box checks it again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from truearm.box.configuration_schema import (
     CONFIG,
     MAGNETOSTRICTIVE,
     MODULATOR_NS,
-    OSRS,
     PROVENANCE,
     THERMOMETERS,
     UnquotedText,
@@ -32,6 +31,7 @@ from truearm.files.disk import parse_toml
 from truearm.schema import Table, at, check_known, load_toml, raising, read
 from truearm.text import one_line
 from truearm.units import NS
+from truearm_wire.config import OSRS
 
 if TYPE_CHECKING:
     from truearm.box.control import BoxControl

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from truearm.box.configuration_schema import MODULATOR_NS, OSRS
+from truearm.box.configuration_schema import MODULATOR_NS
 from truearm.box.readiness import Purpose
 from truearm.errors import Argument, IncompleteError, InputError, TruearmError, WriteError
 from truearm.findings import Finding, entries
@@ -29,6 +29,7 @@ from truearm.workflows.controller_model import controller_findings
 from truearm.workflows.requests import RecordOptions
 from truearm.workflows.session_copies import recovered_name
 from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
+from truearm_wire.config import OSRS
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
