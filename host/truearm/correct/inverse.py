@@ -160,8 +160,10 @@ def search(
     first = 0.5 * (lower + upper) if home is None else home
     quadrants = np.full((n, j), np.nan) if quadrants is None else quadrants
     origins = Origins(np.full(n, -1), np.full((n, j), np.nan)) if origins is None else origins
-    if home is not None and not oriented:  # among a continuum of joints, other starts do not end near home
-        stock = _with(stock, inverse(chain, params, targets, np.tile(home, (n, 1)), oriented))
+    if home is not None and not oriented:  # among a continuum of joints, those that the least motion from home reaches
+        from_home = inverse(chain, params, targets, np.tile(home, (n, 1)), oriented)
+        usable = from_home.reached & within(chain, from_home.q, ROOM) & (from_home.singular_value > SINGULAR)
+        stock = _with(stock._replace(reached=stock.reached & ~usable[:, None]), from_home)
     chosen, near = _chosen(chain, params, stock, first, quadrants, oriented, origins)
     for _ in range(PASSES if oriented else 0):
         stock = _with(stock, inverse(chain, params, targets, near))
