@@ -1,7 +1,6 @@
 """Parts of planning: distances, paths, branches."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from truearm.model.builtin import names_with_branch
 from truearm.model.robot import builtin_robot
 from truearm.model.workspace import Branch
 from truearm.plan.ball_bar_plan import all_pairings
-from truearm.plan.bar_paths import onto_shell, samples, way_with_bar, way_without_bar
+from truearm.plan.bar_paths import onto_shell, samples, way_without_bar, ways_with_bar
 from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import make_shapes, segment_distance
 from truearm.plan.measurement_limits import Pairing, allowed, bar_vectors
@@ -41,10 +40,10 @@ def test_segment_distance_is_that_of_the_nearest_points(points):
 def test_a_way_comes_back_onto_the_shell():
     site, pairing = bench.site("puma560"), Pairing("bar46", "c1", "s1")
     q = candidates(site, [pairing], 12).q
-    middle = onto_shell(site, 0.5 * (q[0] + q[-1]), pairing)
+    middle = onto_shell(site, 0.5 * (q[:1] + q[-1:]), pairing)
     bar, mounted = pairing.of(site.rig)
-    assert abs(np.linalg.norm(bar_vectors(site, middle[None], mounted)[0]) - bar.zero) < 1e-9
-    assert way_with_bar(site, q[0], q[0], pairing).shape == (0, 6)
+    assert abs(np.linalg.norm(bar_vectors(site, middle, mounted)[0]) - bar.zero) < 1e-9
+    assert ways_with_bar(site, q[:1], q[:1], pairing)[0].shape == (0, 6)
 
 
 def test_no_way_is_none_and_never_a_bad_one():
@@ -52,7 +51,7 @@ def test_no_way_is_none_and_never_a_bad_one():
     site, pairing = bench.site("puma560"), Pairing("bar46", "c1", "s1")
     q = candidates(site, [pairing], 12).q[0]
     flipped = q + np.array([0, 0, 0, -np.pi, -2.0 * q[4], np.pi])
-    assert way_with_bar(site, q, flipped, pairing) is None
+    assert ways_with_bar(site, q[None], flipped[None], pairing) == [None]
 
 
 def test_a_move_without_a_bar_goes_round_what_is_in_its_way():
@@ -62,8 +61,7 @@ def test_a_move_without_a_bar_goes_round_what_is_in_its_way():
     via = way_without_bar(site, *low)
     assert via is not None
     stops = [low[0], *via, low[1]]
-    for a, b in pairwise(stops):
-        assert allowed(site, samples(a, b), None).all()
+    assert allowed(site, samples(np.array(stops[:-1]), np.array(stops[1:]))[0], None).all()
 
 
 @pytest.mark.parametrize("name", names_with_branch())

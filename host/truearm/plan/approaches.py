@@ -14,7 +14,6 @@ sum, over the joints, of the logarithm of the squared derivatives of the length 
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +21,8 @@ from scipy.linalg import hadamard
 
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import along, point_forward, trace_point
-from truearm.plan.bar_paths import Pace, move_seconds, samples, way_with_bar, way_without_bar
-from truearm.plan.measurement_limits import Pairing, Site, all_allowed, free_travel
+from truearm.plan.bar_paths import Pace, move_seconds, moves_allowed, way_without_bar, ways_with_bar
+from truearm.plan.measurement_limits import Pairing, Site, free_travel
 from truearm.plan.route import Route
 from truearm.plan.shells import candidates
 from truearm.progress import steps_of
@@ -121,8 +120,8 @@ def _away(site: Site, q: Floats, jac: Floats, pairing: Pairing) -> Floats | None
     for _ in range(3):
         if step.min() < LEAST:
             return None
-        ways = np.concatenate([samples(q + signs * step, q) for signs in approach_directions(len(q))])
-        if all_allowed(site, ways, pairing, site.limits):
+        sides = q + approach_directions(len(q)) * step
+        if moves_allowed(site, sides, np.broadcast_to(q, sides.shape), pairing, site.limits).all():
             return np.asarray(step)
         step = 0.7 * step
     return None
@@ -130,7 +129,7 @@ def _away(site: Site, q: Floats, jac: Floats, pairing: Pairing) -> Floats | None
 
 def _between(site: Site, start: Floats, end: Floats, pairing: Pairing, seed: int) -> tuple[Floats, bool]:
     """Return via points between two poses, and whether the bar is removed on the way."""
-    via = way_with_bar(site, start, end, pairing)
+    via = ways_with_bar(site, start[None], end[None], pairing)[0]
     if via is not None:
         return via, False
     via = way_without_bar(site, start, end, seed)
@@ -146,5 +145,5 @@ def _route(site: Site, stops: list[tuple[Floats, bool, bool]], pairing: Pairing,
     n = int(read.sum())
     names = (np.full(n, name) for name in (SHELL, pairing.bar, pairing.chuck, pairing.sphere))
     sphere = np.array(site.rig.spheres[pairing.sphere].xyz)
-    seconds = np.array([0.0, *(move_seconds(site, a, b, sphere, pace) for a, b in pairwise(q))])
+    seconds = np.array([0.0, *move_seconds(site, q[:-1], q[1:], sphere, pace)])
     return Route(Plan(q[read], *names), q, pose, mount, seconds, pace)

@@ -36,7 +36,10 @@ LOOKING, LOOKING_ONCE = (0.17, 0.24), (0.45, 0.6)
 DOUBTED_FROM = 8
 MOVE = 5.0  # s from one pose to the next, including via points, as in plans for the three arms
 COORDINATES = 3  # of a point that was not measured
-MEETS = 0.95  # of the budget; a plan that uses this much is not improved further
+MEETS, AIM = 0.95, 0.98  # of the budget: a plan that uses this much is not improved further; and what the next aims at
+FIRST = 0.75  # of the poses that the budget would allow without mounts
+SHORTER = 0.6  # of a move, that a further pose costs: with n poses on the same shells, moves are about n^0.6 together
+TRIMMED = 0.9  # of the poses of a plan that was too long: with fewer, other mounts may be worth their time
 
 
 class Wanted(NamedTuple):
@@ -156,10 +159,11 @@ def _planned(
     setup = 0.0 if wanted.minutes is None else pace.mount / (pace.dwell + MOVE)
 
     def chosen(n: int) -> Plan:
+        """Return the n best, the most important first."""
         stock = np.arange(len(found))
         while True:
             order = choose(blocks[stock], information, n, wanted.criterion, root, wanted.passes, pairing[stock], setup)
-            best = found.select(np.sort(stock[order]))
+            best = found.select(stock[order])
             told = _told(known, found.select(stock), best)
             if told.all() or told.sum() < n:
                 return best
@@ -170,13 +174,21 @@ def _planned(
         way = route(site, best, pace, graphs, wanted.visits)
     else:
         trials = (linked + (1.0 - linked) * k / TRIALS for k in count(1))
+        longest: list[Plan] = []
 
         def tried(n: int) -> Route:
-            way = route(site, chosen(n), pace, graphs, wanted.visits)
+            if longest and TRIMMED * len(longest[0]) < n < len(longest[0]):
+                best = longest[0].select(np.arange(n))  # the same mounts, without the least important poses
+                best = best.select(_told(known, best, best))
+            else:
+                best = chosen(n)
+                longest[:] = [best]
+            way = route(site, best, pace, graphs, wanted.visits)
             advance(min(next(trials), 1.0))
             return way
 
-        way = _within(tried, len(found), wanted.minutes or 0.0, pace)
+        most = min(len(found), int(60.0 * (wanted.minutes or 0.0) / pace.dwell))
+        way = _within(tried, max(1, int(FIRST * poses)), most, wanted.minutes or 0.0, pace)
     return BallBarPlan(way, forecast(known, bar_table(known, way.plan), aim))
 
 
@@ -234,23 +246,28 @@ def pairing_names(plan: Plan) -> NDArray[np.str_]:
     return np.stack([plan.bar, plan.chuck, plan.sphere], axis=1)
 
 
-def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pace) -> Route:
-    """Return as many poses as the minutes allow. The time is almost linear in their number, so few trials suffice."""
-    most = min(most, int(60.0 * minutes / pace.dwell))
-    n, best, low, high = min(most, 60), None, 0, most + 1
+def _within(planned: Callable[[int], Route], first: int, most: int, minutes: float, pace: Pace) -> Route:
+    """Return as many poses as the minutes allow, at most ``most``; ``first``: the number to begin with.
+
+    The next number lies between one that is too long and one that is not, by their minutes. Without the one or the
+    other, it follows from what a further pose of this route would take: a dwell, and a share of a move because moves
+    become shorter.
+    """
+    n, best, short, long = min(first, most), None, (0, 0.0), (most + 1, np.inf)
     for _ in range(TRIALS):
-        if not low < n < high:
+        if not short[0] < n < long[0]:
             break
         way = planned(n)
         if way.minutes <= minutes:
-            low, best = n, way
+            short, best = (n, way.minutes), way
             if way.minutes >= MEETS * minutes:
                 break
         else:
-            high = n
-        fixed = way.n_mounts * pace.mount / 60.0
-        step = (minutes - fixed) / max(way.minutes - fixed, 1e-9)
-        n = int(np.clip(n * step, low + 1, high - 1)) if step > 0.0 else (low + high) // 2
+            long = (n, way.minutes)
+        further = (pace.dwell + SHORTER * float(way.seconds.sum()) / len(way.plan)) / 60.0
+        if best is not None and np.isfinite(long[1]):
+            further = (long[1] - short[1]) / (long[0] - short[0])
+        n = int(np.clip(n + (AIM * minutes - way.minutes) / further, max(short[0] + 1, n // 2), max(long[0] - 1, 1)))
     if best is None:
         raise PlanError(
             f"{minutes:g} min are too few, mounting one pairing takes {pace.mount:g} s; give more ", Argument("minutes")

@@ -10,11 +10,13 @@ detour through a pose of the branch.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.model.chain import along, point_forward, trace_point
-from truearm.plan.measurement_limits import STEP, Pairing, Site, all_allowed
+from truearm.plan.measurement_limits import STEP, Limits, Pairing, Site, allowed, arm_allows, device_allows
 from truearm.types import Floats
 
 DEEPEST = 4  # halvings: at most 15 via points
@@ -35,66 +37,110 @@ class Pace:
     mount: float = 30.0
 
 
-def samples(start: Floats, end: Floats) -> Floats:
-    """Return joints (n, j) on the straight path, including both ends, at most STEP apart."""
-    n = 2 + int(np.abs(end - start).max() / STEP)
-    return start + np.linspace(0.0, 1.0, n)[:, None] * (end - start)
+def samples(start: Floats, end: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return joints (n, j) on straight moves between start and end (m, j), at most STEP apart, and the move (n,) of each.
+
+    Both ends of a move belong to it.
+    """
+    count = 2 + (np.abs(end - start).max(axis=1) / STEP).astype(np.intp)
+    move = np.repeat(np.arange(len(count)), count)
+    share = (np.arange(len(move)) - (np.cumsum(count) - count)[move]) / (count - 1)[move]
+    return start[move] + share[:, None] * (end - start)[move], move
 
 
-def way_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing, halvings: int = DEEPEST) -> Floats | None:
-    """Return via points (v, j) between two poses with the bar on throughout; None if no path is found."""
-    if all_allowed(site, samples(start, end), pairing, site.limits.tightened()):
-        return np.zeros((0, len(start)))
-    if halvings == 0:
-        return None
-    middle = onto_shell(site, 0.5 * (start + end), pairing)
-    if not all_allowed(site, middle[None], pairing, site.limits.tightened()):
-        return None
-    before = way_with_bar(site, start, middle, pairing, halvings - 1)
-    after = None if before is None else way_with_bar(site, middle, end, pairing, halvings - 1)
-    return None if before is None or after is None else np.concatenate([before, middle[None], after])
+def moves_allowed(
+    site: Site, start: Floats, end: Floats, pairing: Pairing | None, limits: Limits | None = None
+) -> NDArray[np.bool_]:
+    """Return a mask (m,) of the straight moves that keep the limits, with the bar on or, for None, removed.
+
+    ``limits``: by default those of samples.
+    """
+    q, move = samples(start, end)
+    good, limits = np.ones(len(start), dtype=bool), limits or site.limits.tightened()
+    for allows in (device_allows, arm_allows):  # the cheap check first
+        left = good[move]
+        good[move[left][~allows(site, q[left], pairing, limits)]] = False
+    return good
+
+
+class _Moves(NamedTuple):
+    """Straight moves (m) that are sections of ways: the way, the shares of it where a move begins and ends, and joints."""
+
+    way: NDArray[np.intp]
+    low: Floats
+    high: Floats
+    start: Floats  # (m, j)
+    end: Floats
+
+    def select(self, rows: NDArray[np.bool_]) -> _Moves:
+        return _Moves(self.way[rows], self.low[rows], self.high[rows], self.start[rows], self.end[rows])
+
+
+def ways_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing) -> list[Floats | None]:
+    """Return via points (v, j) of each move between start and end (m, j) with the bar on throughout; None for no path.
+
+    All moves are halved together, so that their checks are a few large computations instead of many small ones.
+    """
+    n = len(start)
+    lost = np.zeros(n, dtype=bool)
+    moves = _Moves(np.arange(n), np.zeros(n), np.ones(n), start, end)
+    vias = [(moves.way[:0], moves.low[:0], start[:0])]
+    for halving in range(DEEPEST + 1):
+        moves = moves.select(~moves_allowed(site, moves.start, moves.end, pairing))
+        if halving == DEEPEST:
+            lost[moves.way] = True
+            break
+        middle = onto_shell(site, 0.5 * (moves.start + moves.end), pairing)
+        lost[moves.way[~allowed(site, middle, pairing, site.limits.tightened())]] = True
+        kept = ~lost[moves.way]
+        moves, middle = moves.select(kept), middle[kept]
+        way, low, high, start, end = moves
+        share = 0.5 * (low + high)
+        vias.append((way, share, middle))
+        halves = (low, share), (share, high), (start, middle), (middle, end)
+        moves = _Moves(np.tile(way, 2), *map(np.concatenate, halves))
+    way, share, q = (np.concatenate([via[k] for via in vias]) for k in range(3))
+    order = np.lexsort((share, way))
+    parts = np.split(q[order], np.searchsorted(way[order], np.arange(1, n)))
+    return [None if failed else part for failed, part in zip(lost.tolist(), parts, strict=True)]
 
 
 def onto_shell(site: Site, q: Floats, pairing: Pairing) -> Floats:
-    """Return the nearest joints (j,) at which the bar is at mid-travel."""
+    """Return the joints (n, j) nearest to q (n, j) at which the bar is at mid-travel."""
     bar, mounted = pairing.of(site.rig)
     for _ in range(STEPS):
-        trace = trace_point(site.arm.chain, site.arm.params, q[None], mounted.p_sphere)
+        trace = trace_point(site.arm.chain, site.arm.params, q, mounted.p_sphere)
         vector = trace.p_base - mounted.p_chuck
         length = np.linalg.norm(vector, axis=1, keepdims=True)
-        jacobian = along(trace, vector / length).jac_joints[0]
-        q = q + jacobian * (bar.zero - length[0, 0]) / (jacobian @ jacobian)
+        jacobian = along(trace, vector / length).jac_joints
+        q = q + jacobian * (bar.zero - length) / np.sum(jacobian**2, axis=1, keepdims=True)
     return q
 
 
 def way_without_bar(site: Site, start: Floats, end: Floats, seed: int = 0) -> Floats | None:
     """Return via points (v, j), none or one, for a collision-free move; None if no path is found."""
-    tightened = site.limits.tightened()
-
-    def free(a: Floats, b: Floats) -> bool:
-        return all_allowed(site, samples(a, b), None, tightened)
-
-    if free(start, end):
+    if moves_allowed(site, start[None], end[None], None).all():
         return np.zeros((0, len(start)))
     branch = site.arm.branch
     q = np.random.default_rng([seed, 0xDE700]).uniform(branch.lower, branch.upper, (DETOURS, len(start)))
     length = np.abs(q - start).max(axis=1) + np.abs(q - end).max(axis=1)
     for via in q[np.argsort(length)]:
-        if free(start, via) and free(via, end):
+        if moves_allowed(site, np.stack([start, via]), np.stack([via, end]), None).all():
             return np.asarray(via[None])
     return None
 
 
-def fastest(site: Site, start: Floats, end: Floats, p_end_point: Floats) -> float:
-    """Return the largest |∂p/∂s| [m] of a point (3,) of the end over a straight joint move, s from 0 to 1."""
-    n = max(3, len(samples(start, end)))
-    q = start + np.linspace(0.0, 1.0, n)[:, None] * (end - start)
-    p = point_forward(site.arm.chain, site.arm.params, q, p_end_point)
-    rate = np.gradient(p, 1.0 / (n - 1), axis=0, edge_order=2)
-    return float(np.linalg.norm(rate, axis=1).max()) * BETWEEN
+def move_seconds(site: Site, start: Floats, end: Floats, p_end_point: Floats, pace: Pace) -> Floats:
+    """Return the durations (m,) of quintic moves in which neither a joint nor a point of the end exceeds the pace.
 
-
-def move_seconds(site: Site, start: Floats, end: Floats, p_end_point: Floats, pace: Pace) -> float:
-    """Return the duration of a quintic move in which neither a joint nor the point ever exceeds the pace."""
-    by_joints = float(np.abs(end - start).max()) / pace.joint_speed
-    return max(PEAK * max(by_joints, fastest(site, start, end, p_end_point) / pace.bar_speed), SHORTEST)
+    start, end (m, j), p_end_point (m, 3) or (3,).
+    """
+    q, move = samples(start, end)
+    point = p_end_point if p_end_point.ndim == 1 else p_end_point[move]
+    p = point_forward(site.arm.chain, site.arm.params, q, point)
+    last = np.diff(move, append=len(start)) > 0
+    count = np.bincount(move)
+    chord = np.where(last, 0.0, np.linalg.norm(np.diff(p, axis=0, append=p[-1:]), axis=1)) * (count - 1)[move]
+    fastest = BETWEEN * np.maximum.reduceat(chord, np.cumsum(count) - count)  # |∂p/∂s| [m], s from 0 to 1
+    by_joints = np.abs(end - start).max(axis=1) / pace.joint_speed
+    return np.asarray(np.maximum(PEAK * np.maximum(by_joints, fastest / pace.bar_speed), SHORTEST))

@@ -9,7 +9,6 @@ II-C: 15 mm).
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from truearm.model.chain import end_and_jacobian, forward, point_forward, point_
 from truearm.plan.bar_paths import samples
 from truearm.plan.branch_inverse import pose_error
 from truearm.plan.collision_shapes import device_is_clear
-from truearm.plan.measurement_limits import Site, all_allowed, smallest_singular_value
+from truearm.plan.measurement_limits import Site, allowed, smallest_singular_value
 from truearm.plan.region import Region
 from truearm.progress import steps_of
 from truearm.types import Floats, rms_of_columns
@@ -166,9 +165,8 @@ def _fits(
     """Return whether a line (n, j) can be driven from end to end next to its device."""
     if np.isnan(q).any() or np.abs(q_rate).max() > joint_speed:
         return False
-    way = np.concatenate([samples(a, b) for a, b in pairwise(q)])
-    limits = site.limits.tightened()
-    if not all_allowed(site, way, None, limits) or (smallest_singular_value(site, way) < limits.singular_value).any():
+    way, limits = samples(q[:-1], q[1:])[0], site.limits.tightened()
+    if not allowed(site, way, None, limits).all() or (smallest_singular_value(site, way) < limits.singular_value).any():
         return False
     ends = point_forward(site.arm.chain, site.arm.params, q[[0, -1]], point)
     if not device_is_clear(site.shapes, way, ends[0], ends[1], bool(point.any())):

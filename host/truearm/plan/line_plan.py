@@ -236,7 +236,7 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
             way = [*via, q[0]]
         first = len(stops)
         for place in way:
-            seconds = move_seconds(site, stops[-1].q, place, point, pace) if stops else 0.0
+            seconds = float(move_seconds(site, stops[-1].q[None], place[None], point, pace)[0]) if stops else 0.0
             stops.append(Stop(place, seconds, Move.VIA))
         away = "Remove the line device" if first else "Check that no line device is in the way"
         stops[first] = stops[first]._replace(before=plain(f"{away}. Next: line {name}"))

@@ -41,6 +41,7 @@ class Limits:
         )
 
 
+AT_ONCE = 1000  # poses checked for collisions: their distances fit into the cache
 STEP = 0.04  # rad, the largest rotation of a joint between two samples of a path
 
 
@@ -80,17 +81,12 @@ def of_pairing(plan: Plan, pairing: Pairing) -> NDArray[np.bool_]:
 def allowed(site: Site, q: Floats, pairing: Pairing | None, limits: Limits | None = None) -> NDArray[np.bool_]:
     """Return whether joints q (n, j) are within all limits, with the bar on or, for None, removed."""
     limits = limits or site.limits
-    good = _device_allows(site, q, pairing, limits)
-    good[good] = _arm_allows(site, q[good], pairing, limits)
+    good = device_allows(site, q, pairing, limits)
+    good[good] = arm_allows(site, q[good], pairing, limits)
     return good
 
 
-def all_allowed(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> bool:
-    """Return whether all of q (n, j) are allowed. Expensive checks are skipped if a cheap one fails."""
-    return bool(_device_allows(site, q, pairing, limits).all() and _arm_allows(site, q, pairing, limits).all())
-
-
-def _device_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> NDArray[np.bool_]:
+def device_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> NDArray[np.bool_]:
     """Check the joints, the bar's length and the angles of its cups."""
     good = within_joints(site, q, limits)
     if pairing is None:
@@ -104,11 +100,14 @@ def _device_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limit
     return good
 
 
-def _arm_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> NDArray[np.bool_]:
+def arm_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> NDArray[np.bool_]:
     """Check for collisions and, with the bar on, for singularities."""
-    if pairing is None:
-        return clear(site.shapes, q, None)
-    return clear(site.shapes, q, pairing.of(site.rig)[1]) & (smallest_singular_value(site, q) > limits.singular_value)
+    mounted = None if pairing is None else pairing.of(site.rig)[1]
+    blocks = [q[i : i + AT_ONCE] for i in range(0, len(q), AT_ONCE)]
+    good = np.concatenate([clear(site.shapes, block, mounted) for block in blocks or [q]])
+    if mounted is not None:
+        good[good] = smallest_singular_value(site, q[good]) > limits.singular_value
+    return good
 
 
 def within_joints(site: Site, q: Floats, limits: Limits) -> NDArray[np.bool_]:

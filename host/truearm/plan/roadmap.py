@@ -8,6 +8,7 @@ The paths along the chain found are then checked at every sample, and an edge th
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -17,7 +18,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
-from truearm.plan.bar_paths import way_with_bar
+from truearm.plan.bar_paths import ways_with_bar
 from truearm.plan.measurement_limits import Pairing, Site, allowed, of_pairing, pairing_at
 from truearm.progress import steps_of
 from truearm.types import Floats, Plan
@@ -27,27 +28,46 @@ TRIES = 6  # chains
 SHARES = (0.25, 0.5, 0.75)  # of a path, where an edge is checked
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Roadmap:
-    """The graph of one pairing: candidates (n, j), and lengths (n, n) [rad] of passable edges, 0 for no edge."""
+    """The graph of one pairing: candidates (n, j), and lengths (n, n) [rad] of edges not yet known to fail, else 0.
+
+    ``legs``: via points of the moves between two candidates that were checked, or None for a move that fails.
+    """
 
     site: Site
     pairing: Pairing
     stock: Floats
     edges: Floats
-    legs: dict[bytes, Floats | None] = field(default_factory=dict)  # that were tried: successive plans share most
+    legs: dict[tuple[int, int], Floats | None] = field(default_factory=dict)
 
-    def leg(self, start: Floats, end: Floats) -> Floats | None:
-        """Return the result of ``way_with_bar`` between two poses."""
-        ends = start.tobytes() + end.tobytes()
-        if ends not in self.legs:
-            self.legs[ends] = way_with_bar(self.site, start, end, self.pairing)
-        return self.legs[ends]
+    def check(self, moves: Iterable[tuple[int, int]]) -> None:
+        """Find the ways of all moves between candidates that were not checked before, together."""
+        new = [move for move in dict.fromkeys(moves) if move not in self.legs]
+        if new:
+            start, end = np.array(new).T
+            ways = ways_with_bar(self.site, self.stock[start], self.stock[end], self.pairing)
+            self.legs.update(zip(new, ways, strict=True))
 
-    def way(self, start: Floats, end: Floats) -> Floats | None:
+    def way(self, start: int, end: int) -> Floats | None:
         """Return via points (v, j) of a path with the bar on, straight or over candidates; None if there is none."""
-        straight = self.leg(start, end)
-        return straight if straight is not None else _around(self, start, end)
+        chain = [start, end]
+        for _ in range(TRIES + 1):
+            moves = list(pairwise(chain))
+            self.check(moves)
+            failed = [move for move in moves if self.legs[move] is None]
+            if not failed:
+                stops = [(self.legs[move], self.stock[move[1] : move[1] + 1]) for move in moves]
+                return np.concatenate([q for stop in stops for q in stop if q is not None])[:-1]
+            for a, b in failed:
+                self.edges[a, b] = self.edges[b, a] = 0.0
+            length, before = dijkstra(csr_array(self.edges), directed=False, indices=start, return_predecessors=True)
+            if not np.isfinite(length[end]):
+                return None
+            chain = [end]
+            while chain[0] != start:
+                chain.insert(0, int(before[chain[0]]))
+        return None
 
     @property
     def main(self) -> NDArray[np.bool_]:
@@ -71,36 +91,6 @@ def roadmaps(site: Site, found: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
         kept.append(rows[main])
         graphs[pairing] = Roadmap(site, pairing, graph.stock[main], graph.edges[np.ix_(main, main)])
     return found.select(np.concatenate(kept)), graphs
-
-
-def _around(roadmap: Roadmap, start: Floats, end: Floats) -> Floats | None:
-    q = np.concatenate([roadmap.stock, [start, end]])
-    n = len(q)
-    graph = np.zeros((n, n))
-    graph[:-2, :-2] = roadmap.edges
-    for new in (n - 2, n - 1):
-        near = np.argsort(np.abs(q[: n - 2] - q[new]).max(axis=1), kind="stable")[:NEIGHBOURS]
-        good = passable(roadmap.site, q[near], np.broadcast_to(q[new], (len(near), q.shape[1])), roadmap.pairing)
-        graph[near[good], new] = np.maximum(np.abs(q[near[good]] - q[new]).max(axis=1), 1e-9)
-    for _ in range(TRIES):
-        length, before = dijkstra(csr_array(graph), directed=False, indices=n - 2, return_predecessors=True)
-        if not np.isfinite(length[n - 1]):
-            return None
-        chain = [n - 1]
-        while chain[-1] != n - 2:
-            chain.append(int(before[chain[-1]]))
-        chain.reverse()
-        parts: list[Floats] = []
-        for a, b in pairwise(chain):
-            leg = roadmap.leg(q[a], q[b])
-            if leg is None:
-                graph[a, b] = graph[b, a] = 0.0
-                break
-            parts += [leg, q[b : b + 1]]
-        else:
-            via = np.concatenate(parts)[:-1]
-            return via[np.all(np.any(via[:, None] != [start, end], axis=2), axis=1)]  # both are candidates too
-    return None
 
 
 def _edges(site: Site, pairing: Pairing, q: Floats) -> Floats:

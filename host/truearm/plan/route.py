@@ -106,16 +106,21 @@ def route(
     through the plan's own poses. Raises PlanError if no path to a pose is free.
     """
     plan = ordered(site, plan, pace, visits)
+    pairing = [pairing_at(plan, i) for i in range(len(plan))]
     graphs = dict(graphs or {})
-    stops: list[tuple[Floats, int, bool]] = []
-    for i in steps_of(range(len(plan)), f"planning the path through {len(plan)} poses"):
-        if i == 0:
-            stops.append((plan.q[0], 0, True))
-            continue
-        pairing = pairing_at(plan, i)
-        if pairing not in graphs:
-            graphs[pairing] = make_roadmap(site, pairing, plan.q[of_pairing(plan, pairing)])
-        via, mount = _way(site, plan, i, graphs[pairing])
+    node = np.zeros(len(plan), dtype=np.intp)  # of each pose in the graph of its pairing
+    for name in dict.fromkeys(pairing):
+        rows = np.flatnonzero(of_pairing(plan, name))
+        if name not in graphs:
+            graphs[name] = make_roadmap(site, name, np.unique(plan.q[rows], axis=0))
+        node[rows] = (graphs[name].stock[None] == plan.q[rows, None]).all(axis=2).argmax(axis=1)
+        graphs[name].check((int(node[i - 1]), int(node[i])) for i in rows[1:] if pairing[i - 1] == name)
+    stops: list[tuple[Floats, int, bool]] = [(plan.q[0], 0, True)]
+    for i in steps_of(range(1, len(plan)), f"planning the path through {len(plan)} poses"):
+        via = graphs[pairing[i]].way(int(node[i - 1]), int(node[i])) if pairing[i] == pairing[i - 1] else None
+        mount = via is None
+        if via is None:
+            via = _without_bar(site, plan, i)
         stops += [(q, -1, False) for q in via]
         stops.append((plan.q[i], i, mount))
     q = np.array([stop[0] for stop in stops])
@@ -201,30 +206,21 @@ def _pairings_in_order(site: Site, plan: Plan) -> list[Pairing]:
     return out
 
 
-def _way(site: Site, plan: Plan, i: int, roadmap: Roadmap) -> tuple[Floats, bool]:
-    """Return via points to pose i from the previous one, and whether the bar must be removed."""
-    pairing, start, end = pairing_at(plan, i), plan.q[i - 1], plan.q[i]
-    if pairing == pairing_at(plan, i - 1):
-        via = roadmap.way(start, end)
-        if via is not None:
-            return via, False
+def _without_bar(site: Site, plan: Plan, i: int) -> Floats:
+    """Return via points to pose i from the previous one with the bar removed: at least one within a pairing."""
+    start, end = plan.q[i - 1], plan.q[i]
     via = way_without_bar(site, start, end, seed=i)
+    pairing = pairing_at(plan, i)
     if via is None:
         mounted = f"{pairing.bar}, {pairing.chuck}, {pairing.sphere}"
         raise PlanError(f"no collision-free path to pose {i} ({mounted}) was found; try another ", Argument("seed"))
-    if not len(via) and pairing == pairing_at(plan, i - 1):
-        via = 0.5 * (start + end)[None]
-    return via, True
+    return via if len(via) or pairing != pairing_at(plan, i - 1) else 0.5 * (start + end)[None]
 
 
 def _durations(site: Site, plan: Plan, q: Floats, pose: NDArray[np.intp], pace: Pace) -> Floats:
     """Return durations (m,) [s] in which neither a joint nor the bar's sphere exceeds the pace; 0 for the first."""
-    out = np.zeros(len(q))
-    to = plan.sphere[_next_pose(pose)]
-    for i in range(1, len(q)):
-        sphere = np.array(site.rig.spheres[str(to[i])].xyz)
-        out[i] = move_seconds(site, q[i - 1], q[i], sphere, pace)
-    return out
+    spheres = np.array([site.rig.spheres[str(name)].xyz for name in plan.sphere[_next_pose(pose)]])
+    return np.array([0.0, *move_seconds(site, q[:-1], q[1:], spheres[1:], pace)])
 
 
 def _next_pose(pose: NDArray[np.intp]) -> NDArray[np.intp]:

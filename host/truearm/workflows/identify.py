@@ -49,6 +49,7 @@ from truearm.workflows.requests import FitOptions
 from truearm.workflows.selection import (
     all_held_out,
     check_rows,
+    default_prior,
     free_parameters,
     held_out_rows,
     matching,
@@ -186,14 +187,6 @@ def _other_robots() -> Robots:
     """Return the built-in robots by name, to which observations may belong."""
     robots = {name: builtin_robot(name) for name in builtin_names()}
     return {name: (robot.chain, robot.free) for name, robot in robots.items()}
-
-
-def default_prior(robot: Robot, solver: str) -> Prior:
-    """Return the prior that robot or solver needs: the weak one resolves the redundant constants of a URDF."""
-    needed = SOLVERS[solver].prior
-    if needed is None:
-        return Prior.NONE
-    return Prior.WEAK if robot.is_urdf else needed
 
 
 def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:

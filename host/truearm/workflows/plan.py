@@ -37,11 +37,8 @@ from truearm.report.plan_findings import approach_findings, forecast_findings
 from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
-from truearm.workflows.identify import DEFAULTS, default_prior
-from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.requests import PlanFiles, PoseOptions
-from truearm.workflows.selection import all_held_out, held_out_rows, proposed_hold_out
-from truearm.workflows.session_parts import with_parts
+from truearm.workflows.selection import all_held_out, default_prior, held_out_rows, proposed_hold_out
 
 LEAST_CHECKS = 3  # fewer reveal little about a drift, and a short plan has no pose to spare
 POSES_A_CHECK = 36  # check poses are visited three times more: at most a twelfth of the poses
@@ -262,7 +259,7 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
         estimates = {parameter.name: parameter.value for parameter in result.stored.parameters}
         params, values = result.identified, {name: value for name, value in estimates.items() if value is not None}
         deciding = frozenset(name for fault in result.stored.faults for name in cast("list[str]", fault["deciding"]))
-    prior = default_prior(robot, DEFAULTS.solver)
+    prior = default_prior(robot, option_defaults.SOLVER)
     known = Known.design(robot, with_rig_values(rig, values))
     return replace(known, params=params, rig_values=values, free=robot.free, prior=prior, deciding=deciding)
 
@@ -337,6 +334,9 @@ def _known(files: PlanFiles) -> Known:
     known = replace(known_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
     if not files.measured:
         return known
+    from truearm.workflows.inputs import Sources, read_sources  # slow to import, as it also reads sessions
+    from truearm.workflows.session_parts import with_parts
+
     same, table, *_ = read_sources(
         Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain.joint_units
     )

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.measured_order import poses
+from truearm.estimate.solvers import SOLVERS, Prior
 from truearm.kinds.quantities import POINT, Quantity
 from truearm.kinds.registry import ANYWHERE, GROUPS, drawn_from, identifiers, kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, forward
 from truearm.model.joint_terms.gain import Gain
+from truearm.model.robot import Robot
 from truearm.results import DriftWith, Effect
 from truearm.text import listed
 from truearm.types import Floats, Mask, Plan
@@ -336,3 +338,11 @@ def _moves_in_space(chain: Chain, q: Floats) -> bool:
         return False  # ``build_problem`` names these errors
     points = forward(chain, chain.params_nominal, q)[:, :3, 3]
     return bool(np.sqrt(np.linalg.eigvalsh(np.cov(points.T))[0]) > IN_SPACE)
+
+
+def default_prior(robot: Robot, solver: str) -> Prior:
+    """Return the prior that robot or solver needs: the weak one resolves the redundant constants of a URDF."""
+    needed = SOLVERS[solver].prior
+    if needed is None:
+        return Prior.NONE
+    return Prior.WEAK if robot.is_urdf else needed
