@@ -16,13 +16,14 @@ import numpy as np
 from PIL import Image
 
 import truearm
+from truearm.model.chain import joint_frames
 from truearm.report.page_parts import html_page
 from truearm.workflows import scene as scene_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURE = ROOT / "docs" / "images" / "arm.png"
-WIDTH, HEIGHT = 1000, 760  # px: the view with its controls
-COLOURS = 128
+WIDTH, HEIGHT = 1000, 938  # px: the view with its controls and colours
+COLOURS = 256
 POINTS = 250  # more hide the arm
 
 
@@ -36,7 +37,9 @@ def main() -> None:
 
     robot, table = real_arms.ur10("c")
     robot = replace(robot, capsules=truearm.load_robot("ur10e").capsules)  # the links of its successor
-    order = np.roll(np.arange(len(table)), -1)  # the first row is the home position, straight up
+    elbow = joint_frames(robot.chain, robot.chain.params_nominal, table.q)[:, 2, 2, 3]
+    elbow[0] = -np.inf  # the home position, straight up
+    order = np.roll(np.arange(len(table)), -np.argmax(elbow))  # the arm is shown at the first row
     table, held_out = table.select(order), real_arms.some(len(table), 0.2, 0)[order]
     found = truearm.identify(robot, table, real_arms.TRACKER, hold_out=held_out)
     with TemporaryDirectory() as folder:

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import RobotError
-from truearm.model.chain import forward, point_jacobians
-from truearm.model.urdf import MAX_TEXT, chain_from_urdf
+from truearm.model.chain import forward, joint_frames, point_jacobians
+from truearm.model.urdf import MAX_TEXT, capsules_from_urdf, chain_from_urdf
 
 LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
 
@@ -176,3 +176,52 @@ def test_unknown_base_and_tip():
 def test_deep_nesting_does_no_harm():
     with pytest.raises(RobotError, match="no links"):
         chain_from_urdf("<robot>" + "<a>" * 200_000 + "</a>" * 200_000 + "</robot>")
+
+
+def collision(shape, xyz="0 0 0", rpy="0 0 0"):
+    return f'<collision><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{shape}</geometry></collision>'
+
+
+def with_shapes(**shapes):
+    text = ARM
+    for name, shape in shapes.items():
+        text = text.replace(f"<link name='{name}'/>", f"<link name='{name}'>{shape}</link>")
+    return text
+
+
+def test_capsules_contain_the_collision_shapes_wherever_the_joints_are():
+    """Corners of a box and rims of a cylinder, moved by the links' own poses: those of a chain that ends at the link."""
+    half, radius, length = np.array([0.05, 0.3, 0.02]), 0.04, 0.4
+    text = with_shapes(
+        a=collision('<sphere radius="0.1"/>', "0 0 0.05"),
+        c=collision('<box size="0.1 0.6 0.04"/>', "0.1 0 0", "0 0 0.3"),
+        e=collision('<cylinder radius="0.04" length="0.4"/>', "0 0.02 0", "1 0 0"),
+    )
+    chain = chain_from_urdf(text)
+    capsules = capsules_from_urdf(text, chain)
+    assert capsules.joint == (0, 2, 3)
+    q = np.array([0.7, -1.1, 0.08])
+    frames = np.concatenate([np.eye(4)[None], joint_frames(chain, chain.params_nominal, q)])[list(capsules.joint)]
+    ends = capsules.ends @ frames[:, :3, :3].swapaxes(1, 2) + frames[:, None, :3, 3]
+    np.testing.assert_allclose(ends[0], [[0, 0, 0.05]] * 2)
+    turn = np.linspace(0, 2 * np.pi, 40)
+    rim = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.full(40, 0.5 * length)], axis=1)
+    box = rodrigues([0, 0, 1], 0.3) @ (np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8) * half[:, None])
+    cylinder = rodrigues([1, 0, 0], 1.0) @ np.concatenate([rim, -rim]).T
+    for k, tip, points in ((1, "c", np.add(box.T, [0.1, 0, 0])), (2, "e", np.add(cylinder.T, [0, 0.02, 0]))):
+        part = chain_from_urdf(text, tip=tip)
+        pose = forward(part, part.params_nominal, q[: len(part.joints)])
+        there = points @ pose[:3, :3].T + pose[:3, 3]
+        along = ends[k, 1] - ends[k, 0]
+        share = np.clip((there - ends[k, 0]) @ along / (along @ along), 0.0, 1.0)
+        distance = np.linalg.norm(there - ends[k, 0] - share[:, None] * along, axis=1)
+        np.testing.assert_allclose(distance, capsules.radius[k], rtol=1e-9)
+
+
+def test_an_arm_of_meshes_has_no_capsules():
+    for text in (ARM, with_shapes(b=collision('<sphere radius="0.1"/>'), c=collision('<mesh filename="c.stl"/>'))):
+        assert capsules_from_urdf(text, chain_from_urdf(text)) is None
+    for shape, word in (('<sphere radius="0"/>', "greater than 0"), ('<box size="1 2"/>', "needs 3 numbers")):
+        text = with_shapes(b=collision(shape))
+        with pytest.raises(RobotError, match=f"^URDF link b: collision: .*{word}"):
+            capsules_from_urdf(text, chain_from_urdf(text))

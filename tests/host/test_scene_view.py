@@ -139,3 +139,51 @@ def test_a_browser_draws_the_arm_and_shows_the_numbers(bars, scene, tmp_path):
         tools = np.array([float(text) for text in view["tool"].split(",")]).reshape(-1, 3)
         np.testing.assert_allclose(tools[1::2], spheres, atol=2e-3)  # gains of joints turn the drawn arm a little less
         assert [float(text) for text in shown[2].split(", ")] == pytest.approx(1e3 * scene.points[0].xyz[row], abs=0.6)
+
+
+def thinned_scene(scene, rows, **missing):
+    """Return the scene with these rows of its measured poses alone, and NaN where ``missing`` says."""
+    poses = scene.points[0]
+    values, vectors = ({name: v[rows] for name, v in named.items()} for named in (poses.values, poses.vectors))
+    changed = replace(
+        poses,
+        xyz=poses.xyz[rows].copy(),
+        q=poses.q[rows],
+        labels=[poses.labels[row] for row in rows],
+        values=values,
+        vectors=vectors,
+        fixture=[poses.fixture[row] for row in rows],
+    )
+    for row, what in missing.items():
+        getattr(changed, what)[BEFORE][int(row[1:])] = np.nan
+    return replace(scene, points=(changed,))
+
+
+@needs_browser
+def test_a_browser_draws_few_points_and_points_without_values(scene, tmp_path):
+    """One pose; three, of which one has no position, one no vector and one no value; and two without any value."""
+    lost = thinned_scene(scene, [0, 1, 2], r1="vectors", r2="values")
+    lost.points[0].xyz[0] = np.nan
+    none = thinned_scene(scene, [0, 1], r0="values", r1="values")
+    for case, count, words in (
+        (thinned_scene(scene, [0]), 1, ("mm", "mm")),
+        (lost, 2, ("mm", "–")),
+        (none, 2, ("–", "–")),
+    ):
+        probe = probed(tmp_path, AROUND.replace("PAGE", html.escape(render(make_page(60, scene=case)))))
+        assert (probe["loaded"], probe["hidden"]) == (0, False)
+        first, _, second, again = probe["seen"]
+        assert (f"measured poses: 1 of {count}" in first["labels"]) == (count > 1)
+        assert min(view["colours"] for view in (first, second, again)) > 100, "the arm is drawn"
+        assert again["sum"] == first["sum"]
+        shown = [re.search(rf"{BEFORE} (\S+) mm", view["readout"])[1] for view in (first, second)]
+        assert [("–" if text == "–" else "mm") for text in shown] == list(words)[:2]
+        assert not any(re.search("NaN|Infinity|undefined", text) for text in (*first["labels"], probe["scale"]))
+
+
+def test_without_a_point_there_is_no_view(scene):
+    nowhere = thinned_scene(scene, [0, 1])
+    nowhere.points[0].xyz[:] = np.nan
+    for empty in (nowhere, thinned_scene(scene, [])):
+        page = render(make_page(60, scene=empty))
+        assert page == render(make_page(60))

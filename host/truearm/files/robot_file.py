@@ -15,7 +15,6 @@ from truearm.files.disk import read_text
 from truearm.model.builtin import builtin_names
 
 if TYPE_CHECKING:
-    from truearm.model.chain import Chain
     from truearm.model.robot import Robot
 
 MAX_BYTES = 8_000_000
@@ -63,7 +62,6 @@ def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> R
     Raises RobotError that names the file, or lists the built-in robots.
     """
     from truearm.model.robot import builtin_robot, parse_robot
-    from truearm.model.urdf import chain_from_urdf
 
     path = robot_file(robot)
     if not is_urdf(robot) and (base or tip):
@@ -73,7 +71,7 @@ def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> R
         return builtin_robot(robot)
     text = read_text(path, MAX_BYTES, RobotError)
     try:
-        found = _urdf_robot(chain_from_urdf(text, base, tip)) if is_urdf(robot) else parse_robot(text)
+        found = _urdf_robot(text, base, tip) if is_urdf(robot) else parse_robot(text)
     except RobotError as exc:
         raise exc.within(path) from exc
     return replace(found, file=str(path))
@@ -105,8 +103,10 @@ def is_urdf(robot: str) -> bool:
     return path is not None and path.suffix.lower() != ".toml"
 
 
-def _urdf_robot(chain: Chain) -> Robot:
+def _urdf_robot(text: str, base: str | None, tip: str | None) -> Robot:
     from truearm.model.robot import Robot
-    from truearm.model.urdf import free_without_gains
+    from truearm.model.urdf import capsules_from_urdf, chain_from_urdf, free_without_gains
 
-    return Robot(chain, {"nominal": chain.params_nominal}, free_without_gains(chain))
+    chain = chain_from_urdf(text, base, tip)
+    values = {"nominal": chain.params_nominal}
+    return Robot(chain, values, free_without_gains(chain), capsules=capsules_from_urdf(text, chain))

@@ -13,7 +13,8 @@ The text may be untrusted: no document type, no entities, bounded size, finite n
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import reduce
 from typing import NamedTuple
 from xml.etree.ElementTree import Element as Xml
 from xml.etree.ElementTree import ParseError
@@ -23,11 +24,13 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from truearm.errors import Argument, RobotError
-from truearm.model.chain import Chain, Element, Joint, Parameter
+from truearm.model.chain import Chain, Element, Joint, Parameter, joint_frames
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
+from truearm.model.transforms import elementary
+from truearm.model.workspace import Capsules
 from truearm.text import listed
-from truearm.types import Mask
+from truearm.types import Floats, Mask
 from truearm.units import UNITS
 
 MAX_TEXT = 8_000_000  # characters; a large humanoid has about 200,000
@@ -55,6 +58,69 @@ def chain_from_urdf(text: str, base: str | None = None, tip: str | None = None) 
     modelled, and numbers that are not finite or implausible. With several leaves and no tip, the message lists the
     leaves.
     """
+    root, path = _root_and_path(text, base, tip)
+    return _build(root.get("name") or "robot", path)
+
+
+def capsules_from_urdf(text: str, chain: Chain) -> Capsules | None:
+    """Return capsules that contain the collision shapes of a chain's links; None if there are none, or one is a mesh.
+
+    The chain is that of ``chain_from_urdf`` for this text. Raises RobotError for a shape with invalid numbers.
+    """
+    root, path = _root_and_path(text, chain.base_frame, chain.end_frame)
+    shapes = {node.get("name"): node.findall("collision") for node in root.findall("link")}
+    frames = [np.eye(4), *joint_frames(chain, chain.params_nominal, np.zeros(len(chain.joints)))]
+    joint, pose = [0], [np.eye(4)]  # of each link on the path: the joint that it moves with, and its pose with all at 0
+    for step in path:
+        joint.append(joint[-1] + (step.kind != "fixed"))
+        pose.append(pose[-1] @ _transform(_origin(f"URDF joint {step.name}", step.xml)))
+    capsules = [
+        (number, np.linalg.inv(frames[number]) @ frame, _capsule(f"URDF link {link}: collision", node))
+        for link, number, frame in zip([path[0].parent, *(step.child for step in path)], joint, pose, strict=True)
+        for node in shapes[link]
+    ]
+    sized = [(number, frame, capsule) for number, frame, capsule in capsules if capsule is not None]
+    if not sized or len(sized) < len(capsules):
+        return None
+    ends = [capsule.ends @ frame[:3, :3].T + frame[:3, 3] for _, frame, capsule in sized]
+    return Capsules(tuple(number for number, *_ in sized), np.array(ends), np.array([c.radius for *_, c in sized]))
+
+
+class _Capsule(NamedTuple):
+    ends: Floats  # (2, 3) m
+    radius: float  # m
+
+
+def _capsule(place: str, node: Xml) -> _Capsule | None:
+    """Return the capsule around a box, cylinder or sphere, in the link's frame; None for a mesh."""
+    shape = next((child for tag in ("box", "cylinder", "sphere") for child in node.findall(f"geometry/{tag}")), None)
+    if shape is None:
+        return None
+
+    def size(key: str, count: int = 1) -> list[float]:
+        values = _numbers(place, f"{shape.tag} {key}", shape.get(key, ""), count, UNITS["m"].largest)
+        if min(values) <= 0.0:
+            raise RobotError(f"{place}: {shape.tag} {key} must be greater than 0")
+        return values
+
+    if shape.tag == "box":
+        half = 0.5 * np.array(size("size", 3))
+        axis = int(np.argmax(half))
+        reach, radius = half[axis], math.hypot(*np.delete(half, axis))
+    else:
+        axis, radius = 2, size("radius")[0]
+        reach = 0.5 * size("length")[0] if shape.tag == "cylinder" else 0.0
+    frame = _transform(_origin(place, node))
+    along = reach * frame[:3, axis]
+    return _Capsule(np.array([frame[:3, 3] - along, frame[:3, 3] + along]), radius)
+
+
+def _transform(origin: Sequence[float]) -> Floats:
+    """Return the pose (4, 4) of an origin's six constants."""
+    return reduce(np.matmul, [elementary(motion, value) for (_, motion), value in zip(ORIGIN, origin, strict=True)])
+
+
+def _root_and_path(text: str, base: str | None, tip: str | None) -> tuple[Xml, list[_UrdfJoint]]:
     root = _parse(text)
     joints = _read_joints(root)
     links = _read_links(root, joints)
@@ -64,8 +130,7 @@ def chain_from_urdf(text: str, base: str | None = None, tip: str | None = None) 
         if link is not None and link not in links:
             raise RobotError(f"URDF has no link {link!r}; it has {listed(sorted(links))}")
     tip = tip or _only(_leaves(base, joints), "end links", "tip")
-    path = _path(base, tip, by_child)
-    return _build(root.get("name") or "robot", path, base, tip)
+    return root, _path(base, tip, by_child)
 
 
 def _parse(text: str) -> Xml:
@@ -168,12 +233,13 @@ def _fixed_above(link: str, by_child: Mapping[str, _UrdfJoint]) -> str:
     return joint.parent if joint is not None and joint.kind == "fixed" else link
 
 
-def _build(name: str, path: list[_UrdfJoint], base: str, tip: str) -> Chain:
+def _build(name: str, path: list[_UrdfJoint]) -> Chain:
+    base, tip = path[0].parent, path[-1].child
     elements: list[Element] = []
     parameters: list[Parameter] = []
     joints: list[Joint] = []
     for joint in path:
-        for (key, motion), value in zip(ORIGIN, _origin(joint), strict=True):
+        for (key, motion), value in zip(ORIGIN, _origin(f"URDF joint {joint.name}", joint.xml), strict=True):
             elements.append(Element(motion, parameter=len(parameters)))
             parameters.append(Parameter(f"{joint.name}.{key}", "m" if motion[0] == "t" else "rad", value))
         if joint.kind == "fixed":
@@ -189,11 +255,11 @@ def _build(name: str, path: list[_UrdfJoint], base: str, tip: str) -> Chain:
     return Chain(name, tuple(elements), tuple(parameters), tuple(joints), base, tip)
 
 
-def _origin(joint: _UrdfJoint) -> tuple[float, ...]:
-    node = joint.xml.find("origin")
-    xyz = _triple(joint, "origin xyz", "0 0 0" if node is None else node.get("xyz", "0 0 0"), UNITS["m"].largest)
-    roll, pitch, yaw = _triple(
-        joint, "origin rpy", "0 0 0" if node is None else node.get("rpy", "0 0 0"), MAX_ANGLE_RAD
+def _origin(place: str, xml: Xml) -> tuple[float, ...]:
+    node = xml.find("origin")
+    xyz = _numbers(place, "origin xyz", "0 0 0" if node is None else node.get("xyz", "0 0 0"), 3, UNITS["m"].largest)
+    roll, pitch, yaw = _numbers(
+        place, "origin rpy", "0 0 0" if node is None else node.get("rpy", "0 0 0"), 3, MAX_ANGLE_RAD
     )
     return (*xyz, yaw, pitch, roll)
 
@@ -223,7 +289,8 @@ def _moving(joint: _UrdfJoint, number: int) -> list[Element]:
 
 def _axis(joint: _UrdfJoint) -> tuple[float, float, float]:
     node = joint.xml.find("axis")
-    x, y, z = _triple(joint, "axis xyz", "1 0 0" if node is None else node.get("xyz", "1 0 0"), 1e6)
+    text = "1 0 0" if node is None else node.get("xyz", "1 0 0")
+    x, y, z = _numbers(f"URDF joint {joint.name}", "axis xyz", text, 3, 1e6)
     norm = math.hypot(x, y, z)
     if norm < 1e-6:
         raise RobotError(f"URDF joint {joint.name}: its axis has no length; give one such as 0 0 1")
@@ -238,19 +305,16 @@ def _limits(joint: _UrdfJoint) -> Joint:
     if node is None:
         raise RobotError(f"URDF joint {joint.name} is {joint.kind} and needs a <limit>; give it one")
     bound = UNITS["m"].largest if kind == "prismatic" else MAX_ANGLE_RAD
-    lower, upper = (_numbers(joint, f"limit {k}", node.get(k, "0"), 1, bound)[0] for k in ("lower", "upper"))
+    lower, upper = (
+        _numbers(f"URDF joint {joint.name}", f"limit {k}", node.get(k, "0"), 1, bound)[0] for k in ("lower", "upper")
+    )
     if lower > upper:
         raise RobotError(f"URDF joint {joint.name}: its lower limit {lower:g} is above its upper limit {upper:g}")
     return Joint(joint.name, kind, lower, upper)
 
 
-def _triple(joint: _UrdfJoint, what: str, text: str, bound: float) -> tuple[float, float, float]:
-    x, y, z = _numbers(joint, what, text, 3, bound)
-    return x, y, z
-
-
-def _numbers(joint: _UrdfJoint, what: str, text: str, count: int, bound: float) -> list[float]:
-    where = f"URDF joint {joint.name}: {what}={text[:60]!r}"
+def _numbers(place: str, what: str, text: str, count: int, bound: float) -> list[float]:
+    where = f"{place}: {what}={text[:60]!r}"
     try:
         values = [float(word) for word in text.split()]
     except ValueError as error:
