@@ -1,22 +1,16 @@
 """The files of ``truearm identify``: result, schema, report; and files that it does not overwrite."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from command_line import Run, told
 from identify_bench import MUKCA, ROOT, SIGMA, identified
-from result_schema import LISTS, OBJECTS, PARAMETER, RMS, SCALARS, check_schema, signed
+from result_schema import LISTS, OBJECTS, PARAMETER, RMS, SCALARS, check_schema
 from tests.host.findings_bench import stated
-from tests.refusals import refused
 
-from truearm.cli import main as cli
-from truearm.files.result_file import parse_result, read_result
-from truearm.files.robot_file import load_robot
 from truearm.findings import option
 from truearm.kinds.table import ObservationTable
 from truearm.types import Rig
@@ -36,18 +30,6 @@ def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(
         ("rig", "rig.toml", 64),
     ]
     assert str(tmp_path) not in outcome.out
-
-
-def test_the_result_is_read_back(run: Run, good: list[object], tmp_path: Path) -> None:
-    run(*good, "--free", "*", "--out", tmp_path / "r.json")
-    stored = read_result(tmp_path / "r.json")
-    document = json.loads((tmp_path / "r.json").read_text())
-    assert stored.robot.name == "puma560"
-    assert stored.column("name").tolist() == list(load_robot("puma560").chain.parameter_names)
-    assert stored.column("value").tolist() == [p["value"] for p in document["parameters"]]
-    assert int(np.isnan(stored.column("sigma")).sum()) == sum(p["sigma"] is None for p in document["parameters"])
-    assert stored.covariance.matrix.shape == (54, 54)
-    assert {parameter.of for parameter in stored.parameters} == {"robot"}
 
 
 def test_every_field_is_documented() -> None:
@@ -71,30 +53,6 @@ def test_every_field_is_documented() -> None:
     }
     for field in {*SCALARS, *PARAMETER, *LISTS, *nested, *OBJECTS}:
         assert f"`{field}`" in text, field
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda d: d.pop("parameters"), "missing required field parameters"),
-        (lambda d: d.update(format="other"), "truearm-result"),
-        (lambda d: d.update(format_version=99), "format version 99"),
-        (lambda d: d.update(format_version=True), "format version True"),
-        (lambda d: d.pop("format_version"), "no format_version"),
-        (lambda d: d["parameters"][0].update(value="1"), r"parameters\[0\].value: expected float \| null, got str"),
-        (lambda d: d["parameters"][0].update(free=1), r"parameters\[0\].free: expected bool, got int"),
-        (lambda d: d["covariance"]["names"].pop(), "covariance: upper needs"),
-        (lambda d: d.update(robot=[]), "robot: expected object, got array"),
-    ],
-)
-def test_damaged_results_are_told(good_text: str, change: Callable[[dict[str, Any]], object], message: str) -> None:
-    document = json.loads(good_text)
-    change(document)
-    with pytest.raises(cli.TruearmError, match=message):
-        parse_result(signed(document), "r.json")
-    for text in ("", "[]", "{", '{"a": NaN}', "[" * 100_000, "1" * 5000):
-        with refused("invalid-input", place="r.json"):
-            parse_result(text, "r.json")
 
 
 def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Path) -> None:

@@ -243,6 +243,10 @@ WRONG = {
     "a law of an unknown term": (("joint_laws",), {"laws": [{"term": "magic"}]}, "laws[0].term: invalid value 'magic'"),
     "lists in lists in lists": (("suspect",), [{"a": [[[0.1]]]}], "suspect[0][...][0][0]: expected float, got array"),
     "options that are a number": (("made_with",), 7, "made_with: expected object | null, got int"),
+    "a version that is a truth value": (("format_version",), True, "format version True"),
+    "a robot that is a list": (("robot",), [], "robot: expected object, got array"),
+    "a value in words": (("parameters", 0, "value"), "1", "parameters[0].value: expected float | null, got str"),
+    "a number for a truth value": (("parameters", 0, "free"), 1, "parameters[0].free: expected bool, got int"),
     "a range of one joint": (("joint_range", "lower"), [0.0], "joint_range: needs 6 numbers each"),
 }
 
