@@ -40,6 +40,7 @@ from truearm.workflows.calibration import Calibration, Identification, read_cali
 from truearm.workflows.identify import IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.plan import BallBarOptions, Budget
+from truearm.workflows.requests import CorrectOptions
 from truearm.workflows.session_observations import channel_samples, is_session, joint_readings
 from truearm.workflows.session_parts import session_parts
 from truearm.workflows.validate import Validation, validated
@@ -577,7 +578,8 @@ def correct_poses(
     """
     given = floats("poses", poses, None, 4, 4, or_one=True)
     _check_rigid("poses", given)
-    options = correct.CorrectOptions(method, own_frames=own_frames, home=_joints("home", home, result))
+    near = _joints("home", home, result)
+    options = CorrectOptions(Method(method), own_frames=own_frames, near=near)
     return correct.corrected_poses(result, given, options, partial)
 
 

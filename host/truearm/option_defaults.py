@@ -1,4 +1,4 @@
-"""The defaults of the options of ``init``, ``identify`` and ``plan``, for the command line and the records of options in
+"""The defaults of the options of ``init``, ``identify``, ``correct`` and ``plan``, for the command line and the records of options in
 ``workflows``.
 
 Through those records the Python API uses them too. The users of these values check them, including names. ``--help``
@@ -18,6 +18,9 @@ SOLVER: Final = "lm"
 LOSS: Final = "linear"
 JOINT_LAWS: Final = "auto"
 MAX_ITERATIONS: Final = 50
+
+# correct
+MARGIN: Final = 0.05  # smallest singular value: an error of 20 mm then requires at most 0.8 rad
 
 # plan
 CRITERION: Final = "I"

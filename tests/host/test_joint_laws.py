@@ -40,11 +40,11 @@ from truearm.report.parameter_figures import law_figures
 from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
-from truearm.workflows.correct import CorrectOptions, correct_file
+from truearm.workflows.correct import correct_file
 from truearm.workflows.export import curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 from truearm.workflows.map import Section, map_files, map_findings, mapped
-from truearm.workflows.requests import CorrectFiles, MapFiles
+from truearm.workflows.requests import CorrectFiles, CorrectOptions, MapFiles
 from truearm.workflows.validate import validated
 
 H = 1e-30  # of a complex step

@@ -30,10 +30,10 @@ from truearm.workflows import correct_program as correct_program_module
 from truearm.workflows.correct_program import (
     CalibrationFrames,
     HowCorrected,
-    ProgramOptions,
     ProgramRefused,
     correct_program,
 )
+from truearm.workflows.requests import ProgramOptions
 
 Q = correct_bench.good_poses(12)
 POSES = correct_bench.nominal_poses(Q)

@@ -23,7 +23,8 @@ from truearm.correct.programs.languages import language_of
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
 from truearm.workflows import correct_program as workflow
-from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, ProgramOptions
+from truearm.workflows.correct_program import CalibrationFrames, HowCorrected
+from truearm.workflows.requests import ProgramOptions
 
 # base_link and base
 

@@ -60,7 +60,14 @@ ARGUMENTS, EXPERT = "Arguments", "Expert options"
 HEADING = re.compile(rf"^({ARGUMENTS}|Options|{EXPERT})\n-+\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\w[\w, ]*)(?: : (.+))?\n((?: {4}.*\n)*)", re.MULTILINE)
 EXAMPLE = re.compile(r"^(?=Examples?:\n)", re.MULTILINE)  # whose lines the help page must not join
-OPTIONS = {"robot": "model", "bars": "bar", "as_json": "json", "joints": "vary"}  # of fields and of arguments in errors
+OPTIONS = {
+    "robot": "model",
+    "bars": "bar",
+    "tools": "tool",
+    "works": "work",
+    "as_json": "json",
+    "joints": "vary",
+}  # of fields and of arguments in errors
 FIELDS = {option: field for field, option in OPTIONS.items()}
 SCALES = {scale.suffix: scale for scale in vars(units).values() if isinstance(scale, units.Scale) and scale.suffix}
 
@@ -188,7 +195,7 @@ def _fields(record: Any, known: Collection[tuple[bool, str]], usual: Any) -> Ite
             is_needed = default is parameter.empty or not (is_given or position or is_dataclass(record))
             is_option = (True, name) in known and not ((False, name) in known and is_needed)
             if field in options.READERS:
-                hint = str | None
+                hint = list[str] | None if field in options.REPEATED else str | None
             elif get_origin(hint) is tuple:
                 hint, default = list[get_args(hint)[0]] | None, default or None  # type: ignore[misc]
             scale = units.ONE if name in (field, OPTIONS.get(field)) else SCALES[name.removeprefix(f"{field}_")]
@@ -250,10 +257,10 @@ def fill(kind: Callable[..., R], given: Mapping[str, Any], **values: Any) -> R:
     for name, value in given.items():
         field = next((of for of in (name, FIELDS.get(name), stem_of(name)) if of in fields), "")
         if value is not None and field and field not in values and (field == name or not is_record(hints[field])):
-            if isinstance(value, list):
-                value = tuple(value)
-            elif isinstance(value, str) and field in options.READERS:
+            if isinstance(value, str | list) and field in options.READERS:
                 value = options.READERS[field](value)
+            elif isinstance(value, list):
+                value = tuple(value)
             elif field not in (name, FIELDS.get(name)):
                 value = SCALES[name.removeprefix(f"{field}_")].to_si(value)
             values[field] = value

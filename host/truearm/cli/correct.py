@@ -2,46 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import replace
 
 import typer
 
-from truearm.bounds import Within
-from truearm.cli.command import Answer, command, fill
-from truearm.cli.options import frame_of, joints_of, numbers_of, payload_of
+from truearm.cli.command import Answer, command
+from truearm.cli.options import joints_of, numbers_of, payload_of
 from truearm.cli.output import print_lines
-from truearm.correct.joint_moves import JointMoves
-from truearm.correct.methods import Method, methods_help, with_steps
+from truearm.correct.methods import methods_help, with_steps
 from truearm.errors import InputError
 from truearm.exit_codes import ExitCode
-from truearm.workflows.requests import CorrectFiles
-
-if TYPE_CHECKING:
-    from truearm.model.poses import Six
-
-MOST_STEPS = 50
+from truearm.workflows.requests import CorrectFiles, CorrectOptions
 
 
 @command(methods=methods_help(), stepped=" or ".join(with_steps()))
 def correct(
     files: CorrectFiles,
     *,
-    method: Method = Method.NEWTON,
-    steps: Annotated[int, Within(1, MOST_STEPS)] = 1,
-    own_frames: bool = False,
-    payload: str | None = None,
-    work: list[str] | None = None,
-    tool: list[str] | None = None,
-    flange: str | None = None,
-    joint_moves: JointMoves | None = None,
-    partial: bool = False,
-    mark: bool = False,
-    strict: bool = False,
-    unchanged: list[str] | None = None,
+    options: CorrectOptions,
     home: str | None = None,
+    payload: str | None = None,
     allow_unusable: bool = False,
     json: bool = False,
-    margin: Annotated[float, Within(0.0001, 1.0)] = 0.05,
 ) -> Answer:
     """Correct targets so that the real robot reaches them.
 
@@ -104,30 +86,16 @@ def correct(
     """
     from truearm.cli.details import correction_tables, refused_lines
     from truearm.workflows.calibration import read_usable
-    from truearm.workflows.correct import CorrectOptions, correct_file
-    from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
+    from truearm.workflows.correct import correct_file
+    from truearm.workflows.correct_program import ProgramRefused
 
-    if mark and not partial:
+    if options.program.mark and not options.program.partial:
         raise InputError("needs-option", place="--mark", needed="--partial")
     shown = numbers_of("--home", home)
-    works, tools = _named("--work", work), _named("--tool", tool)
-    program = fill(
-        ProgramOptions,
-        locals(),
-        flange=None if flange is None else frame_of("--flange", flange),
-        unchanged=frozenset(unchanged or ()),
-    )
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
-    options = fill(
-        CorrectOptions,
-        locals(),
-        work=works.get("") or frame_of("--work", None),
-        tool=tools.get("") or frame_of("--tool", None),
-        home=joints_of("--home", shown, calibration.joint_units),
-        document=json,
-    )
+    near = joints_of("--home", shown, calibration.joint_units)
     try:
-        done = correct_file(calibration, files, options)
+        done = correct_file(calibration, files, replace(options, near=near, document=json))
     except ProgramRefused as exc:
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
@@ -137,18 +105,3 @@ def correct(
     end = ExitCode.INCOMPLETE if done.refused else ExitCode.DONE
     written = files.out, files.report
     return Answer(done.document, findings=done.findings, tables=correction_tables(done), written=written, end=end)
-
-
-def _named(option: str, given: list[str] | None) -> dict[str, Six]:
-    """Return poses by name, "" for one without a name. Raises InputError."""
-    poses: dict[str, Six] = {}
-    for text in given or ():
-        name, equals, pose = text.rpartition("=")
-        if equals and not name.isidentifier():
-            raise InputError(
-                f"{option} {text[:60]}: {name[:40]!r} is not a name of a tool or work object; use letters, digits and _"
-            )
-        if name.lower() in poses:
-            raise InputError("given-twice", place=f"{option} {text[:60]}", what="it")
-        poses[name.lower()] = frame_of(option, pose)
-    return poses

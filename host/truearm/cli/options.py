@@ -102,9 +102,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from truearm import option_defaults
 from truearm.bounds import Within
@@ -262,10 +263,29 @@ def gear_periods_of(text: str) -> tuple[float, ...]:
     return tuple(map(DEG.to_si, values))
 
 
-READERS = {  # of fields that are given as texts
+def named_frames(option: str, given: list[str] | None) -> dict[str, Six]:
+    """Return frames of an option in mm and deg by name, "" for one without a name. Raises InputError."""
+    frames: dict[str, Six] = {}
+    for text in given or ():
+        name, equals, pose = text.rpartition("=")
+        if equals and not name.isidentifier():
+            raise InputError(
+                f"{option} {text[:60]}: {name[:40]!r} is not a name of a tool or work object; use letters, digits and _"
+            )
+        if name.lower() in frames:
+            raise InputError("given-twice", place=f"{option} {text[:60]}", what="it")
+        frames[name.lower()] = frame_of(option, pose)
+    return frames
+
+
+READERS: dict[str, Callable[[Any], Any]] = {  # of fields that are given as texts
+    "flange": partial(frame_of, "--flange"),
+    "tools": partial(named_frames, "--tool"),
+    "works": partial(named_frames, "--work"),
     "branch": branch_given,
     "payload": payload_of,
     "tolerance": tolerance_of,
     "masses": masses_of,
     "gear_periods": gear_periods_of,
 }
+REPEATED = ("tools", "works")  # fields that are read from several texts

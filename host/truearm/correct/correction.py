@@ -24,10 +24,10 @@ from truearm.correct.renders_methods import false_target, joint_space, offsets
 from truearm.display import Displayed
 from truearm.model.poses import apart
 from truearm.model.rotation import rotation_vector
+from truearm.option_defaults import MARGIN
 from truearm.text import counted
 from truearm.types import Floats
 
-MARGIN = 0.05  # smallest singular value: an error of 20 mm then requires at most 0.8 rad
 ROUNDING = 1e-9  # m, rad: below this, an iteration only changes the last digits
 MOST_TURN = 0.5  # rad, m: a correction that moves a joint further leads to another configuration
 

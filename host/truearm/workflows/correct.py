@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.correct.correction import MARGIN, Configuration, Correction, at_tools
+from truearm.correct.correction import Configuration, Correction, at_tools
 from truearm.correct.inverse import several_fit
-from truearm.correct.methods import Method, entry, with_steps
+from truearm.correct.methods import entry, with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of
 from truearm.errors import Argument, InputError, RobotError, TargetError
@@ -21,7 +21,7 @@ from truearm.files.target_table import check_is_table, format_corrected, read_ta
 from truearm.finding_texts import UNDETERMINED
 from truearm.findings import Finding, ordered
 from truearm.model.chain import Chain, forward
-from truearm.model.poses import Six, frame_of, inverted
+from truearm.model.poses import frame_of, inverted
 from truearm.model.robot_mounting import mountings
 from truearm.progress import step
 from truearm.report.correction_page import render
@@ -38,7 +38,6 @@ from truearm.workflows.correct_program import (
     CalibrationFrames,
     Corrected,
     HowCorrected,
-    ProgramOptions,
     correct_program,
 )
 from truearm.workflows.correction_findings import (
@@ -48,32 +47,11 @@ from truearm.workflows.correction_findings import (
     correction_findings,
     document_of,
 )
-from truearm.workflows.requests import CorrectFiles
+from truearm.workflows.requests import CorrectFiles, CorrectOptions, ProgramOptions
 from truearm.workflows.scene import correction_scene
 
-NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
 NOTHING = 1e-7  # m, rad: less than the last digit that is printed
-
-
-class CorrectOptions(NamedTuple):
-    """How to correct.
-
-    ``own_frames``: targets are in the robot's own base and flange frames. ``margin``: targets with a smaller singular
-    value are refused. ``work`` and ``tool``: the frame of the targets and the tool's pose, position [m] and rotation
-    vector [rad]. ``home``: joints (j,) [rad, m] near those of the first target. ``program``: how to correct a program,
-    which contains its own frames. ``document``: compute what is expected of each target, as a report does too.
-    """
-
-    method: Method | str = Method.NEWTON
-    steps: int = 1
-    own_frames: bool = False
-    margin: float = MARGIN
-    work: Six = NO_FRAME
-    tool: Six = NO_FRAME
-    home: tuple[float, ...] | None = None
-    program: ProgramOptions = ProgramOptions()
-    document: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,7 +125,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
 
 def _refuse_steps(options: CorrectOptions) -> None:
     """Raise InputError for a number of steps that would have no effect."""
-    if options.steps > 1 and not entry(Method(options.method)).steps:
+    if options.steps > 1 and not entry(options.method).steps:
         instead = " or ".join(with_steps())
         text = f": {options.steps} has no effect with method {options.method}; leave it out, or use method {instead}"
         raise InputError(Argument("steps"), text)
@@ -189,7 +167,7 @@ def corrected_poses(
 def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
     taken_out = chosen_mountings(calibration, options.own_frames)
     pair = ModelPair(calibration.chain, calibration.nominal, calibration.identified, taken_out)
-    home = check_joints("home", options.home, calibration.chain)
+    home = check_joints("home", options.near, calibration.chain)
     return HowCorrected(pair, options.method, options.steps, home, options.margin, calibration.simulated)
 
 
@@ -202,7 +180,7 @@ def _corrected(
     oriented: bool = True,
 ) -> tuple[Correction, Floats]:
     """Return the correction of the tool's poses (n, 4, 4) in the work frame, and the poses to command, in it too."""
-    work, tool = frame_of(options.work), frame_of(options.tool)
+    work, tool = map(frame_of, options.frames)
     ends = work @ poses @ inverted(tool)
     if q_start is None and how.home is None:
         anywhere = np.full((1, len(how.pair.chain.joints)), np.nan)
@@ -213,7 +191,7 @@ def _corrected(
 
 
 def _correct_table(path: Path, how: HowCorrected, options: CorrectOptions) -> Corrected:
-    units, tool = how.pair.chain.joint_units, frame_of(options.tool)
+    units, tool = how.pair.chain.joint_units, frame_of(options.frames[1])
     targets = read_targets(path, units)
     if not targets.oriented and not np.array_equal(tool, np.eye(4)):
         raise TargetError(

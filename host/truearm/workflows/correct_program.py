@@ -48,33 +48,13 @@ from truearm.workflows.correction_findings import (
     Refused,
     configuration_notes,
 )
+from truearm.workflows.requests import ProgramOptions
 
 N_JOINTS = 6  # of a robot that a pose in a program determines
 SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution
 NEAR = 0.3  # rad, m from a program's joints to those of the target; if farther, the joints are searched for
 MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
 MOST_COMPARED = 20  # targets that are corrected in all configurations of the arm
-
-
-class ProgramOptions(NamedTuple):
-    """How to correct programs.
-
-    ``joint_moves``: what to do with moves to joint readings, None to refuse programs with any. ``partial``: correct the
-    other moves if some cannot be corrected; ``mark`` marks these with a comment. ``strict``: routines in none of the
-    files may displace the program and change data. ``flange``: the controller's flange in the calibration's end frame, if their names do not show this.
-    ``tools`` and ``works``: tools and work objects that are declared elsewhere, by name; the tool "" is in force before a
-    URScript sets one, the work object "" is the controller's base in the calibration's base frame. Poses are positions
-    [m] and rotation vectors [rad]. ``unchanged``: names that nothing outside the files changes.
-    """
-
-    joint_moves: JointMoves | None = None
-    partial: bool = False
-    mark: bool = False
-    strict: bool = False
-    flange: Six | None = None
-    tools: Mapping[str, Six] = {}
-    works: Mapping[str, Six] = {}
-    unchanged: frozenset[str] = frozenset()
 
 
 class ProgramRefused(InputError):

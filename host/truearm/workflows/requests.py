@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,16 +25,20 @@ from truearm.bounds import (
     OneOf,
     Within,
 )
+from truearm.correct.joint_moves import JointMoves
+from truearm.correct.methods import Method
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
 from truearm.files.robot_file import NO_ROBOT, RobotChoice
 from truearm.plan.criteria import Criterion
 
 if TYPE_CHECKING:
+    from truearm.model.poses import Six
     from truearm.model.workspace import Branch
     from truearm.types import Payload
 
 PUMA = RobotChoice("puma560")
+NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 FAST_RATE_HZ = 500.0  # of what simulate records in virtual time
 
 
@@ -256,3 +261,49 @@ class CorrectFiles:
     robot: RobotChoice = NO_ROBOT
     report: Path | None = None
     force: bool = False
+
+
+@dataclass(frozen=True)
+class ProgramOptions:
+    """How to correct programs.
+
+    ``joint_moves``: what to do with moves to joint readings, None to refuse programs with any. ``partial``: correct the
+    other moves if some cannot be corrected; ``mark`` marks these with a comment. ``strict``: routines in none of the
+    files may displace the program and change data. ``flange``: the controller's flange in the calibration's end frame, if their names do not show this.
+    ``tools`` and ``works``: tools and work objects that are declared elsewhere, by name; the tool "" is in force before a
+    URScript sets one, the work object "" is the controller's base in the calibration's base frame. Poses are positions
+    [m] and rotation vectors [rad]. ``unchanged``: names that nothing outside the files changes.
+    """
+
+    joint_moves: JointMoves | None = None
+    partial: bool = False
+    mark: bool = False
+    strict: bool = False
+    flange: Six | None = None
+    tools: Mapping[str, Six] = field(default_factory=dict)
+    works: Mapping[str, Six] = field(default_factory=dict)
+    unchanged: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class CorrectOptions:
+    """How to correct.
+
+    ``own_frames``: targets are in the robot's own base and flange frames. ``margin``: targets with a smaller singular
+    value are refused. ``near``: joints (j,) [rad, m] near those of the first target. ``program``: how to correct a program,
+    which contains its own frames; of a table, the tool and the work object "" are those of its targets. ``document``:
+    compute what is expected of each target, as a report does too.
+    """
+
+    method: Method = Method.NEWTON
+    steps: Annotated[int, Within(1, 50)] = 1
+    own_frames: bool = False
+    margin: Annotated[float, Within(0.0001, 1.0)] = option_defaults.MARGIN
+    near: tuple[float, ...] | None = None
+    program: ProgramOptions = ProgramOptions()
+    document: bool = False
+
+    @property
+    def frames(self) -> tuple[Six, Six]:
+        """Return the frame of a table's targets, and the pose of the tool."""
+        return self.program.works.get("", NO_FRAME), self.program.tools.get("", NO_FRAME)
