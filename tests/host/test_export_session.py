@@ -307,13 +307,6 @@ class TestRefusals:
         assert "--rate" in said
         assert not (tmp_path / "x").exists()
 
-    def test_parquet_without_its_library(self, made, tmp_path, capsys, monkeypatch):
-        monkeypatch.setitem(sys.modules, "pyarrow", None)
-        monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-        said = self.refused(capsys, made[1], "--out", tmp_path / "x", "--format", "parquet")
-        assert "truearm[parquet]" in said
-        assert not (tmp_path / "x").exists()
-
     def test_damaged(self, made, tmp_path, capsys):
         messages, path = made
         cut = tmp_path / "cut.mcap"

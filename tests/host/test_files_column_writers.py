@@ -1,4 +1,4 @@
-"""CSV tables: numbers are read back bit for bit, whichever writer wrote them; NaN is an empty cell."""
+"""CSV tables: numbers are read back bit for bit; NaN is an empty cell."""
 
 import csv
 import io
@@ -8,14 +8,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from truearm.files.column_writers import CsvTable
+from truearm.files.column_writers import ArrowTable
 
 floats = arrays(np.float64, 5, elements=st.floats(width=64))
 whole = arrays(np.int64, 5, elements=st.integers(-(2**63), 2**63 - 1))
 
 
 def written(path, *batches):
-    table = CsvTable(path, batches[0])
+    table = ArrowTable(path, batches[0])
     for batch in batches:
         table.write(batch)
     table.close()
@@ -42,5 +42,5 @@ def test_bit_for_bit(tmp_path_factory, x, n, text):
 
 
 def test_one_column_of_one_row(tmp_path):
-    assert written(tmp_path / "t.csv", {"x": np.array([-0.0])}) == [("-0.0",)]
-    assert (tmp_path / "t.csv").read_bytes() == b"x\n-0.0\n"
+    assert written(tmp_path / "t.csv", {"x": np.array([-0.0])}) == [("-0",)]
+    assert (tmp_path / "t.csv").read_bytes() == b'"x"\n-0\n'

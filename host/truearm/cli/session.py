@@ -223,7 +223,7 @@ def export_session(request: ExportSession) -> Answer:
     out : FOLDER
         Folder to write: the tables; it must be new or empty.
     format : KIND
-        csv, npz, parquet (needs truearm[parquet]), or mcap: JSON for Foxglove and PlotJuggler.
+        csv, npz, parquet, or mcap: JSON for Foxglove and PlotJuggler.
     rate : HZ
         With --format mcap: largest number of samples per second of a stream; 0: all. Default: 100.
     """
