@@ -229,7 +229,7 @@ def test_one_version_of_package_firmware_and_image():
 
 def test_only_simulate_knows_the_simulator():
     users = {p.stem for p in python_files(HOST) if any(i.startswith("truearm_sim") for i in imports(p))}
-    assert users <= {"simulate", "simulated_robot"}
+    assert users <= {"simulate"}
 
 
 def parameters_of(path: Path) -> dict[str, int]:

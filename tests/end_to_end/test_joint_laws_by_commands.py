@@ -13,7 +13,7 @@ from truearm.files.robot_file import RobotChoice
 from truearm.model.chain import forward
 from truearm.model.poses import position_and_rotation
 from truearm.workflows.requests import TruthOptions
-from truearm.workflows.simulated_robot import simulated_robot
+from truearm.workflows.simulate import simulated_robot
 
 POSES, TARGETS = 1600, 40
 GEAR, PERIODS = 2.5e-4, (180.0, 360.0 / 17.0)  # rad of each sine, deg: 2 and 17 cycles a turn

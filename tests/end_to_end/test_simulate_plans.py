@@ -9,8 +9,7 @@ from truearm.files.plan_file import read_plan, write_plan
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.robot import builtin_robot
 from truearm.workflows.requests import SimulateOptions
-from truearm.workflows.simulate import visits
-from truearm.workflows.simulated_robot import simulated_robot
+from truearm.workflows.simulate import simulated_robot, visits
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 from truearm_sim.world import World, standard_plan, standard_rig
 

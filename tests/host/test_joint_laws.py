@@ -35,8 +35,8 @@ from truearm.model.law_chain import carries, distal_frames, with_laws
 from truearm.model.poses import position_and_rotation
 from truearm.plan.forecast import Known
 from truearm.plan.law_forecast import curve_forecasts
+from truearm.report.figures import law_figures
 from truearm.report.law_findings import law_findings
-from truearm.report.parameter_figures import law_figures
 from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page

@@ -12,11 +12,10 @@ from scipy import integrate, stats
 
 from truearm.report import svg
 from truearm.report.calibration_page import render
-from truearm.report.figures import MAX_POINTS, by_order, figures_of
+from truearm.report.figures import MAX_POINTS, by_order, correlation, figures_of
 from truearm.report.map_picture import Cells, map_picture
 from truearm.report.page_parts import tiles
 from truearm.report.page_text import escape, figures, number, size
-from truearm.report.parameter_figures import correlation
 from truearm.report.residual_rows import Law, law_of, rows_by_kind
 
 # --- numbers and words

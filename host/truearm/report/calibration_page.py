@@ -20,7 +20,7 @@ from truearm.findings import Finding
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.figures import convergences, figures_of
+from truearm.report.figures import convergences, correlation, figures_of, law_figures
 from truearm.report.page_parts import (
     fact_list,
     folded,
@@ -35,7 +35,6 @@ from truearm.report.page_parts import (
     tiles,
 )
 from truearm.report.page_text import ABSENT, figures, number, size
-from truearm.report.parameter_figures import correlation, law_figures
 from truearm.report.residual_rows import row_name, rows_by_kind
 from truearm.report.result_words import (
     OBSERVABILITY,

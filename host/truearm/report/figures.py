@@ -1,4 +1,4 @@
-"""The pictures of a calibration: Fig. 3 and 4 of Goswami 1993, and others that separate a good fit from a bad one.
+"""The pictures of a calibration: Fig. 3 and 4 of Goswami 1993, others that separate a good fit from a bad one, correlations, joint laws.
 
 Numbers here are in display units (units.py).
 """
@@ -6,20 +6,22 @@ Numbers here are in display units (units.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate.law_curves import SampledCurve, spectrum
 from truearm.kinds.registry import kinds
 from truearm.report import svg
+from truearm.report.law_findings import intervals_text
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import ResidualRows, law_of
 from truearm.report.svg import Figure
 from truearm.results import Estimate
 from truearm.text import counted, outcome
 from truearm.types import Floats, Indices, Mask, rms, thinned
-from truearm.units import shown, symbol, title
+from truearm.units import DEG, MRAD, shown, symbol, title
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); with more points, none has one
 MAX_POINTS = 12000  # points drawn at all; with more, the largest tenth and an even selection of the others
@@ -29,6 +31,8 @@ STRETCHES = 24  # sections of the order of measurement, each with its mean
 FINEST_BIN = 1e-6  # in display units; noise-free residuals are rounding errors or exactly zero
 LONGITUDE_BIN_DEG = 30.0
 FEWEST_IN_BIN = 5
+MAX_PARAMETERS = 60  # in the picture of correlations
+STRONGEST = 4  # correlations that its caption names
 
 
 def figures_of(rows: ResidualRows) -> list[Figure]:
@@ -271,3 +275,105 @@ def _convergence(estimate: Estimate, si: str) -> Figure:
     plot.scatter(steps, history, "fit", tips, radius=4)
     caption = f"RMS of the fitted rows; {outcome(estimate.status, estimate.iterations)}."
     return plot.figure("Convergence" + f" · {symbol(si)}" * (len(estimate.rms_history) > 1), caption)
+
+
+def law_figures(curves: tuple[SampledCurve, ...]) -> list[Figure]:
+    """Return two pictures per curve: over the joint's readings and, if it is long enough, over cycles per turn."""
+    pairs = ((_over_readings(curve), _over_cycles(curve)) for curve in curves)
+    return [figure for pair in pairs for figure in pair if figure is not None]
+
+
+def _over_readings(curve: SampledCurve) -> Figure:
+    x, y, band = DEG.of(curve.readings), MRAD.of(curve.error), 2.0 * MRAD.of(curve.sigma)
+    top = 1.05 * float((np.abs(y) + band)[curve.covered].max(initial=1e-3))
+    plot = svg.Plot(
+        svg.linear_axis("reading [deg]", float(x[0]), float(x[-1])), svg.linear_axis("error [mrad]", -top, top)
+    )
+    for values, css, name in ((y - band, "old line", ""), (y + band, "old line", "±2σ"), (y, "law line", "outside")):
+        plot.line(x, values, css, name)
+    for run in _runs(curve.covered):
+        plot.line(x[run], y[run], "fit line", "covered")
+    caption = (
+        f"Deviation of the joint from offset and gain. RMS over the covered readings {figures(rms(y[curve.covered]), 2)} mrad. "
+        f"Covered: {intervals_text(DEG.of(np.array(curve.intervals)).tolist())}. Elsewhere no reading was measured: "
+        "the curve returns to zero and its band widens."
+    )
+    return plot.figure(f"Error curve of {curve.joint}", caption)
+
+
+def _over_cycles(curve: SampledCurve) -> Figure | None:
+    cycles, amplitude, resolution = spectrum(curve)
+    if not cycles.size:
+        return None
+    amplitude = MRAD.of(amplitude)
+    edges = np.append(cycles - 0.5, cycles[-1] + 0.5)
+    plot = svg.Plot(
+        svg.linear_axis("cycles per turn", 0.0, float(edges[-1])),
+        svg.linear_axis("amplitude [mrad]", 0.0, 1.05 * float(amplitude.max(initial=1e-3))),
+    )
+    tips = (f"{c:.0f} cycles: {figures(a, 2)} mrad" for c, a in zip(cycles, amplitude, strict=True))
+    plot.bars(edges, amplitude, "fit", tips)
+    strongest = cycles[int(np.argmax(amplitude))]
+    caption = (
+        f"Amplitude of each sine alone over the covered readings; the strongest has {strongest:.0f} cycles per turn. "
+        f"The covered range resolves {figures(resolution, 2)} cycles per turn; sines of fewer than {cycles[0]:.0f} cycles per turn cannot be seen."
+    )
+    return plot.figure(f"Spectrum of {curve.joint}", caption)
+
+
+def _runs(flags: np.ndarray) -> list[slice]:
+    """Return runs of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [slice(start, stop) for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+
+
+def correlation(estimate: Estimate) -> Figure | None:
+    """Return the lower triangle of the robot's parameter correlations; None unless there are 2 to MAX_PARAMETERS."""
+    seen = estimate.free & estimate.identifiable & (np.diag(estimate.covariance) > 0.0)
+    seen[estimate.n_robot_parameters :] = False
+    names = [name for name, is_seen in zip(estimate.parameter_names, seen, strict=True) if is_seen]
+    if not 2 <= len(names) <= MAX_PARAMETERS:
+        return None
+    sigma = np.sqrt(np.diag(estimate.covariance)[seen])
+    rho = estimate.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
+    cell, left, top = 16.0, 118.0, 8.0
+    size = cell * len(names)
+    width = max(left + size, 640.0) + 8.0  # room for the key next to a small triangle
+    marks = [
+        _cell(rho[i, j], left + cell * j, top + cell * i, cell, names[i], names[j])
+        for i, j in zip(*np.tril_indices(len(names), -1))
+    ]
+    for k, name in enumerate(names):
+        at = cell * (k + 0.5)
+        marks.append(svg.label(left - 6, top + at + 4, _short(name), "end small"))
+        turned = f' transform="translate({svg.num(left + at + 4)} {svg.num(top + size + 6)}) rotate(-90)"'
+        marks.append(svg.label(0, 0, _short(name), "end small", turned))
+    marks.append(_colour_key(width - 212.0, top + 14.0))
+    caption = "Of the parameters that were identified. Strongest: " + "; ".join(_strongest(rho, names)) + "."
+    picture = svg.drawing(width, top + size + 112.0, marks, "Correlation. " + caption)
+    return Figure("Correlation of the parameters", caption, picture, wide=True)
+
+
+def _cell(rho: float, x: float, y: float, cell: float, a: str, b: str) -> str:
+    css = "positive" if rho > 0.0 else "negative"
+    extra = f' fill-opacity="{abs(rho):.2f}"'
+    return svg.rect(x, y, cell - 1.0, cell - 1.0, css, f"{a}, {b}: {number(rho, 2, sign=True)}", extra)
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 16 else name[:15] + "…"
+
+
+def _colour_key(x: float, y: float) -> str:
+    cells = []
+    for k in range(11):
+        rho = k / 5.0 - 1.0
+        cells.append(_cell(rho, x + 18.0 * k, y, 18.0, "key", "correlation"))
+    marks = zip((0, 5, 10), (-1, 0, 1), strict=True)
+    return "".join(cells) + "".join(svg.label(x + 18.0 * k + 9, y + 34, number(v, 0), "mid small") for k, v in marks)
+
+
+def _strongest(rho: Floats, names: Sequence[str]) -> list[str]:
+    i, j = np.tril_indices(len(names), -1)
+    order = np.argsort(-np.abs(rho[i, j]))[:STRONGEST]
+    return [f"{names[i[k]]} and {names[j[k]]} {number(rho[i[k], j[k]], 2, sign=True)}" for k in order]
