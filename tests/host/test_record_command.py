@@ -198,14 +198,6 @@ class TestRefused:
         ended(capsys.readouterr().err, "link-lost", reason="not found")
         assert (tmp_path / "s.mcap").read_bytes() == EARLIER
 
-    def test_a_box_that_says_nothing_leaves_no_file(self, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 30_000_000)
-        with socket.create_server(("127.0.0.1", 0)) as listener:
-            device = f"socket://127.0.0.1:{listener.getsockname()[1]}"
-            assert main(["record", "--box", device, "--out", str(tmp_path / "s.mcap")]) == 1
-        assert "no answer to 'identify'" in capsys.readouterr().err
-        assert not (tmp_path / "s.mcap").exists()
-
 
 @pytest.mark.parametrize(
     ("rate", "osr"), [(1000, 4096), (1017.25, 4096), (250, 16384), (32_000, 128), (1500, 4096), (1600, 2048)]

@@ -173,14 +173,6 @@ def test_rtde_set_ups(monkeypatch, n):
         play(monkeypatch, cut(rng, b"".join(parts)), rng.random() < 0.5)
 
 
-@settings(max_examples=200, deadline=None)
-@given(st.lists(st.binary(max_size=300), max_size=10), st.booleans())
-def test_rtde_of_any_bytes(pieces, ends):
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        play(monkeypatch, pieces, ends)
-        play(monkeypatch, [*ANSWERS, *pieces], ends)
-
-
 LINES = [
     b"t_s,seq,q1_deg,q2_deg,q1_cmd_deg,q2_cmd_deg,inputs\n",
     b"1.5,1,10,20,10,20,3\n",
@@ -242,12 +234,6 @@ def test_lines(n):
         found = [reading for line in lines for reading in reader.push(line)]
         readings += sum(reading is not None for reading, _ in found)
     assert readings > n / 4
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.lists(st.binary(max_size=200), max_size=10))
-def test_lines_of_any_bytes(pieces):
-    read_lines(pieces, {})
 
 
 JSON = st.recursive(

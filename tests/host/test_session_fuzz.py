@@ -11,8 +11,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from blocks_bench import read
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mutations import (
     bounded,
     bytes_changed,
@@ -160,22 +158,6 @@ def test_streams(n):
 
 
 # where, how many bytes are taken out, and what is put in their place
-EDITS = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 300), st.binary(max_size=12)), min_size=1, max_size=4)
-
-
-def edited(data, edits):
-    for share, n, instead in edits:
-        at = int(share * len(data))
-        data = data[:at] + instead + data[at + n :]
-    return data
-
-
-@settings(max_examples=60, deadline=None)
-@given(EDITS)
-def test_streams_by_hypothesis(edits):
-    judge_stream(random.Random(1), edited(b"".join(FRAMES), edits))
-
-
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     """Return a complete session of the messages: its bytes, and a folder."""
@@ -251,9 +233,3 @@ def test_files(session, n):
         with bounded():
             outcomes[judge_file(session, *damaged_file(random.Random(seed), session.whole))] += 1
     assert outcomes["read"] > n / 2
-
-
-@settings(max_examples=40, deadline=None)
-@given(edits=EDITS)
-def test_files_by_hypothesis(session, edits):
-    judge_file(session, edited(session.whole, edits), "")

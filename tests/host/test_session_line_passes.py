@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from line_stream import DESIGN, MAGNET, STEP, LineBox, line_session, robot_lines, some_lines, true_params
+from line_stream import MAGNET, STEP, LineBox, line_session, some_lines, true_params
 from session_stream import PERIOD_NS, renumber, stream_of
 
 from truearm.errors import RigError
@@ -360,12 +360,3 @@ def short_session():
     """Return one line there and back at 300 mm/s."""
     rng = np.random.default_rng(7)
     return line_session(rng, some_lines(rng, 1), speed=0.3).messages
-
-
-def test_robot_lines_show_what_was(lines):
-    """The test's own robot: with a delay of 8 ms its readings are those of 8 ms ago."""
-    made = line_session(np.random.default_rng(2), lines[:1], DESIGN)
-    late = robot_lines(made.truth, 6 * 10**9, 8e-3, 125.0, np.random.default_rng(0))
-    q = np.array([json.loads(m.data)["q"] for m in late])
-    times = np.arange(10**9, 6 * 10**9, 8_000_000)
-    assert np.max(np.abs(q - made.truth.q(1e-9 * times - 8e-3))) <= 0.5 * STEP + 1e-12

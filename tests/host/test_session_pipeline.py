@@ -14,7 +14,7 @@ from truearm.session.box_ident import parse_ident
 from truearm.session.device_clock import fit_clock
 from truearm.session.dwells import REASONS, DwellRules
 from truearm.session.message_columns import columns_of
-from truearm.session.observations import observations, survey
+from truearm.session.observations import observations
 from truearm.session.samples import ChannelSamples
 from truearm.session.streams import BoxReader
 from truearm.types import Message
@@ -65,16 +65,6 @@ def test_every_row_has_its_time_and_the_boxs_temperature():
     np.testing.assert_allclose(table.temperature[inner], 24.0 + 1e-2 * middle[inner], atol=0.02)
     silent = synced([message for message in messages if message.topic != "/box/heartbeat"]).table
     assert np.isnan(silent.temperature).all()
-
-
-def test_variance_of_the_mean_matches_the_spread():
-    """z² over 60 dwells: χ² with 60 degrees, 1 ± 3·sqrt(2/60), plus the 3 % that the estimates' own spread adds."""
-    z2 = []
-    for seed in range(3):
-        messages, truth = session(np.random.default_rng(50 + seed), dwells=20, noise=5e-6)
-        result = synced(messages)
-        z2 += [(d.value - x) ** 2 / d.value_var for d, x in zip(result.dwells, truth.length, strict=True)]
-    assert abs(np.mean(z2) - 1.0) < 3.0 * np.sqrt(2.0 / 60) + 0.03
 
 
 def test_a_short_gap_leaves_the_longest_whole_piece(clean):
@@ -144,18 +134,6 @@ def test_reboot_inside_a_dwell(clean):
     assert [dwell.reason for dwell in result.dwells] == [""] * 5 + ["gap"] + [""] * 4
     # noise-free in the second segment: half a count is 2.5 nm
     assert np.allclose(result.table.value[5:], truth.length[6:], rtol=0, atol=5e-9)
-
-
-def test_doubled_frames_change_nothing(clean):
-    messages, _ = clean
-    doubled = [
-        copy for i, m in enumerate(messages) for copy in ([m, m] if m.topic == "/box/adc" and i % 7 == 0 else [m])
-    ]
-    result = synced(doubled)
-    assert result.losses.frames_malformed == len(doubled) - len(messages)
-    whole = synced(messages)
-    assert np.array_equal(result.table.value, whole.table.value)
-    assert result.samples_used == whole.samples_used
 
 
 def with_lvdt(messages, start_ns, end_ns, change):
@@ -313,13 +291,6 @@ def test_rules_are_obeyed(clean):
     short = synced(messages, rules=DwellRules(settle_s=1.0, shortest_s=0.5))
     assert short.reasons == {}
     assert max(dwell.n_samples for dwell in short.dwells[1:-1]) < 1000
-
-
-def test_survey_is_the_first_half(clean):
-    found = survey(stream_of(clean[0]))
-    result = synced(clean[0], found=found)
-    assert result.survey is found
-    assert np.array_equal(result.table.value, synced(clean[0]).table.value)
 
 
 def test_samples_are_those_of_the_interval_by_signal_time():

@@ -2,6 +2,7 @@
 edges are left out and counted.
 """
 
+import itertools
 import json
 
 import numpy as np
@@ -12,7 +13,7 @@ from truearm.session.device_clock import fit_clock
 from truearm.session.joint_format import NO_INPUTS, parse_lines
 from truearm.session.joint_readings import InputTrack, JointReader
 from truearm.session.message_columns import columns_of
-from truearm.session.trigger_edges import Output, TimedEdges, fit_edges, match, with_edges
+from truearm.session.trigger_edges import TimedEdges, fit_edges, match, with_edges
 from truearm.types import Message
 
 CYCLE_S = 0.002
@@ -67,14 +68,6 @@ def errors(seed, n, controller, between=(0.3, 1.3), delays=(0.0, 0.0)):
     estimate, bound = fit.clock.to_robot_s(at)
     truth = controller.reading((1e-6 * at - BOOT_S) / (1.0 + 1e-6 * DEVICE_PPM))
     return 1e6 * (estimate - truth), 1e-3 * bound
-
-
-@pytest.mark.parametrize("seeds", [4, pytest.param(24, marks=pytest.mark.soak)])
-@pytest.mark.parametrize("ppm_per_minute", [-1.0, 0.0, 1.0])
-def test_the_error_is_within_the_bound(ppm_per_minute, seeds):
-    for seed in range(seeds):
-        error, bound = errors(seed, 150, Controller(ppm_per_minute=ppm_per_minute))
-        assert np.all(np.abs(error) <= bound)
 
 
 @pytest.mark.parametrize("seeds", [20, pytest.param(100, marks=pytest.mark.soak)])
@@ -146,15 +139,6 @@ def pairing(edges, readings, level, late_s=0.004):
     """The pairing of edges with what readings show; arrivals make them expected late."""
     track = track_of(readings, level.astype(np.int64))
     return match(edges + late_s, np.arange(edges.size) % 2 == 0, track.changes(0)), track.changes(0)
-
-
-def test_every_edge_finds_its_change():
-    rng = np.random.default_rng(1)
-    edges, readings = edges_at(rng, 60), np.arange(0.0, 60.0, CYCLE_S)
-    found, changes = pairing(edges, readings, level_at(readings, edges))
-    assert found.change.tolist() == list(range(60))
-    assert (found.unseen, found.unclear, found.stray) == (0, 0, 0)
-    assert np.all((changes.before_s <= edges) & (edges <= changes.after_s))
 
 
 def test_a_bounce_is_left_out():
@@ -234,7 +218,7 @@ def session(
     stamps = device_us(edges).astype(np.int64)
     for k, off in (wrong or {}).items():
         stamps[k] += off
-    output = Output(stamps, np.arange(n) % 2 == 0)
+    output = [*zip(stamps.tolist(), itertools.cycle((True, False)))]
     joints = with_edges(finished(reader, messages), {0: output}, {0: fit_clock(0, exchanges)[0]})
     return joints, controller, t
 
@@ -264,9 +248,7 @@ def test_no_input_that_follows_is_said():
     """The output is not wired; another input toggles by itself."""
     joints, *_ = session(7, number=62, noisy=2)
     assert joints.reports[0].edges.input == 62
-    silent = with_edges(
-        joints, {0: Output(np.array([6_000_000, 7_000_000, 8_000_000]), np.array([True, False, True]))}, {}
-    )
+    silent = with_edges(joints, {0: [(6_000_000, True), (7_000_000, False), (8_000_000, True)]}, {})
     assert silent is joints  # of a box whose clock is not known
     reader, messages = JointReader(), []
     for k in range(5000):
@@ -280,7 +262,7 @@ def test_no_input_that_follows_is_said():
         for x in np.arange(0, 50, 0.25)
     ]
     times = (1e6 * edges_at(np.random.default_rng(8), 40)).astype(np.int64)
-    output = Output(times, np.arange(40) % 2 == 0)
+    output = [*zip(times.tolist(), itertools.cycle((True, False)))]
     alone = with_edges(finished(reader, messages), {0: output}, {0: fit_clock(0, exchanges)[0]})
     report = alone.reports[0].edges
     assert report.input is None
@@ -304,7 +286,7 @@ def test_slow_readings_leave_the_clock_to_arrivals():
         Exchange(int(x * 1e9), int(x * 1e6) + 50, int(x * 1e6) + 55, int(x * 1e9) + 200_000)
         for x in np.arange(0, 15, 0.25)
     ]
-    output = Output((1e6 * edges).astype(np.int64), np.arange(12) % 2 == 0)
+    output = [*zip((1e6 * edges).astype(int).tolist(), itertools.cycle((True, False)))]
     joints = with_edges(finished(reader, messages), {0: output}, {0: fit_clock(0, exchanges)[0]})
     assert not joints.reports[0].edges.in_use
     assert joints.clocks[0].source == "arrivals"

@@ -10,15 +10,14 @@ from __future__ import annotations
 import os
 import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import suppress
 from enum import StrEnum
+from functools import reduce
 from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
-from truearm.errors import WriteError
-from truearm.file_names import system_reason
 from truearm.files.write_lock import hold
 
 COPIED_BYTES = 1 << 20  # per step
@@ -45,63 +44,53 @@ def file_loss(file: BinaryIO, path: Path, size: int) -> FileLoss | None:
     return None if os.path.samestat(own, there) else FileLoss.REPLACED
 
 
-def rescued_file(path: Path, fill: Callable[[BinaryIO], None]) -> tuple[Path, BinaryIO]:
-    """Create a new file, open for reading and writing, named after ``path``, and fill it: ``session-rescued.mcap``,
-    ``session-rescued-2.mcap`` …
+def rescued_file(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:
+    """Copy the first ``size`` bytes of an open file, whether or not it still has a name, to a new one named after ``path``:
+    ``session-rescued.mcap``, ``session-rescued-2.mcap`` …
 
     It is in the folder of ``path``, which is created again if it was removed. If that is impossible or its disk is full,
-    it is in the system's folder for temporary files. Raises OSError or WriteError if it cannot be written there either. A
-    file that could not be filled is removed.
+    it is in the system's folder for temporary files. Raises OSError if it cannot be written there either. A copy that is
+    not complete is removed.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return _filled(path, fill)
-    except (OSError, WriteError):
-        return _filled(Path(tempfile.gettempdir()) / path.name, fill)
+        return _copied(file, size, path)
+    except OSError:
+        return _copied(file, size, Path(tempfile.gettempdir()) / path.name)
 
 
-def _filled(path: Path, fill: Callable[[BinaryIO], None]) -> tuple[Path, BinaryIO]:
-    for number in count(1):
-        out = path.with_name(f"{path.stem}-rescued{'' if number == 1 else f'-{number}'}{path.suffix}")
-        try:
-            file = out.open("x+b")
-            break
-        except FileExistsError:
-            continue
-        except OSError as exc:
-            raise WriteError(f"{out}: cannot be written: {system_reason(exc)}", exc.strerror or "") from exc
-    hold(file)
+def _copied(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:
+    names = (f"{path.stem}-rescued{'' if number == 1 else f'-{number}'}{path.suffix}" for number in count(1))
+    out = next(path.with_name(name) for name in names if not path.with_name(name).exists())
+    copy = out.open("x+b")
+    hold(copy)
     try:
-        fill(file)
+        for data in _pieces(file, size):
+            copy.write(data)
+        copy.flush()
+        os.fsync(copy.fileno())
     except OSError:
         out.unlink()
         with suppress(OSError):  # a full disk refuses the same bytes again
-            file.close()
+            copy.close()
         raise
-    return out, file
+    return out, copy
 
 
-def copy_open_file(file: BinaryIO, size: int, out: BinaryIO) -> None:
-    """Copy the first ``size`` bytes of an open file to the disk, whether or not it still has a name. Raises OSError."""
+def _pieces(file: BinaryIO, size: int) -> Iterator[bytes]:
+    """Yield the first ``size`` bytes of an open file. Raises OSError if it is shorter."""
     file.seek(0)
     while size:
         data = file.read(min(COPIED_BYTES, size))
         if not data:
             raise OSError(None, "the file became shorter")
-        out.write(data)
+        yield data
         size -= len(data)
-    out.flush()
-    os.fsync(out.fileno())
 
 
 def content_crc(file: BinaryIO, size: int) -> int | None:
     """Return the CRC-32 of the first ``size`` bytes of an open file, None if it is shorter. Takes about 1 s per GB."""
-    file.seek(0)
-    crc = 0
-    while size:
-        data = file.read(min(COPIED_BYTES, size))
-        if not data:
-            return None
-        crc = zlib.crc32(data, crc)
-        size -= len(data)
-    return crc
+    try:
+        return reduce(lambda crc, data: zlib.crc32(data, crc), _pieces(file, size), 0)
+    except OSError:
+        return None

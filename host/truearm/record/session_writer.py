@@ -36,7 +36,6 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, assert_never
@@ -45,7 +44,7 @@ from mcap.writer import CompressionType, Writer
 
 from truearm.errors import InputError, WriteError
 from truearm.files.write_lock import hold
-from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, rescued_file
+from truearm.record.file_watch import FileLoss, content_crc, file_loss, rescued_file
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
@@ -345,8 +344,8 @@ class SessionWriter:
     def _move(self, loss: FileLoss) -> None:
         """Continue in a new file that has the contents of the old one."""
         try:
-            path, new = rescued_file(self.path, partial(copy_open_file, self._out.file, self._size))
-        except (OSError, WriteError) as exc:
+            path, new = rescued_file(self._out.file, self._size, self.path)
+        except OSError as exc:
             why = exc.strerror or str(exc)
             raise WriteError(
                 f"{self.path}: was {loss} while it was written, and could not be copied ({why}); its content is lost",
@@ -354,14 +353,6 @@ class SessionWriter:
             ) from exc
         self._out.file.close()
         self.path, self._out.file = path, new
-
-    def _head_into(self, out: io.BytesIO) -> Writer:
-        """Begin a file with all channels, the plan and what was mounted."""
-        writer = _begun(out)
-        for topic, encodings in self._encodings.items():
-            _register(writer, topic, encodings)  # the numbers are the same because they are sequential
-        _pack(writer, self._head[: self._written])
-        return writer
 
     def _copy_head(self, attached: bool) -> None:
         """Repeat all metadata, and the attachments with a copy of the plan and of what was mounted."""
@@ -372,7 +363,11 @@ class SessionWriter:
                 self._add_attachment(name, kind, data)
             if self._written:
                 copy = io.BytesIO()
-                self._head_into(copy).finish()
+                writer = _begun(copy)
+                for topic, encodings in self._encodings.items():
+                    _register(writer, topic, encodings)  # the numbers are the same because they are sequential
+                _pack(writer, self._head[: self._written])
+                writer.finish()
                 self._add_attachment(PLAN_COPY, media_type(PLAN_COPY), copy.getvalue())
 
     def _add_attachment(self, name: str, media_type: str, data: bytes) -> None:

@@ -42,7 +42,7 @@ from truearm.session.plan_matching import (
 )
 from truearm.session.samples import ChannelSamples, Samples
 from truearm.session.streams import Blocks, BoxReader, Segment
-from truearm.session.trigger_edges import Output, with_edges
+from truearm.session.trigger_edges import with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig
 
 # Names given by the box's configuration: the columns that kinds of observation declare
@@ -151,7 +151,7 @@ def survey(
     clocks = {index: clock for index, (clock, _) in fits.items()}
     for channels in chain.from_iterable(samples.values()):
         channels.place(clocks)
-    outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
+    outputs = {s.index: s.output for s in box.segments if s.output}
     joints = with_edges(robot.finish(), outputs, clocks)
     temperatures = {
         name: box_temperature({s.index: s.temperatures.get(name, []) for s in box.segments}, clocks)

@@ -54,18 +54,7 @@ STAMP_NS = 1000  # edge stamps are at most 0.3 µs late; readings are printed to
 LATENCY_NS = 1e6  # shortest latency of a fast link: if the bounds are wider, arrivals are more accurate
 
 
-@dataclass(frozen=True)
-class Output:
-    """Edges (n,) of the box's trigger output in one segment, by ascending device time."""
-
-    t_us: Ints
-    level: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, edges: Sequence[tuple[int, bool]]) -> Output:
-        """Build from (device time, level) in order of arrival."""
-        t_us, level = zip(*edges, strict=True)
-        return cls(np.array(t_us, dtype=np.int64), np.array(level, dtype=np.bool_))
+Output = Sequence[tuple[int, bool]]  # edges of the box's trigger output in one segment: device time [µs], level
 
 
 class TimedEdges(NamedTuple):
@@ -264,32 +253,26 @@ def _expected(
     tables = [np.empty(0, _EDGE)]
     for segment, output in outputs.items():
         if segment in clocks:
-            table = np.empty(len(output.t_us), _EDGE)
-            table["expected_s"] = arrivals.to_robot_s(clocks[segment].to_host_ns(output.t_us)[0])
-            table["t_us"], table["level"], table["segment"] = output.t_us, output.level, segment
+            table = np.array([(0.0, *edge, segment) for edge in output], _EDGE)
+            table["expected_s"] = arrivals.to_robot_s(clocks[segment].to_host_ns(table["t_us"])[0])
             tables.append(table[(table["expected_s"] >= span_s[0]) & (table["expected_s"] <= span_s[1])])
     return np.sort(np.concatenate(tables), order="expected_s", kind="stable")
 
 
-class _Followed(NamedTuple):
-    """The input that follows the output, if one does, whether it is inverted, and its matches."""
+def _followed(track: InputTrack, edges: NDArray[Any]) -> tuple[int | None, bool, Matched]:
+    """Return the input that follows the output, None if none does, whether it is inverted, and its matches.
 
-    input: int | None
-    inverted: bool
-    matched: Matched
-
-
-def _followed(track: InputTrack, edges: NDArray[Any]) -> _Followed:
-    """Return the input and the polarity with the most unambiguous matches."""
+    It is the input, of the polarity, with the most unambiguous matches.
+    """
     n = len(edges)
-    best = none = _Followed(None, False, Matched(np.full(n, -1, dtype=np.intp), n, 0, 0))
-    for number in track.inputs():
-        changes = track.changes(number)
-        for inverted in (False, True):
-            matched = match(edges["expected_s"], edges["level"] ^ inverted, changes)
-            if matched.paired > best.matched.paired:
-                best = _Followed(number, inverted, matched)
-    return best if best.matched.paired >= max(LEAST_USED, LEAST_SHARE * n) else none
+    candidates = (
+        (number, inverted, match(edges["expected_s"], edges["level"] ^ inverted, track.changes(number)))
+        for number in track.inputs()
+        for inverted in (False, True)
+    )
+    none = None, False, Matched(np.full(n, -1, dtype=np.intp), n, 0, 0)
+    best = max(candidates, key=lambda candidate: candidate[2].paired, default=none)
+    return best if best[2].paired >= max(LEAST_USED, LEAST_SHARE * n) else none
 
 
 def _fits(arrivals: RobotClock, changes: Changes, edges: NDArray[Any], matched: Matched) -> dict[int, EdgeFit]:
