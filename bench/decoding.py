@@ -22,8 +22,7 @@ from truearm.record.frame_splitter import FrameSplitter
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import Ident, parse_ident
-from truearm.session.message_columns import Messages, columns_of
-from truearm.session.session_file import Session, open_session
+from truearm.session.session_file import Messages, Session, columns_of, open_session
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire.cbor import Tag

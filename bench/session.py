@@ -39,9 +39,8 @@ from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_format import COLUMNS, JOINTS, format_reading
 from truearm.session.joint_readings import SegmentedReadings
-from truearm.session.message_columns import Messages
 from truearm.session.observations import observations
-from truearm.session.session_file import Session, open_session
+from truearm.session.session_file import Messages, Session, open_session
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire

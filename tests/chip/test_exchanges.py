@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.chip.conftest import MS
 from tests.wire_frames import command
-from truearm.session.device_clock import fit_clock
+from truearm.session.clock import fit_clock
 from truearm_wire.messages import CONFIGURE, START, SYNC_REPLY, SYNC_REQUEST
 
 LOOK_US = 20  # how often the host looks for bytes

@@ -13,9 +13,9 @@ from tests.end_to_end.conftest import interpreter
 
 from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_frames import data_of, decode
 from truearm.session.box_ident import Ident
-from truearm.session.message_columns import columns_of
+from truearm.session.frames import data_of, decode
+from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_sim.chip import ChipBox

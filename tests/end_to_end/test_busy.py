@@ -16,7 +16,7 @@ from truearm.record.ports import BoxPort
 from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.reopening import Reopening
 from truearm.record.session_writer import SessionWriter
-from truearm.session.device_clock import fit_clock
+from truearm.session.clock import fit_clock
 from truearm.session.session_file import open_session
 from truearm.session.streams import BoxReader
 

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from session_stream import CHANNELS, PERIOD_NS, Box
 
-from truearm.session.box_frames import Data
 from truearm.session.box_ident import Ident
-from truearm.session.message_columns import columns_of
+from truearm.session.frames import Data
+from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 
 BLOCK_NS = 13 * PERIOD_NS

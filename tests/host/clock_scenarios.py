@@ -20,9 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.clocks import SLEWED_WANDER, WANDER
-from truearm.session.device_clock import ClockReport, fit_clock
-from truearm.session.message_columns import columns_of
-from truearm.session.robot_clock import Arrivals, fit_robot_clock
+from truearm.session.clock import Arrivals, ClockReport, fit_clock, fit_robot_clock
+from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire.messages import HEARTBEAT, SYNC_REPLY, encode_payload, names

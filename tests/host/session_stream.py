@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import cbor2
 import numpy as np
 
-from truearm.session.message_columns import Source, columns_of
+from truearm.session.session_file import Source, columns_of
 from truearm.types import BallBar, Message, Point, Rig
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag

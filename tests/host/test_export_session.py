@@ -25,8 +25,8 @@ from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_format import parse_lines
-from truearm.session.message_columns import columns_of as message_columns
 from truearm.session.observations import observations, survey
+from truearm.session.session_file import columns_of as message_columns
 from truearm.session.session_file import open_session
 from truearm.session.session_tables import MAX_TABLES, tabulate
 from truearm.types import Message

@@ -41,7 +41,7 @@ def lost(lab, path, happens, at_ns=AT_NS):
 
 def samples(path):
     """Return the indices of the frames' first samples, in the order of the file."""
-    from truearm.session.box_frames import data_of, decode
+    from truearm.session.frames import data_of, decode
 
     return [data_of(decode(m.data)).n0 for m in topics(path)["/box/adc"]]
 

@@ -16,7 +16,7 @@ from truearm.record.frame_splitter import (
     frame_head,
     payload_of,
 )
-from truearm.session.box_frames import data_frame, decode
+from truearm.session.frames import data_frame, decode
 
 VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
 

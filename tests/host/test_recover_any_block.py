@@ -13,8 +13,7 @@ from truearm.cli.main import main
 from truearm.record.recorder import RecordOptions
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
-from truearm.session.message_columns import batches
-from truearm.session.session_file import open_session
+from truearm.session.session_file import batches, open_session
 from truearm.workflows.inspect import describe
 
 BLOCK_BYTES = 65_536

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.clocks import RATE_LIMIT, SLEWED_WANDER, WANDER
-from truearm.session.box_frames import Exchange
-from truearm.session.device_clock import fit_clock
+from truearm.session.clock import fit_clock
+from truearm.session.frames import Exchange
 
 TAIL_NS = 150e3
 

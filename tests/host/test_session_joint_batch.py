@@ -18,8 +18,7 @@ from truearm.record.robots.sources import AddedReading
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, concatenate, pack, parse_line, parse_lines, unpack
 from truearm.session.joint_readings import JointReader
-from truearm.session.message_columns import columns_of
-from truearm.session.session_file import open_session
+from truearm.session.session_file import columns_of, open_session
 from truearm.types import Message
 
 number = st.one_of(st.floats(-10, 10), st.integers(-9, 9))

@@ -11,7 +11,7 @@ from truearm.session import joint_readings as joints_module
 from truearm.session.dwells import DwellRules, find_dwells
 from truearm.session.joint_format import parse_lines
 from truearm.session.joint_readings import JointReader
-from truearm.session.message_columns import columns_of
+from truearm.session.session_file import columns_of
 from truearm.types import Message
 
 

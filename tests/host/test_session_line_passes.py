@@ -12,9 +12,7 @@ from line_stream import MAGNET, STEP, LineBox, line_session, some_lines, true_pa
 from session_stream import PERIOD_NS, renumber, stream_of
 
 from truearm.errors import RigError
-from truearm.session.line_legs import find_legs
-from truearm.session.line_passes import REASONS, LineRules
-from truearm.session.local_fits import MISSED, fit_locally
+from truearm.session.line_passes import MISSED, REASONS, LineRules, find_legs, fit_locally
 from truearm.session.observations import observations, survey
 from truearm.types import Device, Point, Rig
 

@@ -9,13 +9,13 @@ import pytest
 from session_stream import PERIOD_NS, RIG, Box, counts_of, ident_document, renumber, session, stream_of
 
 from truearm.errors import RigError, SessionError
-from truearm.session.box_frames import Exchange
 from truearm.session.box_ident import parse_ident
-from truearm.session.device_clock import fit_clock
+from truearm.session.clock import fit_clock
 from truearm.session.dwells import REASONS, DwellRules
-from truearm.session.message_columns import columns_of
+from truearm.session.frames import Exchange
 from truearm.session.observations import observations
 from truearm.session.samples import ChannelSamples
+from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 

@@ -10,7 +10,7 @@ from session_stream import PERIOD_NS, Box, ident_document
 
 from truearm.session.box_ident import parse_ident
 from truearm.session.losses import Losses, StreamTrack
-from truearm.session.message_columns import columns_of
+from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from session_stream import ident_document, metres_of
 
 from truearm.errors import ProtocolError, SessionError
-from truearm.session.box_frames import Pages
 from truearm.session.box_ident import Channel, decimal, decode_ident, find_channel, parse_ident, parse_ident_json
+from truearm.session.frames import Pages
 from truearm.session.joint_format import parse_reading
 from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, volts
 

@@ -8,11 +8,11 @@ import json
 import numpy as np
 import pytest
 
-from truearm.session.box_frames import Exchange
-from truearm.session.device_clock import fit_clock
+from truearm.session.clock import fit_clock
+from truearm.session.frames import Exchange
 from truearm.session.joint_format import NO_INPUTS, parse_lines
 from truearm.session.joint_readings import InputTrack, JointReader
-from truearm.session.message_columns import columns_of
+from truearm.session.session_file import columns_of
 from truearm.session.trigger_edges import TimedEdges, fit_edges, match, with_edges
 from truearm.types import Message
 

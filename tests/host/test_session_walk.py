@@ -55,4 +55,4 @@ def test_a_session_passes_through_the_files_in_the_order_of_the_table(tmp_path):
         observations(open_session(tmp_path / "session.mcap").batches, session_stream.RIG)
     finally:
         sys.setprofile(None)
-    assert walked == [hop for hop in hops.values() if hop not in ("line_legs", "line_passes", "session_tables")]
+    assert walked == [hop for hop in hops.values() if hop not in ("line_passes", "session_tables")]

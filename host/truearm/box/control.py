@@ -18,8 +18,8 @@ from truearm.progress import step
 from truearm.record.frame_splitter import FrameSplitter, frame_head
 from truearm.record.links import Clock, Link
 from truearm.record.requests import Requests
-from truearm.session.box_frames import Data, Pages, data_frame, fields_of
 from truearm.session.box_ident import Ident, decode_ident, load_document
+from truearm.session.frames import Data, Pages, data_frame, fields_of
 from truearm_wire import messages as wire
 from truearm_wire.cbor import CborError, encode
 

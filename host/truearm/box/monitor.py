@@ -202,7 +202,7 @@ def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str
 
 def clock_words(watch: Watch) -> str:
     """Describe how well the host knows the box's clock from the exchanges of the last minute."""
-    from truearm.session.device_clock import fit_clock
+    from truearm.session.clock import fit_clock
 
     count = len(watch.exchanges)
     fitted = fit_clock(0, np.array(watch.exchanges)) if count >= LEAST_EXCHANGES else None

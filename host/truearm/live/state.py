@@ -24,9 +24,9 @@ from truearm.live.session_progress import SessionProgress, words_of
 from truearm.record.joint_lines import SILENCE_S
 from truearm.record.operator import Operator, OperatorEvent
 from truearm.record.status import Status
-from truearm.session.box_frames import Data
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.dwell_samples import DRIFT_SIGMAS, MICRON
+from truearm.session.frames import Data
 from truearm.session.joint_format import JointLine
 from truearm.session.sample_noise import LEAST_LAGS, mean_of
 from truearm.session.samples import extension, railed, with_ratios

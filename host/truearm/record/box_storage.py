@@ -26,8 +26,8 @@ from truearm.record.operator import Operator
 from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.session.box_frames import Data, Pages, data_frame, fields_of, too_many
 from truearm.session.box_ident import Ident, decode_ident
+from truearm.session.frames import Data, Pages, data_frame, fields_of, too_many
 from truearm.session.samples import shown, with_ratios
 from truearm.units import MDEGC
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, TEMPERATURE

@@ -19,7 +19,7 @@ from truearm.record.session_schemas import PREVIEW_NS, ROBOT_PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.joint_format import UNNUMBERED, JointLine, parse_line
-from truearm.session.message_columns import LATEST_NS
+from truearm.session.session_file import LATEST_NS
 
 MAX_LINE = 8192  # bytes
 SILENCE_S = 3.0

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from truearm.record.status import Status
-from truearm.session.box_frames import Data
 from truearm.session.box_ident import Ident
+from truearm.session.frames import Data
 from truearm.session.joint_format import JointLine
 
 

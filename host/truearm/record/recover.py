@@ -15,8 +15,7 @@ import numpy as np
 from truearm.errors import SessionError
 from truearm.record.session_writer import SessionWriter, media_type
 from truearm.session.box_ident import Ident, recorded_ident
-from truearm.session.message_columns import CHANNELS
-from truearm.session.session_file import Damage, Session
+from truearm.session.session_file import CHANNELS, Damage, Session
 from truearm.session.streams import BoxReader
 from truearm.types import Ints
 from truearm.units import NS

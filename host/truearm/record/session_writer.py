@@ -48,7 +48,7 @@ from truearm.record.file_watch import FileLoss, content_crc, file_loss, rescued_
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
-from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, PLAN_COPY, metadata_crc
+from truearm.session.session_file import CHANNELS, CRC, LATEST_NS, PLAN_COPY, metadata_crc
 from truearm.version import VERSION
 
 CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.collector import uncollected
-from truearm.session.message_columns import LATEST_NS
+from truearm.session.session_file import LATEST_NS
 from truearm.types import Floats, Ints
 
 MAX_T_S = 4e9  # such times in ns still fit 63 bits

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.session.clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.session.joint_format import (
     COLUMNS,
     JOINTS,
@@ -30,8 +31,7 @@ from truearm.session.joint_format import (
     parse_lines,
     unpack,
 )
-from truearm.session.message_columns import Messages
-from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
+from truearm.session.session_file import Messages
 from truearm.session.spool import Spool
 from truearm.types import Floats, Ints
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.box_ident import Stream
-from truearm.session.message_columns import Messages
+from truearm.session.session_file import Messages
 from truearm.types import Ints
 from truearm_wire import messages as wire
 

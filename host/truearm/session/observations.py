@@ -20,27 +20,26 @@ from truearm.kinds import registry
 from truearm.kinds.kind import DwellSensor
 from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
-from truearm.session.box_temperature import BoxTemperature, box_temperature
-from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
-from truearm.session.dwell_labels import labelled, with_mountings
+from truearm.session.clock import BoxTemperature, ClockReport, DeviceClock, box_temperature, fit_clock
 from truearm.session.dwell_samples import LEARNT, Sensing, measured, usual_noise, without_noisy
 from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import Bins, JointReader, JointStream
-from truearm.session.line_legs import Leg, find_legs
-from truearm.session.line_passes import LinePass, LineRules, measure
+from truearm.session.line_passes import Leg, LinePass, LineRules, find_legs, measure
 from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
-from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.plan_matching import (
     Marks,
     PlannedPoses,
     check_in_rig,
     contradict,
     distances,
+    labelled,
     match_plan,
     passes_of,
+    with_mountings,
 )
 from truearm.session.samples import ChannelSamples, Samples
+from truearm.session.session_file import Messages, Source, columns_of
 from truearm.session.streams import Blocks, BoxReader, Segment
 from truearm.session.trigger_edges import with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from truearm import units
 from truearm.errors import SessionError
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channel
-from truearm.session.device_clock import DeviceClock
+from truearm.session.clock import DeviceClock
 from truearm.session.spool import Spool
 from truearm.session.streams import Blocks
 from truearm.text import box_command, one_line

@@ -21,15 +21,15 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from truearm.errors import SessionError
-from truearm.session.box_frames import decode, parse_exchange
 from truearm.session.box_ident import Channel
 from truearm.session.dwells import Dwell
+from truearm.session.frames import decode, parse_exchange
 from truearm.session.joint_format import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, concatenate
 from truearm.session.joint_readings import SegmentedReadings
 from truearm.session.line_passes import LinePass
-from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey, read_blocks
 from truearm.session.samples import extension, volts, with_ratios
+from truearm.session.session_file import Messages
 from truearm.session.streams import Blocks, BoxReader, segment_at
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED
 from truearm_wire import messages as wire

@@ -28,11 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
-from truearm.session.box_frames import Pages, is_boot, is_text, parse_exchange
 from truearm.session.box_ident import Channel, Ident, Stream, decode_ident
-from truearm.session.frames import NO_FRAMES, NONE, Frames, frames_of
+from truearm.session.frames import NO_FRAMES, NONE, Frames, Pages, frames_of, is_boot, is_text, parse_exchange
 from truearm.session.losses import COUNTED, Heartbeats, Losses, StreamReport, StreamTrack, summary_of
-from truearm.session.message_columns import Messages
+from truearm.session.session_file import Messages
 from truearm.types import Ints
 from truearm_wire import messages as wire
 

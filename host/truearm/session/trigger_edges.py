@@ -39,9 +39,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.clocks import Clock, fit
-from truearm.session.device_clock import DeviceClock
+from truearm.session.clock import NODE_S, DeviceClock, EdgeReport, RobotClock
 from truearm.session.joint_readings import Changes, InputTrack, JointStream
-from truearm.session.robot_clock import NODE_S, EdgeReport, RobotClock
 from truearm.types import Floats, Ints
 
 SHORTEST_DELAY_NS = 15_000.0  # upper limit for the shorter delay of an input: an optocoupler without a filter

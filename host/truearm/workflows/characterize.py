@@ -33,12 +33,11 @@ from truearm.model.chain import Chain, along, trace_point
 from truearm.progress import step
 from truearm.report.repeatability_findings import remarks, repeatability_findings
 from truearm.session.box_ident import Ident, recorded_ident
-from truearm.session.device_clock import recorded_wander
+from truearm.session.clock import recorded_wander
 from truearm.session.dwells import Dwell
-from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.observations import SyncResult, observations, survey
 from truearm.session.pose_visits import PoseVisits, joined, visits
-from truearm.session.session_file import Session
+from truearm.session.session_file import Messages, Session, Source, columns_of
 from truearm.text import counted, one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
 from truearm.workflows.requests import CharacterizeFiles

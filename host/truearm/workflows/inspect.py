@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from truearm.session.dwells import Dwell
     from truearm.session.line_passes import LinePass
     from truearm.session.losses import Silences
-    from truearm.session.message_columns import Messages
     from truearm.session.observations import Survey
-    from truearm.session.session_file import Session
+    from truearm.session.session_file import Messages, Session
 
 MAX_TOPICS = 1000
 DOCUMENTS = frozenset({"/plan", "/box/ident"})  # topics of documents sent in parts: their messages have no rate

@@ -304,7 +304,7 @@ def _poses(plan: Path | None) -> int:
 def _session(path: Path, project: Project) -> dict[str, Any]:
     """Return a recording: ``other_robot`` is the one for which it was recorded if that is not the project's."""
     from truearm.files.write_lock import is_held
-    from truearm.session.message_columns import has_footer
+    from truearm.session.session_file import has_footer
     from truearm.workflows.session_parts import recorded_model
 
     size = path.stat().st_size

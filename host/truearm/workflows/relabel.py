@@ -18,7 +18,7 @@ from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, W
 from truearm.files.labels_file import Decision, labels_path, write_labels
 from truearm.live.mounted_parts import check_mounted
 from truearm.progress import step
-from truearm.session.dwell_labels import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
+from truearm.session.plan_matching import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.session_observations import recorded_rig, surveyed
 from truearm.workflows.session_parts import open_finished, session_parts

@@ -23,9 +23,8 @@ from truearm.units import DEGC, MM, PPM_PER_K
 from truearm.workflows.session_parts import SUFFIX, open_finished
 
 if TYPE_CHECKING:
-    from truearm.session.message_columns import Source
     from truearm.session.observations import Survey, SyncResult
-    from truearm.session.session_file import Session
+    from truearm.session.session_file import Session, Source
     from truearm.types import BallBar, DwellLabel, Rig
 
 RIG = "rig.toml"
@@ -116,7 +115,7 @@ def recorded_rig(session: Session, path: Path) -> Rig:
 def surveyed(session: Session, messages: Source | None = None) -> Survey:
     """Return the survey of a session, or of other ``messages`` with what it recorded of box and host clock. Raises SessionError."""
     from truearm.session.box_ident import recorded_ident
-    from truearm.session.device_clock import recorded_wander
+    from truearm.session.clock import recorded_wander
     from truearm.session.observations import survey
 
     return survey(messages or session.batches, recorded_ident(session), wander=recorded_wander(session))

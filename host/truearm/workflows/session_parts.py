@@ -73,7 +73,7 @@ def recorded_model(path: Path) -> str:
     from mcap.opcode import Opcode
 
     from truearm.file_names import open_input
-    from truearm.session.message_columns import MAX_METADATA_BYTES, Unreadable, parse_metadata, records
+    from truearm.session.session_file import MAX_METADATA_BYTES, Unreadable, parse_metadata, records
 
     with suppress(InputError, Unreadable), open_input(path) as file:
         for opcode, _, length in records(file, path.stat().st_size):

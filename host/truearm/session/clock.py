@@ -1,6 +1,17 @@
-"""Relate robot controller time to host time from arrivals alone.
+"""Convert the times of the box and of the robot controller to host time.
 
-A reading stamped t by the controller arrives at h(t) + latency, and latency is never negative. The fastest reading of each
+**The box, by clock exchanges.** An exchange has four times: the host wrote at t0, the device received at t1, it answered at t2, and the host received
+the answer at t3. Nothing can arrive before it was sent, whatever the link does. The host time h(d) at device time d
+therefore has two hard bounds, h(t1 + 1 µs) ≥ t0 and h(t2) ≤ t3: a row of ``truearm.clocks``, which fits the clock.
+
+The bound includes the half-asymmetry, half the shortest round trip. No exchange can show the asymmetry: if the outward
+trip takes constantly longer than the return trip, the estimate is off by half the difference and every exchange looks
+the same.
+
+The box's temperature is that of the microcontroller's own sensor, with a resolution of half a degree. Averaging over two
+minutes smooths the steps; a box changes by less than one step in that time.
+
+**The robot, by arrivals alone.** A reading stamped t by the controller arrives at h(t) + latency, and latency is never negative. The fastest reading of each
 second is a row of ``truearm.clocks``, whose estimate lies under all of them. Queues and a busy host only delay arrivals.
 
 **The shortest latency cannot be observed**: a constant latency is part of the offset. It is not removed here; the
@@ -24,16 +35,163 @@ If controller time runs backward, the controller restarted: another segment with
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from truearm import clocks
-from truearm.clocks import SLEWED_WANDER
+from truearm.clocks import RATE_LIMIT, SLEWED_WANDER, WANDER, Clock
+from truearm.session.frames import Exchange
+from truearm.session.session_file import Session
 from truearm.session.spool import Spool
 from truearm.types import Floats, Ints
-from truearm.units import PPM
+from truearm.units import MDEGC, PPM
+
+AROUND_NS = 60_000_000_000  # on each side
+COLDEST, WARMEST = -60_000, 200_000  # m°C; anything else is not a reading
+
+
+class BoxTemperature(NamedTuple):
+    """Readings (k,) in °C in order of host time [ns]."""
+
+    t_host_ns: Ints
+    degc: Floats
+
+    @property
+    def extremes(self) -> tuple[float, float] | None:
+        """Return the lowest and the highest reading [°C]; None if there are no readings."""
+        return (float(self.degc.min()), float(self.degc.max())) if len(self.degc) else None
+
+    def at(self, t_host_ns: Ints) -> Floats:
+        """Return the means (n,) of the readings around host times (n,); NaN where there are none."""
+        first = np.searchsorted(self.t_host_ns, t_host_ns - AROUND_NS)
+        last = np.searchsorted(self.t_host_ns, t_host_ns + AROUND_NS, side="right")
+        total = np.concatenate([[0.0], np.cumsum(self.degc)])
+        n = last - first
+        return np.where(n > 0, (total[last] - total[first]) / np.maximum(n, 1), np.nan)
+
+    def between(self, t_host_ns: Ints) -> Floats:
+        """Return readings (n,) at host times (n,), interpolated linearly; NaN where no reading is near.
+
+        Meant for a thermometer with fine resolution.
+        """
+        if not len(self.degc):
+            return np.full(len(t_host_ns), np.nan)
+        k = np.clip(np.searchsorted(self.t_host_ns, t_host_ns), 1, max(len(self.degc) - 1, 1))
+        away = np.abs(self.t_host_ns[[np.minimum(k, len(self.degc) - 1), k - 1]] - t_host_ns).min(axis=0)
+        begin = self.t_host_ns[0]
+        found = np.interp(1e-9 * (t_host_ns - begin), 1e-9 * (self.t_host_ns - begin), self.degc)
+        return np.where(away <= AROUND_NS, found, np.nan)
+
+
+def box_temperature(
+    heard: Mapping[int, Sequence[tuple[int, int]]], clocks: Mapping[int, DeviceClock]
+) -> BoxTemperature:
+    """Return the readings ``heard`` in each segment, given as device time [µs] and m°C.
+
+    Readings of segments without a clock are left out.
+    """
+    times, degrees = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for segment, beats in heard.items():
+        readings = [(t_us, mdegc) for t_us, mdegc in beats if COLDEST <= mdegc <= WARMEST]
+        if segment in clocks and readings:
+            t_us, mdegc = np.array(readings, dtype=np.int64).T
+            times.append(clocks[segment].to_host_ns(t_us)[0])
+            degrees.append(MDEGC.to_si(mdegc))
+    t_host_ns, degc = np.concatenate(times), np.concatenate(degrees)
+    order = np.argsort(t_host_ns, kind="stable")
+    return BoxTemperature(t_host_ns[order], degc[order])
+
+
+TICK_NS = 1000  # device time is in whole microseconds, rounded down
+
+
+@dataclass(frozen=True)
+class DeviceClock:
+    """The clock of one segment."""
+
+    segment: int
+    clock: Clock
+    least_bound_ns: float  # half the shortest round trip: a lower bound would mean that the clocks are no crystals
+
+    def to_host_ns(self, t_us: Ints) -> tuple[Ints, Floats]:
+        """Return the host times [ns] of device times (n,) [µs] and the bounds of their errors [ns]."""
+        host, bound = self.clock.to_time(1000 * np.asarray(t_us, dtype=np.int64))
+        return host, np.maximum(bound, self.least_bound_ns)
+
+
+@dataclass(frozen=True)
+class ClockChange:
+    """A step of one of the clocks."""
+
+    device_us: tuple[int, int]  # the exchanges before and after it
+    by_ns: int  # how far host time advanced relative to device time
+
+
+@dataclass(frozen=True)
+class ClockReport:
+    """How well the clock of one segment is known. Times in ns."""
+
+    segment: int
+    exchanges: int
+    rejected: int
+    device_us: tuple[int, int]  # first and last exchange
+    offset_ns: int  # host − device at the middle of the segment
+    rate_ppm: float  # how much faster the host counts than the device, mean
+    bound_ns: float  # largest at any exchange
+    rtt_min_ns: int
+    rtt_median_ns: int
+    half_asymmetry_ns: float  # rtt_min / 2: unobservable, included in the bound
+    changes: tuple[ClockChange, ...]
+
+
+def recorded_wander(session: Session) -> float:
+    """Return how far the rate of the host's clock may wander: more if the system can slew the clock of the recording."""
+    kind = session.metadata.get("session", {}).get("clock")
+    return WANDER if kind in ("monotonic-raw", "virtual") else SLEWED_WANDER
+
+
+def fit_clock(
+    segment: int, exchanges: Sequence[Exchange] | Ints, wander: float = WANDER
+) -> tuple[DeviceClock, ClockReport] | None:
+    """Return the clock of one segment and its report; None if no exchange is usable."""
+    every = np.array(exchanges, dtype=np.int64).reshape(-1, 4)
+    sane = every[(every[:, 1] <= every[:, 2]) & (every[:, 0] <= every[:, 3])]
+    # By any clock, the host measured less time than the device: a stamp is wrong.
+    sane = sane[_round_trips(sane) >= -TICK_NS - RATE_LIMIT * 1000.0 * (sane[:, 2] - sane[:, 1])]
+    sane = sane[np.argsort(sane[:, 1], kind="stable")]
+    t0, t1, t2, t3 = sane.T
+    received = 1000 * t1 + TICK_NS
+    while_held = received - 1000 * t2  # the bound of the answer, moved to the receipt
+    latest = t3 + while_held + np.ceil(RATE_LIMIT * np.abs(while_held)).astype(np.int64)
+    clock = clocks.fit(received, latest, t0, wander=wander)
+    if clock is None:
+        return None
+    rtt = _round_trips(sane)
+    device = DeviceClock(segment, clock, max(0.0, 0.5 * int(np.min(rtt))))
+    middle = np.array([int(t1[0] + t1[-1]) // 2])
+    report = ClockReport(
+        segment=segment,
+        exchanges=len(every),
+        rejected=len(every) - len(sane) + clock.wrong.size,
+        device_us=(int(t1[0]), int(t1[-1])),
+        offset_ns=int((device.to_host_ns(middle)[0] - 1000 * middle)[0]),
+        rate_ppm=PPM.of(clock.rate),
+        bound_ns=float(np.max(device.to_host_ns(t1)[1])),
+        rtt_min_ns=int(np.min(rtt)),
+        rtt_median_ns=int(np.median(rtt)),
+        half_asymmetry_ns=0.5 * int(np.min(rtt)),
+        changes=tuple(ClockChange((step.before_ns // 1000, step.after_ns // 1000), step.by_ns) for step in clock.steps),
+    )
+    return device, report
+
+
+def _round_trips(sane: Ints) -> Ints:
+    return np.asarray(sane[:, 3] - sane[:, 0] - 1000 * (sane[:, 2] - sane[:, 1]))
+
 
 CELLS = 10  # in a second: in one of them, clocks drift by less than the heights of its packets
 NODE_S = 10.0  # between the nodes of a clock: a drift of 1 ppm a minute bends it by less than 1 µs in between
