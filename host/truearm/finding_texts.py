@@ -651,6 +651,10 @@ RECORDING: Mapping[str, Statement] = {
         RESULT,
         "{file}: {duration:.1f}, {samples:#sample}, {lost:#frame} lost[, {readings:#robot message}][; {dwells:#dwell}: {usable} usable][, {need_decision:#needs|need} a decision][, {unusable}]; ended: {ended}[ ({why})].",
     ),
+    "seats-filled": Statement(
+        RESULT,
+        "{place}: {n:#row} filled with the joints of {n:#rest} of {shortest:.1f} to {longest:.1f}.",
+    ),
     "controller-read": Statement(
         RESULT,
         "{place}: the controller computes with [{as_drawn:!}the drawing of {model}||its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f}, over {n:#random pose}][; checksums {checksums}].",

@@ -3,11 +3,13 @@
 import csv
 import json
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import told
+from ros_bags import joint_state, write_bag
 
 from truearm.files.robot_file import load_robot
 from truearm.model.chain import point_forward, point_jacobians
@@ -105,6 +107,47 @@ def test_from_an_empty_folder_to_the_floor(tmp_path, run, monkeypatch, arm):
     assert held_out["n_mm"] == 12
     assert held_out["rms_mm"] < 1.3e3 * np.sqrt(3.0) * SEAT_NOISE  # of three coordinates: the floor
     assert json.loads(run("status", "--json").out)["next"].startswith("truearm correct results")
+
+
+def logged(q, rng, pause_s, rate_hz=25.0):
+    """Return time (n,) and joints (n, j) of an arm that moves from row to row of q, and rests ``pause_s`` in each."""
+    moves = [np.linspace(a, b, 40)[1:-1] for a, b in pairwise(np.radians(q))]
+    still = [np.tile(row, (int(pause_s * rate_hz), 1)) for row in np.radians(q)]
+    track = np.concatenate([piece for pair in zip(still, [*moves, still[0][:0]], strict=True) for piece in pair])
+    return 100.0 + np.arange(len(track)) / rate_hz, track + 1e-4 * rng.uniform(-1.0, 1.0, track.shape)
+
+
+@pytest.mark.parametrize("kind", ["csv", "bag"])
+def test_the_joints_come_from_the_log_of_the_arm(tmp_path, run, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)
+    names = [name for name, *_ in FIVE]
+    arm = urdf(tmp_path / "five.urdf", FIVE)
+    assert run("init", ".", "--method", "sockets", "--model", arm, "--seats", 4, "--places", 2).code == 0
+    joints = [f"q{i}_deg" for i in range(1, 6)]
+    q = np.array([[float(row[name]) for name in joints] for row in rows(Path("places.csv"))])
+    t, track = logged(q, np.random.default_rng(1), 3.0)
+    if kind == "csv":
+        log = Path("log.csv")
+        cells = [",".join(map(repr, (a, *b))) for a, b in zip(t.tolist(), track.tolist(), strict=True)]
+        log.write_text("\n".join(["t_s,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad", *cells]))
+    else:
+        order = [2, 0, 1, 4, 3]
+        states = [
+            (int(1e9 * a), joint_state(int(1e9 * a), [names[k] for k in order], b[order]))
+            for a, b in zip(t, track, strict=True)
+        ]
+        log = write_bag(tmp_path / "bag", "mcap", states)
+    before = Path("seats.csv").read_bytes()
+    short = run("seats", log, "--rest-s", 4)
+    assert short.code == 2
+    assert "has 0 rests, and seats.csv has 8 rows without joints" in short.err
+    assert Path("seats.csv").read_bytes() == before
+    assert "8 rows filled with the joints of 8 rests" in run("seats", log).out
+    filled = np.array([[float(row[name]) for name in joints] for row in rows(Path("seats.csv"))])
+    np.testing.assert_allclose(filled, q, atol=np.degrees(1e-4))
+    assert json.loads(run("status", "--json").out)["seats"]["noted"] == 8
+    assert "has 8 rests, and seats.csv has 0 rows without joints" in (again := run("seats", log).err)
+    assert "Rests: 100.0 to 103.0 s, 104.5 to" in again
 
 
 @pytest.mark.parametrize("ball_mm", [6.0, 20.0, 40.0])

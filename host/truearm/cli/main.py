@@ -35,6 +35,7 @@ from truearm.cli.project import CommandGroup, ProjectCommand, defaults, missing_
 from truearm.cli.record import RecordCommand, record
 from truearm.cli.report import report
 from truearm.cli.robot import app as robot
+from truearm.cli.seats import seats
 from truearm.cli.session import app as session
 from truearm.cli.simulate import SimulateCommand, simulate
 from truearm.cli.status import status
@@ -48,7 +49,7 @@ from truearm.version import VERSION
 # What ``truearm --help`` lists for each task; a typer app is a group of commands.
 TASKS: dict[str, tuple[Any, ...]] = {
     "Try": (demo, simulate),
-    "Measure": (init, robot, status, plan, record, inspect, characterize, session),
+    "Measure": (init, robot, status, plan, record, seats, inspect, characterize, session),
     "Identify": (identify, report, validate, map_, fleet),
     "Use": (correct, export),
     "Box": (box,),

@@ -51,6 +51,7 @@ MEANINGS = {
     "simulate": "rehearse sim",
     "init": "new create setup",
     "inspect": "show view",
+    "seats": "sockets rests",
     "report": "certificate page",
     "demo": "try example",
     "box": "pico firmware sensor",

@@ -38,6 +38,12 @@ worn
     Simulate a worn arm: backlash, slow settling, oscillation, noisy readings.
 duration_s : S
     End after S seconds. Ctrl-C ends earlier.
+topic : NAME
+    Topic of the joint states in a bag.
+joints : LIST
+    Names of a bag's joints, from the base on: a,b,c. Default: those of --model.
+columns : OURS=THEIRS,…
+    Names of a table's columns, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. Other columns are skipped.
 json
     Print JSON and nothing else.
 

@@ -263,6 +263,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         "export": result,
         "inspect": {"session": newest_session},
         "characterize": {"session": newest_session, **robot},
+        "seats": {**robot, "table": there(project.table)},
         "session": {name: {"session": newest_session, **robot} for name in ("relabel", "export")},
         "plan": {"ballbar": planning, "line": planning, "characterize": planning},
         "box": {

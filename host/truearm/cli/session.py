@@ -174,13 +174,6 @@ def add_joints(
     -------
     out : FILE
         File to write: a session (.mcap).
-    topic : NAME
-        Topic of the joint states in a bag.
-    joints : LIST
-        Names of a bag's joints, from the base on: a,b,c. Default: those of --model.
-    columns : OURS=THEIRS,…
-        Names of a table's columns, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. Other columns are
-        skipped.
     zero_s : S
         When the controller's time was 0, in seconds after the first message of the session. Default: the controller's
         time is UTC.

@@ -83,7 +83,7 @@ def _next(state: State) -> tuple[str, str]:
         measured, hold_out = seats["file"], f"place={seats['last_place']}"
         if seats["noted"] < seats["rows"]:
             why = f"{seats['rows'] - seats['noted']} rows have no joints yet; delete a row that you do not measure"
-            return f"write the joints of each seat of places.csv into {_shown(measured)}", why
+            return f"write the joints of each seat of places.csv into {_shown(measured)}, or truearm seats LOG", why
     elif step := _next_of_sessions(state):
         return step
     else:

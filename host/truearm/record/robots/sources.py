@@ -112,13 +112,17 @@ def open_source(url: str, clock: Clock) -> Reopening:
     return Reopening(open_link)
 
 
+def file_entry(path: Path) -> FileEntry:
+    """Return the entry of a file by its suffix; that of a table for an unknown one."""
+    return next((e for e in FILES if path.suffix.lower() in e.suffixes or (e.folder and path.is_dir())), TABLE)
+
+
 def readings_of_file(path: Path, options: FileOptions) -> Iterator[AddedReading]:
-    """Return the readings of a file by its suffix, in order; a file with an unknown suffix is read as a table.
+    """Return the readings of a file by its suffix, in order.
 
     Raises InputError if there is no such file, topic or joint, SessionError or TableError if a file is damaged.
     """
-    entry = next((e for e in FILES if path.suffix.lower() in e.suffixes or (e.folder and path.is_dir())), TABLE)
-    readings: Iterator[AddedReading] = _module(entry.module).readings(path, options)
+    readings: Iterator[AddedReading] = _module(file_entry(path).module).readings(path, options)
     return readings
 
 

@@ -1,0 +1,96 @@
+"""Joints of seats in sockets from the arm's own log: the arm rests in the sockets in the order of the rows."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.errors import Argument, InputError
+from truearm.files.csv_cells import read_cells
+from truearm.files.disk import read_text, write_atomic
+from truearm.files.observation_columns import joint_columns, read_header
+from truearm.files.observation_table import MAX_BYTES
+from truearm.findings import Finding
+from truearm.progress import step
+from truearm.record.robots.sources import FileOptions, readings_of_file
+from truearm.session.joint_format import parse_lines
+from truearm.text import counted
+from truearm.types import Floats
+from truearm.units import DEG, MM, SUFFIXES
+
+PER_REST = 20  # readings that are looked at in the shortest rest
+
+
+class Rest(NamedTuple):
+    """A time in which no joint moves: begin and end [s] on the controller's clock, and joints (j,) [rad, m]."""
+
+    begin: float
+    end: float
+    q: Floats
+
+
+def rests(t: Floats, q: Floats, shortest: float, bounds: Floats) -> list[Rest]:
+    """Return the times of at least ``shortest`` [s] in which every joint stays within a range of its bound (j,).
+
+    ``t`` (n,) [s] ascends, ``q`` (n, j). Overlapping times are one rest.
+    """
+    kept = np.unique(np.floor(t * (PER_REST / shortest)), return_index=True)[1]
+    t, q = t[kept], q[kept]
+    end = np.searchsorted(t, t + shortest)  # of the window that begins at each reading, the last one in it
+    begin = np.flatnonzero(end < len(t))
+    windows = np.stack([begin, end[begin] + 1], axis=1).ravel()
+    padded = np.concatenate([q, q[-1:]])
+    span = (
+        np.maximum.reduceat(padded, windows)[::2] - np.minimum.reduceat(padded, windows)[::2] if begin.size else q[:0]
+    )
+    still = begin[(span <= bounds).all(axis=1)]
+    change = np.zeros(len(t), dtype=int)  # between a reading and the next: within a window or not
+    np.add.at(change, still, 1)
+    np.add.at(change, end[still], -1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.cumsum(change) > 0]).astype(int)))
+    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [Rest(float(t[i]), float(t[k]), np.median(q[i : k + 1], axis=0)) for i, k in pairs]
+
+
+@step("reading the log")
+def fill_seats(table: Path, source: Path, options: FileOptions, shortest: float, bound: float) -> Finding:
+    """Write the joints of each rest in a log into the next row of a table of seats that has none.
+
+    ``shortest`` [s], ``bound`` [rad]. Raises InputError if there are not as many rests as such rows; then nothing is
+    written.
+    """
+    header, rows = read_cells(read_text(table, MAX_BYTES, InputError), str(table))
+    joints = joint_columns(read_header(header, str(table)), None, str(table))
+    empty = [row.cells for row in rows if not all(row.cells[joint.position] for joint in joints)]
+    lines = [reading.line for reading in readings_of_file(source, options)]
+    log = parse_lines(lines, range(len(lines)))
+    if log.q.shape[1] != len(joints):
+        raise InputError("other-robot", place=source, joints=log.q.shape[1], expected=len(joints))
+    units = [SUFFIXES[joint.unit] for joint in joints]
+    bounds = np.array([bound if unit.si == "rad" else MM.to_si(DEG.of(bound)) for unit in units])
+    stops = rests(log.t, log.q, shortest, bounds)
+    if len(stops) != len(empty):
+        times = ", ".join(f"{stop.begin:.1f} to {stop.end:.1f} s" for stop in stops) or "none"
+        raise InputError(
+            f"{source}: has {counted(len(stops), 'rest')}, and {table} has {counted(len(empty), 'row')} without joints; "
+            "rest in each socket once, and longer than elsewhere: choose ",
+            *(
+                Argument("rest_s"),
+                " and ",
+                Argument("rest_deg"),
+                f", or delete rows that were not measured. Rests: {times}",
+            ),
+        )
+    for cells, stop in zip(empty, stops, strict=True):
+        for joint, unit, value in zip(joints, units, stop.q.tolist(), strict=True):
+            cells[joint.position] = f"{unit.of(value):.7g}"
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([header, *(row.cells for row in rows)])
+    write_atomic(table, text.getvalue())
+    durations = [stop.end - stop.begin for stop in stops]
+    values = {"place": str(table), "n": len(stops), "shortest": {"s": min(durations)}, "longest": {"s": max(durations)}}
+    return Finding("seats-filled", values)
