@@ -267,6 +267,10 @@ IDENTIFICATION: Mapping[str, Statement] = {
         NOTE,
         '"Before" is the nominal robot[ with {fitted} fitted][{placed:!}; with base and tool as described: {raw} RMS].',
     ),
+    "folds": Statement(
+        RESULT,
+        "Held out in turn, each in a fit of its own: {together} RMS together; {errors}.",
+    ),
     "held-out-larger": Statement(
         WARNING,
         "The held-out error is {ratio:.2g} times the fitted one: too few observations for so many parameters, or errors that the parameters do not model.",

@@ -487,6 +487,13 @@ class PredictedError(NamedTuple):
         return "m" in unexplained and self.rms > unexplained["m"].mean
 
 
+class Fold(NamedTuple):
+    """The errors, by SI unit, of rows that were held out of a fit of their own, and what was held out: "place=p1"."""
+
+    held_out_by: str
+    figures: Mapping[str, Figures]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimate(Displayed):
     """The result of an identification.
@@ -568,6 +575,7 @@ class Estimate(Displayed):
     joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested
     unseen: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # (p, d) the complete null space, in SI units
     held_out_drawing: HeldOut | None = None  # of the drawing, if the nominal robot is the controller's
+    folds: tuple[Fold, ...] = ()  # rows that were held out in turn; the last entry has all of them
 
     def _headline(self) -> str:
         return f"{self.status}, rank {self.rank} of {int(self.free.sum())} free, {self.n_observations} observations"

@@ -53,6 +53,7 @@ LISTS = {
     *("suggested_free", "additions", "chi2_band", "suspect", "hardly_seen", "faults", "applied", "sessions"),
     "all_held_out",
     "copies",
+    "folds",
     "explanations",
 }
 OBJECTS = {

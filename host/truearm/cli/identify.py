@@ -59,8 +59,9 @@ def identify(
     noise : FILE
         Noise file of truearm characterize (.toml). It replaces the rig's sigmas of joint readings and bars.
     hold_out : GROUP|FRACTION
-        Rows to hold out: judged, not fitted. COLUMN=NAME, such as bar=bar61, shell=s46_c1 or place=front (repeatable),
-        or a fraction such as 0.2, drawn with --seed.
+        Rows to hold out: judged, not fitted. COLUMN=VALUE or LOW:HIGH, such as place=front or q1_deg=-180:0 (repeatable),
+        or a fraction of the poses such as 0.2, drawn with --seed. place=* or folds=5: each place, or each of five shares
+        of the poses, is held out of a fit of its own in turn.
     apply : mean|NAME[@FIRST[:LAST]]
         Put a fault into the result that the output names: mean, the mean of its possible causes, or one of them, such as
         bar.bar46.zero, chuck.c2@183 (from row 183 on, counted from 1 over all inputs), joint2@91:270,
@@ -106,10 +107,10 @@ def identify(
     from truearm.report.result_findings import result_findings
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.inputs import Sources
-    from truearm.workflows.selection import held_out_fraction
+    from truearm.workflows.selection import is_drawn
     from truearm.workflows.session_parts import with_parts
 
-    if typed(context, "seed") is not None and all(held_out_fraction(text) is None for text in hold_out or ()):
+    if typed(context, "seed") is not None and not any(map(is_drawn, hold_out or ())):
         raise InputError("needs-option", place="--seed", needed="a fraction to hold out, such as --hold-out 0.2")
     sources = Sources(tuple(with_parts(inputs)), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])

@@ -48,7 +48,7 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
         seen.add(title)
         if title == "note" or (title.startswith("x_") and title not in MEASURED_X):
             continue
-        quantity, unit = _quantity(title, where)
+        quantity, unit = quantity_of(title, where)
         if quantity in columns:
             raise TableError("given-twice", place=where, what=quantity)
         columns[quantity] = Column(title, position, unit)
@@ -64,7 +64,7 @@ def number_units() -> dict[str, tuple[str, ...]]:
     return {"sigma": sigma, **measured}
 
 
-def _quantity(title: str, where: str) -> tuple[str, str]:
+def quantity_of(title: str, where: str) -> tuple[str, str]:
     """Return quantity and unit of a column's title.
 
     Raises TableError with the title that was probably meant. A ``sigma`` in a unit other than metres is a separate

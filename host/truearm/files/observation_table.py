@@ -20,7 +20,15 @@ import numpy as np
 from truearm.errors import Argument, TableError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, together
 from truearm.files.disk import read_text, write_atomic
-from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, sigma_column
+from truearm.files.observation_columns import (
+    Column,
+    base_unit,
+    joint_columns,
+    quantity_of,
+    rate_columns,
+    read_header,
+    sigma_column,
+)
 from truearm.files.orientation_columns import with_rotation_vectors
 from truearm.kinds import registry
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
@@ -262,6 +270,19 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
         others[named("sigma", _own(unit))] = np.where(np.isin(table.kind, mine), table.sigma, np.nan)
     others |= {f"qd{i}_{unit}_s": table.q_rate[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     return joints | {title: column for title, column in others.items() if not np.isnan(column).all()}
+
+
+def column_of_title(table: ObservationTable, title: str) -> Floats | None:
+    """Return a column of numbers (n,) in the unit of its title, such as "payload_kg" or "q1_deg"; None if there is none."""
+    try:
+        quantity, unit = quantity_of(title, title)
+    except TableError:
+        return None
+    scale = SUFFIXES[unit]
+    si = named(quantity, _own(scale.si))
+    joint_units = [base_unit(unit)] * table.q.shape[1]
+    column = _number_columns(table, joint_units).get(si)
+    return None if column is None else np.asarray(scale.of(column))
 
 
 def _own(unit: str) -> str:

@@ -185,6 +185,7 @@ class Result(Struct, frozen=True, kw_only=True):
     held_out: Figures | None = None
     held_out_before: Figures | None = None
     held_out_drawing: Figures | None = None
+    folds: tuple[Entry, ...] = ()
     predicted_error: Entry | None = None
     joint_laws: LawsEntry | None = None
     parameters: Annotated[tuple[Parameter, ...], Meta(max_length=20_000)]

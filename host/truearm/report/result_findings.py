@@ -638,7 +638,10 @@ def _held_out(document: Document) -> Iterator[Finding]:
         yield Finding("rig-unknowns", {"n": held_out["n_settled"], "how": SETTLED})
     if held_out and held_out["n_left_out"]:
         yield Finding("rig-unknowns", {"left_out": held_out["n_left_out"]})
-    if held_out is None and document["held_out_by"]:
+    if folds := document["folds"]:
+        errors = [f"{fold['held_out_by']} {_text_of(sizes(fold, 'rms'))}" for fold in folds[:-1]]
+        yield Finding("folds", {"errors": errors, "together": sizes(folds[-1], "rms")})
+    elif held_out is None and document["held_out_by"]:
         yield Finding("no-row-judged")
 
 
@@ -671,6 +674,12 @@ def sizes(entry: Document, name: str, units: Sequence[str] = tuple(SUFFIXES)) ->
     return {
         suffix: entry[f"{name}_{suffix}"] for suffix in units if suffix and entry.get(f"{name}_{suffix}") is not None
     }
+
+
+def _text_of(quantity: Mapping[str, float]) -> str:
+    return " and ".join(
+        SUFFIXES[suffix].text(SUFFIXES[suffix].to_si(value), ".3f") for suffix, value in quantity.items()
+    )
 
 
 def _size(value: float, unit: str) -> str:

@@ -40,8 +40,8 @@ from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.result_findings import result_findings
-from truearm.results import Effect, Estimate
-from truearm.types import Mask, Rigs
+from truearm.results import Effect, Estimate, Figures, Fold
+from truearm.types import Floats, Mask, Rigs
 from truearm.workflows.calibration import Identification, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
@@ -50,6 +50,7 @@ from truearm.workflows.selection import (
     all_held_out,
     check_rows,
     default_prior,
+    folds_of,
     free_parameters,
     held_out_rows,
     matching,
@@ -140,6 +141,7 @@ class Selection:
     held_out_by: tuple[str, ...] = ()
     named: Mask | None = None
     hold_out: tuple[str, ...] = ()  # as requested
+    folds: tuple[tuple[str, Mask], ...] = ()  # to hold out in turn, by name
 
 
 @dataclass(frozen=True)
@@ -191,12 +193,13 @@ def _other_robots() -> Robots:
 
 def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:
     """Return what to estimate and what to judge by. Raises InputError for a pattern or group that matches nothing."""
-    rows = held_out_rows(table, hold_out, options.seed, options.fit_only)
+    folds = folds_of(table, hold_out, options.seed)
+    rows = held_out_rows(table, () if folds else hold_out, options.seed, options.fit_only)
     held_out_by = (*hold_out, *(f"all but {group}" for group in options.fit_only))
     names = robot.chain.parameter_names
     free = free_parameters(names, robot.free, options.free, options.freeze, options.also_free)
     named = matching(names, "free", options.free) | matching(names, "also_free", options.also_free)
-    return Selection(free, rows, held_out_by, named, tuple(hold_out))
+    return Selection(free, rows, held_out_by, named, tuple(hold_out), tuple(folds))
 
 
 def split_causes(
@@ -310,6 +313,22 @@ def with_drawing(robot: Robot, rig: Rigs, table: ObservationTable, estimate: Est
     return replace(estimate, held_out_drawing=judged(problem, x, rig, table, held, ())[0])
 
 
+def held_out_in_turn(
+    robot: Robot, rig: Rigs, table: ObservationTable, selection: Selection, options: IdentifyOptions
+) -> tuple[Fold, ...]:
+    """Return the errors of the selection's folds, each in a fit without its rows, and those of all folds together."""
+    folds, together = [], dict[str, Floats]()
+    for name, rows in selection.folds:
+        held = rows if selection.held_out is None else rows & ~selection.held_out
+        without = rows if selection.held_out is None else rows | selection.held_out
+        with step(f"identifying without {name}"):
+            fit = identified(robot, rig, table, replace(selection, held_out=without, folds=()), options).estimate
+        folds.append(Fold(name, Figures.by_unit(fit.residual, held)))
+        for unit, error in fit.residual.items():
+            together.setdefault(unit, np.full(len(table), np.nan))[held] = error[held]
+    return (*folds, Fold("", Figures.by_unit(together))) if folds else ()
+
+
 def identified(
     robot: Robot,
     rig: Rigs,
@@ -406,6 +425,7 @@ def identified(
         estimate = with_faults(estimate, examination)
         estimate = with_average(chain, rig, table, estimate, examination, causes, effects)
     estimate = with_drawing(robot, rig, table, with_gain(table, estimate))
+    estimate = replace(estimate, folds=held_out_in_turn(robot, rig, table, selection, options))
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
             "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or give the rig's chucks, spheres and sockets the sigma_mm that you know instead of unknown"

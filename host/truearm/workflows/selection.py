@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.measured_order import poses
 from truearm.estimate.solvers import SOLVERS, Prior
+from truearm.files.observation_table import column_of_title
 from truearm.kinds.quantities import POINT, Quantity
 from truearm.kinds.registry import ANYWHERE, GROUPS, drawn_from, identifiers, kinds
 from truearm.kinds.table import ObservationTable
@@ -28,6 +29,7 @@ from truearm.results import DriftWith, Effect
 from truearm.text import listed
 from truearm.types import Floats, Mask, Plan
 
+FOLDS, MOST_FOLDS = "folds", 100
 HOLD_OUT, FIT_ONLY, APPLY, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "apply", "leave_out"))
 
 
@@ -63,6 +65,30 @@ def held_out_rows(
     return mask
 
 
+def folds_of(table: ObservationTable, wanted: Sequence[str], seed: int) -> list[tuple[str, Mask]]:
+    """Return the rows (n,) to hold out in turn, with what the folds are called; [] unless ``wanted`` asks for folds.
+
+    ``folds=5``: the poses in five shares, drawn by ``seed``. ``place=*``: the rows of each place. Raises InputError.
+    """
+    column, _, value = wanted[0].partition("=") if wanted else ("", "", "")
+    if column != FOLDS and value != "*":
+        return []
+    if len(wanted) > 1:
+        raise InputError(HOLD_OUT, f" {wanted[0]}: folds cannot be combined with other rows to hold out")
+    if value == "*":
+        names = [name for name in np.unique(table[column]) if name] if column in identifiers() else []
+        masks = [(f"{column}={name}", _group_rows(table, f"{column}={name}", HOLD_OUT)) for name in names]
+    else:
+        rank = _pose_ranks(table, seed)
+        count = int(value) if value.isascii() and value.isdecimal() and len(value) < 4 else 0
+        numbers = (rank * count / (rank.max() + 1)).astype(np.intp)
+        masks = [(f"fold {number + 1}", numbers == number) for number in np.unique(numbers).tolist()]
+    if not 2 <= len(masks) <= MOST_FOLDS:
+        few = f"gives {len(masks)} folds, and 2 to {MOST_FOLDS} are needed; write {FOLDS}=5, or place=* for each place"
+        raise InputError(HOLD_OUT, f" {wanted[0]}: {few}")
+    return masks
+
+
 def held_out_fraction(text: str) -> float | None:
     """Return the fraction of the rows that ``text`` holds out, None if it names a group."""
     try:
@@ -72,10 +98,18 @@ def held_out_fraction(text: str) -> float | None:
     return value if 0.0 < value < 1.0 else None
 
 
+def is_drawn(text: str) -> bool:
+    """Return whether poses are drawn to be held out: a fraction, or folds."""
+    return held_out_fraction(text) is not None or text.startswith(f"{FOLDS}=")
+
+
 def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask:
     column, equals, identifier = group.partition("=")
     if not equals:
         return _bare_group_rows(table, group, argument)
+    numbers = None if column in identifiers() else column_of_title(table, column)
+    if numbers is not None:
+        return _rows_between(numbers, identifier, group, argument)
     if column not in identifiers():
         fraction = ", or a fraction" if argument is HOLD_OUT else ""
         raise InputError(
@@ -85,6 +119,20 @@ def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask
     if not identifier or not rows.any():
         names = [name for name in np.unique(table[column]) if name]
         raise InputError(argument, f" {group}: the table has no row with that {column}; {_listed(column, names)}")
+    return rows
+
+
+def _rows_between(numbers: Floats, span: str, group: str, argument: Argument) -> Mask:
+    """Return the rows whose number (n,) is VALUE, or from LOW to HIGH of LOW:HIGH."""
+    try:
+        low, high = (float(end) for end in (span.split(":") * 2)[:2])
+    except ValueError:
+        raise InputError(argument, f" {group}: is not COLUMN=VALUE or COLUMN=LOW:HIGH") from None
+    near = 1e-9 * max(abs(low), abs(high), 1.0)
+    rows: Mask = (numbers >= low - near) & (numbers <= high + near)
+    if not rows.any():
+        shown = f"{np.nanmin(numbers):g} to {np.nanmax(numbers):g}" if np.isfinite(numbers).any() else "none"
+        raise InputError(argument, f" {group}: no row has such a value; the column has {shown}")
     return rows
 
 
@@ -119,9 +167,15 @@ def _listed(noun: str, names: Sequence[str], where: str = "it") -> str:
 
 
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
-    """Draw rows: every pose gets its position in a random order of its own group, as a share of the group; the lowest
-    are taken.
+    """Draw a fraction of the poses."""
+    rank = _pose_ranks(table, seed)
+    return np.asarray(rank < round(fraction * (int(rank.max()) + 1)))
 
+
+def _pose_ranks(table: ObservationTable, seed: int) -> NDArray[np.intp]:
+    """Return the number (n,) of each row's pose in a random order in which all groups are mixed evenly.
+
+    Every pose gets its position in a random order of its own group, as a share of the group, and poses are sorted by it.
     Rows of one pose (the same joint readings, for example with several reflectors) have common errors, so they are held
     out together or not at all.
     """
@@ -134,9 +188,9 @@ def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
         members = np.flatnonzero(of_pose == index)
         # The random start lets small groups round up in one draw and down in another.
         share[members] = (rng.permutation(members.size) + rng.random()) / max(members.size, 1)
-    drawn = np.zeros(first.size, dtype=bool)
-    drawn[np.argsort(share, kind="stable")[: round(fraction * first.size)]] = True
-    return np.asarray(drawn[pose.ravel()])
+    rank = np.empty(first.size, dtype=np.intp)
+    rank[np.argsort(share, kind="stable")] = np.arange(first.size)
+    return np.asarray(rank[pose.ravel()])
 
 
 def numbered(columns: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
