@@ -27,6 +27,7 @@ from truearm.export.formats import FORMATS
 from truearm.file_names import missing_file
 from truearm.files import observation_table, result_file, rig_file, robot_file
 from truearm.files.disk import write_atomic
+from truearm.kinds.registry import with_every_name
 from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
@@ -731,6 +732,7 @@ def _rigs(given: RigsArgument | None, table: ObservationTable) -> Rigs:
     """Return the rig, or the rigs by name, checked against the rows that refer to them."""
     rig = Rig() if given is None else _read_rigs(given)
     if isinstance(rig, Rig):
+        rig = with_every_name(rig, table)
         try:
             observation_table.check_against_rig(table, rig)
         except TableError as exc:
@@ -741,9 +743,10 @@ def _rigs(given: RigsArgument | None, table: ObservationTable) -> Rigs:
         raise InputError(
             f"rig: has no rig {missing[0]!r}, which the table's rows name; it has {', '.join(sorted(rig)) or 'none'}"
         )
-    for name, one in rig.items():
+    rigs = {name: with_every_name(one, table.select(table.rig == name)) for name, one in rig.items()}
+    for name, one in rigs.items():
         observation_table.check_against_rig(table.select(table.rig == name), one)
-    return rig
+    return rigs
 
 
 def _mask(hold_out: NDArray[np.bool_], table: ObservationTable) -> NDArray[np.bool_]:

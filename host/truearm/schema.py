@@ -44,7 +44,7 @@ MAX_ENTRIES = 10_000
 HUGE = 1e12  # no number in any unit is larger; a larger integer may have no float
 UNKNOWN = "unknown"
 NO_UNIT = ("",)
-NAME = re.compile(r"[\w-]{1,64}")  # no dots: parameter names such as socket.<place>.<socket>.x are made from these
+NAME = re.compile(r"[\w-](?:[\w.-]{0,62}[\w-])?")  # no dot at an end: parameter names such as chuck.<name>.x have these
 MAX_KEY_PARTS = 32  # tomllib's time grows with the square of the number
 _KEY_PART = r"""(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
 _DEEP_KEY = re.compile(f"(?:{_KEY_PART}){{{MAX_KEY_PARTS}}}")
@@ -329,7 +329,7 @@ class Text:
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-IDENTIFIER = Text(pattern=NAME, wanted="a name of up to 64 letters, digits, '-' and '_'")
+IDENTIFIER = Text(pattern=NAME, wanted="a name of up to 64 letters, digits, '-', '_' and '.'")
 
 
 @dataclass(frozen=True)

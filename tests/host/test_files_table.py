@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from tests.refusals import refused
 
+import truearm
 from truearm.errors import TableError
 from truearm.files.observation_table import (
     check_against_rig,
@@ -65,10 +66,15 @@ def test_quaternions_and_matrices_are_rotation_vectors() -> None:
         (("qx", "qy", "qz", "qw"), (-x, -y, -z, -w)),
         (titles, matrix.ravel()),
         (titles[::-1], matrix.ravel()[::-1]),
+        (("m30", *(f"m{k // 3}{k % 3}" for k in range(9)), "m33"), (0, *matrix.ravel(), 1)),
     ):
         table = parse_table(POSE.format(",".join(names), ",".join(map(str, values))), "t.csv", ("rad",))
         np.testing.assert_allclose(table.rotation, [TURN], atol=1e-14)
         np.testing.assert_allclose(table.xyz, [[1e-3, 2e-3, 3e-3]], rtol=1e-15)
+    whole = POSE.replace("x_mm,y_mm,z_mm", "m03_m,m13_mm,m23_mm").replace("1,2,3", "0.1,2,3")
+    cells = ",".join(f"m{k // 3}{k % 3}" for k in range(9)), ",".join(map(str, matrix.ravel()))
+    table = parse_table(whole.format(*cells), "t.csv", ("rad",))
+    np.testing.assert_allclose((table.rotation[0], table.xyz[0]), (TURN, (0.1, 2e-3, 3e-3)), atol=1e-14)
     table = parse_table(POSE.format("qw,qx,qy,qz", "1,0,0,0") + "position,0.5,t,1,2,3,,,,\n", "t.csv", ("rad",))
     np.testing.assert_allclose(table.rotation, [[0.0] * 3, [np.nan] * 3])
 
@@ -86,6 +92,44 @@ def test_quaternions_and_matrices_are_rotation_vectors() -> None:
 def test_orientations_that_are_none_are_refused(names, values, place) -> None:
     with pytest.raises(TableError, match=place):
         parse_table(POSE.format(names, values), "t.csv", ("rad",))
+
+
+EVERY_RIG = """
+[[target]]
+name = "{target}"
+xyz_mm = [0, 0, 100]
+sigma_mm = "unknown"
+
+[[tracker]]
+name = "{tracker}"
+sigma_mm = [0.02, 0.02, 0.02]
+"""
+
+
+def test_one_entry_stands_for_all_names_of_a_column(tmp_path: Path) -> None:
+    robot, rng = truearm.load_robot("ur5e"), np.random.default_rng(2)
+    q = rng.uniform(-2.0, 2.0, (120, 6))
+    names = [("T.1", "ball.a"), ("T.2", "ball.b"), ("T.1", "ball.b")]
+    points = {"ball.a": (0.02, 0.0, 0.1), "ball.b": (0.0, 0.03, 0.1)}
+    lines = [f"kind,tracker,target,{','.join(f'q{i}_rad' for i in range(1, 7))},x_m,y_m,z_m"]
+    for k, pose in enumerate(robot.forward(q)):
+        tracker, target = names[k % 3]
+        p = pose[:3, :3] @ points[target] + pose[:3, 3] + 2e-5 * rng.normal(size=3)
+        lines.append(",".join(["position", tracker, target, *map(str, (*q[k], *p))]))
+    (tmp_path / "t.csv").write_text("\n".join(lines))
+    table = truearm.read_table(tmp_path / "t.csv", robot)
+    rigs = {}
+    for every in (True, False):
+        pairs = [("*", "*")] if every else names[:2]
+        (tmp_path / "r.toml").write_text("".join(EVERY_RIG.format(tracker=a, target=b) for a, b in pairs))
+        rigs[every] = truearm.read_rig(tmp_path / "r.toml")
+    options = truearm.IdentifyOptions(joint_laws="none")
+    estimates = [truearm.identify(robot, table, rigs[every], options=options).estimate for every in (True, False)]
+    assert estimates[0].parameter_names == estimates[1].parameter_names
+    assert {"target.ball.a.x", "tracker.T.2.rz"} < {*estimates[0].parameter_names}
+    np.testing.assert_allclose(estimates[0].value, estimates[1].value, atol=1e-12)
+    with pytest.raises(TableError, match="not an identifier"):
+        parse_table("kind,q1_rad,place,socket\nseat,1,.front,0\n", "t.csv")
 
 
 def test_a_compressed_table_is_read_and_a_bomb_is_not(tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def identifiers(rows: list[Row], column: Column | None, name: str) -> np.ndarray
         if cell and not NAME.fullmatch(cell):
             raise TableError(
                 f"{name} row {row.number} column {column.name}: {quoted(cell)} is not an identifier; "
-                "use up to 64 letters, digits, '-' and '_'"
+                "use up to 64 letters, digits, '-', '_' and '.'"
             )
     return np.array([row.cells[column.position] for row in rows])
 

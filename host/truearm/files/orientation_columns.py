@@ -1,9 +1,12 @@
 """Measured orientations that a table gives as quaternions or rotation matrices, in place of rotation vectors.
 
 ``qw qx qy qz`` is a quaternion, ``r11 … r33`` a matrix by rows; both turn the tracker's axes into the end frame's.
+``m00 … m23`` is a matrix with the position in its last column.
 """
 
 from __future__ import annotations
+
+import re
 
 import numpy as np
 
@@ -14,6 +17,8 @@ from truearm.types import Floats
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 MATRIX = tuple(f"r{row}{column}" for row in "123" for column in "123")
+ELEMENT = re.compile(r"m([0-2])([0-3])(_\w+)?")
+LAST_ROW = ("m30", "m31", "m32", "m33")
 VECTOR = ("rx_rad", "ry_rad", "rz_rad")
 ROUNDING = 5e-3  # by which a published quaternion's length or a matrix's products may differ from those of a rotation
 
@@ -23,6 +28,7 @@ def with_rotation_vectors(header: list[str], rows: list[Row], name: str) -> tupl
 
     Cells of rows without an orientation stay empty. Raises TableError.
     """
+    header = [_of_matrix(title) for title in header]
     titles = [notation for notation in (QUATERNION, MATRIX) if set(notation) & set(header)]
     if not titles:
         return header, rows
@@ -41,6 +47,14 @@ def with_rotation_vectors(header: list[str], rows: list[Row], name: str) -> tupl
         )
         measured.append(Row(row.number, [*(row.cells[i] for i in others), *vector]))
     return [*(header[i] for i in others), *VECTOR], measured
+
+
+def _of_matrix(title: str) -> str:
+    """Return our title of an element of a 4×4 matrix, that of an ignored column for its last row; others as they are."""
+    if found := ELEMENT.fullmatch(title):
+        row, column, unit = int(found[1]), int(found[2]), found[3] or ""
+        return f"{'xyz'[row]}{unit}" if column == 3 else f"r{row + 1}{column + 1}{unit}"
+    return f"x_{title}" if title in LAST_ROW else title
 
 
 def _vector(cells: list[str], where: str) -> Floats:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from truearm.kinds.kind import Kind
     from truearm.kinds.quantities import Quantity
+    from truearm.kinds.table import ObservationTable
     from truearm.schema import Entries
     from truearm.types import Point, Rig
 
@@ -95,11 +96,27 @@ def rig_names(rig: Rig) -> Mapping[str, Mapping[str, Any]]:
     }
 
 
+def with_every_name(rig: Rig, table: ObservationTable) -> Rig:
+    """Return the rig with an entry for each name of the table, where the rig has one for all names, "*"."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from truearm.kinds.rig_entries import EVERY, by_name
+
+    for entry in (entry for entry in entries() if entry.index is by_name and entry.name in identifiers()):
+        named, names = rig.named(entry.field), [name for name in np.unique(table[entry.name]).tolist() if name]
+        if EVERY in named and names:  # otherwise it is the only entry, of rows without names
+            repeated = {name: replace(named[EVERY], name=name) for name in names}
+            rig = rig.with_named(entry.field, repeated | {name: named[name] for name in named if name != EVERY})
+    return rig
+
+
 def points() -> Mapping[str, str]:
     """Return the columns that name points of the rig, and the rig's field that holds each."""
-    from truearm.kinds.rig_entries import POINT
+    from truearm.kinds.rig_entries import POINT, TARGET_POINT
 
-    return {entry.name: entry.field for entry in entries() if entry.table is POINT}
+    return {entry.name: entry.field for entry in entries() if entry.table in (POINT, TARGET_POINT)}
 
 
 def end_points(rig: Rig) -> Mapping[str, Mapping[str, Point]]:

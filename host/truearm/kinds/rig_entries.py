@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
-from truearm.schema import IDENTIFIER, Entries, Key, SchemaError, Sigmas, Table, keys_of, values_of
+from truearm.schema import IDENTIFIER, Entries, Key, SchemaError, Sigmas, Table, Text, keys_of, values_of
+from truearm.schema import NAME as SCHEMA_NAME
 from truearm.types import SIZE, Device, Point
 
 NAME = Key("name", IDENTIFIER)
+EVERY = "*"  # the name of an entry that stands for all names without one
+NAME_OR_EVERY = Key("name", Text(pattern=re.compile(rf"{SCHEMA_NAME.pattern}|\*"), wanted=f"{IDENTIFIER.wanted}, or *"))
 
 
 def by_name(item: Any) -> str:
@@ -23,10 +27,11 @@ def _device(**values: Any) -> Device:
 
 
 POINT = Table((NAME, *keys_of(Point)), Point)
+TARGET_POINT = Table((NAME_OR_EVERY, *keys_of(Point)), Point)
 OF_DEVICE = values_of(Device)
 DEVICE = Table(
     (
-        NAME,
+        NAME_OR_EVERY,
         Key("covariance_m2", OF_DEVICE["sensor_cov"], field="sensor_cov"),
         Key("sigma", Sigmas(SIZE, 3), field="sensor_cov"),
         Key("xyz", OF_DEVICE["xyz"], optional=True),
@@ -38,4 +43,4 @@ DEVICE = Table(
     _device,
 )
 SPHERE = Entries("sphere", POINT, "spheres", by_name)
-TARGET = Entries("target", POINT, "targets", by_name)
+TARGET = Entries("target", TARGET_POINT, "targets", by_name)

@@ -22,7 +22,7 @@ from truearm.files.observation_table import check_against_rig, concatenate, read
 from truearm.files.result_file import Input, input_of
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
-from truearm.kinds.registry import kinds
+from truearm.kinds.registry import kinds, with_every_name
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
 from truearm.progress import step
@@ -161,11 +161,12 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     if noise is not None:
         check_against_rigs(noise, rigs)
     if "" in rigs or not rigs:
-        one = rigs.get("", with_noise(Rig(), noise))
+        one = with_every_name(rigs.get("", with_noise(Rig(), noise)), table)
         check_against_rig(table, one)
         _say_doubts(table, one, sources.say)
         return Observed(one, table, counts, recordings)
     _check_names(table, rigs, sources.rigs)
+    rigs = {name: with_every_name(rig, table.select(table.rig == name)) for name, rig in rigs.items()}
     for name, rig in rigs.items():
         check_against_rig(table.select(table.rig == name), rig)
         _say_doubts(table.select(table.rig == name), rig, sources.say)
