@@ -90,7 +90,7 @@ def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys)
         assert "6: set -20.0000 mm, then Enter" in said
         assert "order 1: cross-validation error" in said
         assert f"{device}: unchanged" in said.splitlines()[-1]
-        assert str(page.with_suffix(".places.toml")) in said.splitlines()[-1]
+        assert str(page.with_suffix(".places.json")) in said.splitlines()[-1]
         assert box("config", "get", "--box", device) == 0
         assert 'serial = "sim-lvdt"' in capsys.readouterr().out
     assert page.exists()
@@ -259,7 +259,7 @@ def at_places(run, world, positions):
 )
 def test_places_outlive_a_run_that_ends_early(tmp_path, number):
     """The next run of the same command continues from them, and both together give what one run does."""
-    kept = tmp_path / "gauge-lvdt.places.toml"
+    kept = tmp_path / "gauge-lvdt.places.json"
     with served() as (device, world, _):
         command = ("lvdt", "--box", device, "--sample-s", "0.3", "--order", "2")
         first = AtTheBox(tmp_path, *command)
@@ -272,14 +272,14 @@ def test_places_outlive_a_run_that_ends_early(tmp_path, number):
         rest, errors, code = first.ends(number)
         if number == signal.SIGINT:
             assert (code, errors) == (130, "truearm: interrupted\n")
-            assert "gauge-lvdt.places.toml keeps " in rest
-        assert kept.read_text().startswith("# places ")
-        assert kept.read_text().count("[[place]]") == 3
+            assert "gauge-lvdt.places.json keeps " in rest
+        assert json.loads(kept.read_text())["channel"] == "lvdt"
+        assert len(json.loads(kept.read_text())["places"]) == 3
         assert not (tmp_path / "gauge-lvdt.html").exists()
 
         again = AtTheBox(tmp_path, *command, *(("--stop",) if number == signal.SIGKILL else ()))
         said = again.until("[Y/n] ")
-        assert "gauge-lvdt.places.toml: 3 places from" in said
+        assert "gauge-lvdt.places.json: 3 places from" in said
         again.types("")
         assert "  3: 0.0000 mm at " in again.until(QUESTION)
         at_places(again, world, [15, 30])
@@ -311,7 +311,7 @@ def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypat
         monkeypatch.setattr(sys, "stdin", Operator(world, [(-20, ""), (-10, ""), "s", "q", "q"]))
         assert box(*command) == 2
         said = capsys.readouterr()
-        assert "gauge-lvdt.places.toml keeps " in said.out
+        assert "gauge-lvdt.places.json keeps " in said.out
         assert "places measured: 2" in said.err
         lines = ["", (0, ""), (10, ""), (20, ""), (0.1, ""), (-20, ""), "y"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
@@ -324,17 +324,20 @@ def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("\0", "UTF-8"),
-        ("channel = ", "TOML"),
-        ("", "needs channel"),
-        ('channel = "lvdt"\nscale = 1.0\n', "('lvdt'"),
-        ('channel = "lvdt"\nscale = 1.0\n[[place]]\nreference_m = nan\n', "[[place]] 1: reference_m:"),
-        ('channel = "lvdt"\nscale = 1.0\n[[place]]\nreference_m = 0.0\n', "[[place]] 1: needs mean"),
+        ("\0", "holds no places"),
+        ('{"channel"', "truncated"),
+        ("{}", "`uid`"),
+        ('{"uid": "u", "channel": "lvdt", "unit": "V", "scale": 1.0}', "('lvdt' of box 'u')"),
+        (
+            '{"uid": "u", "channel": "lvdt", "unit": "V", "scale": 1.0,'
+            ' "places": [{"reference": null, "mean": [0, 0, 0, 0], "temperature": 0}]}',
+            "places[0].reference",
+        ),
     ],
 )
 def test_kept_places_of_something_else_are_refused(text, says, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    kept = tmp_path / "gauge-lvdt.places.toml"
+    kept = tmp_path / "gauge-lvdt.places.json"
     kept.write_text(text)
     with served() as (device, _, _):
         assert box("gauge", "lvdt", "--box", device) == 2

@@ -104,11 +104,10 @@ def _powers_of_legendre(order: int, centre: float, half: float) -> Floats:
 
     This takes most of a fit's time.
     """
-    u = polynomial.Polynomial([-centre / half, 1.0 / half])
     columns = np.zeros((order + 1, order + 1))
     for j in range(order + 1):
-        powers = polynomial.Polynomial(legendre.leg2poly(np.eye(order + 1)[j, : j + 1]))(u).coef
-        columns[: powers.size, j] = powers
+        basis = legendre.Legendre.basis(j, domain=[centre - half, centre + half])
+        columns[: j + 1, j] = basis.convert(kind=polynomial.Polynomial).coef
     columns.flags.writeable = False
     return columns
 

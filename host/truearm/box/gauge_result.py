@@ -20,27 +20,16 @@ from truearm.units import MM, UM
 from truearm.version import VERSION
 
 if TYPE_CHECKING:
+    from truearm.box.gauge_places import Place
     from truearm.box.gauge_polynomial import PolyFit
     from truearm.report.certificate import Facts
     from truearm.session.box_ident import Channel, Stream
-    from truearm.session.sample_noise import MeanOfSamples
     from truearm.types import Floats
 
 MAG = "mag"  # name of the magnetostrictive stream
 HEAD = "magnetostrictive"
 FEWEST_PLACES = 5
 ROUNDING = 1e-9  # m, allowed difference between the stored decimals and the fit
-
-
-@dataclass(frozen=True)
-class Place:
-    """A reference position [m]: the sensor's mean reading in the channel's unit, and the box's temperature [°C]
-    meanwhile.
-    """
-
-    reference: float
-    mean: MeanOfSamples
-    temperature: float | None
 
 
 @dataclass(frozen=True)
@@ -193,8 +182,8 @@ def _head(result: PolyFit) -> dict[str, Any]:
 
 
 def _temperature(places: Sequence[Place]) -> dict[str, int]:
-    known = [place.temperature for place in places if place.temperature is not None]
-    return {"temperature_mdegc": round(1000 * sum(known) / len(known))} if known else {}
+    temperatures = [place.temperature for place in places if place.temperature is not None]
+    return {"temperature_mdegc": round(1000 * sum(temperatures) / len(temperatures))} if temperatures else {}
 
 
 def write_page(

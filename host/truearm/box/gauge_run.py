@@ -12,7 +12,7 @@ import numpy as np
 
 from truearm.box.configuration import change_lines, checked_config
 from truearm.box.conversation import conversation, ident_of, streaming
-from truearm.box.gauge_places import GaugeRun, KeptPlaces, kept_path, read_kept
+from truearm.box.gauge_places import GaugeRun, KeptPlaces, Place, kept_path, read_kept
 from truearm.box.gauge_references import (
     MAX_REFERENCES,
     UNITS,
@@ -25,7 +25,6 @@ from truearm.box.gauge_result import (
     HEAD,
     MAG,
     GaugeCircumstances,
-    Place,
     calibrate,
     too_few,
     with_calibration,
@@ -48,8 +47,8 @@ SETTLE_S = 0.2  # for the converter's filter to fill and the operator's hand to 
 PATIENCE_S = 5.0
 STROKE = 0.1  # m, of a displacement transducer; the ball-bar's LVDT has 75 mm
 SOUND = 2850.0  # m/s, highest velocity in the rod of a magnetostrictive sensor
-STILL_MOVES = 6.0  # standard deviations of the mean of one part
-PARTS = 8  # of the samples at a position
+STILL_MOVES = 6.0  # standard deviations of the mean of one piece
+PIECES = 8  # of the samples at a position
 FEWEST = 16  # fewest samples for a mean and its error
 
 
@@ -130,17 +129,17 @@ def _told_if_kept(run: GaugeRun, say: Callable[[str], None]) -> Iterator[None]:
 
 def _continued(kept: Path, ident: Ident, channel: Channel, operator: GaugeOperator) -> KeptPlaces:
     """Return the places of a run that ended early, if the operator wants them. Raises InputError."""
-    of = KeptPlaces(_uid(ident), channel.name, channel.unit, channel.scale)
-    found = read_kept(kept, of)
-    if found.places:
-        number = counted(len(found.places), "place")
-        operator.say(f"{kept}: {number} from a run whose calibration was not stored")
+    empty = KeptPlaces(_uid(ident), channel.name, channel.unit, channel.scale)
+    earlier = read_kept(kept, empty)
+    if earlier.places:
+        n_places = counted(len(earlier.places), "place")
+        operator.say(f"{kept}: {n_places} from a run whose calibration was not stored")
         question = "continue from there? Only if sensor and reference stayed mounted as they were [Y/n] "
         if (operator.ask(question) or "y").lower() not in ("y", "yes"):
-            return of
-        for at, place in enumerate(found.places, 1):
-            operator.say(f"  {_placewords(at, place, channel)}")
-    return found
+            return empty
+        for number, place in enumerate(earlier.places, 1):
+            operator.say(f"  {_placewords(number, place, channel)}")
+    return earlier
 
 
 def _uid(ident: Ident) -> str:
@@ -153,7 +152,7 @@ def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) 
     ``new`` is the configuration with the sensor's serial number.
     """
     ident = ident_of(box)
-    named = [one.get("calibration", {}) for one in new["channels"] if one["name"] == options.channel] or [new[HEAD]]
+    calibrations = [c.get("calibration", {}) for c in new["channels"] if c["name"] == options.channel] or [new[HEAD]]
     return GaugeCircumstances(
         channel=options.channel,
         instrument=options.instrument,
@@ -161,25 +160,26 @@ def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) 
         operator=options.operator,
         uid=_uid(ident),
         firmware=one_line(ident.firmware[:32]),
-        serial=str(named[0].get("serial", "")),
+        serial=str(calibrations[0].get("serial", "")),
     )
 
 
 def _find(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
     from truearm.session.box_ident import find_channel
 
-    found = find_channel(ident, name)
-    if found is None:
+    channel = find_channel(ident, name)
+    if channel is None:
         names = ", ".join(c.name for stream in ident.streams.values() for c in stream.channels)
         on = box_command("config set magnetostrictive.period_us=983.04", device)
         off = f"; its stream is off (switch it on with {on})" if name == HEAD else ""
         raise InputError(f"the box has no channel {name[:40]!r}{off}; it has {names}")
-    if found[0].channels[found[1]].fault:
+    stream, index = channel
+    if fault := stream.channels[index].fault:
         raise InputError(
-            f"channel {name} cannot be used: {found[0].channels[found[1]].fault}; correct it with "
+            f"channel {name} cannot be used: {fault}; correct it with "
             f"{box_command(f'config set channel.{name}.KEY=VALUE', device)}"
         )
-    return found
+    return channel
 
 
 # --- at the stage
@@ -187,32 +187,32 @@ def _find(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
 
 def _measure_places(
     box: BoxControl,
-    found: tuple[Stream, int],
+    channel: tuple[Stream, int],
     options: GaugeOptions,
     listed: list[float] | None,
     run: GaugeRun,
     operator: GaugeOperator,
 ) -> None:
     """Ask for references and sample at each, until the operator ends."""
-    stream, index = found
+    stream, index = channel
     stroke = _stroke(stream) if options.stroke is None else options.stroke
     if listed is not None:
         check_references(listed, [place.reference for place in run.places], stroke, f"{options.references}")
-    given = _typed(run, options.unit, stroke, operator) if listed is None else _listed(listed, run, operator)
-    for reference in given:
+    references = _typed(run, options.unit, stroke, operator) if listed is None else _listed(listed, run, operator)
+    for reference in references:
         counts = sample(box, stream, options.sample)
         problem = trouble(counts[:, index], stream)
         if problem:
             operator.say(f"  rejected: {problem}")
             continue
-        read = _readings(counts[:, index], stream, stream.channels[index])
-        moved = motion(read)
+        readings = _readings(counts[:, index], stream, stream.channels[index])
+        moved = motion(readings)
         if moved:
             operator.say(
                 f"  rejected: {_moved(moved, stream.channels[index])}; do not touch it, and measure this place again"
             )
             continue
-        place = _place(reference, read, box)
+        place = _place(reference, readings, box)
         run.add(place)
         operator.say(f"  {_placewords(len(run.places), place, stream.channels[index])}")
 
@@ -291,32 +291,32 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
     """
     from truearm.session.samples import with_ratios
 
-    skip, wanted = (max(1, round(NS.of(s) / stream.period_ns)) for s in (SETTLE_S, seconds))
+    skip, n_wanted = (max(1, round(NS.of(s) / stream.period_ns)) for s in (SETTLE_S, seconds))
     with streaming(box), step(f"sampling {stream.name} for {seconds:g} s") as advance:
-        blocks = _collect(box, stream, skip, max(wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S, advance)
+        blocks = _collect(box, stream, skip, max(n_wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S, advance)
     for _ in box.sent(0.0):  # data in transit
         continue
     return with_ratios(np.concatenate(blocks), stream.channels)
 
 
 def _collect(
-    box: BoxControl, stream: Stream, skip: int, wanted: int, patience_s: float, advance: Advance
+    box: BoxControl, stream: Stream, skip: int, n_wanted: int, patience_s: float, advance: Advance
 ) -> list[NDArray[np.int32]]:
-    """Collect blocks with ``wanted`` samples in total, from number ``skip`` on."""
+    """Collect blocks with ``n_wanted`` samples in total, from number ``skip`` on."""
     blocks: list[NDArray[np.int32]] = []
     width = len(stream.channels)
-    have, end_s = 0, box.now_s + patience_s
+    n_samples, end_s = 0, box.now_s + patience_s
     while box.now_s < end_s:
         for data in (sent.data for sent in box.sent(0.05)):
             if data is None or data.stream != stream.id or data.n0 < skip or len(data.samples) % (4 * width):
                 continue
             blocks.append(np.frombuffer(data.samples, "<i4").reshape(-1, width))
-            have += len(blocks[-1])
-            advance(min(have / wanted, 1.0))
-            if have >= wanted:
+            n_samples += len(blocks[-1])
+            advance(min(n_samples / n_wanted, 1.0))
+            if n_samples >= n_wanted:
                 return blocks
     raise LinkError(
-        f"the box sent {have} of {wanted} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
+        f"the box sent {n_samples} of {n_wanted} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
     )
 
 
@@ -365,15 +365,15 @@ def motion(samples: NDArray[np.float64]) -> float:
     """
     from truearm.session.sample_noise import quick_noise
 
-    parts = np.array_split(samples, max(2, min(PARTS, samples.size // PARTS)))
-    means = np.array([part.mean() for part in parts])
+    pieces = np.array_split(samples, max(2, min(PIECES, samples.size // PIECES)))
+    means = np.array([piece.mean() for piece in pieces])
     steps = np.abs(np.diff(samples))
     if not steps.any():
         return 0.0
     noise = max(quick_noise(samples), float(steps[steps > 0.0].min()))
     first, last = sorted((int(means.argmin()), int(means.argmax())))
     moved = float(means[last] - means[first])
-    return moved if abs(moved) > noise * max(1.0, STILL_MOVES / math.sqrt(parts[-1].size)) else 0.0
+    return moved if abs(moved) > noise * max(1.0, STILL_MOVES / math.sqrt(pieces[-1].size)) else 0.0
 
 
 def _moved(by: float, channel: Channel) -> str:
