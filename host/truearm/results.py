@@ -381,12 +381,22 @@ class ResidualParts(NamedTuple):
     unexplained: float
 
 
-class PoseError(NamedTuple):
-    """Errors that the rows of one pose share, in addition to each row's own noise (``estimate.pose_effect``)."""
+class Scatter(NamedTuple):
+    """Errors of the arm itself, learned from the residuals by their evidence (``estimate.scatter``): standard deviations.
 
-    sigma: Annotated[float, MM]  # m, of each component of a translation of the end
-    row_variance: float  # of a row's own noise relative to the declared one, at least 1
-    n: int  # poses with several rows
+    ``shared`` [m] and ``turned`` [rad] are of a displacement along, and a rotation about, each axis of the end that the
+    rows of a pose share; ``joint`` of an error of each joint [rad, m of ``linear`` ones]. Beside them, the sensors'
+    variances are ``factor`` times the declared ones. ``nats``: by how much the arm's errors raise the log evidence over a
+    factor alone. ``n``: poses with several rows; 0 if fewer than half of the rows are in one of these.
+    """
+
+    factor: float
+    shared: float
+    turned: float
+    joint: Mapping[str, float]
+    linear: tuple[str, ...]
+    nats: float
+    n: int
 
 
 class OtherFit(NamedTuple):
@@ -442,10 +452,7 @@ class JointLaws:
     """The joint laws beyond offset and gain in an identification.
 
     ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` explain, in sentences,
-    why other laws, or all of them, were not tried. The noise per pose is estimated from the residuals by evidence: a
-    factor on the declared variances, and the standard deviations of a displacement [m] and a rotation [rad] shared by the
-    rows of a pose, and of an error of each joint [rad, m of ``linear`` ones]. ``noise_nats`` is by how much these errors of the arm
-    raise the log evidence over a factor alone.
+    why other laws, or all of them, were not tried. The noise that was learned beside them is the estimate's ``scatter``.
     """
 
     mode: str  # one of ``estimate.solvers.LawMode``
@@ -456,12 +463,6 @@ class JointLaws:
     gravity: tuple[float, float, float]
     gravity_known: bool  # from the robot file; otherwise z is assumed to point up
     payloads: tuple[Payload, ...]  # the different ones of the fitted rows
-    noise_factor: float = math.nan
-    noise_shared: float = math.nan
-    noise_turned: float = math.nan
-    noise_joint: Mapping[str, float] = field(default_factory=dict)
-    linear: tuple[str, ...] = ()
-    noise_nats: float = math.nan
 
 
 class PredictedError(NamedTuple):
@@ -571,7 +572,7 @@ class Estimate(Displayed):
     with_outliers: OtherFit | None = None  # all rows, if outliers were left out (estimate.outliers)
     without_bad_rows: OtherFit | None = None  # these are ``suspect``, but too many to leave out (estimate.bad_rows)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
-    pose_error: PoseError | None = None  # shared by the rows of a pose, beyond chance; in ``covariance``
+    scatter: Scatter | None = None  # of the arm, where it was learned; in ``covariance`` if rows share poses
     joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested
     unseen: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # (p, d) the complete null space, in SI units
     held_out_drawing: HeldOut | None = None  # of the drawing, if the nominal robot is the controller's

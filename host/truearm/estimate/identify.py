@@ -34,7 +34,6 @@ from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.other_fits import with_all_rows, without_bad
 from truearm.estimate.outliers import gross_rows, weightless, without_outliers
-from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import (
     Problem,
@@ -45,6 +44,7 @@ from truearm.estimate.problem import (
     without_knowledge,
 )
 from truearm.estimate.row_errors import left_out_errors, row_errors
+from truearm.estimate.scatter import covariance_with, is_shared, learned_scatter
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
@@ -145,9 +145,11 @@ def identify(
     sight = _sight(task, x, solved.taken(problem))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
-    shared = pose_effect(solved.taken(problem), x, columns, root, task.pose) if as_declared else None
-    covariance = np.zeros((x.size, x.size))
-    covariance[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
+    taken, covariance = solved.taken(problem), np.zeros((x.size, x.size))
+    covariance[np.ix_(columns, columns)] = found.covariance
+    scatter = learned_scatter(taken, x, columns, task.pose, quality.fit) if as_declared else None
+    if scatter is not None and is_shared(scatter):
+        covariance[np.ix_(columns, columns)] = covariance_with(scatter, taken, x, columns, root, task.pose)
     unfitted = _unfitted(task, nominal, x, quality)
     unexplained: Mapping[str, MeanError] = {}
     if not quality.fit.explained:
@@ -201,7 +203,7 @@ def identify(
         with_outliers=None if solved.found is solved.every else with_all_rows(problem, columns, solved.every, found),
         without_bad_rows=quality.bad and without_bad(quality.bad, chain, x, table.q[fitted]),
         parts=quality.parts,
-        pose_error=None if shared is None else shared.error,
+        scatter=scatter,
         unseen=sight.of_rows.unseen,
     )
     return replace(estimate, seconds=time.perf_counter() - started)

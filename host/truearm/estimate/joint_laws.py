@@ -8,7 +8,6 @@ else under the learned noise. The fit is still judged (χ²) against the declare
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,15 +24,15 @@ from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_choice import LawChoice, regions, supported, without_absent
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
 from truearm.estimate.law_elsewhere import nearer_geometry
-from truearm.estimate.law_fit import LawProblem, Learned, Posterior, law_problem, learn, nats_of_scatter, posterior
+from truearm.estimate.law_fit import LawProblem, Learned, Posterior, law_problem, learn, posterior
 from truearm.estimate.law_outliers import WithLaws, outlying_beside_laws
 from truearm.estimate.law_rows import law_rows, with_predicted
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.payload_rows import payloads_of
-from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise, pose_information
 from truearm.estimate.problem import build_problem, modelled_of, settled, without_knowledge
+from truearm.estimate.scatter import JOINT_NOISE, scatter_of
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
@@ -51,14 +50,12 @@ from truearm.results import (
     JointLaws,
     LawStep,
     MeanError,
-    PoseError,
     TriedLaw,
 )
 from truearm.types import CurveKnots, Floats, Law, Residuals, Rigs, thinned
 from truearm.units import UNITS
 
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
-JOINT_NOISE = 1e-4  # rad, initial value
 SAME_MOTION = 1e-4  # relative difference of two motions that are one: 4 nm of a curve's mean of 0.04 mrad at a metre
 NULL_ROUNDING = 1e-11  # of the largest singular value of the unknowns
 ERRORS_EXPLAIN = (
@@ -148,16 +145,6 @@ def with_joint_laws(
     )
     if best is None:
         return WithLaws(chain, replace(estimate, joint_laws=report))
-    noise = best.learned.noise
-    report = replace(
-        report,
-        noise_factor=noise.sensor,
-        noise_shared=math.sqrt(noise.shared),
-        noise_turned=math.sqrt(noise.turned),
-        noise_joint=dict(zip((joint.name for joint in chain.joints), np.sqrt(noise.joint).tolist(), strict=True)),
-        linear=tuple(joint.name for joint in chain.joints if joint.kind != "revolute"),
-        noise_nats=nats_of_scatter(best.of, best.learned),
-    )
     return WithLaws(with_laws(chain, kept), replace(found, joint_laws=report), choice)
 
 
@@ -325,19 +312,11 @@ class _Work:
             claim=None,
             prior_sigma=_prior(of, fitted),
             parts=rows.parts,
-            pose_error=_pose_error(of, learned.noise),
+            scatter=scatter_of(of, learned),
             suggested_free=np.append(before.suggested_free, np.zeros(added, dtype=bool)),
             with_outliers=before.with_outliers
             and before.with_outliers._replace(value=np.insert(before.with_outliers.value, [at] * added, 0.0)),
         )
-
-
-def _pose_error(of: LawProblem, noise: PoseNoise) -> PoseError | None:
-    """Return the errors shared by the rows of a pose, if as many rows share poses as for a fit without laws."""
-    count = np.bincount(of.pose)
-    if not noise.shared or count[count > 1].sum() < max(LEAST_SHARE * of.pose.size, 1.0):
-        return None
-    return PoseError(math.sqrt(noise.shared), noise.sensor, int((count > 1).sum()))
 
 
 def _step(name: str, found: Estimate | _Fitted) -> LawStep:

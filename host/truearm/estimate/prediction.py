@@ -32,7 +32,7 @@ from truearm.kinds.position import nearest_rotation
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, about, along, forward, point_forward, point_jacobians, trace_point
-from truearm.results import MOVES, Estimate, JointLaws, PredictedError
+from truearm.results import MOVES, Estimate, PredictedError, Scatter
 from truearm.types import Floats, Rigs, rigs_by_name, rms, thinned
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
@@ -126,28 +126,22 @@ def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimat
     explains the residuals, the share of the arm is believed only with evidence. Faults that explain the residuals pass for
     scatter, and are stated for themselves.
     """
-    shared, turned, joints, laws = 0.0, 0.0, np.zeros(len(chain.joints)), estimate.joint_laws
-    if laws is not None and not laws.kept:
-        laws = None
-    if estimate.covariance_explains and not (laws and _arm_scatters(laws)):
+    scatter = estimate.scatter
+    if scatter is None or (estimate.covariance_explains and not _arm_scatters(scatter)):
         return np.zeros(len(table))
-    if laws is not None:
-        shared, turned = laws.noise_shared, laws.noise_turned
-        joints = np.array([laws.noise_joint.get(joint.name, 0.0) for joint in chain.joints])
-    elif estimate.pose_error is not None:
-        shared = estimate.pose_error.sigma
+    joints = np.array([scatter.joint[joint.name] for joint in chain.joints])
     places, _ = measured_points(rig, table, estimate)
     _, _, by_joints = point_jacobians(chain, estimate.value[: estimate.n_robot_parameters], table.q, places)
-    of_link = 3.0 * shared**2 + 2.0 * turned**2 * (places**2).sum(axis=1)
+    of_link = 3.0 * scatter.shared**2 + 2.0 * scatter.turned**2 * (places**2).sum(axis=1)
     return np.asarray(of_link + ((by_joints * joints) ** 2).sum(axis=(1, 2)))
 
 
-def _arm_scatters(laws: JointLaws) -> bool:
+def _arm_scatters(scatter: Scatter) -> bool:
     """Return whether noise of the sensors alone would seldom raise the evidence for noise of the arm so much.
 
     Twice the nats are then χ² (Wilks), of at most as many degrees of freedom as the arm's noise has variances.
     """
-    return bool(2.0 * laws.noise_nats > chdtri(len(laws.noise_joint) + 2, WHITE_NOISE))
+    return bool(2.0 * scatter.nats > chdtri(len(scatter.joint) + 2, WHITE_NOISE))
 
 
 def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:

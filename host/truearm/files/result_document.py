@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.gain import gain_of
 from truearm.estimate.kind_errors import errors_by_kind
+from truearm.estimate.scatter import is_shared
 from truearm.files.result_covariance import Covariance
 from truearm.files.result_file import Parameter, Result, RobotFrames
 from truearm.kinds import registry
@@ -30,6 +31,7 @@ from truearm.results import (
     PredictedError,
     ResidualParts,
     Rival,
+    Scatter,
     ToolClaim,
 )
 from truearm.units import MM, MRAD, UNITS, key, named, shown
@@ -77,7 +79,8 @@ def result_of(
         "unexplained": _unexplained(estimate),
         "mean_change": _mean_change(estimate),
         "predicted_error": predicted and _predicted(predicted),
-        "joint_laws": _joint_laws(estimate.joint_laws, units),
+        "joint_laws": _joint_laws(estimate.joint_laws, estimate.scatter, units),
+        "pose_error": _pose_error(estimate.scatter),
         "parameters": _parameters(estimate),
         "covariance": Covariance.of(
             names[free], np.array(estimate.units)[free], estimate.covariance[np.ix_(free, free)]
@@ -229,16 +232,23 @@ def _predicted(predicted: PredictedError) -> dict[str, Any]:
     return {**{name: MM.of(size) for name, size in sizes.items()}, **where}
 
 
-def _joint_laws(laws: JointLaws | None, units: Sequence[str]) -> dict[str, Any] | None:
+def _joint_laws(laws: JointLaws | None, scatter: Scatter | None, units: Sequence[str]) -> dict[str, Any] | None:
     if laws is None:
         return None
-    noise = {
-        "factor": laws.noise_factor,
-        "shared_mm": MM.of(laws.noise_shared),
-        "turned_mrad": MRAD.of(laws.noise_turned),
-        "nats": laws.noise_nats,
-    }
-    for joint, sigma in laws.noise_joint.items():
-        scale = MM if joint in laws.linear else MRAD
-        noise[named(joint, scale.suffix)] = scale.of(sigma)
-    return {**_entry(laws, units), "laws": laws.kept, "noise": noise}
+    return {**_entry(laws, units), "laws": laws.kept, "noise": _noise(scatter) if laws.kept and scatter else {}}
+
+
+def _noise(scatter: Scatter) -> dict[str, float]:
+    noise = {"factor": scatter.factor, "nats": scatter.nats}
+    noise |= {"shared_mm": float(MM.of(scatter.shared)), "turned_mrad": float(MRAD.of(scatter.turned))}
+    for joint, sigma in scatter.joint.items():
+        scale = MM if joint in scatter.linear else MRAD
+        noise[named(joint, scale.suffix)] = float(scale.of(sigma))
+    return noise
+
+
+def _pose_error(scatter: Scatter | None) -> dict[str, float] | None:
+    """Return the error that the rows of a pose share, None if there is none."""
+    if scatter is None or not is_shared(scatter):
+        return None
+    return {"sigma_mm": float(MM.of(scatter.shared)), "row_variance": scatter.factor, "n": scatter.n}

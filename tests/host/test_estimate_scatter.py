@@ -1,4 +1,4 @@
-"""Errors common to the rows of one pose: their variance, and standard deviations that include them."""
+"""The arm's own scatter: what is learned of it, and standard deviations that include it."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,10 @@ from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import half, spectrum
 from truearm.estimate.measured_order import poses
-from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.problem import build_problem
+from truearm.estimate.scatter import covariance_with, is_shared, learned_scatter
 from truearm.estimate.solution import Options
+from truearm.estimate.uncertainty import Goodness
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.types import Device, Point, Rig
@@ -53,20 +54,48 @@ def fitted(table):
     return problem, columns, found
 
 
-def effect_of(table):
+def scatter_of(table):
+    """Return fit, columns, root of its covariance, and scatter with its covariance, None where rows of a pose are not alike."""
     problem, columns, found = fitted(table)
-    root = half(spectrum(found.information.root))
-    return found, columns, root, pose_effect(problem, found.x, columns, root, poses(table))
+    root, pose = half(spectrum(found.information.root)), poses(table)
+    scatter = learned_scatter(problem, found.x, columns, pose, Goodness(1.0, 1.0, (0.0, 2.0)))
+    if not is_shared(scatter):
+        return found, columns, root, None, None
+    return found, columns, root, scatter, covariance_with(scatter, problem, found.x, columns, root, pose)
 
 
-def test_both_variances_are_found():
-    """Of 60 worlds of 40 poses: unbiased, so the mean is within its own standard error of the truth."""
-    rng = np.random.default_rng(0)
-    found = [effect_of(tracked(rng, 40, 3.0 * NOISE, 2.0 * NOISE))[3].error for _ in range(60)]
-    variance, row = np.array([of.sigma**2 for of in found]) / NOISE**2, np.array([of.row_variance for of in found])
-    assert variance.mean() == pytest.approx(9.0, abs=3.0 * variance.std() / np.sqrt(60))
-    assert row.mean() == pytest.approx(4.0, abs=3.0 * row.std() / np.sqrt(60))
-    assert all(of.n == 40 for of in found)
+def test_the_error_of_points_and_the_noise_of_rows_are_learned():
+    """Of 40 worlds of 40 poses: the mean square error of the end, of joints and pose together, and a row's own variance."""
+    rng, jac = (
+        np.random.default_rng(0),
+        point_jacobians(CHAIN, TRUTH, random_poses(50, np.random.default_rng(5)), np.zeros(3))[2],
+    )
+    variance, row = [], []
+    for _ in range(40):
+        *_, scatter, _ = scatter_of(tracked(rng, 40, 3.0 * NOISE, 2.0 * NOISE))
+        by_joints = ((jac * list(scatter.joint.values())) ** 2).sum(axis=(1, 2)).mean()
+        variance.append((3.0 * scatter.shared**2 + by_joints) / NOISE**2)
+        row.append(scatter.factor)
+        assert scatter.n == 40
+    assert np.mean(variance) == pytest.approx(27.0, rel=0.1)
+    assert np.mean(row) == pytest.approx(4.0, abs=3.0 * np.std(row) / np.sqrt(40))
+
+
+def test_an_error_of_one_joint_is_told_from_one_of_the_pose():
+    rng = np.random.default_rng(6)
+    jogged = []
+    for _ in range(10):
+        table = tracked(rng, 60, 0.0)
+        moved = np.repeat(1e-3 * rng.normal(size=60), 3)[:, None] * (np.arange(6) == 4)
+        points = [
+            point_forward(CHAIN, TRUTH, q, np.array([TARGETS[name] for name in table.target]))
+            for q in (table.q, table.q + moved)
+        ]
+        *_, scatter, _ = scatter_of(table.replace(xyz=table.xyz + points[1] - points[0]))
+        jogged.append([*scatter.joint.values(), scatter.shared])
+    rms = np.sqrt(np.square(jogged).mean(axis=0))
+    assert rms[4] == pytest.approx(1e-3, rel=0.1)
+    assert np.delete(rms, 4).max() < 2e-4
 
 
 @pytest.mark.parametrize("shared", [0.7, 3.0])
@@ -80,11 +109,11 @@ def test_points_of_a_pose_do_not_count_as_poses(shared):
     point, by_robot, _ = point_jacobians(CHAIN, TRUTH, at, np.array([0.0, 0.0, 0.1]))
     inside, declared = [], []
     for _ in range(60):
-        found, columns, root, effect = effect_of(tracked(rng, 40, shared * NOISE))
+        found, columns, root, _, with_scatter = scatter_of(tracked(rng, 40, shared * NOISE))
         error = point_forward(CHAIN, found.x[: DESIGN.size], at, np.array([0.0, 0.0, 0.1])) - point
         jac = by_robot.reshape(60, -1)[:, columns[: DESIGN.size]]
         for covariance, into in (
-            (root @ root.T if effect is None else effect.covariance, inside),
+            (root @ root.T if with_scatter is None else with_scatter, inside),
             (root @ root.T, declared),
         ):
             sigma = np.sqrt(np.einsum("mi,ij,mj->m", jac, covariance[: jac.shape[1], : jac.shape[1]], jac))
@@ -97,20 +126,20 @@ def test_points_of_a_pose_do_not_count_as_poses(shared):
 def test_without_such_errors_the_covariance_is_the_declared_one():
     """In 95 of 100 clean fits; 40 have a standard error of 3.4."""
     rng = np.random.default_rng(2)
-    by_chance = [effect_of(tracked(rng, 30, 0.0))[3] for _ in range(40)]
-    assert sum(effect is not None for effect in by_chance) <= 6
-    for effect in filter(None, by_chance):
-        assert effect.error.sigma < 0.6 * NOISE
+    by_chance = [scatter_of(tracked(rng, 30, 0.0))[3] for _ in range(40)]
+    assert sum(scatter is not None for scatter in by_chance) <= 6
+    for scatter in filter(None, by_chance):
+        assert scatter.shared < 0.6 * NOISE
 
 
 def test_one_row_a_pose_tells_nothing_of_shared_errors():
     table = tracked(np.random.default_rng(3), 60, 3.0 * NOISE, names="a")
-    assert effect_of(table)[3] is None
+    assert scatter_of(table)[3] is None
 
 
 def test_identify_says_it_and_uses_it():
     table = tracked(np.random.default_rng(4), 40, 3.0 * NOISE)
     estimate = identify(CHAIN, RIG, table, free=FREE_HERE)
-    assert estimate.pose_error.sigma == pytest.approx(3.0 * NOISE, rel=0.2)
-    _, columns, _, effect = effect_of(table)
-    np.testing.assert_allclose(estimate.covariance[np.ix_(columns, columns)], effect.covariance, rtol=1e-3, atol=1e-14)
+    assert estimate.scatter.shared == pytest.approx(3.0 * NOISE, rel=0.3)
+    _, columns, _, _, covariance = scatter_of(table)
+    np.testing.assert_allclose(estimate.covariance[np.ix_(columns, columns)], covariance, rtol=1e-3, atol=1e-14)
