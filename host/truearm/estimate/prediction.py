@@ -127,7 +127,8 @@ def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimat
     scatter, and are stated for themselves.
     """
     scatter = estimate.scatter
-    if scatter is None or (estimate.covariance_explains and not _arm_scatters(scatter)):
+    learned_beside_faults = not estimate.faults or estimate.law_parameters  # laws are chosen beside them
+    if scatter is None or not learned_beside_faults or (estimate.covariance_explains and not _arm_scatters(scatter)):
         return np.zeros(len(table))
     joints = np.array([scatter.joint[joint.name] for joint in chain.joints])
     places, _ = measured_points(rig, table, estimate)
