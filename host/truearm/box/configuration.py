@@ -40,6 +40,7 @@ MAX_BYTES = 1 << 16
 Values = dict[str, Any]
 
 HEADER = "# The configuration of a truearm box"
+SUBTABLES = {"magnetostrictive": MAGNETOSTRICTIVE, "thermometers": THERMOMETERS}
 
 
 def parse_number(text: str) -> Decimal:
@@ -58,27 +59,27 @@ def format_config(config: Mapping[str, Any]) -> str:
     them.
     """
     lines = [f"{HEADER} (truearm box config get, set). A key that is left out keeps its value in the box."]
-    lines += _lines(config, CONFIG, ("version", "channels", "magnetostrictive", "thermometers"))
+    lines += _lines(config, CONFIG, ("version", "channels", *SUBTABLES))
     for channel in _channels(config):
         lines += ["", "[[channel]]", *_lines(channel, CHANNEL, ("calibration",))]
         if isinstance(channel.get("calibration"), dict):
             lines += ["[channel.calibration]", *_lines(channel["calibration"], CALIBRATION)]
-    head = config.get("magnetostrictive")
-    if isinstance(head, dict):
-        lines += ["", "[magnetostrictive]", *_lines(head, MAGNETOSTRICTIVE)]
-    if named := as_table(config.get("thermometers")):
-        lines += ["", "[thermometers]", *_lines(named, THERMOMETERS)]
+    for name, table in SUBTABLES.items():
+        if values := as_table(config.get(name)):
+            lines += ["", f"[{name}]", *_lines(values, table)]
     return "\n".join(lines) + "\n"
 
 
-def _lines(values: Mapping[str, Any], table: Table[Values], elsewhere: Sequence[str] = ()) -> list[str]:
-    keys = [key for key in config_keys(table) if key.called in values]
-    comments = {key.name: key.comment for key in keys}
+def _lines(values: Mapping[str, Any], table: Table[Values], subtables: Sequence[str] = ()) -> list[str]:
+    keys = {key.called: key for key in config_keys(table)}
+    comments = {key.name: key.comment for key in keys.values()}
     if values.get("osr") in OSRS:
         comments["osr"] = f"{NS.factor / MODULATOR_NS / values['osr']:.2f} samples per second"
-    found = [key.line(values[key.called]) + f"  # {comments[key.name]}".removesuffix("  # ") for key in keys]
-    known = {key.called for key in config_keys(table)} | set(elsewhere)
-    return found + [f"# {_one_line(k)}: not known to this truearm; the box keeps it" for k in values if k not in known]
+    lines = [
+        key.line(values[c]) + f"  # {comments[key.name]}".removesuffix("  # ") for c, key in keys.items() if c in values
+    ]
+    unknown = [name for name in values if name not in {*keys, *subtables}]
+    return lines + [f"# {_one_line(name)}: not known to this truearm; the box keeps it" for name in unknown]
 
 
 def _one_line(text: object) -> str:
@@ -87,17 +88,17 @@ def _one_line(text: object) -> str:
 
 def flat(config: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
     """Return every value as TOML by its dotted key; ``names`` are the names of the channels."""
-    found = _flat("", config, CONFIG)
+    tables = [("", config, CONFIG)]
     for name, channel in zip(names, _channels(config), strict=False):
-        found |= _flat(f"channel.{name}.", channel, CHANNEL)
-        found |= _flat(f"channel.{name}.calibration.", as_table(channel.get("calibration")), CALIBRATION)
-    found |= _flat("magnetostrictive.", as_table(config.get("magnetostrictive")), MAGNETOSTRICTIVE)
-    return found | _flat("thermometers.", as_table(config.get("thermometers")), THERMOMETERS)
-
-
-def _flat(prefix: str, values: Mapping[str, Any], table: Table[Values]) -> dict[str, str]:
-    keys = (key for key in config_keys(table) if key.called in values)
-    return {prefix + key.name: key.value.format(values[key.called]) for key in keys}
+        tables.append((f"channel.{name}.", channel, CHANNEL))
+        tables.append((f"channel.{name}.calibration.", as_table(channel.get("calibration")), CALIBRATION))
+    tables += [(f"{name}.", as_table(config.get(name)), table) for name, table in SUBTABLES.items()]
+    return {
+        prefix + key.name: key.value.format(values[key.called])
+        for prefix, values, table in tables
+        for key in config_keys(table)
+        if key.called in values
+    }
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -129,17 +130,15 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
     Channels are matched by name, or by order if there are four. A calibration replaces the previous one completely; an
     empty one, or an empty ``over``, removes it. Raises ConfigError, which refers to the file as ``name``.
     """
-    given = read(CONFIG, parse_toml(text, name, ConfigError, parse_float=parse_number), name, ConfigError)
+    settings = read(CONFIG, parse_toml(text, name, ConfigError, parse_float=parse_number), name, ConfigError)
     new = copy.deepcopy(dict(config))
-    channels, head = given.pop("channels", ()), given.pop("magnetostrictive", {})
-    named = given.pop("thermometers", {})
-    new |= given
-    before = new.setdefault("magnetostrictive", {})
-    if any(head.get(key, before.get(key)) != before.get(key) for key in ("us_per_inch", "delay_ns")):
-        _without_provenance(before)
-    before.update(head)
-    if named:
-        new.setdefault("thermometers", {}).update(named)
+    channels, head = settings.pop("channels", ()), settings.get("magnetostrictive", {})
+    present = as_table(config.get("magnetostrictive"))
+    if any(head.get(key, present.get(key)) != present.get(key) for key in ("us_per_inch", "delay_ns")):
+        _without_provenance(new.setdefault("magnetostrictive", {}))
+    for subtable in SUBTABLES.keys() & settings.keys():
+        new.setdefault(subtable, {}).update(settings.pop(subtable))
+    new |= settings
     for index, channel in zip(_places(new, channels, name), channels, strict=True):
         target = new["channels"][index]
         target |= channel
@@ -162,16 +161,16 @@ def check_ratios(config: Mapping[str, Any]) -> None:
 
 def _places(config: Mapping[str, Any], channels: Sequence[Mapping[str, Any]], name: str) -> list[int]:
     """Return which of the box's channels each channel in the file is."""
-    known = channel_names(config)
-    wanted = [channel.get("name") for channel in channels]
-    if len(set(wanted)) < len(wanted):
+    names = channel_names(config)
+    file_names = [channel.get("name") for channel in channels]
+    if len(set(file_names)) < len(file_names):
         raise ConfigError(f"{name}: every channel needs a name of its own")
-    if all(w in known for w in wanted):
-        return [known.index(str(w)) for w in wanted]
-    if len(channels) == len(known):
-        return list(range(len(known)))
+    if all(file_name in names for file_name in file_names):
+        return [names.index(str(file_name)) for file_name in file_names]
+    if len(channels) == len(names):
+        return list(range(len(names)))
     raise ConfigError(
-        f"{name}: the box's channels are {', '.join(known)}; name these channels, or give all {len(known)}"
+        f"{name}: the box's channels are {', '.join(names)}; name these channels, or give all {len(names)}"
     )
 
 
@@ -194,8 +193,8 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
     target, table, name = _place(new, path.strip())
     keys = {key.name: key for key in config_keys(table)}
     with raising(ConfigError):
-        parts = [] if "." in path else ["channel.NAME.…", "magnetostrictive.…", "thermometers.NAME"]
-        check_known({name: value} if name not in keys else {}, [*keys, *parts])
+        subtables = [] if "." in path else ["channel.NAME.…", "magnetostrictive.…", "thermometers.NAME"]
+        check_known({name: value} if name not in keys else {}, [*keys, *subtables])
         key = keys[name]
         if not value.strip() and not key.needed:
             target.pop(key.called, None)
@@ -215,20 +214,16 @@ def _place(config: Values, path: str) -> tuple[Values, Table[Values], str]:
     prefix, _, name = path.rpartition(".")
     if not prefix:
         return config, CONFIG, name
-    if prefix == "magnetostrictive":
-        return config.setdefault("magnetostrictive", {}), MAGNETOSTRICTIVE, name
-    if prefix == "thermometers":
-        return config.setdefault("thermometers", {}), THERMOMETERS, name
+    if prefix in SUBTABLES:
+        return config.setdefault(prefix, {}), SUBTABLES[prefix], name
     for index, channel in enumerate(_channels(config)):
         for called in (f"channel.{channel.get('name')}", f"channel.{index}"):
             if prefix == called:
                 return channel, CHANNEL, name
             if prefix == called + ".calibration":
                 return channel.setdefault("calibration", {}), CALIBRATION, name
-    known = ", ".join(f"channel.{n}" for n in channel_names(config))
-    raise ConfigError(
-        f"{prefix[:60]!r} is not a part of the configuration; its parts are magnetostrictive, thermometers, {known}"
-    )
+    tables = ", ".join([*SUBTABLES, *(f"channel.{channel}" for channel in channel_names(config))])
+    raise ConfigError(f"{prefix[:60]!r} is not a table of the configuration; its tables are {tables}")
 
 
 def _value(text: str, is_words: bool) -> Any:
