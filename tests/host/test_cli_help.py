@@ -41,3 +41,12 @@ def test_the_help_of_simulate_names_every_fault(run):
     words = " ".join(run("simulate", "--help").out.split())
     for fault in FAULTS:
         assert fault in words
+
+
+def test_the_list_of_commands_is_that_of_their_help_pages():
+    """It is written without importing them."""
+
+    def shown(tree):
+        return tree.get_help(tree.make_context("truearm", [], resilient_parsing=True))
+
+    assert shown(cli.listing()) == shown(cli.command_tree())

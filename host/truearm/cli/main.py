@@ -1,6 +1,7 @@
 """The command line: one typer app; errors become one line on stderr and an exit code.
 
-The exit codes stand in ``truearm.exit_codes``. To add a command, write ``cli/NAME.py`` and add it to the group of its task in ``TASKS``.
+The exit codes stand in ``truearm.exit_codes``. To add a command, write ``cli/NAME.py``
+with a function NAME, or a typer app for a group of commands, and add it to its task in ``TASKS``.
 """
 
 from __future__ import annotations
@@ -11,54 +12,54 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
 
-from truearm.cli.box import app as box
-from truearm.cli.characterize import characterize
 from truearm.cli.command import OPTIONS, stem_of
-from truearm.cli.correct import correct
-from truearm.cli.demo import demo
-from truearm.cli.export import export
-from truearm.cli.fleet import fleet
-from truearm.cli.identify import identify
-from truearm.cli.init import init
-from truearm.cli.inspect import inspect
-from truearm.cli.map import map_
 from truearm.cli.names import option_for
 from truearm.cli.output import print_json
-from truearm.cli.plan import app as plan
 from truearm.cli.progress_line import shown_progress
 from truearm.cli.project import CommandGroup, ProjectCommand, defaults, missing_file
-from truearm.cli.record import RecordCommand, record
-from truearm.cli.report import report
-from truearm.cli.robot import app as robot
-from truearm.cli.seats import seats
-from truearm.cli.session import app as session
-from truearm.cli.simulate import SimulateCommand, simulate
-from truearm.cli.status import status
-from truearm.cli.validate import validate
 from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode, table
 from truearm.findings import Finding, option
 from truearm.text import one_line
 from truearm.version import VERSION
 
-# What ``truearm --help`` lists for each task; a typer app is a group of commands.
-TASKS: dict[str, tuple[Any, ...]] = {
-    "Try": (demo, simulate),
-    "Measure": (init, robot, status, plan, record, seats, inspect, characterize, session),
-    "Identify": (identify, report, validate, map_, fleet),
-    "Use": (correct, export),
-    "Box": (box,),
+# What ``truearm --help`` lists for each task: commands, each a module here, and the first sentences of their help pages.
+TASKS = {
+    "Try": {
+        "demo": "Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.",
+        "simulate": "Simulate a sensor box and a robot, to rehearse a session on your own arm.",
+    },
+    "Measure": {
+        "init": "Create a project: truearm.toml, rig.toml and a first plan.",
+        "robot": "Read the model that a robot's controller computes with.",
+        "status": "Show the files of this folder's project, and the command that comes next.",
+        "plan": "Plan what to measure, and predict what the measurements will determine.",
+        "record": "Record a sensor box and a robot into a session file.",
+        "seats": "Fill the joints of seats in sockets into their table, from a log of the arm.",
+        "inspect": "Show whether a session is usable, what is in it, and what was lost.",
+        "characterize": "Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, each with its 95 % interval.",
+        "session": "Repair session files, and convert them for other programs.",
+    },
+    "Identify": {
+        "identify": "Identify a robot's parameters from observations.",
+        "report": "Write the report on a result, with a certificate as its first page.",
+        "validate": "Judge a calibration by other measurements: errors with and without it, in parts of the workspace, and a verdict.",
+        "map": "Map the error of the uncalibrated robot over a section of its workspace, with the uncertainty of the map.",
+        "fleet": "Identify the robots of all projects in some folders, several at a time.",
+    },
+    "Use": {
+        "correct": "Correct targets so that the real robot reaches them.",
+        "export": "Write a calibrated robot for other programs.",
+    },
+    "Box": {"box": "Find, flash, test, configure, calibrate and monitor a sensor box."},
 }
-COMMANDS = {
-    getattr(command, "__name__", None) or command.info.name: (command, task)
-    for task, commands in TASKS.items()
-    for command in commands
-}
+COMMANDS = {name: task for task, summaries in TASKS.items() for name in summaries}
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.
@@ -79,8 +80,6 @@ _PLAINER = (
 )
 _COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-completion writes
 
-CLASS_OF = {"simulate": SimulateCommand, "record": RecordCommand}
-
 
 def _print_version(wanted: bool) -> None:
     if wanted:
@@ -100,7 +99,21 @@ def _root(
 
 @functools.cache
 def command_tree(only: str | None = None) -> Any:
-    """Return the commands as typer builds them, or with ``only`` one of them: to build all takes as long as to import typer."""
+    """Return the commands as typer builds them, or with ``only`` one of them: all take as long as to import typer."""
+    app = _app()
+    for name in COMMANDS if only is None else (only,):
+        module, shown = import_module(f"truearm.cli.{name}"), {"rich_help_panel": COMMANDS[name]}
+        group: typer.Typer | None = getattr(module, "app", None)
+        if group is not None:
+            app.add_typer(group, name=name, **cast(Any, shown))
+        else:
+            command = getattr(module, name, None) or getattr(module, f"{name}_")
+            own_class = getattr(module, f"{name.capitalize()}Command", ProjectCommand)
+            app.command(name, cls=own_class, **cast(Any, shown))(command)
+    return _in_order(app)
+
+
+def _app() -> typer.Typer:
     app = typer.Typer(
         name="truearm",
         cls=CommandGroup,
@@ -111,22 +124,30 @@ def command_tree(only: str | None = None) -> Any:
         add_completion=True,
     )
     app.callback(invoke_without_command=True)(_root)
-    for name, (command, task) in COMMANDS.items():
-        if only not in (None, name):
-            continue
-        shown: dict[str, Any] = {"rich_help_panel": task}
-        if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name, **shown)
-        else:
-            app.command(name, cls=CLASS_OF.get(name, ProjectCommand), **shown)(command)
-    tree: Any = typer.main.get_command(app)  # in which typer lists groups last
+    return app
+
+
+def _in_order(app: typer.Typer) -> Any:
+    """Return the tree of an app in the order of COMMANDS: typer lists groups last."""
+    tree: Any = typer.main.get_command(app)
     tree.commands = {name: tree.commands[name] for name in COMMANDS if name in tree.commands}
     return tree
 
 
+def listing() -> Any:
+    """Return the commands without their options, as ``truearm --help`` lists them: none of their modules is imported."""
+    app = _app()
+    for task, summaries in TASKS.items():
+        for name, summary in summaries.items():
+            app.command(name, cls=ProjectCommand, help=summary, rich_help_panel=task)(lambda: None)
+    return _in_order(app)
+
+
 def tree_for(arguments: Sequence[str]) -> Any:
-    """Return the commands that a command line may use: the one that it names, or all."""
-    first = arguments[0] if arguments else None
+    """Return the commands that a command line may use: the one that it names, their list, or all."""
+    first = arguments[0] if arguments else "--help"
+    if first in ("--help", "--version"):
+        return listing()
     return command_tree(first if first in COMMANDS else None)
 
 
