@@ -3,12 +3,15 @@
 import json
 import struct
 import time
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import test_robots_rtde
 from controller_peer import Controller, built_rows, drawn_rows, info, message, state
 from session_stream import RIG
+from test_record_command import box_on_a_socket
 
 import truearm
 from truearm.errors import LinkError, RobotError
@@ -22,7 +25,8 @@ from truearm.model.chain import point_forward
 from truearm.model.controller_kinematics import kinematics_of_conf, kinematics_of_info, kinematics_of_yaml
 from truearm.model.robot import builtin_robot, parse_robot
 from truearm.record.robots import ur_primary
-from truearm.workflows.controller_model import controller_findings, controller_text, drawing_text
+from truearm.session.session_file import open_session
+from truearm.workflows.controller_model import controller_state, controller_text, drawing_text
 
 UR5E = builtin_robot("ur5e")
 SEED = 6  # of an arm with d of 340 m
@@ -221,20 +225,47 @@ def test_a_project_has_the_controllers_kinematics_or_says_that_it_does_not(run, 
     assert 'model = "ur5e"' in (tmp_path / "b" / "truearm.toml").read_text()
 
 
-def test_a_recording_warns_when_the_controllers_checksums_changed(run, tmp_path, controller):
-    rows, out = built_rows(UR5E.chain), tmp_path / "robot.toml"
-    address = controller(state(info(rows)))
+def test_a_controller_is_asked_only_for_a_robot_file_with_its_checksums(run, tmp_path, controller):
+    out = tmp_path / "robot.toml"
+    address = controller(state(info(built_rows(UR5E.chain))))
     assert run("robot", "read", address, "--model", "ur5e", "--out", out)[0] == 0
-    assert controller_findings(address, str(out)) == []
-    assert controller_findings("tcp://127.0.0.1:1", str(out)) == []
-    assert controller_findings(address, "ur5e") == []
-    changed = controller_findings(controller(state(info(rows, (1, 2, 9, 4, 5, 6)))), str(out))
-    assert [(f.code, f.values["joints"]) for f in changed] == [("controller-changed", ["3", "6"])]
-    assert "joint 3 and 6" in changed[0].text() or "joints 3" in changed[0].text()
+    assert controller_state(address, str(out)) == ((1, 2, 3, 4, 5, 0xFFFFFFFF), ())
+    assert controller_state("tcp://127.0.0.1:1", str(out)) == ((), ())
+    assert controller_state(address, "ur5e") == ((), ())
     for data in (b"", HOSTILE["short kinematics"]):
-        unread = controller_findings(controller(data), str(out))
-        assert [f.code for f in unread] == ["controller-unread"]
-        assert unread[0].values["reason"].count(address) == 1
+        checksums, (unread,) = controller_state(controller(data), str(out))
+        assert (checksums, unread.code) == ((), "controller-unread")
+        assert unread.values["reason"].count(address) == 1
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_a_session_has_the_controllers_checksums_and_warns_when_they_changed(
+    run, tmp_path, controller, monkeypatch, changed
+):
+    rows = built_rows(UR5E.chain)
+    (tmp_path / "cell").mkdir()
+    write_rig(tmp_path / "cell" / "rig.toml", RIG)
+    address = controller(state(info(rows)))
+    assert run("init", tmp_path / "cell", "--model", "ur5e", "--address", address, "--minutes", "0")[0] == 0
+    monkeypatch.chdir(tmp_path / "cell")
+    now = (1, 2, 9, 4, 5, 6) if changed else (1, 2, 3, 4, 5, 0xFFFFFFFF)
+    controller(state(info(rows, now)))
+
+    def readings(peer):
+        with suppress(OSError):  # the recording ends
+            for k in range(1000):
+                peer.sendall(test_robots_rtde.data(100.0 + 0.002 * k))
+                time.sleep(0.002)
+
+    peer = test_robots_rtde.Controller(test_robots_rtde.WHOLE, readings)
+    with box_on_a_socket() as (_, device):
+        options = ["--box", device, "--address", peer.url, "--duration-s", 1, "--out", "s.mcap", "--unchecked"]
+        code, _, err = run("record", *options)
+    assert code in (0, 4), err
+    setup = open_session(tmp_path / "cell" / "s.mcap").metadata["setup"]
+    assert setup["controller_checksums"] == " ".join(f"{checksum:08x}" for checksum in now)
+    assert ("checksums of joints 3, 6 differ" in " ".join(err.split())) == changed
+    assert ("truearm robot read" in err) == changed
 
 
 def test_a_file_whose_rows_cannot_hold_the_controller_is_refused(run, tmp_path, controller):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,10 +67,15 @@ def read_controller(source: str, model: str, out: Path, force: bool = False) -> 
             raise exc.within(Path(source)) from exc
     written, apart = controller_text(text, drawing, kinematics)
     write_atomic(out, written)
-    checksums = [f"{checksum:08x}" for checksum in kinematics.checksums]
+    checksums = as_hex(kinematics.checksums)
     values: dict[str, Any] = {"place": source, "model": drawing.chain.name, "n": N_POSES, "checksums": checksums}
     differences = {"rms": {"mm": float(MM.of(rms(apart)))}, "largest": {"mm": float(MM.of(apart.max()))}}
     return Finding("controller-read", {**values, **differences, "as_drawn": bool(apart.max() < EXACT)})
+
+
+def as_hex(checksums: tuple[int, ...]) -> list[str]:
+    """Return checksums as the controller's files have them, without 0x."""
+    return [f"{checksum:08x}" for checksum in checksums]
 
 
 def _controller_kinematics(address: str) -> ControllerKinematics:
@@ -163,19 +168,28 @@ def _drawn_rows(drawing: Robot) -> Floats:
     return np.array([[values.get(f"joint{i + 1}.{key}", 0.0) for i in range(JOINTS)] for key in keys])
 
 
-def controller_findings(address: str | None, model: str) -> list[Finding]:
-    """Return whether a controller has other checksums than the robot file ``model``, or cannot be asked."""
+class ControllerState(NamedTuple):
+    """The checksums of a controller now, () if they were not read, and findings about them."""
+
+    checksums: tuple[int, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+def controller_state(address: str | None, model: str) -> ControllerState:
+    """Return a controller's checksums if the robot file ``model`` has some, and whether they differ or were not read."""
     if not (address or "").startswith(f"{RTDE}://") or not Path(model).is_file() or is_urdf(model):
-        return []
+        return ControllerState()
     stored = load_robot(model).checksums
     if not stored:
-        return []
+        return ControllerState()
     try:
         now = _controller_kinematics(address or "").checksums
     except (LinkError, RobotError) as exc:
-        return [Finding("controller-unread", {"model": model, "reason": str(exc), "stored": True})]
+        unread = Finding("controller-unread", {"model": model, "reason": str(exc), "stored": True})
+        return ControllerState(findings=(unread,))
     changed = [str(i + 1) for i in range(JOINTS) if now[i] != stored[i]]
-    return [Finding("controller-changed", {"place": address, "model": model, "joints": changed})] if changed else []
+    differs = Finding("controller-changed", {"place": address, "model": model, "joints": changed})
+    return ControllerState(now, (differs,) * bool(changed))
 
 
 def controller_choice(model: str, address: str, folder: Path) -> tuple[RobotChoice | None, Finding | None]:

@@ -25,7 +25,7 @@ from truearm.record.status import Counters
 from truearm.text import counted, one_line
 from truearm.types import Move
 from truearm.units import NS
-from truearm.workflows.controller_model import controller_findings
+from truearm.workflows.controller_model import as_hex, controller_state
 from truearm.workflows.requests import RecordOptions
 from truearm.workflows.session_copies import recovered_name
 from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
@@ -81,10 +81,12 @@ def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], 
     for part in () if work.before is None else work.before.damaged:
         say(damaged_part(part))
     device = choose_box(request.box, output)
-    findings = controller_findings(work.robot, request.project_model)
-    for finding in findings:
+    controller = controller_state(work.robot, request.project_model)
+    for finding in controller.findings:
         say(finding.text())
-    return replace(_record(device, work, request, output), findings=findings)
+    if controller.checksums:
+        work = replace(work, setup={**work.setup, "controller_checksums": " ".join(as_hex(controller.checksums))})
+    return replace(_record(device, work, request, output), findings=controller.findings)
 
 
 def damaged_part(part: Path) -> str:
