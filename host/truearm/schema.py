@@ -77,6 +77,33 @@ def load_toml(text: str, parse_float: Callable[[str], Any] = float) -> dict[str,
     return tomllib.loads(text, parse_float=parse_float)
 
 
+def toml_text(document: Mapping[str, Any]) -> str:
+    """Return a document as TOML: its own entries, then its tables. Tables and lists in these are on one line."""
+    own = [f"{key} = {_toml_value(entry)}" for key, entry in document.items() if not isinstance(entry, dict)]
+    for name, table in document.items():
+        if isinstance(table, dict):
+            own += [
+                "",
+                f"[{_toml_key(name)}]",
+                *(f"{_toml_key(key)} = {_toml_value(entry)}" for key, entry in table.items()),
+            ]
+    return "\n".join([*own, ""])
+
+
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_toml_key(key)} = {_toml_value(entry)}" for key, entry in value.items()) + " }"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def quoted(value: object) -> str:
     """Return an external text in a form suitable for a one-line message."""
     if isinstance(value, bool):
@@ -326,7 +353,7 @@ class Text:
         )
 
     def format(self, value: str) -> str:
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return _toml_value(value)
 
 
 IDENTIFIER = Text(pattern=NAME, wanted="a name of up to 64 letters, digits, '-', '_' and '.'")

@@ -6,7 +6,6 @@ d of hundreds of metres become rows with Hayati's β (``export.dh``), which can 
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,6 +32,7 @@ from truearm.model.robot import CONTROLLER, Robot, parse_robot
 from truearm.progress import step
 from truearm.record.robots.sources import RTDE
 from truearm.record.robots.ur_primary import kinematics_info
+from truearm.schema import load_toml, toml_text
 from truearm.types import Floats, rms
 from truearm.units import MM, SUFFIXES
 
@@ -40,8 +40,6 @@ ROBOT_FILE = "robot.toml"
 OTHER_ARM_M = 0.05  # the calibration of an arm differs from its drawing by less, other arms by more
 EXACT = 1e-9  # m, and of a rotation matrix
 N_POSES = 600
-PARAMETER = re.compile(r"^(\w+?)(?:_(m|cm|mm|rad|deg))? = \{ *(.*)")
-OWN = re.compile(rf"\b{CONTROLLER} *= *[^,}}\s]+ *,? *")
 
 
 @step("reading the controller's kinematics")
@@ -144,20 +142,16 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
 
 def _with_set(text: str, values: dict[str, float], checksums: tuple[int, ...]) -> str:
     """Return the text of a robot file whose parameters have the values [SI] as nominal ones."""
-    lines, table = [], ""
-    for line in text.splitlines():
-        if line.startswith("["):
-            table = line.strip("[] ").partition("]")[0]
-        entry = PARAMETER.match(line)
-        if entry and (name := f"{table}.{entry[1]}") in values:
-            value = SUFFIXES[entry[2] or ""].of(values[name])
-            line = f"{line[: entry.start(3)]}{CONTROLLER} = {value + 0.0!r}, {OWN.sub('', entry[3])}"
-        elif not table and line.startswith("checksums ="):
-            continue
-        elif not table and line.startswith("nominal ="):
-            line = f'nominal = "{CONTROLLER}"' + f"\nchecksums = {list(checksums)}" * bool(checksums)
-        lines.append(line)
-    return "\n".join([*lines, ""])
+    document = {**load_toml(text), "nominal": CONTROLLER, "checksums": list(checksums)}
+    if not checksums:
+        del document["checksums"]
+    for table, entries in ((table, entries) for table, entries in document.items() if isinstance(entries, dict)):
+        for title, sets in entries.items():
+            key, _, unit = title.rpartition("_")
+            key, unit = (key, unit) if unit in SUFFIXES else (title, "")
+            if isinstance(sets, dict) and f"{table}.{key}" in values:
+                sets[CONTROLLER] = SUFFIXES[unit].of(values[f"{table}.{key}"]) + 0.0
+    return toml_text(document)
 
 
 def _drawn_rows(drawing: Robot) -> Floats:
