@@ -80,7 +80,7 @@ def test_a_damaged_image_reaches_no_drive(tmp_path, capsys, monkeypatch):
     (drive / "INFO_UF2.TXT").write_text(BootDrive.INFO)
     assert box("flash", path, "--drive", drive) == 2
     assert "incomplete" in capsys.readouterr().err
-    monkeypatch.setattr("truearm.box.flash.__version__", "0.0.0")  # of which there is no image
+    monkeypatch.setattr("truearm.box.flash.VERSION", "0.0.0")  # of which there is no image
     assert box("flash", "--drive", drive) == 2
     assert "truearm-0.0.0.uf2" in capsys.readouterr().err
     assert [p.name for p in drive.iterdir()] == ["INFO_UF2.TXT"]

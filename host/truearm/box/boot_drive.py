@@ -57,9 +57,9 @@ def check_drive(drive: Path, image: Image) -> None:
 def wait_for(find: Callable[[], Path | None], timeout_s: float) -> Path | None:
     """Return what ``find`` finds within the given time."""
     deadline = time.monotonic() + timeout_s
-    while (found := find()) is None and time.monotonic() < deadline:
+    while (drive := find()) is None and time.monotonic() < deadline:
         time.sleep(_POLL_S)
-    return found
+    return drive
 
 
 def write_image(image: Image, drive: Path, name: str) -> None:

@@ -52,8 +52,8 @@ def _channel(channel: Channel, entry: Any) -> str:
     if not channel.poly:
         return text + ", not calibrated"
     calibration = entry.get("calibration", {})
-    made = " ".join(one_line(str(calibration[key])) for key in ("serial", "date") if calibration.get(key))
-    return f"{text}, calibrated to {one_line(channel.calibrated_unit)} by {len(channel.poly)} coefficients ({made or 'no serial, no date'})"
+    origin = " ".join(one_line(str(calibration[key])) for key in ("serial", "date") if calibration.get(key))
+    return f"{text}, calibrated to {one_line(channel.calibrated_unit)} by {len(channel.poly)} coefficients ({origin or 'no serial, no date'})"
 
 
 def finding_lines(findings: Iterable[Finding]) -> list[str]:

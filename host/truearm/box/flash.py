@@ -24,12 +24,12 @@ _SHORT = 4  # attempts of half a second, repeated
 
 def flash_box(options: FlashOptions) -> Iterator[str]:
     """Flash a box and wait for its answer; yields one line per step. Raises InputError, ImageError, LinkError."""
-    others = {port.device for port in usb_ports()} - {options.box}
+    other_ports = {port.device for port in usb_ports()} - {options.box}
     version = yield from _write_image(options.image or own_image(), options)
     if options.no_check:
         return
     with step(f"waiting for the box, {options.timeout:g} s at most"):
-        ident = _wait_for_box(options.box, others, options.timeout)
+        ident = _wait_for_box(options.box, other_ports, options.timeout)
     yield f"it answers: {one_line_of(ident)}"
     if version and ident.firmware != version:
         yield f"warning: the image has {version}, but the box runs {ident.firmware}: firmware files on its flash take precedence"
@@ -53,12 +53,12 @@ def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]
     from truearm.box.uf2 import read_uf2
 
     image = read_uf2(path)
-    what = (
+    content = (
         f"the box's firmware {image.version}".rstrip()
         if image.is_box
         else "a MicroPython without the box's firmware, or something else"
     )
-    yield f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {what}"
+    yield f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {content}"
     place = yield from _drive_for(path, image, options)
     with step(f"writing {path.name}"):
         write_image(image, place, path.name)
@@ -72,12 +72,12 @@ def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str
     from truearm_wire.messages import BOOT_LOADER
 
     device, drive = options.box, options.drive
-    before = find_drives(image.chip.board) if drive is None else []
+    earlier_drives = find_drives(image.chip.board) if drive is None else []
     if device is None:
         if drive is not None:
             check_drive(drive, image)
             return drive
-        return _only(before, image)
+        return _only(earlier_drives, image)
     if drive is None or board_of(drive) is None:
         with conversation(device, stop=options.stop) as box:
             ident = ident_of(box)
@@ -89,15 +89,15 @@ def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str
     def appeared() -> Path | None:
         if drive is not None:
             return drive if board_of(drive) is not None else None
-        return next((place for place in find_drives(image.chip.board) if place not in before), None)
+        return next((place for place in find_drives(image.chip.board) if place not in earlier_drives), None)
 
     with step(f"waiting for the boot drive, {options.timeout:g} s at most"):
-        found = wait_for(appeared, options.timeout)
-    if found is None:
+        boot_drive = wait_for(appeared, options.timeout)
+    if boot_drive is None:
         raise LinkError(
             f"{device}: no boot drive appeared within {options.timeout:g} s; mount it and name its folder: truearm box flash {path} --drive FOLDER"
         )
-    return found
+    return boot_drive
 
 
 def compared(has: str, gets: str) -> str:
@@ -126,14 +126,14 @@ def _only(drives: list[Path], image: Image) -> Path:
     return drives[0]
 
 
-def _wait_for_box(device: str | None, others: set[str], timeout: float) -> Ident:
-    """Return the ident of the box that starts, at ``device`` or at a port that is not among ``others``. Raises
+def _wait_for_box(device: str | None, other_ports: set[str], timeout: float) -> Ident:
+    """Return the ident of the box that starts, at ``device`` or at a port that is not among ``other_ports``. Raises
     LinkError.
     """
     deadline = time.monotonic() + timeout
     reason = ""
     while True:
-        for place in _places(device, others):
+        for place in _places(device, other_ports):
             try:
                 with conversation(place, retries=_SHORT) as box:
                     return ident_of(box)
@@ -144,8 +144,8 @@ def _wait_for_box(device: str | None, others: set[str], timeout: float) -> Ident
         time.sleep(_ASK_AGAIN_S)
 
 
-def _places(device: str | None, others: set[str]) -> list[str]:
+def _places(device: str | None, other_ports: set[str]) -> list[str]:
     """Return where the box may be: its port may have another name after a restart."""
     if device is not None and ("://" in device or Path(device).exists()):
         return [device]
-    return [port.device for port in usb_ports() if port.candidate and port.device not in others]
+    return [port.device for port in usb_ports() if port.candidate and port.device not in other_ports]

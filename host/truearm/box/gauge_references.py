@@ -25,7 +25,7 @@ def read_references(path: Path) -> list[float]:
 
     header, rows = read_cells(read_text(path, MAX_BYTES, TableError), str(path))
     columns = [
-        Column(name, at, unit) for at, name in enumerate(header) for unit in UNITS if name == f"reference_{unit}"
+        Column(name, index, unit) for index, name in enumerate(header) for unit in UNITS if name == f"reference_{unit}"
     ]
     if len(columns) != 1:
         raise TableError("missing-column", place=path, column="reference_mm, reference_um or reference_in")
@@ -60,7 +60,7 @@ def check_references(listed: Sequence[float], measured: Sequence[float], stroke:
 
 def beyond(reference: float, other: float, stroke: float) -> str:
     """Return that two references are farther apart than the sensor's stroke."""
-    apart = (
+    distances = (
         f"{MM.text(reference, '.4f')} and {MM.text(other, '.4f')} are {MM.text(abs(reference - other), '.4f')} apart"
     )
-    return f"{apart}, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit"
+    return f"{distances}, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit"

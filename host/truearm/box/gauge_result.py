@@ -61,8 +61,8 @@ def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple
             Argument("order"),
             f" {order} needs more places; {counted(len(places), 'place allows', 'places allow')} order {tried[-1].order}",
         )
-    taken = tried[0] if linear else chosen(tried) if order is None else tried[order - 1]
-    return replace(taken, sigma=max(taken.sigma, _of_means(places, taken))), tried
+    fit = tried[0] if linear else chosen(tried) if order is None else tried[order - 1]
+    return replace(fit, sigma=max(fit.sigma, _of_means(places, fit))), tried
 
 
 def too_few(places: Sequence[Place]) -> str:
@@ -119,8 +119,8 @@ def _before(places: Sequence[Place], channel: Channel) -> float | None:
     unit = channel.length_unit
     if unit is None:
         return None
-    left = _references(places) - unit.to_si(np.polynomial.polynomial.polyval(_readings(places), channel.poly))
-    return rms(left)
+    residual = _references(places) - unit.to_si(np.polynomial.polynomial.polyval(_readings(places), channel.poly))
+    return rms(residual)
 
 
 def with_calibration(
@@ -141,7 +141,7 @@ def with_calibration(
 
     channels = [dict(channel) for channel in config["channels"]]
     before = config[HEAD] if stream.name == MAG else channels[index].get("calibration", {})
-    made = {
+    provenance = {
         "serial": before.get("serial", "") if serial is None else serial,
         "date": datetime.now(UTC).date().isoformat(),
         "sigma": _pair(f"{result.sigma:.2e}"),
@@ -151,9 +151,9 @@ def with_calibration(
     }
     if stream.name == MAG:
         others = {name: value for name, value in before.items() if name not in {key.called for key in PROVENANCE}}
-        return check({**config, HEAD: {**others, **_head(result), **made}})
+        return check({**config, HEAD: {**others, **_head(result), **provenance}})
     poly = [_pair(text) for text in _rounded(result, places)]
-    channels[index]["calibration"] = {"unit": "m", "poly": poly, **made}
+    channels[index]["calibration"] = {"unit": "m", "poly": poly, **provenance}
     return check({**config, "channels": channels})
 
 
@@ -223,7 +223,7 @@ def _certificate(
     """Return page one: what was calibrated, against what, and how well."""
     degc = _temperature(places).get("temperature_mdegc")
     before, low, high = _before(places, channel), _references(places).min(), _references(places).max()
-    what = (
+    subject = (
         ("sensor", f"{of.channel}, serial {of.serial}" if of.serial else of.channel),
         ("operator", of.operator or "not given"),
         ("date", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
@@ -237,12 +237,12 @@ def _certificate(
         ("places", f"{len(places)}, from {MM.text(low, '.4f')} to {MM.text(high, '.4f')}"),
     )
     spread = UM.text(2.0 * result.sigma, ".2f")
-    whole = "not known without the reference's uncertainty"
+    total = "not known without the reference's uncertainty"
     if of.uncertainty is not None:
-        whole = UM.text(math.hypot(2.0 * result.sigma, of.uncertainty), ".2f")
+        total = UM.text(math.hypot(2.0 * result.sigma, of.uncertainty), ".2f")
     outcome = (
         ("of one place, from the scatter about the calibration (k = 2)", spread),
-        ("of a calibrated length, including the reference (k = 2)", whole),
+        ("of a calibrated length, including the reference (k = 2)", total),
         ("largest residual", UM.text(_largest(result), ".2f")),
         (
             "the previous calibration",
@@ -257,4 +257,4 @@ def _certificate(
     if of.channel == HEAD:
         pair = new[HEAD]["us_per_inch"]
         curve.append(("velocity", f"{pair[0] * 10.0 ** pair[1]:.6f} µs per inch, delay {new[HEAD]['delay_ns']} ns"))
-    return ("What", what), ("Reference", reference), ("Uncertainty", outcome), ("The curve", tuple(curve))
+    return ("What", subject), ("Reference", reference), ("Uncertainty", outcome), ("The curve", tuple(curve))

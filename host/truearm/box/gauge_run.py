@@ -225,8 +225,8 @@ def _listed(references: Sequence[float], run: GaugeRun, operator: GaugeOperator)
         if reference in measured:
             measured.remove(reference)
             continue
-        taken = len(run.places)
-        while len(run.places) == taken:
+        n_places = len(run.places)
+        while len(run.places) == n_places:
             line = operator.ask(
                 f"{number} of {len(references)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
             )
@@ -260,9 +260,9 @@ def _typed(run: GaugeRun, unit: str, stroke: float, operator: GaugeOperator) -> 
             operator.say(f"  {exc}; type the reading of the reference in {unit}, such as 12.5")
             continue
         measured = (place.reference for place in run.places)
-        far = max(measured, key=lambda other: abs(other - reference), default=reference)
-        if abs(far - reference) > stroke:
-            operator.say(f"  {beyond(reference, far, stroke)}; undo drops the last place")
+        farthest = max(measured, key=lambda other: abs(other - reference), default=reference)
+        if abs(farthest - reference) > stroke:
+            operator.say(f"  {beyond(reference, farthest, stroke)}; undo drops the last place")
         else:
             yield reference
 

@@ -155,13 +155,13 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Labelled:
                 f"{beat['temperature_mdegc'] / 1000:.1f} °C, longest loop {MS.text(US.to_si(beat['loop_max_us']), '.1f')}",
             )
         )
-        if far := far_from_calibration(watch.ident, LVDT, MDEGC.to_si(beat["temperature_mdegc"])):
-            rows.append(("temperature", far))
+        if warning := far_from_calibration(watch.ident, LVDT, MDEGC.to_si(beat["temperature_mdegc"])):
+            rows.append(("temperature", warning))
     if watch.ident.thermometers:
-        each = enumerate(watch.ident.thermometers)
+        thermometers = enumerate(watch.ident.thermometers)
         texts = (
             f"{one_line(name)} {DEGC.text(watch.thermometers[k], '.2f') if k in watch.thermometers else 'not read yet'}"
-            for k, name in each
+            for k, name in thermometers
         )
         rows.append(("thermometers", ", ".join(texts)))
     if watch.edges:
@@ -223,7 +223,7 @@ def clock_words(watch: Watch) -> str:
 def losses(watch: Watch, box: BoxControl) -> str:
     """Return the counts of everything that went wrong, including zeros."""
     beat = watch.heartbeat
-    parts = [
+    counts = [
         f"{counted(box.lost_frames, 'frame')} on the link",
         f"{counted(beat.get('overruns', 0), 'sample')} in the box",
     ]
@@ -232,6 +232,6 @@ def losses(watch: Watch, box: BoxControl) -> str:
         "crc_errors": "wrong CRCs of the converter",
         "bad_frames": "bad frames received",
     }
-    parts += [f"{beat[key]} {words.get(key, key.replace('_', ' '))}" for key in TROUBLES if beat.get(key)]
-    parts += [counted(watch.restarts, "restart")] * (watch.restarts > 0)
-    return ", ".join(parts)
+    counts += [f"{beat[key]} {words.get(key, key.replace('_', ' '))}" for key in TROUBLES if beat.get(key)]
+    counts += [counted(watch.restarts, "restart")] * (watch.restarts > 0)
+    return ", ".join(counts)

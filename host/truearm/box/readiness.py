@@ -72,10 +72,10 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
     """
     from truearm.session.box_ident import find_channel
 
-    found = find_channel(ident, channel)
-    if found is None or BAR in ident.thermometers:
+    place = find_channel(ident, channel)
+    if place is None or BAR in ident.thermometers:
         return ""
-    stream, index = found
+    stream, index = place
     warmer = degc - stream.channels[index].calibrated_degc
     if not abs(warmer) >= FAR:  # also if it is not known
         return ""
@@ -90,17 +90,17 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
 def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[str], list[str]]:
     from truearm.session.box_ident import find_channel
 
-    found = find_channel(ident, name)
-    if found is None:
-        known = ", ".join(one_line(c.name) for s in ident.streams.values() for c in s.channels)
+    place = find_channel(ident, name)
+    if place is None:
+        names = ", ".join(one_line(c.name) for s in ident.streams.values() for c in s.channels)
         advice = (
             f"switch it on with {box_command('config set magnetostrictive.period_us=983.04', device)}"
             if name == LINE_CHANNELS[0]
             else f"to rename one, save what {box_command('config get', device)} prints as box.toml, edit it, and run "
             f"{box_command('config set box.toml', device)}"
         )
-        return [f"the box has no channel {name} (it has {known}); {advice}"], []
-    stream, index = found
+        return [f"the box has no channel {name} (it has {names}); {advice}"], []
+    stream, index = place
     channel = stream.channels[index]
     if channel.fault:
         return [
@@ -115,17 +115,19 @@ def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[st
 
 def _old(name: str, described: Mapping[str, Any], today: date, device: str) -> list[str]:
     calibration = described.get("calibration")
-    made = calibration.get("date") if isinstance(calibration, dict) else None
+    calibrated_on = calibration.get("date") if isinstance(calibration, dict) else None
     try:
-        days = (today - date.fromisoformat(str(made))).days
+        days = (today - date.fromisoformat(str(calibrated_on))).days
     except ValueError:
         return []
     if days < 0:
-        return [f"channel {name} was calibrated on {made}, which is in the future; check the date of this computer"]
+        return [
+            f"channel {name} was calibrated on {calibrated_on}, which is in the future; check the date of this computer"
+        ]
     if days <= OLD_DAYS:
         return []
     again = box_command(f"gauge {name}", device)
-    return [f"channel {name} was calibrated {days} days ago, on {made}; calibrate it again with {again}"]
+    return [f"channel {name} was calibrated {days} days ago, on {calibrated_on}; calibrate it again with {again}"]
 
 
 def _described(ident: Ident, stream: Stream, index: int) -> Mapping[str, Any]:

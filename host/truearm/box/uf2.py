@@ -71,12 +71,12 @@ def parse_uf2(data: bytes, name: str) -> Image:
         )
     if len(data) > MAX_BYTES:
         raise ImageError(f"{name}: is larger than the chip's flash; give an image of the box's firmware")
-    blocks = [data[at : at + BLOCK] for at in range(0, len(data), BLOCK)]
+    blocks = [data[offset : offset + BLOCK] for offset in range(0, len(data), BLOCK)]
     chip = _chip(blocks[0], name)
     family = _HEAD.unpack_from(blocks[0])[7]
-    behind = chip.start
+    end = chip.start
     for number, block in enumerate(blocks):
-        behind = _check_block(block, number, len(blocks), family, chip, behind, name)
+        end = _check_block(block, number, len(blocks), family, chip, end, name)
     pages = [block[_HEAD.size : _HEAD.size + PAGE] for block in blocks]
     if _HEAD.unpack_from(blocks[0])[3] != chip.start:
         raise ImageError(
@@ -88,7 +88,7 @@ def parse_uf2(data: bytes, name: str) -> Image:
         )
     content = b"".join(pages)
     version = _VERSION.search(content)
-    return Image(chip, len(blocks), behind - chip.start, _MARK in content, version[1].decode() if version else "", data)
+    return Image(chip, len(blocks), end - chip.start, _MARK in content, version[1].decode() if version else "", data)
 
 
 def boot_checksum(stage: bytes) -> int:
@@ -106,30 +106,30 @@ def _chip(block: bytes, name: str) -> Chip:
     if head[:2] != _MAGIC or not block.endswith(_MAGIC_END):
         raise ImageError(f"{name}: is not a UF2 file; give an image of the box's firmware")
     if not head[2] & _FAMILY_PRESENT or head[7] not in CHIPS:
-        known = ", ".join(chip.name for chip in CHIPS.values())
+        names = ", ".join(chip.name for chip in CHIPS.values())
         family = f"family {head[7]:#010x}" if head[2] & _FAMILY_PRESENT else "no family"
-        raise ImageError(f"{name}: is for another chip ({family}); the box has the {known}; give an image for it")
+        raise ImageError(f"{name}: is for another chip ({family}); the box has the {names}; give an image for it")
     return CHIPS[head[7]]
 
 
-def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip, behind: int, name: str) -> int:
-    """Return the end address of a block that is valid and starts at ``behind`` or later. Raises ImageError."""
-    magic_0, magic_1, flags, address, size, at, of, of_family = _HEAD.unpack_from(block)
-    where = f"{name}: block {number} of {count}"
+def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip, end: int, name: str) -> int:
+    """Return the end address of a block that is valid and starts at ``end`` or later. Raises ImageError."""
+    magic_0, magic_1, flags, address, size, index, n_blocks, of_family = _HEAD.unpack_from(block)
+    place = f"{name}: block {number} of {count}"
     if (magic_0, magic_1) != _MAGIC or not block.endswith(_MAGIC_END):
-        raise ImageError(f"{where} is damaged; get the file again")
+        raise ImageError(f"{place} is damaged; get the file again")
     if flags & _NOT_MAIN_FLASH or not flags & _FAMILY_PRESENT or of_family != family:
-        raise ImageError(f"{where} is not for the {chip.name}'s flash; get the file again")
-    if (at, of) != (number, count):
-        raise ImageError(f"{where} is marked as block {at} of {of}; the file is incomplete; get it again")
+        raise ImageError(f"{place} is not for the {chip.name}'s flash; get the file again")
+    if (index, n_blocks) != (number, count):
+        raise ImageError(f"{place} is marked as block {index} of {n_blocks}; the file is incomplete; get it again")
     if size != PAGE or address % PAGE:
         raise ImageError(
-            f"{where} holds {size} bytes for address {address:#x}; the chip needs pages of {PAGE}; get the file again"
+            f"{place} holds {size} bytes for address {address:#x}; the chip needs pages of {PAGE}; get the file again"
         )
     if not chip.start <= address <= chip.start + chip.flash - PAGE:
         raise ImageError(
-            f"{where} is for address {address:#x}, which is not in the {chip.name}'s flash; get the file again"
+            f"{place} is for address {address:#x}, which is not in the {chip.name}'s flash; get the file again"
         )
-    if address < behind:
-        raise ImageError(f"{where} overlaps an earlier block; get the file again")
+    if address < end:
+        raise ImageError(f"{place} overlaps an earlier block; get the file again")
     return int(address) + PAGE

@@ -114,35 +114,35 @@ def correct(
     """
     nominal = _nominal(pair, targets, oriented, configuration)
     q, near, singular = nominal
-    parts = [slice(at, at + CHUNK) for at in range(0, max(len(targets), 1), CHUNK)]
+    chunks = [slice(first, first + CHUNK) for first in range(0, max(len(targets), 1), CHUNK)]
     return joined(
         [
             _at(
                 pair,
-                targets[part],
-                Inverse(q[part], near[part], singular[part]),
+                targets[rows],
+                Inverse(q[rows], near[rows], singular[rows]),
                 Method(method),
                 steps,
                 oriented,
                 margin,
             )
-            for part in parts
+            for rows in chunks
         ]
     )
 
 
-def joined(parts: Sequence[Correction]) -> Correction:
+def joined(corrections: Sequence[Correction]) -> Correction:
     """Return the targets of one part followed by those of the other; a part is not copied if all others are empty."""
-    filled = [part for part in parts if len(part.q)]
+    filled = [correction for correction in corrections if len(correction.q)]
     if len(filled) == 1:
         return filled[0]
     return Correction(
-        np.concatenate([part.q_nominal for part in parts]),
-        np.concatenate([part.q for part in parts]),
-        np.concatenate([part.commanded for part in parts]),
-        np.concatenate([part.before for part in parts]),
-        np.concatenate([part.after for part in parts]),
-        tuple(problem for part in parts for problem in part.problem),
+        np.concatenate([correction.q_nominal for correction in corrections]),
+        np.concatenate([correction.q for correction in corrections]),
+        np.concatenate([correction.commanded for correction in corrections]),
+        np.concatenate([correction.before for correction in corrections]),
+        np.concatenate([correction.after for correction in corrections]),
+        tuple(problem for correction in corrections for problem in correction.problem),
     )
 
 
@@ -165,9 +165,11 @@ def _at(
     """Return ``correct`` for joints where the controller would go."""
     q_nominal = nominal.q
     before = _error(pair, targets, q_nominal, oriented)
-    q, grew, known = _corrected(pair, targets, q_nominal, method, steps, oriented)
+    q, grew, singular_values = _corrected(pair, targets, q_nominal, method, steps, oriented)
     after = _error(pair, targets, q, oriented)
-    identified = singular_value(pair.chain, pair.identified, q, oriented) if known is None else known
+    identified = (
+        singular_value(pair.chain, pair.identified, q, oriented) if singular_values is None else singular_values
+    )
     singular: Floats = np.minimum(nominal.singular_value, identified)
     problem = [""] * len(q)
 
@@ -194,8 +196,8 @@ def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Co
     q_start, home, quadrants, origins = configuration
     if q_start is None:
         return search(pair.chain, pair.nominal, targets, oriented, home, quadrants, origins)
-    found = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
-    return found._replace(reached=found.reached & within(pair.chain, found.q))
+    solution = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
+    return solution._replace(reached=solution.reached & within(pair.chain, solution.q))
 
 
 def _corrected(
@@ -213,13 +215,13 @@ def _corrected(
             return np.where(lost[:, None], q_nominal, q), lost, None
         case Method.NEWTON:
             goals = in_rig(pair, targets)
-            found = inverse(pair.chain, pair.identified, goals, q_nominal, oriented)
-            outside = ~within(pair.chain, found.q) & within(pair.chain, q_nominal)
+            solution = inverse(pair.chain, pair.identified, goals, q_nominal, oriented)
+            outside = ~within(pair.chain, solution.q) & within(pair.chain, q_nominal)
             # An arm with more joints than needed may have joints within the limits for the same pose.
             stopped = inverse(pair.chain, pair.identified, goals[outside], q_nominal[outside], oriented, bounded=True)
-            for part, of_outside in zip(found, stopped, strict=True):
-                part[np.flatnonzero(outside)[stopped.reached]] = of_outside[stopped.reached]
-            return found.q, ~found.reached, found.singular_value
+            for values, values_inside in zip(solution, stopped, strict=True):
+                values[np.flatnonzero(outside)[stopped.reached]] = values_inside[stopped.reached]
+            return solution.q, ~solution.reached, solution.singular_value
         case Method.FALSE_TARGET:
             return *_repeated(false_target, pair, targets, q_nominal, steps, oriented), None
         case Method.JOINTS:

@@ -108,29 +108,29 @@ def error_map(
     """
     axes = _plane(pair, q, joints)
     samples = _samples(pair, q, joints)
-    here = float(_plane_determinant(pair, q[None], joints, axes)[0])
-    as_here = elbow_up is None and abs(here) > STRETCHED
-    side = float(np.sign(here)) if as_here else _elbow(pair, samples, joints, axes, elbow_up is not False)
+    determinant = float(_plane_determinant(pair, q[None], joints, axes)[0])
+    as_here = elbow_up is None and abs(determinant) > STRETCHED
+    side = float(np.sign(determinant)) if as_here else _elbow(pair, samples, joints, axes, elbow_up is not False)
     samples = samples[side * _plane_determinant(pair, samples, joints, axes) > STRETCHED]
     flat = believed(pair, samples)[:, :3, 3] @ axes.T
     low = np.floor(flat.min(axis=0) / cell) * cell
-    at = np.floor((flat - low) / cell).astype(int)
-    u, v = (low[i] + cell * (np.arange(at[:, i].max() + 1) + 0.5) for i in (0, 1))
+    index = np.floor((flat - low) / cell).astype(int)
+    u, v = (low[i] + cell * (np.arange(index[:, i].max() + 1) + 0.5) for i in (0, 1))
     if u.size * v.size > MOST_CELLS:
         raise RobotError(
             f"the section has {u.size} × {v.size} cells, in all {u.size * v.size:,}; the most is {MOST_CELLS:,}: choose larger cells"
         )
     q_grid = np.full((v.size, u.size, q.size), np.nan)
-    q_grid[at[:, 1], at[:, 0]] = samples
+    q_grid[index[:, 1], index[:, 0]] = samples
     middles = np.stack(np.meshgrid(u, v), axis=-1)
     _spread(lambda start, goal: _reach(pair, start, goal, joints, axes, side, cell), q_grid, middles)
     rows, columns = np.nonzero(~np.isnan(q_grid[..., 0]))
-    point, error, sigma = (np.full((v.size, u.size, *more), np.nan) for more in ((3,), (), ()))
+    point, error, sigma = (np.full((v.size, u.size, *shape), np.nan) for shape in ((3,), (), ()))
     for first in range(0, rows.size, BLOCK):
-        part = rows[first : first + BLOCK], columns[first : first + BLOCK]
-        point[part] = believed(pair, q_grid[part])[:, :3, 3]
-        error[part] = np.linalg.norm(reached(pair, q_grid[part])[:, :3, 3] - point[part], axis=1)
-        sigma[part] = _sigma(pair, q_grid[part], covariance, unseen)
+        block = rows[first : first + BLOCK], columns[first : first + BLOCK]
+        point[block] = believed(pair, q_grid[block])[:, :3, 3]
+        error[block] = np.linalg.norm(reached(pair, q_grid[block])[:, :3, 3] - point[block], axis=1)
+        sigma[block] = _sigma(pair, q_grid[block], covariance, unseen)
     return ErrorMap(u, v, axes, q_grid, point, error, sigma)
 
 
@@ -148,12 +148,12 @@ def _spread(reach: Callable[[Floats, Floats], Floats], q: Floats, middles: Float
     while fresh.any():
         start, fresh = np.where(fresh[..., None], q, np.nan), np.zeros_like(fresh)
         for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            beside = np.full_like(q, np.nan)
-            to, of = [slice(None)] * 2, [slice(None)] * 2
-            to[axis], of[axis] = (slice(1, None), slice(None, -1))[::step]
-            beside[tuple(to)] = start[tuple(of)]
-            empty = np.nonzero(np.isnan(q[..., 0]) & ~np.isnan(beside[..., 0]))
-            q[empty] = reach(beside[empty], middles[empty])
+            neighbours = np.full_like(q, np.nan)
+            target, source = [slice(None)] * 2, [slice(None)] * 2
+            target[axis], source[axis] = (slice(1, None), slice(None, -1))[::step]
+            neighbours[tuple(target)] = start[tuple(source)]
+            empty = np.nonzero(np.isnan(q[..., 0]) & ~np.isnan(neighbours[..., 0]))
+            q[empty] = reach(neighbours[empty], middles[empty])
             fresh[empty] = ~np.isnan(q[empty][:, 0])
 
 

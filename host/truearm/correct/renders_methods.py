@@ -43,8 +43,8 @@ def false_target(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = T
         where the nominal robot does not reach the false target.
     """
     commanded = moved(believed(pair, q), apart(targets, reached(pair, q)))
-    found = inverse(pair.chain, pair.nominal, commanded, q, oriented)
-    return np.where(found.reached[:, None], found.q, np.nan)
+    solution = inverse(pair.chain, pair.nominal, commanded, q, oriented)
+    return np.where(solution.reached[:, None], solution.q, np.nan)
 
 
 def joint_space(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:

@@ -35,22 +35,22 @@ class StraightMoves(NamedTuple):
 JUMP = 1.0  # rad, m of a joint between samples: more means another configuration, or passing a singularity
 
 
-def straight_moves(pair: ModelPair, q_start: Floats, told: Floats, tool: Floats) -> StraightMoves:
-    """Drive straight from joint readings (n, j) to commanded poses ``told`` (n, 4, 4) of the end.
+def straight_moves(pair: ModelPair, q_start: Floats, commanded: Floats, tool: Floats) -> StraightMoves:
+    """Drive straight from joint readings (n, j) to commanded poses ``commanded`` (n, 4, 4) of the end.
 
     ``tool`` (n, 4, 4) is the pose of the tool in the end frame.
     """
     begin = believed(pair, q_start) @ tool
-    way = apart(told @ tool, begin)
+    motion = apart(commanded @ tool, begin)
     back = inverted(tool)
     q, places = np.asarray(q_start, dtype=float), [_tool_points(pair, q_start, tool)]
     singular, limits = singular_value(pair.chain, pair.nominal, q), limit_margins(pair.chain, q)
-    drivable = np.ones(len(told), dtype=bool)
+    drivable = np.ones(len(commanded), dtype=bool)
     for share in np.linspace(0.0, 1.0, SAMPLES + 2)[1:]:
-        found = inverse(pair.chain, pair.nominal, moved(begin, share * way) @ back, q)
-        drivable &= found.reached & (np.abs(found.q - q).max(axis=-1) < JUMP)
-        q = found.q
-        singular = np.minimum(singular, found.singular_value)
+        solution = inverse(pair.chain, pair.nominal, moved(begin, share * motion) @ back, q)
+        drivable &= solution.reached & (np.abs(solution.q - q).max(axis=-1) < JUMP)
+        q = solution.q
+        singular = np.minimum(singular, solution.singular_value)
         limits = np.minimum(limits, limit_margins(pair.chain, q))
         places.append(_tool_points(pair, q, tool))
     return StraightMoves(_deviation(np.array(places)), singular, limits, drivable & (limits >= 0.0).all(axis=1))
@@ -74,6 +74,6 @@ def _deviation(places: Floats) -> Floats:
     chord = places[-1] - places[0]
     length = np.linalg.norm(chord, axis=-1, keepdims=True)
     along = np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0)
-    beside = places - places[0]
-    beside = beside - (beside * along).sum(axis=-1, keepdims=True) * along
-    return np.asarray(np.linalg.norm(beside, axis=-1).max(axis=0))
+    offset = places - places[0]
+    offset = offset - (offset * along).sum(axis=-1, keepdims=True) * along
+    return np.asarray(np.linalg.norm(offset, axis=-1).max(axis=0))

@@ -31,12 +31,12 @@ ALL_SUFFIXES = tuple(suffix for suffixes in SUFFIXES.values() for suffix in suff
 def language_of(names: Iterable[str]) -> ProgramLanguage | None:
     """Return the language of files by their names, None if none is a program. Raises InputError if they differ."""
     suffixes = {name.lower().rpartition(".")[2] for name in names}
-    found = [language for language in SUFFIXES if any(f".{suffix}" in SUFFIXES[language] for suffix in suffixes)]
-    if "krl" in found and "src" not in suffixes and len(found) > 1:
-        found.remove("krl")  # a .dat file of something else
-    if len(found) > 1:
-        raise InputError("no-program", place="the files", names=found, suffixes=list(ALL_SUFFIXES))
-    return found[0] if found else None
+    languages = [language for language in SUFFIXES if any(f".{suffix}" in SUFFIXES[language] for suffix in suffixes)]
+    if "krl" in languages and "src" not in suffixes and len(languages) > 1:
+        languages.remove("krl")  # a .dat file of something else
+    if len(languages) > 1:
+        raise InputError("no-program", place="the files", names=languages, suffixes=list(ALL_SUFFIXES))
+    return languages[0] if languages else None
 
 
 def read_programs(language: ProgramLanguage, files: Sequence[Source], surroundings: Surroundings) -> list[Program]:

@@ -118,8 +118,8 @@ def _nearest_vectors(vectors: Floats, old: Floats) -> Floats:
 def _nearest_angles(turn: Rotation, old: Floats) -> Floats:
     """Return A, B, C (n, 3) [deg] or the other angles of the same rotation, whichever are nearer to the old ones."""
     angles = turn.as_euler("ZYX", degrees=True)
-    other = np.stack([angles[:, 0] + 180.0, 180.0 - angles[:, 1], angles[:, 2] + 180.0], axis=1)
-    alternatives = np.stack([one + 360.0 * np.round((old - one) / 360.0) for one in (angles, other)])
+    mirrored = np.stack([angles[:, 0] + 180.0, 180.0 - angles[:, 1], angles[:, 2] + 180.0], axis=1)
+    alternatives = np.stack([solution + 360.0 * np.round((old - solution) / 360.0) for solution in (angles, mirrored)])
     nearest = np.abs(alternatives - old).max(axis=2).argmin(axis=0)
     return np.asarray(alternatives[nearest, np.arange(len(angles))])
 
