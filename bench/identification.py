@@ -14,16 +14,17 @@ import csv
 import json
 import math
 import os
-import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from truearm import load_robot
+from truearm.model.chain import forward
 from truearm.report import svg
 
 ROOT = Path(__file__).parents[1]
@@ -67,7 +68,14 @@ def main(quick: bool) -> None:
     at = 800 if quick else LARGE
     floor = run(".venv", "run_floor", "-", "ball_bar", problem_file("ball_bar", at), 9)
     recursive = run(".venv", "run_recursive", "update", "rows", 3000, 5)
-    text = "\n".join([table(rows), *ratios(rows), *single(at, floor, recursive), *commands(), *off_the_page(rows)])
+    processes = commands()
+    shown = [
+        "| command | CPU s | peak MiB |",
+        "|---|--:|--:|",
+        *(f"| `{c}` | {s:.2f} | {m:.0f} |" for c, s, m in processes),
+    ]
+    wrong = off_the_page({**{_name(row): row["seconds"] for row in rows}, **{(f"`{c}`",): s for c, s, _ in processes}})
+    text = "\n".join([table(rows), *ratios(rows), *single(at, floor, recursive), "", *shown, "", *wrong])
     (OUT / "identification.md").write_text(text + "\n")
     with (OUT / "identification.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, FIELDS)
@@ -164,71 +172,73 @@ def single(n: int, floor: dict, recursive: dict) -> list[str]:
     ]
 
 
-def commands() -> list[str]:
-    """Return the CPU seconds of complete processes, including the interpreter's start: the shortest of ten."""
-    truearm = str(ROOT / ".venv/bin/truearm")
-    with tempfile.TemporaryDirectory() as folder:
-        files = [str(Path(folder) / name) for name in ("poses.csv", "rig.toml")]
-        write_inputs(*files)
-        identify = [truearm, "identify", files[0], "--model", "puma560", "--rig", files[1]]
-        lines = [
-            f"- whole process, {name}: {least(command):.2f} s"
-            for name, command in (("truearm --help", [truearm, "--help"]), ("truearm identify, 800 rows", identify))
-        ]
-        lines += [f"- whole process, truearm {' '.join(command)}: {s}" for command, s in in_a_project(Path(folder))]
-    for laws in ("none", "auto"):
-        found = run(".venv", "run_command", laws, MANY)
-        figures = f"{found['seconds']:.1f} s, {found.get('peak_mb', float('nan')):.0f} MB"
-        lines.append(f"- truearm identify --joint-laws {laws}, 3 positions at each of {MANY:,} poses: {figures}")
-    return lines
-
-
 PROJECT = (
     "init cell --model ur5e --minutes 30",
     "plan ballbar --minutes 60 --out long.csv",
     "simulate --fast --out rehearsal",
     "identify rehearsal/session.mcap --out result.json",
     "map result.json --cell-mm 5 --out map.csv",
+    "correct result.json path.csv --home 0,-69,92,-109,-92,0 --out corrected.csv",
 )
+PATH = 100_000  # poses of path.csv, without joints
 
 
-def in_a_project(folder: Path) -> Iterator[tuple[list[str], str]]:
-    """Return the commands of a project in order, with CPU seconds and peak memory of each."""
-    for number, words in enumerate(map(str.split, PROJECT)):
-        process = subprocess.Popen(
-            [str(ROOT / ".venv/bin/truearm"), *words],
-            env=ENV,
-            cwd=folder if number == 0 else folder / "cell",
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        _, status, used = os.wait4(process.pid, 0)
-        done = f"{used.ru_utime + used.ru_stime:.1f} s, {used.ru_maxrss / 1024:.0f} MiB"
-        yield words, done if status == 0 else f"failed ({status})"
+def commands() -> list[tuple[str, float, float]]:
+    """Return commands with the CPU seconds [s] and the peak memory [MiB] of complete processes, with the interpreter's start."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_inputs(str(folder / "poses.csv"), str(folder / "rig.toml"))
+        short = ("--help", "identify poses.csv --model puma560 --rig rig.toml")
+        done = [min((measured(command, folder) for _ in range(10)), key=lambda row: row[1]) for command in short]
+        for command in PROJECT:
+            if "path.csv" in command:
+                write_path(folder / "cell" / "path.csv")
+            done.append(measured(command, folder if command.startswith("init") else folder / "cell"))
+    for laws in ("none", "auto"):
+        found = run(".venv", "run_command", laws, MANY)
+        command = f"truearm identify --joint-laws {laws}, 3 positions at each of {MANY:,} poses"
+        done.append((command, found["seconds"], found.get("peak_mb", math.nan)))
+    return done
 
 
-def off_the_page(rows: list[dict]) -> list[str]:
-    """Return where a time differs from that of docs/explanation/benchmarks.md by more than OFF."""
+def measured(words: str, folder: Path) -> tuple[str, float, float]:
+    """Run a command in a folder; seconds are inf if it fails."""
+    command = [str(ROOT / ".venv/bin/truearm"), *words.split()]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command, env=ENV, cwd=folder, **quiet)
+    _, status, used = os.wait4(process.pid, 0)
+    seconds = used.ru_utime + used.ru_stime if status == 0 else math.inf
+    print(f"truearm {words}: {seconds:.2f} s", file=sys.stderr, flush=True)
+    return f"truearm {words}", seconds, used.ru_maxrss / 1024
+
+
+def write_path(file: Path) -> None:
+    """Write poses along a smooth path of a UR5e, as a program of many short moves has them."""
+    chain = load_robot("ur5e").chain
+    turn = np.linspace(0.0, 2.0 * np.pi, PATH)[:, None]
+    q = np.array([0.0, -1.2, 1.6, -1.9, -1.6, 0.0]) + 0.3 * np.sin(turn * np.arange(1, 7))
+    pose = forward(chain, chain.params_nominal, q)
+    turned = np.degrees(Rotation.from_matrix(pose[:, :3, :3]).as_rotvec())
+    rows = np.column_stack([np.arange(PATH), 1e3 * pose[:, :3, 3], turned])
+    np.savetxt(file, rows, "%.6f", ",", header="name,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg", comments="")
+
+
+def _name(row: dict) -> tuple[str, ...]:
+    return row["problem"], row["program"], f"{row['poses']:,}"
+
+
+def off_the_page(seconds: dict[tuple[str, ...], float]) -> list[str]:
+    """Return where a time differs from that of docs/explanation/benchmarks.md by more than OFF, or is not there."""
     text = (ROOT / "docs/explanation/benchmarks.md").read_text(encoding="utf-8")
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
     written = {tuple(row[:3]): row[3] for row in cells if len(row) == 8 and row[2][:1].isdigit()}
+    written |= {(row[0],): row[1] for row in cells if len(row) == 3 and row[0].startswith("`truearm")}
     lines = []
-    for row in rows:
-        name = (row["problem"], row["program"], f"{row['poses']:,}")
-        ratio = row["seconds"] / float(written.get(name, "nan"))
-        if math.isfinite(ratio) and not 1.0 / OFF <= ratio <= OFF:
+    for name, value in seconds.items():
+        ratio = value / float(written.get(name, "nan"))
+        if name not in written or not 1.0 / OFF <= ratio <= OFF:
             lines.append(f"- off the page: {' '.join(name)}: {ratio:.2f} times the written time")
     return lines
-
-
-def least(command: list[str], runs: int = 10) -> float:
-    times = []
-    for _ in range(runs):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run(command, env=ENV, check=True, capture_output=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        times.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return min(times)
 
 
 def write_inputs(table_csv: str, rig_toml: str) -> None:

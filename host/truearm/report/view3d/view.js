@@ -316,6 +316,7 @@ function show() {
   canvas.addEventListener('keydown', event => {
     if (!(event.key in keys) || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
+    isTurned = event.key !== 'Home' && (isTurned || !',.'.includes(event.key));
     keys[event.key]();
     draw();
   });
@@ -328,6 +329,22 @@ function show() {
     everything.forEach(paint => paint.color.set(css(paint.userData.variable)));
     colour();
   };
+  // From the side of the points and above, with all of the arm, of the points and of their vectors in sight.
+  let isTurned = false;
+  const frame = () => {
+    const sights = clouds.flatMap(cloud => cloud.tips()), box = new Box3().setFromPoints(sights);
+    const middle = box.getCenter(new Vector3()), away = Math.atan2(middle.y, middle.x) - 0.9;
+    carried.forEach(group => group.traverse(link => link.isMesh && sights.push(...corners(link))));
+    box.setFromPoints(sights).getCenter(orbit.target);
+    const towards = new Vector3(Math.cos(away), Math.sin(away), 0.5).normalize(), steep = Math.tan(camera.fov * Math.PI / 360);
+    camera.position.copy(orbit.target).add(towards);
+    camera.lookAt(orbit.target);
+    const back = camera.quaternion.clone().invert();
+    const distances = sights.map(end => end.sub(orbit.target).applyQuaternion(back)).map(({ x, y, z }) => z + Math.max(Math.abs(x) / camera.aspect, Math.abs(y)) / steep);
+    camera.position.copy(orbit.target).addScaledVector(towards, 1.05 * Math.max(...distances));
+    orbit.update();
+    orbit.saveState();
+  };
   const resize = () => {
     const { clientWidth: width, clientHeight: height } = stage;
     renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
@@ -335,23 +352,12 @@ function show() {
     camera.aspect = width / height;
     camera.fov = width < height ? 55 : 38;
     camera.updateProjectionMatrix();
+    if (!isTurned) frame();
     draw();
   };
+  orbit.addEventListener('start', () => { isTurned = true; });
   choose(0);
   resize();
-  // From the side of the points and above, with all of the arm, of the points and of their vectors in sight.
-  const sights = clouds.flatMap(cloud => cloud.tips()), box = new Box3().setFromPoints(sights);
-  const middle = box.getCenter(new Vector3()), away = Math.atan2(middle.y, middle.x) - 0.9;
-  carried.forEach(group => group.traverse(link => link.isMesh && sights.push(...corners(link))));
-  box.setFromPoints(sights).getCenter(orbit.target);
-  const towards = new Vector3(Math.cos(away), Math.sin(away), 0.5).normalize(), steep = Math.tan(camera.fov * Math.PI / 360);
-  camera.position.copy(orbit.target).add(towards);
-  camera.lookAt(orbit.target);
-  const back = camera.quaternion.clone().invert();
-  const distances = sights.map(end => end.sub(orbit.target).applyQuaternion(back)).map(({ x, y, z }) => z + Math.max(Math.abs(x) / camera.aspect, Math.abs(y)) / steep);
-  camera.position.copy(orbit.target).addScaledVector(towards, 1.05 * Math.max(...distances));
-  orbit.update();
-  orbit.saveState();
   orbit.addEventListener('change', draw);
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', restyle);
   new ResizeObserver(resize).observe(stage);
