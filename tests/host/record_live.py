@@ -8,7 +8,7 @@ from record_box import ident
 
 from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
-from truearm.record.status import Counters, Status
+from truearm.record.operator import Counters, Status
 from truearm.session.box_ident import decode_ident
 from truearm.session.frames import Data
 from truearm.session.joint_format import JointLine

@@ -18,7 +18,7 @@ from tests.refusals import ended, shown
 from truearm.cli.main import main
 from truearm.errors import InputError
 from truearm.files.plan_file import write_plan
-from truearm.live.mounted_parts import parse_mounted
+from truearm.live.session_progress import parse_mounted
 from truearm.record.links import HostClock
 from truearm.session.session_file import open_session
 from truearm.types import Plan

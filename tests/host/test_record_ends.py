@@ -18,11 +18,10 @@ from record_box import (
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
-from truearm.record.box_storage import BoxStorage
-from truearm.record.clock_exchanges import ClockExchanges
+from truearm.record.box_storage import BoxStorage, ClockExchanges
+from truearm.record.operator import Counters
 from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.session_writer import SessionWriter
-from truearm.record.status import Counters
 from truearm.session.session_file import open_session
 
 

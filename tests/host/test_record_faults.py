@@ -90,14 +90,6 @@ class TestFaults:
         assert [m.data for m in topics(path)["/box/console"]] == [flipped["raw"].strip(b"\0")]
         assert summary.counters.lost_frames == 1
 
-    def test_a_traceback_in_the_stream(self, lab, path):
-        box = Box(lab)
-        text = b'Traceback (most recent call last):\n  File "main.py", line 7\nMemoryError: \n'
-        lab.at(HOST_0 + 2 * SECOND, lambda: box.send_raw(text))
-        summary = run(lab, box, path)
-        assert [m.data for m in topics(path)["/box/console"]] == [text]
-        assert summary.counters.lost_frames == 0
-
     @pytest.mark.parametrize("speaks_again", [True, False])
     def test_a_traceback_bears_the_time_of_its_end(self, lab, path, speaks_again):
         """It may wait long for a delimiter: for the next boot, or for ever."""

@@ -108,14 +108,6 @@ class TestRobot:
         assert "lost" not in events(path, "robot-back")[0]
         assert joints_of(path).lost is None
 
-    def test_not_for_ever(self, lab, path):
-        robot = Robot(lab, 20.0, link=ComingBack)
-        lose(lab, robot.link, 2.0, 1e6)
-        summary = run(lab, Box(lab), path, None, robot=robot.link, options=RecordOptions(patience_s=5.0))
-        assert summary.reason == "robot lost"
-        assert summary.text.startswith("reset by peer")
-        assert summary.duration_s == pytest.approx(7.0, abs=0.1)
-
     def test_what_is_no_loss_of_the_link_is_not_tried_again(self, lab, path):
         robot = Robot(lab, 20.0, link=ComingBack)
         lab.at(HOST_0 + SECOND, lambda: setattr(robot.link, "error", ProtocolError("is not RTDE")))

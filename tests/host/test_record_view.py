@@ -11,7 +11,7 @@ from truearm.errors import InputError
 from truearm.live.keyboard import LONGEST, Typed
 from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
-from truearm.record.status import Counters
+from truearm.record.operator import Counters
 from truearm.session.joint_format import JointLine
 from truearm.types import Rig
 

@@ -19,8 +19,7 @@ from truearm.cli.main import main
 from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError, TableError
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.links import HostClock
-from truearm.record.robots.joint_columns import read_columns
-from truearm.record.robots.joint_table import readings
+from truearm.record.robots.joint_table import read_columns, readings
 from truearm.record.robots.sources import FileOptions, open_source
 from truearm.record.robots.text_lines import LineDialect, LinesLink, open_lines
 from truearm.session.joint_format import parse_reading

@@ -1,7 +1,6 @@
 """``truearm record`` with robots that use their own protocols: the session's content, and its evaluation."""
 
 import json
-import math
 import time
 
 import numpy as np
@@ -51,18 +50,6 @@ def test_csv_in_degrees(tmp_path, capsys):
     assert said["rate_hz"] == pytest.approx(125.0, abs=1e-6)
 
 
-def test_json_that_says_its_names(tmp_path, capsys):
-    def robot(peer):
-        peer.sendall(b'{"names": {"q": ["a", "b"], "t": "stamp"}, "unit": "deg,mm"}\n')
-        for k in range(60):
-            peer.sendall(json.dumps({"stamp": k / 50, "b": 250, "a": 180}).encode() + b"\n")
-            time.sleep(0.02)
-
-    out, said = recorded(tmp_path, capsys, robot, "lines+tcp://{}")
-    assert {tuple(row["q"]) for row in rows_of(out)} == {(math.pi, 0.25)}
-    assert (said["readings"], said["lost"]) == (60, None)  # it does not number them
-
-
 def test_a_header_that_is_not_understood_is_said(tmp_path, capsys):
     def robot(peer):
         peer.sendall(b"t_s,q1_grad\n")
@@ -76,12 +63,3 @@ def test_a_header_that_is_not_understood_is_said(tmp_path, capsys):
     complaint = [line for line in capsys.readouterr().err.splitlines() if "warning: no channel" not in line]
     assert len(complaint) == 1
     assert "column 'q1_grad'" in complaint[0]
-
-
-@pytest.mark.parametrize("address", ["kuka://x", "rtde://", "lines+tcp://127.0.0.1:1?unit=grad"])
-def test_an_address_that_is_none(tmp_path, capsys, address):
-    out = tmp_path / "s.mcap"
-    with box_on_a_socket() as (_, device):
-        assert main(["record", "--box", device, "--address", address, "--out", str(out)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert not out.exists()

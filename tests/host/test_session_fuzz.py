@@ -26,12 +26,11 @@ from record_box import Lab, run_of
 from session_stream import BLOCK, PERIOD_NS, Box, ident_document
 
 from truearm.errors import TruearmError
-from truearm.record.box_storage import BoxStorage
-from truearm.record.clock_exchanges import ClockExchanges
+from truearm.record.box_storage import BoxStorage, ClockExchanges
+from truearm.record.operator import Counters
 from truearm.record.recover import recover
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
-from truearm.record.status import Counters
 from truearm.session.box_ident import parse_ident
 from truearm.session.frames import data_frame
 from truearm.session.joint_format import COLUMNS

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from truearm.session import joint_readings as joints_module
 from truearm.session.dwells import DwellRules, find_dwells
-from truearm.session.joint_format import parse_lines
 from truearm.session.joint_readings import JointReader
 from truearm.session.session_file import columns_of
 from truearm.types import Message
@@ -149,53 +148,12 @@ def test_controller_restart_is_another_segment():
     assert [len(set(stream.bins.segment[a:b])) for a, b in ((0, 79), (81, 160))] == [1, 1]
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        b"",
-        b"[]",
-        b'{"t":1,"seq":2}',
-        b'{"t":NaN,"seq":2,"q":[1,2]}',
-        b'{"t":1e300,"seq":2,"q":[1,2]}',
-        b'{"t":-5,"seq":2,"q":[1,2]}',
-        b'{"t":1,"seq":2,"q":[1,Infinity]}',
-        b'{"t":1,"seq":2,"q":["1","2"]}',
-        b'{"t":1,"seq":2.5,"q":[1,2]}',
-        b'{"t":1,"seq":2,"q":[1,2,3]}',
-        b'{"t":1,"seq":2,"q":[]}',
-        b'{"t":1,"seq":2,"q":[[1],[2]]}',
-        b'{"t":1,"seq":' + b"9" * 400 + b',"q":[1,2]}',
-        b"[" * 2000,
-        b'{"t":1,"seq":2,"q":[1,2]},{"t":1,"seq":2,"q":[1,2]}',
-        b"\xff\xfe",
-    ],
-)
-def test_malformed_lines_are_counted_among_good_ones(line):
-    good = still(40)
-    stream = read([*good[:20], Message("/robot/joints", 0, line), *good[20:]])
-    assert stream.malformed == 1
-    assert stream.readings == 40
-    assert read([Message("/robot/joints", 0, line)]).readings in (0, 1)  # alone, three joints are as good as two
-
-
 def assert_same(one, other):
     assert one.columns.keys() == other.columns.keys()
     for name in ("arrival_ns", "t", "seq", "q"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), strict=True)
     for key, values in one.columns.items():
         np.testing.assert_array_equal(values, other.columns[key], strict=True)
-
-
-READING = st.tuples(st.floats(0, 1e9), st.integers(-(2**40), 2**40), st.lists(st.floats(-7, 7), min_size=2, max_size=2))
-
-
-@given(st.lists(READING, min_size=1, max_size=20))
-def test_lines_are_parsed_alike_together_and_alone(rows):
-    lines = [json.dumps({"t": t, "seq": seq, "q": q}).encode() for t, seq, q in rows]
-    together = parse_lines(lines, range(len(lines)))
-    alone = parse_lines([*lines, b"nonsense"], range(len(lines) + 1))  # forces the careful way
-    assert_same(together, alone)
-    assert np.array_equal(together.t, [t for t, _, _ in rows])
 
 
 @settings(max_examples=50, deadline=None)
@@ -267,11 +225,3 @@ class TestCommandedJoints:
         assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
         (dwell,) = find_dwells(stream, DwellRules(shortest_s=0.5))
         assert np.allclose(dwell.q, (0.1, -0.2), atol=1e-15)
-
-    @pytest.mark.parametrize("other", [None, "x", [1.0], [1.0, float("inf")], [1.0, 10**400], [[1.0], [2.0]]])
-    def test_what_is_none_makes_no_reading_malformed(self, other):
-        stream = read(self.rows([0.11, -0.21], other, [0.11, -0.21]))
-        assert (stream.readings, stream.malformed) == (3, 0)
-        assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
-        alone = read(self.rows(other))
-        assert np.allclose(alone.bins.mean, (0.1, -0.2), atol=1e-15)

@@ -92,23 +92,6 @@ def test_a_dwell_cut_in_two_short_pieces_is_rejected(clean):
     assert "session dwell 4" not in result.table.source
 
 
-def test_overrun_inside_a_dwell_cuts_it_too(clean):
-    """n0 jumps although no frame is lost: every later frame says n0 + 13, as after an overrun."""
-    messages, truth = clean
-    first = blocks_between(messages, truth.start_ns[3] + 1.2e9, truth.end_ns[3])[0]
-    moved = []
-    for i, m in enumerate(messages):
-        if i >= first and m.topic == "/box/adc":
-            at = 8  # after the array, the type, seq (5 bytes) and the stream
-            assert m.data[at] == 0x1B
-            n0 = int.from_bytes(m.data[at + 1 : at + 9], "big") + 13
-            m = m._replace(data=m.data[: at + 1] + n0.to_bytes(8, "big") + m.data[at + 9 :])
-        moved.append(m)
-    result = synced(moved)
-    assert (result.losses.frames_lost, result.losses.samples_overrun) == (0, 13)
-    assert result.reasons == {"gap": 1}
-
-
 def test_reboot_inside_a_dwell(clean):
     """Two sessions of one box, the second after a reboot: its clock is another, no dwell spans both."""
     messages, truth = clean

@@ -61,23 +61,6 @@ def test_the_sign_of_both_counts():
     np.testing.assert_allclose(ratio, [1, -1, -1, 1], atol=1e-5)
 
 
-def test_without_over_the_counts_are_the_same_array():
-    plain = parse_ident(
-        {
-            "protocol": [1, 2],
-            "boot_id": 1,
-            "streams": [
-                {
-                    "id": 0, "name": "adc", "period_ns": 1, "osr": 1, "group_delay_ns": 0,
-                    "channels": [{"name": "lvdt", "unit": "V", "scale": SCALE}],
-                }
-            ],
-        }
-    )  # fmt: skip
-    counts = np.arange(3, dtype=np.int32).reshape(-1, 1)
-    assert with_ratios(counts, plain.streams[0].channels) is counts
-
-
 @pytest.mark.parametrize("over", ["lvdt", "nothing", 3])
 def test_a_divisor_that_is_none_is_a_fault_of_the_channel(over):
     lvdt = channels(over=over)[0]

@@ -119,15 +119,6 @@ def test_cut_off_and_without_the_first_chunk(path, made):
     assert [damage.at for damage in session.damage] == [chunks[0].chunk_start_offset]
 
 
-def test_two_places(path, made):
-    messages, whole, chunks = made
-    damaged = flipped(flipped(whole, chunks[1].chunk_start_offset + 90), chunks[3].chunk_start_offset + 2)
-    path.write_bytes(damaged)
-    session = open_session(path, allow_damaged=True)
-    assert [damage.at for damage in session.damage] == [chunks[i].chunk_start_offset for i in (1, 3)]
-    assert list(session.messages()) == outside(messages, chunks[1], chunks[3])
-
-
 def test_metadata_that_are_damaged_are_left_out(path, made):
     """Calibration and anchors are no better than the messages; they have a CRC of ours. Their copies are as good."""
     messages, whole, _ = made

@@ -9,9 +9,8 @@ from blocks_bench import BLOCK_NS, COUNTS, account, box_with, data_places, read
 from session_stream import PERIOD_NS, Box, ident_document
 
 from truearm.session.box_ident import parse_ident
-from truearm.session.losses import Losses, StreamTrack
 from truearm.session.session_file import columns_of
-from truearm.session.streams import BoxReader
+from truearm.session.streams import BoxReader, Losses, StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag

@@ -12,9 +12,8 @@ from session_stream import CHANNELS, PERIOD_NS, Box, ident_document
 
 from truearm.session import streams
 from truearm.session.box_ident import parse_ident
-from truearm.session.losses import Silences
 from truearm.session.session_file import columns_of
-from truearm.session.streams import BoxReader
+from truearm.session.streams import BoxReader, Silences
 from truearm.types import Message
 from truearm_wire import messages as wire
 

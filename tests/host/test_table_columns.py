@@ -7,8 +7,7 @@ import pytest
 from tests.refusals import refused
 
 from truearm.errors import InputError, TableError
-from truearm.record.robots.joint_columns import parse_renames, renamed, separator_of
-from truearm.record.robots.joint_table import readings
+from truearm.record.robots.joint_table import parse_renames, readings, renamed, separator_of
 from truearm.record.robots.sources import FileOptions
 
 UR = "t_s=timestamp,q{}_rad=actual_q_{},qd{}_rad_s=actual_qd_{}"

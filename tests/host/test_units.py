@@ -100,7 +100,7 @@ TO_DEGREES = {"degrees", "rad2deg"}
 # files in which such a factor is not a unit that a person sees
 PHYSICAL = {
     "session/clock.py": "a drift of ppm a minute; µs of the box's timer as ns of the host's",
-    "session/losses.py": "µs and ns as in clock",
+    "session/streams.py": "µs and ns as in clock",
     "correct/error_map.py": "a share of a cell's width",
     "report/figures.py": "a share of the largest residual",
     "box/gauge_polynomial.py": "a share of the readings' span",

@@ -15,7 +15,7 @@ from truearm.box.conversation import conversation, ident_of, one_line_of, stream
 from truearm.box.readiness import LVDT, far_from_calibration
 from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
-from truearm.session.losses import COUNTERS
+from truearm.session.streams import COUNTERS
 from truearm.text import counted, faster, one_line
 from truearm.units import DEGC, MDEGC, MS, NS, PPM, US
 

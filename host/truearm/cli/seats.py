@@ -50,7 +50,7 @@ def seats(
     rest_deg : DEG
         Range within which every joint remains during a rest; of a prismatic joint in mm.
     """
-    from truearm.record.robots.joint_columns import parse_renames
+    from truearm.record.robots.joint_table import parse_renames
     from truearm.workflows.seat_log import fill_seats
     from truearm.workflows.session_copies import joint_names
 

@@ -180,7 +180,7 @@ def add_joints(
     replace
         Replace the joint readings that the session has.
     """
-    from truearm.record.robots.joint_columns import parse_renames
+    from truearm.record.robots.joint_table import parse_renames
     from truearm.workflows.session_copies import AddJoints, add_joints_file, joint_names
 
     joint_list = joint_names(joints, robot)

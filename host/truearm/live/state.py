@@ -18,12 +18,9 @@ from numpy.typing import NDArray
 from truearm.box.monitor import LastSecond, value_of
 from truearm.box.readiness import LINE_CHANNELS, LVDT, Purpose, check_box, far_from_calibration
 from truearm.errors import Argument, InputError
-from truearm.live.mounted_parts import check_mounted, parse_mounted
-from truearm.live.rest import JOINT_RANGE, SENSOR_RANGE, Rest
-from truearm.live.session_progress import SessionProgress, words_of
+from truearm.live.session_progress import SessionProgress, check_mounted, parse_mounted, words_of
 from truearm.record.joint_lines import SILENCE_S
-from truearm.record.operator import Operator, OperatorEvent
-from truearm.record.status import Status
+from truearm.record.operator import Operator, OperatorEvent, Status
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.dwell_samples import DRIFT_SIGMAS, MICRON
 from truearm.session.frames import Data
@@ -33,6 +30,31 @@ from truearm.session.samples import extension, railed, with_ratios
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED, Floats, Move, Rig
 from truearm.units import MM, NS, UM, US
+
+JOINT_RANGE, SENSOR_RANGE = 1e-3, 2e-4  # rad or m, and m: the readings of a rest lie within this
+GAP_S = 0.3  # after such a gap the state is not known
+
+
+class Rest:
+    """The current rest of the joints or of a sensor, from ``begin_s`` to ``last_s``."""
+
+    def __init__(self) -> None:
+        self.begin_s, self.last_s, self.duration_s = -np.inf, -np.inf, 0.0  # as of the last reading
+        self._extremes = np.empty((0, 0))
+
+    def extend(self, t_s: float, values: Floats, most: float) -> bool:
+        """Take readings (n, k); return False, and begin a new rest, if they came after a gap or the range of all since
+        ``begin_s`` exceeds ``most``.
+        """
+        near = 0.0 <= t_s - self.last_s <= GAP_S
+        together = np.vstack([self._extremes, values]) if near else values
+        rests = near and bool(np.all(np.ptp(together, axis=0) <= most))
+        if not rests:
+            self.begin_s, together = t_s, values
+        self._extremes = np.array([together.min(axis=0), together.max(axis=0)])
+        self.last_s, self.duration_s = t_s, t_s - self.begin_s
+        return rests
+
 
 STANDING_S = 0.3  # is displayed
 ENOUGH_S = 1.6  # half a second to settle, a second of samples, and a guard, as in session.dwells

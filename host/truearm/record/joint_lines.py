@@ -14,10 +14,9 @@ from collections import deque
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.frame_splitter import Runs
 from truearm.record.links import Arrivals, Backlog, Clock, Link, Reopenable, backlog_of
-from truearm.record.operator import Operator
+from truearm.record.operator import Counters, Operator
 from truearm.record.session_schemas import PREVIEW_NS, ROBOT_PREVIEW
 from truearm.record.session_writer import SessionWriter
-from truearm.record.status import Counters
 from truearm.session.joint_format import UNNUMBERED, JointLine, parse_line
 from truearm.session.session_file import LATEST_NS
 

@@ -1,14 +1,83 @@
-"""The interface between a recording and its operator. This default does nothing, for recordings made by a program."""
+"""The state of a recording, and the interface between it and its operator. The default operator does nothing, for recordings made
+by a program.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from truearm.record.status import Status
 from truearm.session.box_ident import Ident
 from truearm.session.frames import Data
 from truearm.session.joint_format import JointLine
+
+
+@dataclass
+class Counters:
+    """Counts so far, for display; the session file's ``session-end`` repeats them. ``truearm inspect`` counts again."""
+
+    frames: int = 0
+    samples: int = 0
+    lost_frames: int = 0
+    # number matches neither the previous frame nor a loss: late, from a restarted box, or foreign
+    odd_frames: int = 0
+    console_bytes: int = 0
+    probes: int = 0
+    unanswered_probes: int = 0
+    robot_lines: int = 0
+    robot_other_joints: int = 0  # readings with a different number of joints from the first
+    robot_console_bytes: int = 0  # these and everything else that is not a reading
+    robot_unstored: int = 0  # pieces of the robot's stream that were still waiting when the recording ended
+    restarts: int = 0
+    link_losses: int = 0
+    robot_losses: int = 0
+    held_up: int = 0  # how often a link's reader had to wait for the recorder
+    robot_held_up: int = 0  # how often the robot's reader had to: the robot sends more than can be stored
+    robot_missing: int = 0  # readings, by the gaps in their numbers since the reader first had to wait
+    robot_dropped: int = 0  # 1 if readings without numbers may be lost: the link drops what cannot be stored
+    robot_foreign: int = 0  # datagrams from other addresses than the robot's, not stored
+    dropped_in_box: int = 0  # trigger edges, by the heartbeats since the first
+    overruns_in_box: int = 0  # samples, by the heartbeats since the first
+
+
+@dataclass(frozen=True)
+class Status:
+    """State for a progress display. ``rtt_us``: the shortest exchange with the box so far."""
+
+    elapsed_s: float  # since the start of the stream; 0 before it
+    state: str  # "identifying" | "recording" | "link lost" | "stopping"
+    rtt_us: float | None
+    robot_ok: bool | None  # None: no robot
+    counters: Counters
+    faults: tuple[str, ...] = ()  # faults of the box, for the operator
+    box_ok: bool = True  # False while its link is lost or it is silent
+    robot_age_s: float | None = None  # of the last stored reading
+    file_losses: tuple[str, ...] = ()  # what happened to the session's file, one sentence each
+    robot_waits: bool = False  # readings are waiting to be stored
+    robot_closed: bool = False  # it ended its stream deliberately
+
+
+@dataclass(frozen=True)
+class RecordSummary:
+    """How a recording ended.
+
+    ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link
+    lost"; ``text`` explains what was lost or closed. ``duration_s`` counts from the start of the stream. ``faults`` and
+    ``file_losses`` are as in ``Status``. ``box_gone``: why the box could not be stopped, "" if it was stopped.
+    ``heard_s``: how long the box was heard. ``robot_gone``: that the robot was lost or silent at the end, "" if not.
+    """
+
+    reason: str
+    text: str
+    duration_s: float
+    rtt_us: float | None
+    counters: Counters
+    faults: tuple[str, ...] = ()
+    file_losses: tuple[str, ...] = ()
+    box_gone: str = ""
+    heard_s: float = 0.0
+    robot_gone: str = ""
 
 
 class OperatorEvent(NamedTuple):

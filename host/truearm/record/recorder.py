@@ -13,14 +13,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError, TruearmError
-from truearm.record.box_storage import BoxStorage
-from truearm.record.clock_exchanges import ClockExchanges
+from truearm.record.box_storage import BoxStorage, ClockExchanges
 from truearm.record.joint_lines import EXPECTED, RobotIntake
 from truearm.record.links import Clock, Link, Reopenable, backlog_of
-from truearm.record.operator import Operator
+from truearm.record.operator import Counters, Operator, RecordSummary, Status
 from truearm.record.requests import Requests
 from truearm.record.session_writer import SessionWriter
-from truearm.record.status import Counters, RecordSummary, Status
 from truearm.schema import quoted
 from truearm.session.box_ident import Ident
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST

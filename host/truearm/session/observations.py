@@ -25,7 +25,6 @@ from truearm.session.dwell_samples import LEARNT, Sensing, measured, usual_noise
 from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import Bins, JointReader, JointStream
 from truearm.session.line_passes import Leg, LinePass, LineRules, find_legs, measure
-from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.plan_matching import (
     Marks,
@@ -40,7 +39,7 @@ from truearm.session.plan_matching import (
 )
 from truearm.session.samples import ChannelSamples, Samples
 from truearm.session.session_file import Messages, Source, columns_of
-from truearm.session.streams import Blocks, BoxReader, Segment
+from truearm.session.streams import Blocks, BoxReader, Losses, Segment, StreamReport
 from truearm.session.trigger_edges import with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
     from truearm.session.dwells import Dwell
     from truearm.session.line_passes import LinePass
-    from truearm.session.losses import Silences
     from truearm.session.observations import Survey
     from truearm.session.session_file import Messages, Session
+    from truearm.session.streams import Silences
 
 MAX_TOPICS = 1000
 DOCUMENTS = frozenset({"/plan", "/box/ident"})  # topics of documents sent in parts: their messages have no rate
@@ -49,7 +49,7 @@ class Contents:
     """Counts messages as they pass, and keeps the first console text of the box."""
 
     def __init__(self) -> None:
-        from truearm.session.losses import Silences
+        from truearm.session.streams import Silences
 
         self.topics: dict[str, Topic] = {}
         self.console: list[bytes] = []

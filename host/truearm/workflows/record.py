@@ -17,11 +17,10 @@ from truearm.errors import Argument, IncompleteError, InputError, TruearmError, 
 from truearm.findings import Finding, entries
 from truearm.interrupt import asked_to_stop
 from truearm.live.choose_box import choose_box
-from truearm.live.mounted_parts import check_mounted, parse_mounted
-from truearm.live.session_progress import SessionProgress
+from truearm.live.session_progress import SessionProgress, check_mounted, parse_mounted
 from truearm.live.state import LiveState
 from truearm.live.view import showing
-from truearm.record.status import Counters
+from truearm.record.operator import Counters
 from truearm.text import counted, one_line
 from truearm.types import Move
 from truearm.units import NS
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from truearm.record.links import Clock
-    from truearm.record.status import RecordSummary
+    from truearm.record.operator import RecordSummary
     from truearm.session.observations import SyncResult
     from truearm.types import Plan, Rig
 

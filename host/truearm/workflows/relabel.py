@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, Words, mountings
 from truearm.files.labels_file import Decision, labels_path, write_labels
-from truearm.live.mounted_parts import check_mounted
+from truearm.live.session_progress import check_mounted
 from truearm.progress import step
 from truearm.session.plan_matching import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig

@@ -1,11 +1,17 @@
-"""Read a table (CSV) of joint readings, written by the robot or its logger, as lines of a session.
+"""Read joint readings in columns, live or in a table (CSV); column titles in the header end in the unit.
 
-The header is parsed as in ``columns``. The table is read row by row: a day at 500 Hz is 43 million rows.
+``t_s`` (or _ms, _us, _ns) is the controller's time, ``q1_rad`` (_deg, _m, _mm) … are the measured joints. Optional
+columns are ``q1_cmd_rad`` … commanded joints, ``qd1_rad_s`` … velocities, ``seq`` a count of the readings, and
+``inputs`` digital inputs as a number. ``note`` and ``x_…`` are skipped.
+
+A table is written by the robot or its logger, and read row by row: a day at 500 Hz is 43 million rows.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from io import TextIOWrapper
 from itertools import chain
 from pathlib import Path
@@ -13,11 +19,167 @@ from typing import IO
 
 from truearm.errors import Argument, InputError, TableError
 from truearm.file_names import open_input, reading
-from truearm.files.csv_cells import Row, rows_of
+from truearm.files.csv_cells import MAX_COLUMNS, NUMBER, Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
-from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
 from truearm.record.robots.sources import AddedReading, FileOptions
-from truearm.session.joint_format import parse_reading
+from truearm.schema import quoted
+from truearm.session.joint_format import MAX_JOINTS, format_reading, parse_reading
+from truearm.units import SUFFIXES
+
+# to divide by: 1e-9 is not exact in binary
+PER_SECOND = {unit: round(SUFFIXES[unit].factor) for unit in ("s", "ms", "us", "ns")}
+EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints are q1_cmd_rad, ...)"
+
+_TIME = re.compile(r"t_(s|ms|us|ns)")
+_JOINT = re.compile(r"(q|qd)([1-9]\d?)(_cmd)?_(rad|deg|m|mm)(_s)?")
+_WHOLE = re.compile(r"[+-]?\d{1,18}", re.ASCII)
+
+Place = tuple[int, float]  # position of a column, and the factor to SI
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Positions of the columns in a row."""
+
+    width: int
+    t: tuple[int, int]  # position, and how many units make a second
+    q: tuple[Place, ...]
+    q_cmd: tuple[Place, ...]
+    qd: tuple[Place, ...]
+    seq: int | None
+    inputs: int | None
+
+    def line(self, cells: Sequence[str], **more: object) -> bytes | None:
+        """Return the reading in a row as a line of a session, with ``more`` added; None if the row is not a reading."""
+        if len(cells) != self.width:
+            return None
+        try:
+            t = _number(cells[self.t[0]]) / self.t[1]
+            q, q_cmd, qd = ([_scaled(cells, place) for place in part] or None for part in (self.q, self.q_cmd, self.qd))
+            seq, inputs = (None if at is None else _whole(cells[at]) for at in (self.seq, self.inputs))
+        except ValueError:
+            return None
+        return format_reading(t, seq, q or [], q_cmd=q_cmd, qd=qd, inputs=inputs, **more)
+
+
+NUMBERED = "{}"  # stands for the number of a joint
+SEPARATORS = ",;\t"
+
+
+def separator_of(header: str) -> str:
+    """Return the delimiter of a table with this header: the most frequent one of comma, semicolon and tab, else a space."""
+    most = max(SEPARATORS, key=header.count)
+    return most if most in header or " " not in header.strip() else " "
+
+
+def with_point(cell: str) -> str:
+    """Replace the decimal comma of a number with a point and leave other cells unchanged.
+
+    For tables that are not separated by commas.
+    """
+    return cell.replace(",", ".") if cell.count(",") == 1 and "." not in cell else cell
+
+
+def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
+    """Parse OURS=THEIRS,… into pairs (ours, theirs); {} in both stands for a joint's number. Raises InputError."""
+    parts = text.split(",")
+    pairs = tuple((ours.strip(), theirs.strip()) for ours, _, theirs in (part.partition("=") for part in parts))
+    for part, (ours, theirs) in zip(parts, pairs, strict=True):
+        if not theirs or not ours or (NUMBERED in ours) != (NUMBERED in theirs) or theirs.count(NUMBERED) > 1:
+            raise InputError(
+                f"{quoted(part)}: write OURS=THEIRS, such as t_s=timestamp or q{NUMBERED}_rad=actual_q_{NUMBERED}, "
+                f"with {NUMBERED} for a joint's number on both sides or none"
+            )
+    return pairs
+
+
+def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[str]:
+    """Return a table's titles with our names; columns without a rename are skipped. Joints count from the lowest number
+    present.
+
+    Raises InputError for a column that is not there.
+    """
+    out = [f"x_{k}" for k in range(len(titles))]
+    for ours, theirs in renames:
+        pattern = re.compile(r"(\d{1,2})".join(map(re.escape, theirs.split(NUMBERED))))
+        places = [(k, found) for k, title in enumerate(titles) if (found := pattern.fullmatch(title))]
+        if not places:
+            known = ", ".join(map(quoted, titles[:8]))
+            raise InputError(f"no column {quoted(theirs)}; the table begins with {known}")
+        first = min(int(found[1]) for _, found in places) if NUMBERED in theirs else 0
+        for k, found in places:
+            number = int(found[1]) - first + 1 if NUMBERED in theirs else ""
+            out[k] = ours.replace(NUMBERED, str(number))
+    return out
+
+
+def read_columns(titles: Sequence[str]) -> Columns:
+    """Return the columns named by a header. Raises InputError."""
+    if len(titles) > MAX_COLUMNS:
+        raise InputError(f"{len(titles)} columns; the maximum is {MAX_COLUMNS}")
+    single: dict[str, Place] = {}
+    joints: dict[str, dict[int, Place]] = {"q": {}, "q_cmd": {}, "qd": {}}
+    for position, title in enumerate(titles):
+        if title == "note" or title.startswith("x_"):
+            continue
+        quantity, number, scale = _quantity(title)
+        known: dict[str, Place] | dict[int, Place] = joints[quantity] if number else single
+        key = number or quantity
+        if key in known:
+            raise InputError("given-twice", place=f"column {quoted(title)}", what=f"{quantity}{number or ''}")
+        known[key] = (position, scale)  # type: ignore[index]
+    if "t" not in single:
+        raise InputError("missing-column", column="t_s", example=EXAMPLE)
+    q, q_cmd, qd = (_in_order(quantity, joints[quantity], len(joints["q"])) for quantity in joints)
+    places = {name: single[name][0] if name in single else None for name in ("seq", "inputs")}
+    t = (single["t"][0], int(single["t"][1]))
+    return Columns(len(titles), t, q, q_cmd, qd, places["seq"], places["inputs"])
+
+
+def _quantity(title: str) -> tuple[str, int, float]:
+    """Return quantity, joint number (0: none) and factor of a column's title."""
+    if title in ("seq", "inputs"):
+        return title, 0, 1.0
+    if found := _TIME.fullmatch(title):
+        return "t", 0, PER_SECOND[found[1]]
+    found = _JOINT.fullmatch(title)
+    if found is None or (found[1] == "qd") != bool(found[5]) or (found[1] == "qd" and found[3]):
+        raise InputError(
+            "unknown-column",
+            place=f"column {quoted(title)}",
+            remedy=f"expected a header such as {EXAMPLE}; columns x_... are ignored",
+        )
+    return found[1] + (found[3] or ""), int(found[2]), SUFFIXES[found[4]].scale
+
+
+def _in_order(quantity: str, places: dict[int, Place], n: int) -> tuple[Place, ...]:
+    """Return the positions of a quantity in joint order, for all n joints or (except for q) for none."""
+    if ((places or quantity == "q") and sorted(places) != list(range(1, n + 1))) or (
+        quantity == "q" and not 1 <= n <= MAX_JOINTS
+    ):
+        raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}")
+    return tuple(places[number] for number in sorted(places))
+
+
+def _scaled(cells: Sequence[str], place: Place) -> float:
+    return _number(cells[place[0]]) * place[1]
+
+
+def _number(cell: str) -> float:
+    """Return a finite decimal number. Raises ValueError.
+
+    float() would accept "1_000", "nan" and digits of other scripts.
+    """
+    if len(cell) > 40 or not NUMBER.fullmatch(cell):
+        raise ValueError(cell[:40])
+    return float(cell)
+
+
+def _whole(cell: str) -> int:
+    if not _WHOLE.fullmatch(cell):
+        raise ValueError(cell[:40])
+    return int(cell)
+
 
 NO_ARRIVAL = {"arrival": False}  # in every such line: its arrival was not observed
 

@@ -20,6 +20,7 @@ under ``line``, in its original form. Lines that are not readings are passed on 
 from __future__ import annotations
 
 import json
+import socket
 from dataclasses import dataclass, field, replace
 from typing import Any
 from urllib.parse import parse_qsl
@@ -27,12 +28,66 @@ from urllib.parse import parse_qsl
 from truearm.errors import InputError, LinkError, ProtocolError
 from truearm.record.frame_splitter import Runs
 from truearm.record.joint_lines import MAX_LINE, SILENCE_S
-from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
-from truearm.record.robots.joint_columns import PER_SECOND, Columns, read_columns
-from truearm.record.robots.udp import Datagram, UdpLink
+from truearm.record.links import (
+    ROBOT_LOST,
+    Arrivals,
+    Backlog,
+    Clock,
+    Link,
+    StreamLink,
+    TcpLink,
+    backlog_of,
+    host_and_port,
+)
+from truearm.record.robots.joint_table import PER_SECOND, Columns, read_columns
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_reading
 from truearm.units import SUFFIXES
+
+MAX_DATAGRAM = 8192  # bytes; a longer one is truncated, and the rest is not a reading
+
+
+class Datagram(bytes):
+    """The contents of a datagram, and the address that sent it."""
+
+    sender: str
+
+
+class UdpLink(StreamLink):
+    """Receives datagrams sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them), as ``Datagram``.
+
+    Each is returned with a line feed at its end. A robot that has gone is just silent; UDP does not report it.
+    """
+
+    def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
+        address = host_and_port(url, "udp")
+        family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+        try:
+            opened = socket.socket(family, socket.SOCK_DGRAM)
+            opened.bind(address)
+        except OSError as exc:
+            raise LinkError(
+                f"{name or url}: cannot listen there ({exc.strerror or exc}); give an address of this machine"
+            ) from exc
+        self.port = int(opened.getsockname()[1])
+        super().__init__(name or url, clock, opened, ROBOT_LOST)
+
+    def _send(self, data: bytes) -> None:
+        """Do nothing: such a robot receives no data."""
+
+    @property
+    def backlog(self) -> Backlog:
+        """Return the backlog."""
+        return super().backlog._replace(drops=True)
+
+    def _receive(self) -> bytes:
+        if not self._readable():
+            return b""
+        data, (sender, *_) = self._stream.recvfrom(MAX_DATAGRAM)
+        datagram = Datagram(data + b"\n")
+        datagram.sender = sender
+        return datagram
+
 
 QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
 MAX_TIME = 2**63  # in any unit: nanoseconds since 1970 are 2⁶¹
