@@ -485,14 +485,26 @@ class RecordWalk:
         self.session.unread_bytes += 0 if self._data_end else self._size - at
 
     def wrong_crc(self) -> str:
-        """Return where a CRC of a complete file does not match, "" if nowhere."""
+        """Return where a CRC of a complete file does not match, "" if nowhere.
+
+        Other programs read the file by its summary, behind the end of data.
+        """
         if not self._data_end:
             return "somewhere: its end of data is missing"
-        self._file.seek(0)
+        if self.crc not in (0, self._crc_of_bytes(0, self._data_end)):
+            return "somewhere: its CRC does not match"
+        end = self._size - len(MCAP0_MAGIC) - 4
+        own_crc = self._crc_of_bytes(self._data_end + RECORD.size + _LIMITS[Opcode.DATA_END], end)
+        summary_crc = int.from_bytes(self._file.read(4), "little")
+        return "" if summary_crc in (0, own_crc) else "in its summary: the CRC does not match"
+
+    def _crc_of_bytes(self, begin: int, end: int) -> int:
+        """Return the CRC of these bytes, and leave the file at their end."""
+        self._file.seek(begin)
         crc = 0
-        while block := self._file.read(min(self._data_end - self._file.tell(), _BLOCK)):
+        while block := self._file.read(max(0, min(end - self._file.tell(), _BLOCK))):
             crc = zlib.crc32(block, crc)
-        return "" if self.crc in (0, crc) else "somewhere: its CRC does not match"
+        return crc
 
     def salvaged(self, wrong_crc: bool) -> Session:
         """Return the session, with what is missing in each damaged place."""
