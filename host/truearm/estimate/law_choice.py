@@ -62,7 +62,7 @@ def supported(
     if isinstance(start, LawChoice):
         laws, dropped, found = start.kept, dict(start.dropped), start.learned
     else:
-        found = learn(make(laws), start, rounds=2)
+        found = learn(make(laws), start, rounds=1)
         absent = [unit for unit in _units(laws) if all(found.nats[law] < ABSENT for law in unit)]
         dropped = {law: found.nats[law] for unit in absent for law in unit}
         found, laws = _without(make(laws), found, dropped), _but(laws, dropped)
