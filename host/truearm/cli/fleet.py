@@ -4,25 +4,15 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
 
-from truearm.bounds import Within
 from truearm.cli.command import Answer, command
 from truearm.exit_codes import ExitCode
 from truearm.text import one_line
+from truearm.workflows.requests import FleetOptions
 
 
 @command()
-def fleet(
-    folders: list[Path],
-    *,
-    hold_out: list[str] | None = None,
-    reports: bool = False,
-    workers: Annotated[int | None, Within(1, 10_000)] = None,
-    dask: str | None = None,
-    out: Path | None = None,
-    force: bool = False,
-) -> Answer:
+def fleet(folders: list[Path], *, options: FleetOptions) -> Answer:
     """Identify the robots of all projects in some folders, several at a time.
 
     Each project is identified as by truearm identify in its folder, and its result is written into its folder results.
@@ -51,16 +41,16 @@ def fleet(
     out : FILE
         File to write: the table of all arms (.csv).
     """
-    from truearm.workflows.fleet import FleetOptions, identify_fleet, worst
+    from truearm.workflows.fleet import identify_fleet, worst
 
-    rows = identify_fleet(folders, FleetOptions(tuple(hold_out or ()), reports, workers, dask, out, force))
+    rows = identify_fleet(folders, options)
     width = max(len(one_line(row.arm)) for row in rows)
     lines = [f"{'arm':<{width}}    nominal  identified"]
     for row in rows:
         errors = [f"{mm:.3f} mm" if mm is not None else "" for mm in (row.before_mm, row.after_mm)]
         remark = one_line(row.verdict) * (row.code != ExitCode.DONE)
         lines.append(f"{one_line(row.arm):<{width}}  {errors[0]:>9}  {errors[1]:>9}  {remark}".rstrip())
-    if out is not None:
-        lines.append(f"Written: {one_line(str(out))}")
+    if options.out is not None:
+        lines.append(f"Written: {one_line(str(options.out))}")
     document = {"format": "truearm-fleet", "arms": [asdict(row) for row in rows]}
     return Answer(document, lines, end=worst(rows))

@@ -30,26 +30,12 @@ from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
 from truearm.workflows.inputs import Sources, hashed_inputs
 from truearm.workflows.project import new_file, result_document, results_of, sessions_of
 from truearm.workflows.report import report_files
+from truearm.workflows.requests import FleetOptions
 from truearm.workflows.session_parts import with_parts
 
 LOCAL = "local"  # in place of the address of a Dask scheduler: a cluster on this machine
 RUNS = 2  # a worker that is killed ends a run
 BEST_FIRST = (ExitCode.DONE, ExitCode.UNUSABLE, ExitCode.INCOMPLETE, ExitCode.INPUT, ExitCode.FAILED)
-
-
-@dataclass(frozen=True)
-class FleetOptions:
-    """What is done for each arm, by how many ``workers`` (None: one per core), or by those of a ``dask`` scheduler.
-
-    ``reports``: whether each result gets a report with a certificate. ``out``: the table of all arms.
-    """
-
-    hold_out: tuple[str, ...] = ()
-    reports: bool = False
-    workers: int | None = None
-    dask: str | None = None
-    out: Path | None = None
-    force: bool = False
 
 
 @dataclass(frozen=True)

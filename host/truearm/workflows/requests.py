@@ -307,3 +307,18 @@ class CorrectOptions:
     def frames(self) -> tuple[Six, Six]:
         """Return the frame of a table's targets, and the pose of the tool."""
         return self.program.works.get("", NO_FRAME), self.program.tools.get("", NO_FRAME)
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """What is done for each arm, by how many ``workers`` (None: one per core), or by those of a ``dask`` scheduler.
+
+    ``reports``: whether each result gets a report with a certificate. ``out``: the table of all arms.
+    """
+
+    hold_out: tuple[str, ...] = ()
+    reports: bool = False
+    workers: Annotated[int | None, Within(1, 10_000)] = None
+    dask: str | None = None
+    out: Path | None = None
+    force: bool = False
