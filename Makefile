@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs pictures notebooks device-check pytest coverage collect soak bench benchmark micropython view3d wire uf2 release chip hardware hardware-check micropython-if-possible browser-if-possible kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint docs pictures notebooks device-check pytest coverage collect soak bench bench-arms benchmark micropython view3d wire uf2 release chip hardware hardware-check micropython-if-possible browser-if-possible kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-22s %s\n", $$1, $$2}'
@@ -76,6 +76,9 @@ bench: .venv/installed-test micropython build/bench-venv/installed ## the measur
 
 benchmark: .venv/installed-test build/bench-venv/installed ## real arms, geometry and joint laws: docs/explanation/real-arms.md and its picture
 	@$(BIN)/python bench/real_arms.py --write
+
+bench-arms: .venv/installed-test build/bench-venv/installed ## other programs on real arms: the table of docs/explanation/open-benchmark.md
+	@$(BIN)/python bench/open_benchmark.py --write
 
 # Each peer in an environment of its own: they want different numpys. One that cannot be installed is said to be missing.
 build/bench-venv/installed: $(wildcard bench/peers/*.txt)

@@ -9,11 +9,8 @@ the data are from.
 from __future__ import annotations
 
 import argparse
-import json
 import lzma
 import resource
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -43,8 +40,6 @@ DATA = ROOT / "tests" / "data"
 SIGMA = 5e-5  # m, declared of a laser tracker
 BAR_NOISE = 3e-5  # m
 TRAVEL = 0.0375  # m to either side of a bar's middle
-PEERS = ("ur10-c-0", "ur5")  # cases that pybotics fits too; minutes each
-PATIENCE = 150  # s, for a peer
 BARS = {"b46": 0.46, "b61": 0.61}
 PLACED = 0.01  # m: how well the places of the chucks are known beforehand
 TRACKER = Rig(
@@ -275,30 +270,7 @@ def run(case: Case) -> Outcome:
     return Outcome(case, before, plain, best, kept, (seconds[0], seconds[1]), results[1])
 
 
-def by_pybotics(case: Case) -> str:
-    """Return the held-out mean of pybotics [mm] for a tracked arm with Denavit-Hartenberg rows; "-" for others, or if it is not installed."""
-    python = ROOT / "build/bench-venv/pybotics/bin/python"
-    if case.points is not None or case.robot.is_urdf or not python.exists():
-        return "-"
-    values = dict(zip(case.robot.chain.parameter_names, case.robot.chain.params_nominal, strict=True))
-    rows = [[values.get(f"joint{i}.{key}", 0.0) for key in ("offset", "d", "a", "alpha")] for i in range(1, 7)]
-    points = base_points(case.robot, case.table)
-    with tempfile.TemporaryDirectory() as own:
-        path = Path(own) / "rows.npz"
-        at = {"q": case.table.q[~case.held], "y": points[~case.held]}
-        judge = {"q_held": case.table.q[case.held], "y_held": points[case.held]}
-        np.savez(path, dh=np.array(rows), target=np.array([0.0, 0.0, 0.093]), **at, **judge)
-        command = [str(python), str(ROOT / "bench/workers/run_pybotics.py"), "fit", "position", str(path), "1"]
-        workers = ROOT / "bench/workers"
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, cwd=workers, check=False, timeout=PATIENCE)
-        except subprocess.TimeoutExpired:
-            return f"not finished in {PATIENCE} s"
-    lines = [line for line in done.stdout.splitlines() if line.startswith("RESULT ")]
-    return f"{json.loads(lines[0][7:])['mean_mm']:.3f}" if lines else "failed"
-
-
-def row(out: Outcome, peer: str) -> str:
+def row(out: Outcome) -> str:
     """Return a row of the page's table."""
     case, fitted = out.case, int((~out.case.held).sum())
     goal = f"{case.most:.3f}" if np.isfinite(case.most) else "-"
@@ -312,7 +284,6 @@ def row(out: Outcome, peer: str) -> str:
         f"{out.geometry.mean():.3f} / {out.geometry.max():.2f}",
         f"{out.laws.mean():.3f} / {out.laws.max():.2f}",
         goal,
-        peer,
         ", ".join(out.kept) or "none",
         f"{out.seconds[0]:.1f} / {out.seconds[1]:.1f}",
     )
@@ -326,11 +297,11 @@ are those of rows that were not fitted. `make benchmark` writes this page and it
 
 Errors are mean / largest of the held-out rows, in mm. They are 3-D errors of a tracked point; for the MUKCa sets they are the distance of a seated ball from its
 socket. "Before" is the nominal robot, with the rig that the identification found. (`truearm identify` fits the rig to the nominal robot instead, so its "before" is smaller.) All data sets are fitted with the same options: `truearm identify` with
-`--joint-laws none`, then with its defaults. "Rows to fit" includes the rows that a fit leaves out as outliers. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. UR10 C and A are two series of measurements of one arm. pybotics fits 25 geometric parameters, as its example does. figaroh is not
-run, because its calibration needs a URDF and a configuration file for each arm; [Benchmarks](benchmarks.md) compares its geometry on simulated data.
+`--joint-laws none`, then with its defaults. "Rows to fit" includes the rows that a fit leaves out as outliers. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. UR10 C and A are two series of measurements of one arm. [The open benchmark](open-benchmark.md) compares
+the tracked arms with other programs.
 
-| data | split | rows to fit | rows judged | published | before | geometry | with joint laws | to reach | pybotics | laws kept | s |
-|---|---|---|---|---|---|---|---|---|---|---|---|
+| data | split | rows to fit | rows judged | published | before | geometry | with joint laws | to reach | laws kept | s |
+|---|---|---|---|---|---|---|---|---|---|---|
 {rows}
 
 ![Held-out error of geometry and with joint laws](../images/real-arms.svg)
@@ -420,7 +391,7 @@ def main() -> None:
         if asked.only in name:
             out = run(make())
             outcomes.append(out)
-            rows.append(row(out, by_pybotics(out.case) if asked.write and name in PEERS else "-"))
+            rows.append(row(out))
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(f"{name:18} {rows[-1]} {peak:.0f} MB", flush=True)
     if asked.write:
