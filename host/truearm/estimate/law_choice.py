@@ -60,7 +60,8 @@ def supported(
     is the noise where learning starts, or the choice of nearly the same rows, of which no further law is tried.
     """
     if isinstance(start, LawChoice):
-        laws, dropped, found = start.kept, dict(start.dropped), start.learned
+        laws, dropped = start.kept, dict(start.dropped)
+        found = start.learned._replace(x=make(laws).start)  # beside other faults, the problem has other unknowns
     else:
         found = learn(make(laws), start, rounds=1)
         absent = [unit for unit in _units(laws) if all(found.nats[law] < ABSENT for law in unit)]

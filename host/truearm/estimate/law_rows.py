@@ -43,30 +43,34 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = 
     squares: dict[str, list[Floats]] = {}
     posterior = in_rows(unknowns_of_rows(problem, found.x, of.columns), found.covariance)
     for poses in pose_rows(problem, found.x, of.pose):
-        group = poses.group
-        if group.row is None:
+        if poses.is_knowledge:
             continue
         poses = poses.projected(np.concatenate([poses.rows, poses.moved], axis=2))
-        w, width = poses.rows.shape[1], group.sensor_cov.shape[1]
+        w = poses.rows.shape[1]
         cov, residual = poses.covariances(noise), poses.rows[..., -1]
         spread = spread_of(poses.rows, posterior)
         values, vectors = np.linalg.eigh(cov - spread if fitted else cov + spread)
         alone = values <= LEAST_SHARE * cov[:, range(w), range(w)].max(axis=1, keepdims=True)  # nothing contradicts it
         inverse = np.where(alone, 0.0, 1.0 / np.where(alone, 1.0, values))
         weighed = (vectors @ (vectors.swapaxes(1, 2) @ residual[..., None] * inverse[..., None]))[..., 0]
-        root = noise_root(poses.declared)
-        without = _in_units(root, poses.expanded((cov @ weighed[..., None])[..., 0]).reshape(-1, width))
-        with_all = _in_units(root, poses.expanded(residual).reshape(-1, width))
         followed = np.linalg.solve(cov, spread).astype(float)  # the fit's share of each residual, by the assumed noise
-        own = np.maximum(1.0 - poses.diagonals(followed), 0.0).reshape(-1, width)
-        for unit, components in unit_columns(group.COMPONENTS).items():
-            left_out[unit][group.row] = np.linalg.norm(without[:, components], axis=1)
-            declared = (root[:, components] ** 2 * own[:, None]).sum(axis=(1, 2))
-            squares.setdefault(unit, []).append(np.stack([declared, (with_all[:, components] ** 2).sum(axis=1)]))
-        square = poses.expanded(residual) * poses.expanded(weighed)
-        square = np.maximum(square.reshape(-1, width).sum(axis=1), 0.0)
-        distance[group.row], beyond[group.row] = np.sqrt(square), square > gate(width)
-        widths[group.row] = width
+        of_poses = (
+            poses.expanded((cov @ weighed[..., None])[..., 0]),
+            poses.expanded(residual),
+            np.maximum(1.0 - poses.diagonals(followed), 0.0),
+            poses.expanded(residual) * poses.expanded(weighed),
+        )
+        for group, declared, at in poses.kinds:
+            width, root = group.sensor_cov.shape[1], noise_root(declared)
+            without, with_all, own, square = (array[:, at].reshape(-1, width) for array in of_poses)
+            without, with_all = _in_units(root, without), _in_units(root, with_all)
+            for unit, components in unit_columns(group.COMPONENTS).items():
+                left_out[unit][group.row] = np.linalg.norm(without[:, components], axis=1)
+                due = (root[:, components] ** 2 * own[:, None]).sum(axis=(1, 2))
+                squares.setdefault(unit, []).append(np.stack([due, (with_all[:, components] ** 2).sum(axis=1)]))
+            square = np.maximum(square.sum(axis=1), 0.0)
+            distance[group.row], beyond[group.row] = np.sqrt(square), square > gate(width)
+            widths[group.row] = width
     means = {unit: np.concatenate(squares[unit], axis=1).mean(axis=1) for unit in UNITS if unit in squares}
     parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(is_ - due, 0.0))) for u, (due, is_) in means.items()}
     return LawRows(left_out, distance, beyond, widths, parts)

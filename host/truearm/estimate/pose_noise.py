@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -55,11 +56,18 @@ class PoseNoise(NamedTuple):
         return np.concatenate([np.repeat([self.shared, self.turned], MOTIONS), self.joint])
 
 
-class RowsByPose(NamedTuple):
-    """n poses with w whitened residuals each, and equally many rows of the table per pose."""
+class RowsOfKind(NamedTuple):
+    """Rows of one kind, equally many for each of n poses, pose by pose."""
 
-    group: Group  # pose by pose; for knowledge (``row`` None) the noise is as declared
-    declared: Floats  # (n·rows a pose, …) the rows' covariances, as ``residual_noise`` has them
+    group: Group
+    declared: Floats  # (n·rows a pose, …) their covariances, as ``residual_noise`` has them
+    at: slice  # of the residuals of a pose
+
+
+class RowsByPose(NamedTuple):
+    """n poses with w whitened residuals each, and equally many rows of each kind per pose."""
+
+    kinds: tuple[RowsOfKind, ...]
     rows: Floats  # (n, w, b + r + 1) wrenches, by the rig's unknowns, residual
     moved: Floats  # (n, w, 6 + j) [T|W|C]
     basis: Floats | None = None  # (n, N, w), of w of N residuals, if the poses are projected
@@ -93,10 +101,15 @@ class RowsByPose(NamedTuple):
             return np.diagonal(matrices, axis1=1, axis2=2)
         return np.asarray(((self.basis @ matrices) * self.basis).sum(axis=2))
 
+    @property
+    def is_knowledge(self) -> bool:
+        """Return whether these are no rows of the table: their noise is as declared."""
+        return self.kinds[0].group.row is None
+
     def covariances(self, noise: PoseNoise) -> Floats:
         """(n, w, w) R"""
         n, w = self.rows.shape[:2]
-        if self.group.row is None:
+        if self.is_knowledge:
             return np.broadcast_to(np.eye(w), (n, w, w))
         return _covariances(self.moved, noise)
 
@@ -109,35 +122,50 @@ class PoseInformation(NamedTuple):
 
 
 def pose_rows(problem: Problem, x: Floats, pose: Indices, every: int = 1) -> Iterator[RowsByPose]:
-    """Return all poses, or every ``every``-th, linearised at x, in chunks with equally many rows per pose.
+    """Return all poses, or every ``every``-th, linearised at x, in chunks with equally many rows of each kind per pose.
 
     ``pose`` (n_rows,) holds the numbers of the poses.
     """
     width = len(folded(problem.chain, x[: problem.n_robot]).twists) + len(problem.names) - problem.n_robot + 1
-    for group in problem.groups:
-        for piece, count in _pieces(group, pose, width, every):
-            yield _whitened(problem, x, piece, count)
+    for pieces in _pieces(problem.groups, pose, width, every):
+        ends = np.cumsum([count * group.sensor_cov.shape[1] for group, count in pieces]).tolist()
+        whitened = [_whitened(problem, x, group, count) for group, count in pieces]
+        places = (slice(first, last) for first, last in pairwise([0, *ends]))
+        kinds = (RowsOfKind(group, of[0], at) for (group, _), of, at in zip(pieces, whitened, places, strict=True))
+        yield RowsByPose(
+            tuple(kinds), *(np.concatenate(arrays, axis=1) for arrays in zip(*(of[1:] for of in whitened), strict=True))
+        )
 
 
-def _pieces(group: Group, pose: Indices, width: int, every: int) -> Iterator[tuple[Group, int]]:
-    """Yield some of a group's observations, pose by pose, and the number of them per pose."""
-    if group.row is None:
-        yield group, 1
+def _pieces(groups: Sequence[Group], pose: Indices, width: int, every: int) -> Iterator[list[tuple[Group, int]]]:
+    """Yield observations of some poses, pose by pose: those of each kind, and the number of them per pose."""
+    yield from ([(group, 1)] for group in groups if group.row is None)
+    measured = [group for group in groups if group.row is not None]
+    if not measured:
         return
-    w = group.sensor_cov.shape[1]
-    mine = pose[group.row]
-    order = np.argsort(mine, kind="stable")
-    _, first, size = np.unique(mine[order], return_index=True, return_counts=True)
-    parts: dict[int, list[Indices]] = {}
-    for start, count in zip(first[::every].tolist(), size[::every].tolist(), strict=True):
-        parts.setdefault(count, []).append(order[start : start + count])
-    for count, some in sorted(parts.items()):
-        each = max(1, CHUNK // (count * w * width))
-        for at in range(0, len(some), each):
-            yield group.take(np.concatenate(some[at : at + each])), count
+    of_group = [pose[group.row] for group in measured]
+    numbers = np.unique(np.concatenate(of_group))[::every]
+    orders = [np.argsort(mine, kind="stable") for mine in of_group]
+    ends = [np.searchsorted(mine, numbers, "right", order) for mine, order in zip(of_group, orders, strict=True)]
+    starts = [np.searchsorted(mine, numbers, "left", order) for mine, order in zip(of_group, orders, strict=True)]
+    counts = np.stack(ends) - np.stack(starts)  # (groups, poses)
+    signatures, which = np.unique(counts, axis=1, return_inverse=True)
+    for number, signature in enumerate(signatures.T.tolist()):
+        some = np.flatnonzero(which == number)
+        size = sum(count * group.sensor_cov.shape[1] for count, group in zip(signature, measured, strict=True))
+        each = max(1, CHUNK // (size * width))
+        for first in range(0, some.size, each):
+            rows = some[first : first + each]
+            every_kind = zip(measured, orders, starts, signature, strict=True)
+            yield [
+                (group.take(order[(start[rows, None] + np.arange(count)).ravel()]), count)
+                for group, order, start, count in every_kind
+                if count
+            ]
 
 
-def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> RowsByPose:
+def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> tuple[Floats, Floats, Floats]:
+    """Return the rows' declared covariances, and ``rows`` and ``moved`` of their poses."""
     lin = piece.evaluate(problem.chain, x)
     w, n, _ = lin.wrenches.shape
     end = folded(problem.chain, x[: problem.n_robot]).end
@@ -148,7 +176,7 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> RowsByPo
     whiten(stacked, declared)
     rows = np.ascontiguousarray(stacked.transpose(2, 1, 0)).reshape(n // count, count * w, -1)
     k = moved.shape[2] + lin.by_joints.shape[2]
-    return RowsByPose(piece, declared, rows[..., :-k], rows[..., -k:])
+    return declared, rows[..., :-k], rows[..., -k:]
 
 
 def pose_information(
@@ -213,7 +241,7 @@ def pose_samples(
     """
     out = []
     for poses in pose_rows(problem, x, pose, every):
-        if poses.group.row is not None:
+        if not poses.is_knowledge:
             shared, beyond = poses.split()
             square, spread = ((beyond @ step) ** 2).sum(), ((beyond @ posterior) * beyond).sum()
             sums = len(beyond) * shared.spare, float(square), float(spread)

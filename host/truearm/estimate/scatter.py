@@ -72,7 +72,7 @@ def covariance_with(
     of_rows = unknowns_of_rows(problem, x, columns)[:, :-1] @ root
     excess = np.eye(root.shape[1])
     for poses in pose_rows(problem, x, pose):
-        if poses.group.row is not None:
+        if not poses.is_knowledge:
             seen = poses.rows @ of_rows
             rows = seen.reshape(-1, root.shape[1])
             along = ((poses.moved * sigma).swapaxes(1, 2) @ seen).reshape(-1, root.shape[1])
