@@ -248,7 +248,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "pose-error": Statement(
         NOTE,
-        "Rows of one pose share an error of {sigma} (σ of each coordinate, from {n:#pose} with several rows). The sigmas include it.",
+        "The rows of a pose err alike, so the arm scatters: {terms} (σ, from {n:#pose} with several rows). The sigmas include it.",
     ),
     "outliers": Statement(
         NOTE,

@@ -17,6 +17,7 @@ from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.reopening import Reopening
 from truearm.record.session_writer import SessionWriter
 from truearm.session.clock import fit_clock
+from truearm.session.frames import data_frame
 from truearm.session.session_file import open_session
 from truearm.session.streams import BoxReader
 
@@ -91,8 +92,13 @@ def test_two_seconds_of_python_lose_nothing(device, tmp_path):
     fitted = fit_clock(0, reader.exchanges(reader.segment))
     assert fitted is not None
     # a block is sent after its last sample; the one that the stop cuts short holds fewer than the others
-    sent_us = np.concatenate([some.frames["t_us"] + (some.n - 1) * some.frames["period_ns"] // 1000 for some in blocks])
-    arrived_ns = np.concatenate([some.frames["t_host_ns"] for some in blocks])
+    sent_us = np.concatenate(
+        [some.table["t_us"] + (some.table["n"] - 1) * some.table["period_ns"] // 1000 for some in blocks]
+    )
+    messages = (message for message in open_session(path).messages() if message.topic.startswith("/box/"))
+    frames = ((message.t_host_ns, data_frame(message.data)) for message in messages)
+    came_ns = {data.n0: t_host_ns for t_host_ns, data in frames if data is not None and data.stream == 0}
+    arrived_ns = np.array([came_ns[n0] for some in blocks for n0 in some.table["n0"].tolist()])
     host_ns, bound_ns = fitted[0].to_host_ns(sent_us)
     late_ns = arrived_ns - host_ns
     toiled = (arrived_ns >= busy[0]) & (arrived_ns <= busy[1])

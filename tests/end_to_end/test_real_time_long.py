@@ -42,9 +42,9 @@ def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
     reader, taken, begin_us = BoxReader(recorded_ident(session)), 0, None
     for blocks in (*(reader.feed(messages) for messages in session.batches()), reader.finish()):
         for some in blocks:
-            last, n = some.frames[-1], some.n[-1]
+            last, n = some.table[-1], some.table["n"][-1]
             taken, end_us = last["n0"] + n, last["t_us"] + n * last["period_ns"] / 1000
-            begin_us = some.frames["t_us"][0] if begin_us is None else begin_us
+            begin_us = some.table["t_us"][0] if begin_us is None else begin_us
     losses = reader.losses()
     print(f"{rate} Hz, {seconds} s: {losses}")
     assert losses.samples + losses.samples_lost + losses.samples_overrun == taken

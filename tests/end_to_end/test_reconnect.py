@@ -140,8 +140,8 @@ def test_cable_and_network(tmp_path, monkeypatch):
     assert {block.segment for block in blocks} == {0, 1}
     assert (reader.losses().samples_overrun, reader.losses().restarts) == (0, 1)
     for segment in (0, 1):  # each life of the box is whole: n0 counts on from block to block
-        n0 = np.concatenate([some.frames["n0"] for some in blocks if some.segment == segment])
-        n = np.concatenate([some.n for some in blocks if some.segment == segment])
+        n0 = np.concatenate([some.table["n0"] for some in blocks if some.segment == segment])
+        n = np.concatenate([some.table["n"] for some in blocks if some.segment == segment])
         assert n0[0] == 0
         assert np.array_equal(n0[1:], n0[:-1] + n[:-1])
     stream = joints.finish()

@@ -19,7 +19,7 @@ SLOW = Arm(lag=6e-4, lag_s=0.15, swing=1e-4, swing_hz=4.0, swing_s=0.15)
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    return record_session(tmp_path_factory.mktemp("slow") / "slow.mcap", 45, osr=16384, arm=SLOW)
+    return record_session(tmp_path_factory.mktemp("slow") / "slow.mcap", 60, osr=16384, arm=SLOW)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def stops(session, result):
 
 def test_every_dwell_is_used_from_where_the_arm_rests(session, result):
     used, stop = stops(session, result)
-    assert len(used) == 90
+    assert len(used) == 120
     world, robot = session.world, session.world.controller
     begin = np.array([1e-9 * (dwell.start_host_ns - HOST_AT_START_NS) for dwell in used])
     # A quarter of the repeatability may be left of the bar's swing. Between two blocks of 25 ms it grows by e^(1/6) at most.

@@ -122,8 +122,8 @@ def test_every_visit_came_from_the_side_it_came_from():
 def settled_after(size, band_first, band_last):
     """Return the time from the first entry into one band to the last exit from another, for a bar's motion (n,) at steps of 0.2 ms."""
     coming = int(np.flatnonzero(size >= 0.5 * size.max())[-1])
-    outside = np.flatnonzero(size[coming:] > band_last)
-    return 2e-4 * (int(outside[-1]) + 1 - int(np.argmax(size[coming:] <= band_first)))
+    left = int(np.flatnonzero(size[coming:] > band_last).max(initial=-1)) + 1
+    return 2e-4 * (left - int(np.argmax(size[coming:] <= band_first)))
 
 
 def test_settling_times_are_those_of_the_bar_without_noise():

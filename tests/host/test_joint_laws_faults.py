@@ -64,6 +64,18 @@ def test_a_chuck_that_slips_is_found_beside_the_laws_and_a_law_is_no_systematic_
     assert estimate.claim.chi2_reduced < 0.8 * estimate.chi2_reduced
 
 
+def test_a_chuck_that_slips_by_a_millimetre_is_named_beside_laws_and_bad_rows(monkeypatch):
+    """The rows are chosen again with fewer laws beside the slip, which has columns of its own."""
+    monkeypatch.setitem(world.__globals__, "SLIP", 10.0 * SLIP)
+    rig, table = world(0, 300, laws=True, error="slip")
+    rng = np.random.default_rng(0)
+    bad = rng.choice(300, 8, replace=False)
+    table.value[bad] += 3e-3 * rng.choice([-1, 1], 8) * rng.uniform(0.1, 1, 8)
+    estimate = found(rig, table, "auto")
+    assert "chuck.c2.step" in names_of(estimate)
+    assert estimate.joint_laws.kept
+
+
 def test_laws_are_not_tried_where_a_systematic_error_explains_the_residuals():
     rig, table = world(0, 400, laws=False, error="zero")
     estimate = found(rig, table, "auto")

@@ -44,7 +44,7 @@ from truearm.estimate.problem import (
     without_knowledge,
 )
 from truearm.estimate.row_errors import left_out_errors, row_errors
-from truearm.estimate.scatter import covariance_with, is_shared, learned_scatter
+from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
@@ -147,8 +147,10 @@ def identify(
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
     taken, covariance = solved.taken(problem), np.zeros((x.size, x.size))
     covariance[np.ix_(columns, columns)] = found.covariance
-    scatter = learned_scatter(taken, x, columns, task.pose, quality.fit) if as_declared else None
-    if scatter is not None and is_shared(scatter):
+    scatter = None
+    if as_declared and found.status == "converged" and columns.any():
+        scatter = learned_scatter(taken, x, columns, task.pose, quality.fit)
+    if scatter is not None and scatter.n and is_of_arm(scatter):
         covariance[np.ix_(columns, columns)] = covariance_with(scatter, taken, x, columns, root, task.pose)
     unfitted = _unfitted(task, nominal, x, quality)
     unexplained: Mapping[str, MeanError] = {}

@@ -25,18 +25,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
+from truearm.estimate.scatter import is_of_arm
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.position import nearest_rotation
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, about, along, forward, point_forward, point_jacobians, trace_point
-from truearm.results import MOVES, Estimate, PredictedError, Scatter
+from truearm.results import MOVES, Estimate, PredictedError
 from truearm.types import Floats, Rigs, rigs_by_name, rms, thinned
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
-WHITE_NOISE = 1e-3  # chance that noise of the sensors passes for the arm's
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected
 
 
@@ -122,27 +121,18 @@ def predicted_point_error(
 def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
     """Return the mean square (n,) [m²] of the arm's own scatter at the measured points, where it was learned; 0 elsewhere.
 
-    It is the error that the poses do not share: of each joint, and of a motion of the last link. Where the declared noise
-    explains the residuals, the share of the arm is believed only with evidence. Faults that explain the residuals pass for
-    scatter, and are stated for themselves.
+    It is the error that the poses do not share: of each joint, and of a motion of the last link. Faults that explain the
+    residuals pass for scatter, and are stated for themselves.
     """
     scatter = estimate.scatter
     learned_beside_faults = not estimate.faults or estimate.law_parameters  # laws are chosen beside them
-    if scatter is None or not learned_beside_faults or (estimate.covariance_explains and not _arm_scatters(scatter)):
+    if scatter is None or not learned_beside_faults or not is_of_arm(scatter):
         return np.zeros(len(table))
     joints = np.array([scatter.joint[joint.name] for joint in chain.joints])
     places, _ = measured_points(rig, table, estimate)
     _, _, by_joints = point_jacobians(chain, estimate.value[: estimate.n_robot_parameters], table.q, places)
     of_link = 3.0 * scatter.shared**2 + 2.0 * scatter.turned**2 * (places**2).sum(axis=1)
     return np.asarray(of_link + ((by_joints * joints) ** 2).sum(axis=(1, 2)))
-
-
-def _arm_scatters(scatter: Scatter) -> bool:
-    """Return whether noise of the sensors alone would seldom raise the evidence for noise of the arm so much.
-
-    Twice the nats are then χ² (Wilks), of at most as many degrees of freedom as the arm's noise has variances.
-    """
-    return bool(2.0 * scatter.nats > chdtri(len(scatter.joint) + 2, WHITE_NOISE))
 
 
 def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:

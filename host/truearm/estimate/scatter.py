@@ -8,8 +8,8 @@ covariance is
     S (I + Qᵀ(R − I)Q) Sᵀ .
 
 A prior, which is not based on any row, enters it as declared. That is done where at least half of the rows share their
-pose with others; with fewer, as with check poses, single rows would decide. And only if noise of the sensors alone would
-seldom raise the evidence as much (Wilks: twice the nats are χ²).
+pose with others; with fewer, as with check poses, single rows would decide. And only if the evidence says that the errors
+are the arm's (``is_of_arm``).
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from truearm.estimate.uncertainty import Goodness
 from truearm.results import Scatter
 from truearm.types import Floats, Indices
 
-LEVEL = 0.05  # of fits without such errors that show some by chance
+LEVEL = (
+    0.05  # of the limit; variances cannot be negative, so noise of the sensors passes for the arm's in 1 of 300 fits
+)
 LEAST_SHARE = 0.5  # of the rows must share their pose with others
 JOINT_NOISE = 1e-4  # rad, initial value
 
@@ -59,9 +61,12 @@ def scatter_of(of: LawProblem, learned: Learned) -> Scatter:
     )
 
 
-def is_shared(scatter: Scatter | None) -> bool:
-    """Return whether rows of one pose are more alike than by chance."""
-    return bool(scatter and scatter.n and 2.0 * scatter.nats > chdtri(len(scatter.joint) + 2, LEVEL))
+def is_of_arm(scatter: Scatter) -> bool:
+    """Return whether noise of the sensors alone would seldom raise the evidence for errors of the arm so much.
+
+    Twice the nats are then χ² (Wilks), of at most as many degrees of freedom as the arm's errors have variances.
+    """
+    return bool(2.0 * scatter.nats > chdtri(len(scatter.joint) + 2, LEVEL))
 
 
 def covariance_with(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.gain import gain_of
 from truearm.estimate.kind_errors import errors_by_kind
-from truearm.estimate.scatter import is_shared
+from truearm.estimate.scatter import is_of_arm
 from truearm.files.result_covariance import Covariance
 from truearm.files.result_file import Parameter, Result, RobotFrames
 from truearm.kinds import registry
@@ -239,16 +239,13 @@ def _joint_laws(laws: JointLaws | None, scatter: Scatter | None, units: Sequence
 
 
 def _noise(scatter: Scatter) -> dict[str, float]:
-    noise = {"factor": scatter.factor, "nats": scatter.nats}
-    noise |= {"shared_mm": float(MM.of(scatter.shared)), "turned_mrad": float(MRAD.of(scatter.turned))}
+    sizes = {"shared_mm": float(MM.of(scatter.shared)), "turned_mrad": float(MRAD.of(scatter.turned))}
     for joint, sigma in scatter.joint.items():
         scale = MM if joint in scatter.linear else MRAD
-        noise[named(joint, scale.suffix)] = float(scale.of(sigma))
-    return noise
+        sizes[named(joint, scale.suffix)] = float(scale.of(sigma))
+    return {"factor": scatter.factor, **sizes, "nats": scatter.nats}
 
 
 def _pose_error(scatter: Scatter | None) -> dict[str, float] | None:
-    """Return the error that the rows of a pose share, None if there is none."""
-    if scatter is None or not is_shared(scatter):
-        return None
-    return {"sigma_mm": float(MM.of(scatter.shared)), "row_variance": scatter.factor, "n": scatter.n}
+    """Return the arm's scatter where rows that share poses show it."""
+    return {**_noise(scatter), "n": scatter.n} if scatter and scatter.n and is_of_arm(scatter) else None

@@ -43,17 +43,19 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
     if sags and any(payload["mass_kg"] for payload in payloads):
         values = {"masses": masses, "several": len(payloads) > 1, "holder": "the calibration"}
         yield Finding("sag-payload", values)
-    noise = laws["noise"]
-    terms = [f"{noise['factor']:.2g} times the declared variances"]
-    if noise["shared_mm"]:
-        terms.append(f"{noise['shared_mm']:.2g} mm shared by the rows of a pose")
-    if noise["turned_mrad"]:
-        terms.append(f"{noise['turned_mrad']:.2g} mrad of rotation shared by the rows of a pose")
-    for name, sigma in noise.items():
-        joint, _, unit = name.rpartition("_")
-        if sigma and unit in ("mrad", "mm") and joint not in ("shared", "turned"):
-            terms.append(f"{sigma:.2g} {unit} in {one_line(joint)}")
+    terms = [f"{laws['noise']['factor']:.2g} times the declared variances", *scatter_terms(laws["noise"])]
     yield Finding("law-noise", {"terms": terms})
+
+
+def scatter_terms(sizes: Mapping[str, float]) -> list[str]:
+    """Return the arm's scatter in words: the sizes in the field ``noise`` of joint laws, or in ``pose_error``."""
+    words = {"shared": "shared by the rows of a pose", "turned": "of rotation shared by the rows of a pose"}
+    terms = []
+    for name, sigma in sizes.items():
+        what, _, unit = name.rpartition("_")
+        if sigma and unit in ("mrad", "mm"):
+            terms.append(f"{sigma:.2g} {unit} {words.get(what, f'in {one_line(what)}')}")
+    return terms
 
 
 def _kept(law: Mapping[str, Any]) -> Finding:

@@ -11,7 +11,7 @@ from typing import Any, assert_never
 from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.findings import Finding, ordered
-from truearm.report.law_findings import law_findings
+from truearm.report.law_findings import law_findings, scatter_terms
 from truearm.report.result_words import kind_name
 from truearm.results import Gain, Unusable, chi2_text
 from truearm.session.dwells import DOUBTFUL, NEED_DECISION
@@ -562,7 +562,7 @@ def _residuals(document: Document) -> Iterator[Finding]:
         yield from _noise_share(document, by_chance)
     shared = document["pose_error"]
     if shared is not None:
-        yield Finding("pose-error", {"sigma": {"mm": shared["sigma_mm"]}, "n": shared["n"]})
+        yield Finding("pose-error", {"terms": scatter_terms(shared), "n": shared["n"]})
     before, raw = (sizes(document, name, units) for name in ("rms_before", "rms_raw"))
     rig = [entry["name"] for entry in document["parameters"] if entry["of"] == "rig" and entry["free"]]
     fitted = list(dict.fromkeys(name.rpartition(".")[0] for name in rig if name.endswith(PLACES)))
