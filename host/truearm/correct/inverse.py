@@ -212,7 +212,7 @@ def solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> 
         return searched(np.arange(len(targets)))
     cells = np.floor(np.concatenate([targets[:, :3, 3] / LEVER, targets[:, :3, 2], targets[:, :3, 0]], axis=1) / CELL)
     _, leaders, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    stock = _taken(searched(leaders), cell.reshape(-1))
+    stock = _taken(_packed(searched(leaders)), cell.reshape(-1))
     least = np.where(stock.reached, stock.singular_value, np.inf).min(axis=1)
     n_reached = stock.reached.sum(axis=1)
     follows = stock.reached & ~np.isin(np.arange(len(targets)), leaders)[:, None]
@@ -224,11 +224,21 @@ def solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> 
     stock = _distinct(chain, params, stock)
     # A solution may be lost on the way if it merges with another, or begins between the two targets.
     lost = follows.any(axis=1) & ((stock.reached.sum(axis=1) < n_reached) | (least < SINGULAR))
-    for array, again in zip(stock, searched(np.flatnonzero(lost)), strict=True):
-        array[lost] = again
-    width = max(1, int(stock.reached.sum(axis=1).max()))
-    columns = np.argsort(~stock.reached, axis=1, kind="stable")[:, :width]
-    return _taken(stock, (np.arange(len(targets))[:, None], columns))
+    again = searched(np.flatnonzero(lost))
+    width = max(int(solved.reached.sum(axis=1).max(initial=1)) for solved in (stock, again))
+    stock = _packed(stock, width)
+    for array, of_lost in zip(stock, _packed(again, width), strict=True):
+        array[lost] = of_lost
+    return _packed(stock)
+
+
+def _packed(stock: Inverse, width: int = 1) -> Inverse:
+    """Return solutions (n, k) with those that are reached first: as many as any target has, at least ``width``."""
+    width = max(width, int(stock.reached.sum(axis=1).max(initial=1)))
+    order = np.argsort(~stock.reached, axis=1, kind="stable")
+    columns = order[:, np.minimum(np.arange(width), order.shape[1] - 1)]
+    packed = _taken(stock, (np.arange(len(order))[:, None], columns))
+    return packed._replace(reached=packed.reached & (np.arange(width) < order.shape[1]))
 
 
 def _covering(n: int, j: int) -> Floats:
