@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import time
 from contextlib import suppress
@@ -64,7 +65,7 @@ def test_the_numbers_do_not_depend_on_the_workers_and_dask_has_the_same(run, cel
     assert all(float(row["after_mm"]) < float(row["before_mm"]) for row in rows.values())
     for arguments in (("--workers", 2), ("--dask", "local", "--workers", 2)):
         forget(cells)
-        outcome = run("fleet", cells, "--hold-out", "0.2", "--out", table, "--force", *arguments)
+        outcome = run("fleet", cells, "--hold-out", "0.2", "--out", table, *arguments)
         assert outcome.code == 0, outcome.err
         assert parameters(cells) == alone
 
@@ -77,6 +78,9 @@ def test_dask_is_used_by_address(run, cells):
         assert len(parameters(cells)) == 3
         assert run("fleet", cells, "--dask", cluster.scheduler_address, "--workers", 2).code == 2
     assert "no Dask scheduler" in run("fleet", cells, "--dask", "nothing://here").err
+    begun = time.monotonic()
+    assert "no Dask scheduler" in run("fleet", cells, "--dask", "tcp://127.0.0.1:1").err
+    assert time.monotonic() - begun < 10.0
 
 
 def test_a_further_run_does_what_is_missing(run, cells):
@@ -94,14 +98,48 @@ def test_a_further_run_does_what_is_missing(run, cells):
     assert [len(paths) for paths in results(cells).values()] == [1, 1, 2]
 
 
+def test_a_result_of_other_options_is_not_adopted(run, cells, monkeypatch):
+    for name in ("b", "c"):
+        shutil.rmtree(cells / name)
+    monkeypatch.chdir(cells / "a")
+    assert run("identify", "--free", "joint1.*", "--hold-out", "0.2").code == 0
+    for _ in range(2):
+        assert run("fleet", ".", "--workers", 1, "--hold-out", "0.2").code == 0
+    assert len(results(cells)["a"]) == 2
+    assert run("fleet", ".", "--workers", 1).code == 0
+    assert len(results(cells)["a"]) == 3
+
+
+def test_a_result_of_identify_is_adopted(run, cells, monkeypatch):
+    monkeypatch.chdir(cells / "a")
+    assert run("identify", "--hold-out", "0.2").code == 0
+    assert run("fleet", ".", "--workers", 1, "--hold-out", "0.2").code == 0
+    assert len(results(cells)["a"]) == 1
+
+
 def test_the_worst_arm_is_the_exit_code(run, cells, tmp_path):
     (cells / "a" / "poses.csv").write_text("kind\n")
     (cells / "b" / "truearm.toml").write_text('model = "puma560"\n')  # nothing is recorded
-    outcome = run("fleet", cells, "--workers", 1, "--json")
-    rows = {Path(row["arm"]).name: row for row in json.loads(outcome.out)["arms"]}
-    assert (outcome.code, rows["a"]["code"], rows["b"]["code"], rows["c"]["code"]) == (2, 2, 2, 0)
+    table = tmp_path / "fleet.csv"
+
+    def rows_and_code():
+        outcome = run("fleet", cells, "--workers", 1, "--json", "--out", table)
+        rows = {Path(row["arm"]).name: row for row in json.loads(outcome.out)["arms"]}
+        return rows, (outcome.code, *(rows[name]["code"] for name in ARMS))
+
+    rows, codes = rows_and_code()
+    assert codes == (2, 2, 2, 0)
     assert "truearm record" in rows["b"]["verdict"]
     assert results(cells)["c"]
+    shutil.rmtree(cells / "b")
+    shutil.copytree(cells / "c", cells / "b", ignore=shutil.ignore_patterns("results"))
+    (cells / "b" / "results").write_text("a file")
+    rows, codes = rows_and_code()
+    assert codes == (1, 2, 1, 0)
+    assert "results: File exists; " in rows["b"]["verdict"]
+    assert [row["code"] for row in csv.DictReader(table.open())] == ["2", "1", "0"]
+    table.write_text("mine\n")
+    assert run("fleet", cells, "--out", table).code == 2
     (tmp_path / "empty").mkdir()
     assert run("fleet", tmp_path / "empty").code == 2
 

@@ -16,7 +16,7 @@ def fleet(folders: list[Path], *, options: FleetOptions) -> Answer:
     """Identify the robots of all projects in some folders, several at a time.
 
     Each project is identified as by truearm identify in its folder, and its result is written into its folder results.
-    A project that has a result of the same files and held-out rows is not identified again. The exit code is that of
+    A project that has a result of the same files and options is not identified again. The exit code is that of
     the worst arm.
 
     Example:
@@ -39,7 +39,7 @@ def fleet(folders: list[Path], *, options: FleetOptions) -> Answer:
         Use the workers of a Dask scheduler, such as tcp://10.0.0.5:8786; they need the same folders. local: start them
         on this machine.
     out : FILE
-        File to write: the table of all arms (.csv).
+        File to write: the table of all arms (.csv). It replaces an earlier table of arms.
     """
     from truearm.workflows.fleet import identify_fleet, worst
 

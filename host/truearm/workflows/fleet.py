@@ -18,6 +18,7 @@ import msgspec
 
 from truearm.errors import Argument, InputError, TruearmError
 from truearm.exit_codes import ExitCode
+from truearm.file_names import system_reason
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.project_file import Project, read_project
 from truearm.files.project_folder import FILE
@@ -74,7 +75,7 @@ def sources_of(project: Project, home: Path) -> Sources:
 
 
 def identified_arm(home: Path, options: FleetOptions) -> Arm:
-    """Identify the robot of a project, unless a result of the same files exists; return its row."""
+    """Identify the robot of a project, unless a result of the same files and options exists; return its row."""
     row = Arm(str(home))
     try:
         project = read_project(home / FILE)
@@ -94,15 +95,18 @@ def identified_arm(home: Path, options: FleetOptions) -> Arm:
             report_files(result, replace(files, command=f"truearm report {result.name}"), page, Issue(project))
     except TruearmError as exc:
         return replace(row, code=exc.exit_code, verdict=str(exc))
+    except OSError as exc:
+        return replace(row, code=ExitCode.FAILED, verdict=f"{exc.filename}: {system_reason(exc)}")
     return row
 
 
 def _earlier_result(folder: Path, files: IdentifyFiles, options: FleetOptions) -> Path | None:
-    """Return the newest result of the same files and the same held-out rows, None if there is none."""
+    """Return the newest result of the same files and the same options, None if there is none."""
     inputs = msgspec.to_builtins(hashed_inputs(files.sources, files.robot))
+    made_with = msgspec.json.decode(msgspec.json.encode({"hold_out": options.hold_out, **vars(DEFAULTS)}))
     for path in reversed(results_of(folder)):
         document = result_document(path)
-        if document.get("inputs") == inputs and document["made_with"]["hold_out"] == list(options.hold_out):
+        if (document.get("inputs"), document.get("made_with")) == (inputs, made_with):
             return path
     return None
 
@@ -132,7 +136,7 @@ def workers(options: FleetOptions, most: int) -> Iterator[type[Exception]]:
         raise InputError(
             "missing-package", place=Argument("dask"), package="distributed", install="truearm[dask]"
         ) from None
-    where: dict[str, Any] = {"address": options.dask}
+    where: dict[str, Any] = {"address": options.dask, "timeout": 5.0}  # s, of connecting
     if options.dask != LOCAL and options.workers is not None:
         raise InputError("no-effect", place=Argument("workers"), reason=f"{options.dask} has workers of its own")
     if options.dask == LOCAL:
@@ -151,7 +155,7 @@ def identify_fleet(folders: Sequence[Path], options: FleetOptions) -> list[Arm]:
 
     homes = projects_in(folders)
     if options.out is not None:
-        check_writable(options.out, options.force, kind="fleet")
+        check_writable(options.out, kind="fleet")  # a rerun replaces its table
     rows: dict[str, Arm] = {}
     with workers(options, len(homes)) as killed, step(f"identifying {counted(len(homes), 'arm')}") as advance:
         for _ in range(RUNS):

@@ -321,4 +321,3 @@ class FleetOptions:
     workers: Annotated[int | None, Within(1, 10_000)] = None
     dask: str | None = None
     out: Path | None = None
-    force: bool = False
