@@ -178,6 +178,7 @@ def test_the_devices_that_init_offers_are_a_valid_rig(project):
         (("--model", "ur5e", "--bars-mm", "0.37"), "give lengths from 50 to 5000 mm"),
         (("--model", "ur5e", "--measured-with", "ruler"), "'ruler'"),
         (("--model", "ur5e", "--base", "a"), "URDF"),
+        (("--model", "ur5e", "--ball-mm", "20"), "no-effect"),
     ],
 )
 def test_init_refuses_and_leaves_nothing(tmp_path, run, monkeypatch, arguments, complaint):

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import tomllib
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path
@@ -83,6 +84,8 @@ def test_from_an_empty_folder_to_the_floor(tmp_path, run, monkeypatch, arm):
     forecast = json.loads(planned.out)["plan"]
     assert 0.02 < forecast["cartesian_rms_mm"] < 0.12 < forecast["cartesian_worst_mm"] < 0.3  # of seats of 0.1 mm
     monkeypatch.chdir("bench")
+    project = tomllib.loads(Path("truearm.toml").read_text())
+    assert all(Path(project[name]).exists() for name in ("rig", "table", "plan") if name in project)
     status = json.loads(run("status", "--json").out)
     assert (status["seats"]["rows"], status["seats"]["noted"], status["seats"]["last_place"]) == (72, 0, "p6")
     assert "seats.csv" in status["next"]
@@ -181,6 +184,8 @@ def test_an_arm_with_four_axes_is_planned_and_one_with_three_is_not(tmp_path, ru
     [
         (["--table-mm", 900], "reaches 0 of 6 places"),
         (["--bars-mm", "300"], "--bars-mm has no effect"),
+        (["--chucks", 3], "--chucks has no effect"),  # also at its default
+        (["--minutes", 10], "--minutes has no effect"),
         (["--ball-xyz-mm", "1,2"], "--ball-xyz-mm"),
     ],
 )

@@ -14,6 +14,7 @@ import typer
 from truearm.bounds import OneOf, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import branch_given, numbers_of
+from truearm.cli.project import typed
 from truearm.errors import Argument, InputError
 from truearm.file_names import missing_file
 from truearm.model.builtin import builtin_names
@@ -22,7 +23,10 @@ from truearm.record.robots.sources import check_address
 from truearm.units import MM
 
 T = TypeVar("T")
-METHODS = ("ball-bar", "sockets")
+OWN_OPTIONS: dict[str, tuple[str, ...]] = {  # of each method
+    "ball-bar": ("chucks", "spheres", "bars_mm", "measured_with", "minutes"),
+    "sockets": ("ball_xyz_mm", "ball_mm", "table_mm", "places", "seats"),
+}
 PARTS = Within(1, 9)  # of a kind: more than a table or a flange has room for
 LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
 INSTRUMENTS_HELP = ", ".join(f"{name}: {MM.text(sigma)}" for name, sigma in INSTRUMENTS.items())
@@ -30,6 +34,7 @@ INSTRUMENTS_HELP = ", ".join(f"{name}: {MM.text(sigma)}" for name, sigma in INST
 
 @command(instruments=INSTRUMENTS_HELP)
 def init(
+    context: typer.Context,
     folder: Path = Path(),
     *,
     model: str | None = None,
@@ -42,7 +47,7 @@ def init(
     spheres: Annotated[int, PARTS] = 3,
     bars_mm: str | None = None,
     measured_with: Annotated[str | None, OneOf((NOTHING, *INSTRUMENTS))] = None,
-    method: Annotated[str, OneOf(METHODS)] = METHODS[0],
+    method: Annotated[str, OneOf(tuple(OWN_OPTIONS))] = "ball-bar",
     ball_mm: Annotated[float, Within(4.0, 100.0)] = 20.0,
     ball_xyz_mm: str = "0,0,100",
     table_mm: Annotated[float, Within(-5000.0, 5000.0)] = 0.0,
@@ -108,10 +113,11 @@ def init(
     from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
 
     sockets = None
+    for other, names in OWN_OPTIONS.items():
+        for name in names if other != method else ():
+            if typed(context, name) is not None:
+                raise InputError("no-effect", place=Argument(name), reason=f"it is for --method {other}")
     if method == "sockets":
-        for name, value in (("bars_mm", bars_mm), ("measured_with", measured_with)):
-            if value is not None:
-                raise InputError("no-effect", place=Argument(name), reason="sockets need no ball-bar")
         x, y, z = numbers_of("--ball-xyz-mm", ball_xyz_mm, 3) or (0.0, 0.0, 0.0)
         ball = MM.to_si(x), MM.to_si(y), MM.to_si(z)
         sockets = SocketsWanted(MM.to_si(0.5 * ball_mm), ball, MM.to_si(table_mm), places, seats)

@@ -170,7 +170,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
                 if (folder / name).exists():
                     raise InputError(f"{folder / name} already exists; move it, or use another folder")
                 write_atomic(new / name, content)
-            project = replace(project, table=SEATS)
+            project = replace(project, table=SEATS, plan="")
             paths = {name: path for name, path in paths.items() if name in ("project", "robot")}
             paths |= {name: folder / name for name in contents}
         else:
