@@ -294,14 +294,17 @@ def _chosen(
         best = np.arange(len(rows)), order[:, 0]
         return Inverse(q[best], usable[best], singular_values[best])
 
-    # All targets are solved at once from where the robot is likely to be; those for which it is elsewhere, again.
+    # All targets are chosen at once from where the robot is likely to be, twice; those for which it is elsewhere, again.
     order, every = _followed(origins.target), np.arange(len(quadrants))
     is_given: NDArray[np.bool_] = np.asarray(np.isfinite(origins.q).all(axis=1))
     likely = nearest(every, np.broadcast_to(first, quadrants.shape)).q
     previous = np.empty_like(every)
     previous[order] = np.roll(order, 1)
-    near = np.where(is_given[:, None], origins.q, likely[np.where(origins.target < 0, previous, origins.target)])
-    chosen, position = nearest(every, near), first
+    source, position = np.where(origins.target < 0, previous, origins.target), first
+    for _ in range(2):
+        near = np.where(is_given[:, None], origins.q, likely[source])
+        chosen = nearest(every, near)
+        likely = chosen.q
     settled = np.zeros(len(quadrants), dtype=bool)
     for row in order:
         origin = origins.target[row]
