@@ -47,6 +47,8 @@ def test_our_own_columns_may_be_separated_by_semicolons_too(tmp_path):
 def test_joints_are_counted_from_the_lowest_number_there_is():
     assert renamed(["q2", "t", "q1"], parse_renames("t_s=t,q{}_deg=q{}")) == ["q2_deg", "t_s", "q1_deg"]
     assert renamed(["q1", "t", "q0", "z"], parse_renames("t_s=t,q{}_deg=q{}")) == ["q2_deg", "t_s", "q1_deg", "x_3"]
+    assert renamed(["stamp", "q1_deg", "z", "q2_deg"], parse_renames("t_s=stamp")) == ["t_s", "q1_deg", "x_2", "q2_deg"]
+    assert renamed(["t", "q1_rad", "a1"], parse_renames("t_s=t,q{}_deg=a{}")) == ["t_s", "x_1", "q1_deg"]
     assert [separator_of(text) for text in ("a,b;c,d", "a;b", "a\tb\tc", "a", "a, b c d", "a  b")] == [
         *(",", ";", "\t", ",", ",", " ")
     ]

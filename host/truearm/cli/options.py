@@ -43,7 +43,7 @@ topic : NAME
 joints : LIST
     Names of a bag's joints, from the base on: a,b,c. Default: those of --model.
 columns : OURS=THEIRS,…
-    Names of a table's columns, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. Other columns are skipped.
+    Names of a table's columns, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. Other columns keep their titles, and are skipped if unknown.
 json
     Print JSON and nothing else.
 

@@ -94,12 +94,12 @@ def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
 
 
 def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[str]:
-    """Return a table's titles with our names; columns without a rename are skipped. Joints count from the lowest number
-    present.
+    """Return a table's titles with our names. Joints count from the lowest number present.
 
-    Raises InputError for a column that is not there.
+    Columns without a rename keep the titles that we know, unless a renamed column takes their place; others are
+    skipped. Raises InputError for a column that is not there.
     """
-    out = [f"x_{k}" for k in range(len(titles))]
+    out: dict[int, str] = {}
     for ours, theirs in renames:
         pattern = re.compile(r"(\d{1,2})".join(map(re.escape, theirs.split(NUMBERED))))
         places = [(k, found) for k, title in enumerate(titles) if (found := pattern.fullmatch(title))]
@@ -110,7 +110,16 @@ def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[s
         for k, found in places:
             number = int(found[1]) - first + 1 if NUMBERED in theirs else ""
             out[k] = ours.replace(NUMBERED, str(number))
-    return out
+    taken = {None, *map(_known_quantity, out.values())}
+    return [out.get(k, f"x_{k}" if _known_quantity(title) in taken else title) for k, title in enumerate(titles)]
+
+
+def _known_quantity(title: str) -> tuple[str, int] | None:
+    """Return quantity and joint number of a column's title, None if it is not known."""
+    try:
+        return _quantity(title)[:2]
+    except InputError:
+        return None
 
 
 def read_columns(titles: Sequence[str]) -> Columns:
