@@ -200,3 +200,17 @@ def test_a_rig_that_exists_is_kept(tmp_path, run):
     told(run("init", tmp_path, "--method", "sockets", "--model", urdf(tmp_path / "five.urdf", FIVE)), "already exists")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["five.urdf", "rig.toml"]
     assert (tmp_path / "rig.toml").read_text() == "# mine\n"
+
+
+def test_radians_called_degrees_are_named_although_a_ball_in_metres_would_be_too_far_away(tmp_path, run, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("init", ".", "--method", "sockets", "--model", "ur5e").code == 0
+    table = rows(PANDA.parents[1] / "sockets" / "seats.csv")
+    with Path("seats.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, table[0])
+        writer.writeheader()
+        for row in table:
+            writer.writerow({k: np.radians(float(v)) if k.startswith("q") else v for k, v in row.items()})
+    answer = run("identify", "--hold-out", "place=p6")
+    assert answer.code == 3, answer
+    assert "the joint readings are in radians, not in degrees" in " ".join(answer.out.split())

@@ -26,6 +26,7 @@ from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point
 from truearm.schema import IDENTIFIER, Entries, Key, List, SchemaError, Table, keys_of
 from truearm.types import Floats, Indices, Point, Rig, SocketDistance
+from truearm.units import UNITS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +113,12 @@ def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
     total = np.zeros((len(names), 3))
     np.add.at(total, which, nominal_points(scope, rows, balls))
     mean = total / np.bincount(which)[:, None]
+    near = (np.abs(mean) <= UNITS["m"].largest).all(axis=1)
+    if not near.all():
+        raise ProblemError(
+            f"{names[int(np.argmin(near))]}: the nominal robot has its seats more than {UNITS['m'].largest:g} m from the base; "
+            "correct the unit of the joints, the robot's lengths or the rig's spheres"
+        )
     points = [
         scope.rig.sockets.get(pair, Point(name, tuple(xyz), None))
         for pair, name, xyz in zip(pairs, names, mean.tolist(), strict=True)
