@@ -296,7 +296,7 @@ This page shows how accurate truearm's results are on public data of real arms, 
 are those of rows that were not fitted. `make benchmark` writes this page and its picture (`bench/real_arms.py`).
 
 Errors are mean / largest of the held-out rows, in mm. They are 3-D errors of a tracked point; for the MUKCa sets they are the distance of a seated ball from its
-socket. "Before" is the nominal robot, with the rig that the identification found. (`truearm identify` fits the rig to the nominal robot instead, so its "before" is smaller.) All data sets are fitted with the same options: `truearm identify` with
+socket. "Before" is the nominal robot, with the rig that the identification found. (`truearm identify` and `truearm validate` fit the rig to the nominal robot instead, so the "before" that they print, and that README.md has, is smaller.) All data sets are fitted with the same options: `truearm identify` with
 `--joint-laws none`, then with its defaults. "Rows to fit" includes the rows that a fit leaves out as outliers. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. UR10 C and A are two series of measurements of one arm. [The open benchmark](open-benchmark.md) compares
 the tracked arms with other programs.
 
@@ -325,6 +325,7 @@ the tracked arms with other programs.
 ## Commands
 
 Each line fits one data set of the table. Run them in truearm's source folder. They give the figures of the column "geometry"; leave out `--joint-laws none` for those with joint laws.
+With joint laws and the rig fitted to the nominal robot, they print 0.898 mm before and 0.089 mm after for UR10 C, 0.516 and 0.057 mm RMS for the UR5 (`validate`), and 2.648 and 0.190 mm for panda_3, back → front.
 
 <!-- test: skip, a minute on two cores; tests/host/test_joint_laws_real.py fits the same rows -->
 ```sh
