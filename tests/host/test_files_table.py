@@ -85,7 +85,9 @@ def test_quaternions_and_matrices_are_rotation_vectors() -> None:
         ("qw,qx,qy,qz", "1,1,0,0", "row 2"),  # not of length 1
         ("qw,qx,qy", "1,0,0", "qz"),
         ("qw,qx,qy,qz", "1,0,,0", "row 2 column qy"),
-        ("r11,r12,r13,r21,r22,r23,r31,r32,r33", "1,0,0,0,1,0,0,0,-1", "row 2"),  # a mirror
+        ("r11,r12,r13,r21,r22,r23,r31,r32,r33", "1,0,0,0,1,0,0,0,-1", "row 2: r11 to r33"),  # a mirror
+        ("m00,m01,m02,m10,m11,m12,m20,m21,m22", "1,0,0,0,1,0,0,0,-1", "row 2: m00 to m22"),
+        ("m00,m01,m02,m03,m10,m11,m12,m20,m21,m22", "1,0,0,4,0,1,0,0,0,1", r"column 10 \('m03'\).*m03_m or m03_mm"),
         ("qw,qx,qy,qz,rx_rad", "1,0,0,0,0", "rx"),
     ],
 )
@@ -152,9 +154,13 @@ def test_a_compressed_table_is_read_and_a_bomb_is_not(tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
-def test_only_x_in_metres_is_a_measurement() -> None:
-    table = parse_table(SEAT.replace("socket", "socket,x_cm,x_").replace("front,0", "front,0,warm,1"), "t.csv")
+def test_only_x_in_metres_is_a_measurement_and_others_are_kept_to_hold_out_by() -> None:
+    text = SEAT.replace("socket", "socket,x_cm,x_,x_text").replace("front,0", f"front,0,warm,1,{'a' * 65}")
+    table = parse_table(text, "t.csv")
     assert np.isnan(table.xyz).all()
+    assert (table.x_cm.tolist(), table["x_"].tolist(), table.x_text.tolist()) == (["warm"], ["1"], [""])
+    assert parse_table(format_table(table, ("rad",)), "t.csv").x_cm.tolist() == ["warm"]
+    assert ObservationTable.joined([table, parse_table(SEAT, "u.csv")]).x_cm.tolist() == ["warm", ""]
 
 
 def test_blank_lines_do_not_count_as_rows() -> None:

@@ -52,7 +52,13 @@ def test_rows_are_held_out_by_any_column_of_numbers():
     table = ONE_LONG_BAR.replace(payload=np.where(ONE_LONG_BAR.bar == "b61", 2.5, np.nan))
     np.testing.assert_array_equal(held_out_rows(table, ["payload_kg=2.5"], 0), table.bar == "b61")
     np.testing.assert_array_equal(held_out_rows(table, ["q1_deg=0:700"], 0), np.degrees(table.q[:, 0]) <= 700.0)
+    table = table.replace(x_day=np.where(table.q[:, 0] > 9.0, "tue", "mon"), x_run=np.arange(len(table)).astype(str))
+    np.testing.assert_array_equal(held_out_rows(table, ["x_day=tue"], 0), table.x_day == "tue")
+    np.testing.assert_array_equal(held_out_rows(table, ["x_run=9:12"], 0), np.isin(np.arange(len(table)), range(9, 13)))
+    assert [name for name, _ in folds_of(table, ["x_day=*"], 0)] == ["x_day=mon", "x_day=tue"]
     for group, complaint in (
+        ("x_day=fri", "it has mon, tue"),
+        ("x_night=tue", "no x_night column"),
         ("payload_kg=3", "no row"),
         ("q1_deg=a:b", "LOW:HIGH"),
         ("temperature_degc=1", "not a group"),

@@ -22,7 +22,7 @@ from scipy import special
 
 from truearm.estimate.problem import build_problem
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
-from truearm.kinds.registry import kinds
+from truearm.kinds.registry import is_label, kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.types import Floats, Indices, Rigs
@@ -40,7 +40,7 @@ def copied_rows(chain: Chain, rig: Rigs, table: ObservationTable) -> Indices:
     some = np.flatnonzero(np.bincount(first, minlength=len(table))[first] > 1)
     if not some.size:
         return out
-    columns = {name: column[some] for name, column in table.columns.items() if name != "source"}
+    columns = {name: column[some] for name, column in table.columns.items() if name != "source" and not is_label(name)}
     measured = {name: _readings(table.select(table.kind == name), name) for name in np.unique(table.kind).tolist()}
     fields = {quantity.field for quantities in measured.values() for quantity in quantities}
     equal = _first_alike(list(columns.values()))

@@ -19,9 +19,7 @@ JOINTS = {
     "q": (*suffixes("rad"), *suffixes("m")),
     "qd": (*suffixes("rad/s"), *suffixes("m/s")),
 }
-MEASURED_X = tuple(
-    named("x", suffix) for suffix in suffixes("m")
-)  # the only titles x_… that are not reserved for the user
+POSITION = {named(f"m{i}3", unit): named(axis, unit) for i, axis in enumerate("xyz") for unit in suffixes("m")}
 
 
 class Column(NamedTuple):
@@ -33,9 +31,9 @@ class Column(NamedTuple):
 
 
 def read_header(header: list[str], name: str) -> dict[str, Column]:
-    """Return columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …).
+    """Return columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …), and the user's own by their title.
 
-    Columns x_… other than x_m and x_mm are skipped, as is note.
+    Columns without a title are skipped, as is note.
     """
     if not difflib.get_close_matches("kind", [title.lower() for title in header]):
         raise TableError("missing-column", place=name, column="kind", header=quoted(header[0]))
@@ -43,12 +41,12 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
     seen: set[str] = set()
     for position, title in enumerate(header):
         where = f"{name} column {position + 1} ({quoted(title)})"
-        if title in seen:
+        if title and title in seen:
             raise TableError("given-twice", place=where, what="it")
         seen.add(title)
-        if title == "note" or (title.startswith("x_") and title not in MEASURED_X):
+        if title in ("", "note"):
             continue
-        quantity, unit = quantity_of(title, where)
+        quantity, unit = (title, "") if registry.is_label(title) else quantity_of(POSITION.get(title, title), where)
         if quantity in columns:
             raise TableError("given-twice", place=where, what=quantity)
         columns[quantity] = Column(title, position, unit)
@@ -91,7 +89,7 @@ def sigma_column(si: str) -> str:
 def _suggestion(title: str) -> str:
     joints = [f"{quantity}{i}_{units[0]}" for quantity, units in JOINTS.items() for i in range(1, 8)]
     numbers = [named(quantity, unit) for quantity, units in number_units().items() for unit in units]
-    known = ["kind", *registry.identifiers(), *numbers, *joints]
+    known = ["kind", *registry.identifiers(), *numbers, *joints, *POSITION]
     close = difflib.get_close_matches(title[:40].lower(), known, n=2, cutoff=LIKE)
     ignored = "begin its name with x_ if it is to be ignored"
     meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {COLUMNS}; "

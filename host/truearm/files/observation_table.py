@@ -32,6 +32,7 @@ from truearm.files.observation_columns import (
 from truearm.files.orientation_columns import with_rotation_vectors
 from truearm.kinds import registry
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
+from truearm.kinds.registry import is_label
 from truearm.kinds.table import ObservationTable
 from truearm.schema import quoted
 from truearm.text import with_article
@@ -41,6 +42,7 @@ from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
 MAX_BYTES = 16 * 2**20
 OTHERS = (".toml", ".json", ".urdf", ".xml", ".xacro", ".html")  # of rigs, robots, results, reports
 RIG = ".toml"
+LONGEST_LABEL = 64  # characters in a cell of the user's own columns; longer texts are notes
 AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
 
 
@@ -75,7 +77,9 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     _check_kinds(rows, kind, names, measured, name)
     q = np.stack([numbers(rows, joint, name, _largest(joint), required=True) for joint in joints], axis=1)
     rates = [numbers(rows, rate, name, _largest(rate)) for rate in rate_columns(columns, joints, name)]
-    given: dict[str, Any] = {**names, **measured, "sigma": sigma}
+    labels = {title: [row.cells[columns[title].position] for row in rows] for title in filter(is_label, columns)}
+    short = {title: np.array(cells) for title, cells in labels.items() if max(map(len, cells)) <= LONGEST_LABEL}
+    given: dict[str, Any] = {**names, **measured, **short, "sigma": sigma}
     if rates:
         given["q_rate"] = together(rates, rows, "the velocities of all joints", name)
     source = np.array([f"{name} row {row.number}" for row in rows])
@@ -248,7 +252,7 @@ def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
 
 def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Any]:
     """Return titles and values of the columns that ``format_table`` writes; ``source`` is not among them."""
-    names = {column: table[column] for column in registry.identifiers()}
+    names = {column: table[column] for column in (*registry.identifiers(), *filter(is_label, table.columns))}
     return {
         "kind": table.kind,
         **_number_columns(table, joint_units),
@@ -275,8 +279,10 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
 def column_of_title(table: ObservationTable, title: str) -> Floats | None:
     """Return a column of numbers (n,) in the unit of its title, such as "payload_kg" or "q1_deg"; None if there is none."""
     try:
+        if is_label(title) and title in table.columns:
+            return np.where(table[title] == "", "nan", table[title]).astype(float)
         quantity, unit = quantity_of(title, title)
-    except TableError:
+    except ValueError:
         return None
     scale = SUFFIXES[unit]
     si = named(quantity, _own(scale.si))

@@ -1,12 +1,10 @@
 """Measured orientations that a table gives as quaternions or rotation matrices, in place of rotation vectors.
 
 ``qw qx qy qz`` is a quaternion, ``r11 … r33`` a matrix by rows; both turn the tracker's axes into the end frame's.
-``m00 … m23`` is a matrix with the position in its last column.
+``m00 … m33`` is a matrix with the position in its last column; its last row is ignored.
 """
 
 from __future__ import annotations
-
-import re
 
 import numpy as np
 
@@ -17,54 +15,50 @@ from truearm.types import Floats
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 MATRIX = tuple(f"r{row}{column}" for row in "123" for column in "123")
-ELEMENT = re.compile(r"m([0-2])([0-3])(_\w+)?")
+HOMOGENEOUS = tuple(f"m{row}{column}" for row in "012" for column in "012")
 LAST_ROW = ("m30", "m31", "m32", "m33")
 VECTOR = ("rx_rad", "ry_rad", "rz_rad")
 ROUNDING = 5e-3  # by which a published quaternion's length or a matrix's products may differ from those of a rotation
 
 
 def with_rotation_vectors(header: list[str], rows: list[Row], name: str) -> tuple[list[str], list[Row]]:
-    """Return header and rows with columns of rotation vectors in the place of a quaternion's or a matrix's columns.
+    """Return header and rows with columns of rotation vectors after those of the file.
 
-    Cells of rows without an orientation stay empty. Raises TableError.
+    The columns of a quaternion or a matrix lose their titles. Cells of rows without an orientation stay empty. Raises
+    TableError.
     """
-    header = [_of_matrix(title) for title in header]
-    titles = [notation for notation in (QUATERNION, MATRIX) if set(notation) & set(header)]
-    if not titles:
+    header = ["" if title in LAST_ROW else title for title in header]
+    notations = [notation for notation in (QUATERNION, MATRIX, HOMOGENEOUS) if set(notation) & set(header)]
+    if not notations:
         return header, rows
-    missing = [title for title in titles[0] if title not in header]
+    titles = notations[0]
+    missing = [title for title in titles if title not in header]
     if missing:
         raise TableError("missing-column", place=name, column=missing[0])
-    if len(titles) > 1:
-        raise TableError(f"{name}: has a quaternion and a rotation matrix; keep the columns of one of them")
-    columns = [header.index(title) for title in titles[0]]
-    others = [i for i in range(len(header)) if i not in columns]
+    if len(notations) > 1:
+        raise TableError(
+            f"{name}: has the orientation in {titles[0]} to {titles[-1]} and in {notations[1][0]} to {notations[1][-1]}; keep one"
+        )
+    columns = [header.index(title) for title in titles]
+    for column in columns:
+        header[column] = ""
     measured = []
     for row in rows:
         cells = [row.cells[i] for i in columns]
-        vector = (
-            ["", "", ""] if not any(cells) else [repr(float(v)) for v in _vector(cells, f"{name} row {row.number}")]
-        )
-        measured.append(Row(row.number, [*(row.cells[i] for i in others), *vector]))
-    return [*(header[i] for i in others), *VECTOR], measured
+        vector = _vector(cells, titles, f"{name} row {row.number}").tolist() if any(cells) else ["", "", ""]
+        measured.append(Row(row.number, [*row.cells, *map(str, vector)]))
+    return [*header, *VECTOR], measured
 
 
-def _of_matrix(title: str) -> str:
-    """Return our title of an element of a 4×4 matrix, that of an ignored column for its last row; others as they are."""
-    if found := ELEMENT.fullmatch(title):
-        row, column, unit = int(found[1]), int(found[2]), found[3] or ""
-        return f"{'xyz'[row]}{unit}" if column == 3 else f"r{row + 1}{column + 1}{unit}"
-    return f"x_{title}" if title in LAST_ROW else title
-
-
-def _vector(cells: list[str], where: str) -> Floats:
+def _vector(cells: list[str], titles: tuple[str, ...], where: str) -> Floats:
     """Return the rotation vector (3,) [rad] of four or nine cells."""
-    titles = QUATERNION if len(cells) == len(QUATERNION) else MATRIX
     values = np.array([number(cell, f"{where} column {title}") for title, cell in zip(titles, cells, strict=True)])
     if len(values) == len(MATRIX):
         u, singular, vt = np.linalg.svd(values.reshape(3, 3))
         if np.abs(singular - 1.0).max() > ROUNDING or np.linalg.det(u @ vt) < 0.0:
-            raise TableError(f"{where}: r11 to r33 are not a rotation matrix; give them by rows, for right-handed axes")
+            raise TableError(
+                f"{where}: {titles[0]} to {titles[-1]} are not a rotation matrix; give them by rows, for right-handed axes"
+            )
         return rotation_vector(u @ vt)
     length = float(np.linalg.norm(values))
     if abs(length - 1.0) > ROUNDING:

@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from truearm.additions import with_additions
+from truearm.units import named, suffixes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,6 +35,7 @@ NAMES = (  # in the order of their unknowns in a parameter vector
 GROUPS = ("place", "shell")  # identifiers of groups that a row of any kind may belong to
 ORIGINS = ("rig", "simulated")  # identifiers of where a row comes from: its session, and whether a box was simulated
 ANYWHERE = (*GROUPS, *ORIGINS)  # identifiers that a row of any kind may have
+MEASURED_X = tuple(named("x", unit) for unit in suffixes("m"))  # the only x_… that are not the user's own
 ADDED: dict[str, Kind] = {}  # of other packages, by name
 T = TypeVar("T")
 
@@ -56,6 +58,11 @@ def add_kind(name: str, kind: Kind) -> None:
 def identifiers() -> tuple[str, ...]:
     """Return the identifier columns that a table may have."""
     return _distinct((*(column for kind in kinds().values() for column in kind.identifiers), *ANYWHERE))
+
+
+def is_label(column: str) -> bool:
+    """Return whether a column is one of the user's own, x_…, by which rows can be held out and which is otherwise ignored."""
+    return column.startswith("x_") and column not in MEASURED_X
 
 
 @cache

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from truearm.arguments import converted
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
-from truearm.kinds.registry import blank_row, quantities
+from truearm.kinds.registry import blank_row, is_label, quantities
 from truearm.types import as_column
 
 
@@ -49,6 +49,8 @@ class ObservationTable(Displayed):
     - ``rotation`` (n, 3) [rad]: the measured rotation vector of a pose row.
     - ``bar``, ``chuck`` and the other columns of names (n,).
 
+    ``x_day`` and other names that begin with ``x_`` are the user's own texts (n,), to hold rows out by.
+
     Columns are given by name, in a mapping or as keywords; a word or a number stands for all rows. Raises TypeError or InputError for a column of the wrong type
     or shape, or that no kind declares. ``replace(columns)`` returns the table with other columns, ``select(rows)`` the
     rows of a mask or of indices, ``joined(tables)`` one table of several.
@@ -70,7 +72,7 @@ class ObservationTable(Displayed):
             raise InputError(Argument("q"), f" must be (n, j), is {q.shape}")
         if given.get("source") is None:
             given["source"] = [f"table[{i}]" for i in range(len(q))]
-        blank = blank_row(q.shape[1])
+        blank = {**blank_row(q.shape[1]), **dict.fromkeys(filter(is_label, given), np.array(""))}
         if undeclared := given.keys() - blank.keys():
             raise TypeError(f"{min(undeclared)}: is not a column of observations; help(ObservationTable) lists them")
         columns = {}
@@ -88,11 +90,11 @@ class ObservationTable(Displayed):
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name in self.columns:
             return self.columns[name]
-        row = blank_row(self.columns["q"].shape[1])[name]
+        row = np.array("") if is_label(name) else blank_row(self.columns["q"].shape[1])[name]
         return np.broadcast_to(row, (len(self), *row.shape))
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        if name not in blank_row(0):
+        if name not in blank_row(0) and not is_label(name):
             raise AttributeError(f"{name}: is not a column of observations", name=name, obj=self)
         return self[name]
 

@@ -20,7 +20,7 @@ from truearm.estimate.measured_order import poses
 from truearm.estimate.solvers import SOLVERS, Prior
 from truearm.files.observation_table import column_of_title
 from truearm.kinds.quantities import POINT, Quantity
-from truearm.kinds.registry import ANYWHERE, GROUPS, drawn_from, identifiers, kinds
+from truearm.kinds.registry import ANYWHERE, GROUPS, drawn_from, identifiers, is_label, kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, forward
 from truearm.model.joint_terms.gain import Gain
@@ -76,7 +76,7 @@ def folds_of(table: ObservationTable, wanted: Sequence[str], seed: int) -> list[
     if len(wanted) > 1:
         raise InputError(HOLD_OUT, f" {wanted[0]}: folds cannot be combined with other rows to hold out")
     if value == "*":
-        names = [name for name in np.unique(table[column]) if name] if column in identifiers() else []
+        names = [name for name in np.unique(table[column]) if name] if _has_names(column) else []
         masks = [(f"{column}={name}", _group_rows(table, f"{column}={name}", HOLD_OUT)) for name in names]
     else:
         rank = _pose_ranks(table, seed)
@@ -110,7 +110,7 @@ def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask
     numbers = None if column in identifiers() else column_of_title(table, column)
     if numbers is not None:
         return _rows_between(numbers, identifier, group, argument)
-    if column not in identifiers():
+    if not _has_names(column):
         fraction = ", or a fraction" if argument is HOLD_OUT else ""
         raise InputError(
             argument, f" {group}: {column!r} is not a group; use one of {', '.join(identifiers())}{fraction}"
@@ -120,6 +120,10 @@ def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask
         names = [name for name in np.unique(table[column]) if name]
         raise InputError(argument, f" {group}: the table has no row with that {column}; {_listed(column, names)}")
     return rows
+
+
+def _has_names(column: str) -> bool:
+    return column in identifiers() or is_label(column)
 
 
 def _rows_between(numbers: Floats, span: str, group: str, argument: Argument) -> Mask:
