@@ -82,7 +82,7 @@ def test_from_an_empty_folder_to_the_floor(tmp_path, run, monkeypatch, arm):
     planned = run("init", "bench", "--method", "sockets", "--model", model, *links, f"--ball-xyz-mm={at}", "--json")
     assert planned.code == 0
     forecast = json.loads(planned.out)["plan"]
-    assert 0.02 < forecast["cartesian_rms_mm"] < 0.12 < forecast["cartesian_worst_mm"] < 0.3  # of seats of 0.1 mm
+    assert forecast["cartesian_relative"]
     monkeypatch.chdir("bench")
     project = tomllib.loads(Path("truearm.toml").read_text())
     assert all(Path(project[name]).exists() for name in ("rig", "table", "plan") if name in project)
@@ -106,7 +106,9 @@ def test_from_an_empty_folder_to_the_floor(tmp_path, run, monkeypatch, arm):
     assert json.loads(run("status", "--json").out)["next"] == "truearm identify --hold-out place=p6"
     code, out, err = run("identify", "--hold-out", "place=p6", "--joint-laws", "none", "--json")
     assert code == 0, out + err
-    held_out = json.loads(out)["held_out"]
+    document = json.loads(out)
+    assert document["predicted_error"]["rms_mm"] == pytest.approx(forecast["cartesian_rms_mm"], rel=0.25)
+    held_out = document["held_out"]
     assert held_out["n_mm"] == 12
     assert held_out["rms_mm"] < 1.3e3 * np.sqrt(3.0) * SEAT_NOISE  # of three coordinates: the floor
     assert json.loads(run("status", "--json").out)["next"].startswith("truearm correct results")

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import InputError
+from truearm.estimate.prior import weak_prior
 from truearm.files.csv_cells import read_cells
 from truearm.files.disk import read_text
 from truearm.files.observation_table import MAX_BYTES
@@ -20,10 +21,10 @@ from truearm.files.rig_file import parse_rig
 from truearm.findings import Finding, entries
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
-from truearm.plan.forecast import Aim, Forecast, Known, forecast, planned_table
+from truearm.plan.forecast import Aim, Known, forecast, planned_table
 from truearm.plan.socket_block import SocketBlock
 from truearm.plan.socket_places import Site, plans_of_sites
-from truearm.types import Rig, Triple, rms_of_columns
+from truearm.types import Rig, Triple
 from truearm.units import DEG, MM
 from truearm.workflows.plan import forecast_document, known_of
 
@@ -88,15 +89,16 @@ def plan_sockets(robot: Robot, wanted: SocketsWanted, name: str) -> SocketPlan:
     ball = ", ".join(f"{MM.of(x):g}" for x in wanted.ball)
     rig_text = RIG.format(name=name, ball=ball, distance=MM.of(block.distance))
     rig = parse_rig(rig_text, "rig.toml")
-    known, plans = known_of(robot, rig), []
+    known, plans = _within_tolerances(known_of(robot, rig)), []
     for sites in plans_of_sites(robot, wanted.ball, block, wanted.table, wanted.places, wanted.seats):
-        predicted = _forecast(known, sites)
-        errors = predicted.cartesian
-        worst = np.inf if errors is None else float(rms_of_columns(errors.reshape(len(sites), -1).T).max())
-        plans.append((worst, sites, predicted))
+        tables = _tables(sites)
+        worst = _between_places(known, tables)
+        plans.append((worst, sites, tables))
         if worst < SEAT_NOISE:
             break
-    _, sites, predicted = min(plans, key=itemgetter(0))
+    _, sites, tables = min(plans, key=itemgetter(0))
+    seated = ObservationTable.joined(tables)
+    predicted = forecast(known, seated, Aim(seated.q, tuple(rig.spheres)))
     units = [DEG if joint.kind == "revolute" else MM for joint in robot.chain.joints]
     joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
     plan: list[list[object]] = [["seat", "place", "socket", "ball_x_mm", "ball_y_mm", "ball_z_mm", *joints]]
@@ -117,28 +119,33 @@ def plan_sockets(robot: Robot, wanted: SocketsWanted, name: str) -> SocketPlan:
         DRAWING: "\n".join(_drawing(sites, block, wanted.table)) + "\n",
     }
     document = forecast_document(predicted)
-    error = {name: document[f"cartesian_{key}_mm"] for name, key in (("rms", "rms"), ("largest", "worst"))}
     facts: dict[str, Any] = {"seats": len(seats) - 1, "places": len(sites), "sigma": {"mm": MM.of(rig.seat_sigma)}}
-    facts |= {name: None if of is None else {"mm": of} for name, of in error.items()}
+    if predicted.cartesian is not None:
+        facts |= {name: {"mm": document[f"cartesian_{key}_mm"]} for name, key in (("rms", "rms"), ("largest", "worst"))}
     return SocketPlan(files, {**document, "findings": entries([Finding("planned-seats", facts)])})
 
 
-def _forecast(known: Known, sites: list[Site]) -> Forecast:
-    """Return what all seats will determine; its ``cartesian`` is the error of each place if the others are fitted."""
-    tables = [
-        ObservationTable.joined(
-            [planned_table(q, "seat", place=f"p{number}", socket=str(socket)) for socket, q in enumerate(site.q)]
-        )
-        for number, site in enumerate(sites)
+def _within_tolerances(known: Known) -> Known:
+    """Return an arm as its drawing allows: of one with exactly parallel axes, less is identifiable than of a real one."""
+    tolerance = known.free * weak_prior(known.chain)
+    return replace(known, params=known.params + tolerance * np.random.default_rng(0).normal(size=tolerance.size))
+
+
+def _tables(sites: list[Site]) -> list[ObservationTable]:
+    """Return the seats of each place as rows."""
+    return [
+        ObservationTable.joined([planned_table(q, "seat", place=f"p{i}", socket=str(k)) for k, q in enumerate(site.q)])
+        for i, site in enumerate(sites, start=1)
     ]
-    balls = tuple(known.rig.spheres)
-    by_place = [
-        forecast(known, ObservationTable.joined([*tables[:i], *tables[i + 1 :]]), Aim(table.q, balls)).cartesian
-        for i, table in enumerate(tables)
-    ]
-    errors = [error for error in by_place if error is not None]
-    whole = forecast(known, ObservationTable.joined(tables))
-    return replace(whole, cartesian=np.concatenate(errors) if len(errors) == len(tables) else None, relative=True)
+
+
+def _between_places(known: Known, tables: list[ObservationTable]) -> float:
+    """Return the largest RMS error [m] of a place apart from its own pose, if the others are fitted; inf if undetermined."""
+    errors = []
+    for i, table in enumerate(tables):
+        others = ObservationTable.joined([*tables[:i], *tables[i + 1 :]])
+        errors.append(forecast(known, others, Aim(table.q, tuple(known.rig.spheres))).cartesian_rms)
+    return float(np.max(np.where(np.isnan(errors), np.inf, errors)))
 
 
 def seats_noted(path: Path) -> SeatsNoted:
