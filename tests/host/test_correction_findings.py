@@ -84,6 +84,7 @@ def test_the_unexplained_part_is_a_standard_deviation():
     """The mean of |x| is √(2/π) of the standard deviation where x is normal."""
     assert unexplained_error({"unexplained": None}) == (0.0, 0.0)
     assert unexplained_error({"predicted_error": {"scatter_mm": 0.1}})[0] == pytest.approx(0.1e-3)
+    assert unexplained_error({"pose_error": {"shared_mm": 0.1}})[0] == pytest.approx(np.sqrt(3) * 0.1e-3)
     drawn = np.abs(np.random.default_rng(0).normal(0.0, 0.2, 100_000)).mean()
     position, turn = unexplained_error({"unexplained": {"mean_mm": drawn, "mean_deg": 0.01}})
     assert position == pytest.approx(0.2e-3, rel=0.01)

@@ -353,6 +353,16 @@ def test_earlier_results_say_only_whether_they_converged_and_call_a_prior_defaul
     assert (found.prior, found.made_with) == ("where-needed", {"prior": "where-needed"})
 
 
+def test_errors_of_poses_of_earlier_results_have_todays_names() -> None:
+    earlier = json.loads((RESULTS / "version2.json").read_text())
+    earlier["pose_error"] = {"sigma_mm": 0.1, "row_variance": 1.5, "n": 40}
+    found = parse_result(json.dumps(earlier), "r.json")
+    assert found.document["pose_error"] == {"shared_mm": 0.1, "factor": 1.5, "n": 40}
+    assert ["0.1 mm shared by the rows of a pose"] in [
+        finding.values["terms"] for finding in result_findings(found.document) if finding.code == "pose-error"
+    ]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

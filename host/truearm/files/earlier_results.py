@@ -31,6 +31,10 @@ def converted(document: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a result in the form of version 4. Raises msgspec.ValidationError."""
     if "faults" not in document:
         document = _with_faults(document)
+    pose_error = document.get("pose_error")
+    if isinstance(pose_error, dict) and "sigma_mm" in pose_error:
+        renamed = {"sigma_mm": "shared_mm", "row_variance": "factor"}
+        document = {**document, "pose_error": {renamed.get(name, name): size for name, size in pose_error.items()}}
     return document if document["format_version"] == 4 else _of_version_4(document)
 
 

@@ -132,11 +132,13 @@ def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
     """Return the standard deviation [m, rad] of the error not explained by the calibration's declared noise, or 0.
 
     result.json has the mean of the error's norm. For a normal error along one axis the RMS is √(π/2) times that, for
-    one along three axes only 1.09 times. If the arm's own scatter was learned, the larger of the two is used. Neither
-    includes how far the tool moves without bad rows that are in the fit, so that counts if it is larger than both.
+    one along three axes only 1.09 times. If the arm's own scatter was learned, the larger of the two is used; earlier
+    results have only the part of it that rows of a pose share. Neither includes how far the tool moves without bad rows
+    that are in the fit, so that counts if it is larger than both.
     """
     mm, deg = (_number(document.get("unexplained"), name) for name in ("mean_mm", "mean_deg"))
-    scatter = _number(document.get("predicted_error"), "scatter_mm")
+    shared = math.sqrt(3.0) * _number(document.get("pose_error"), "shared_mm")
+    scatter = max(_number(document.get("predicted_error"), "scatter_mm"), shared)
     moved = _number(document.get("without_bad_rows"), "tool_moves_mm")
     return MM.to_si(max(RMS_OF_MEAN * mm, scatter, moved)), RMS_OF_MEAN * DEG.to_si(deg)
 
