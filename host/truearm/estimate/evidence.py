@@ -88,7 +88,7 @@ def seen_by(marginal: Marginal, blocks: Sequence[PriorBlock]) -> Seen:
     for block in blocks:
         cap[block.columns] = block.cap
     scaled = marginal.root * cap
-    square, vectors = np.linalg.eigh(scaled.T @ scaled)  # rounding, 1e-16 of 1e10 at most, is far below UNSEEN
+    square, vectors = np.linalg.eigh(scaled.T @ scaled)  # rounding, 1e-16 of the largest, is far below UNSEEN
     some = square > UNSEEN
     root = vectors[:, some] * np.sqrt(square[some])
     return Seen(root / cap[:, None], root.T @ (scaled.T @ marginal.rhs) / square[some])

@@ -197,7 +197,7 @@ def pose_information(
 
 
 def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
-    """Return (b + r + 1, k + 1), nearly all zeros: ``PoseRows.rows`` times it are the derivatives by x[columns], and the residual."""
+    """Return (b + r + 1, k + 1), nearly all zeros: ``RowsByPose.rows`` times it are the derivatives by x[columns], and the residual."""
     robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
     twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
     b, p = twists.shape
@@ -209,7 +209,7 @@ def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) ->
 
 
 def in_rows(mix: csr_array, covariance: Floats) -> Floats:
-    """Return the covariance (k, k) of the unknowns in terms of ``PoseRows.rows``, with zeros for the residual."""
+    """Return the covariance (k, k) of the unknowns in terms of ``RowsByPose.rows``, with zeros for the residual."""
     unknowns = mix[:, :-1]
     return np.asarray(unknowns @ (unknowns @ covariance).T)
 
