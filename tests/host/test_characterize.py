@@ -24,10 +24,10 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import REPEATABILITY
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.session.observations import came_from, observations
+from truearm.session.observations import observations
 from truearm.session.pose_visits import visits
 from truearm.types import Message
-from truearm.workflows.characterize import Part, characterized
+from truearm.workflows.characterize import characterized
 from truearm.workflows.session_parts import SETUP
 from truearm_sim import robot, sensors
 from truearm_sim.arm import Arm
@@ -51,7 +51,12 @@ def messages(seed):
 
 @cache
 def said(seed):
-    return characterized([Part(messages(seed), "run")], PUMA.chain, standard_rig(), BANDS)
+    return characterize(messages(seed))
+
+
+def characterize(stream):
+    result = observations(stream, standard_rig(), name="run")
+    return characterized([result], PUMA.chain, standard_rig(), BANDS, "run")
 
 
 def truth():
@@ -98,7 +103,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     runs = []
     for seed in range(100, 150):
         stream = stream_of(messages_of(World(seed, planned()[1].visits, arm=WORN), seed))
-        runs.append(covered(characterized([Part(stream, "run")], PUMA.chain, standard_rig(), BANDS)[0]))
+        runs.append(covered(characterize(stream)[0]))
     share = {name: np.mean([run[name] for run in runs]) for name in runs[0]}
     print({name: round(float(value), 3) for name, value in share.items()})
     least = stats.binom.ppf(0.0005, 50, 0.95) / 50
@@ -112,11 +117,10 @@ def stop_of(seed, dwell):
 
 
 def test_every_visit_came_from_the_side_it_came_from():
-    result = observations(messages(1), standard_rig())
-    used = [dwell for dwell in result.dwells if not dwell.reason]
+    found = visits(observations(messages(1), standard_rig()), standard_rig(), BANDS)
     controller = world(1).controller
-    sides = np.array([came_from(result.survey.joints.bins, dwell) for dwell in used])
-    assert np.array_equal(sides, [controller.direction[stop_of(1, dwell)] for dwell in used])
+    for visit in found:
+        assert np.array_equal(np.nan_to_num(visit.side), controller.direction[stop_of(1, visit.dwell)])
 
 
 def settled_after(size, band_first, band_last):
@@ -133,32 +137,33 @@ def test_settling_times_are_those_of_the_bar_without_noise():
     found = visits(result, standard_rig(), BANDS)
     controller = world(1).controller
     for k, band in enumerate(BANDS):
-        times = found.settling[:, k]
+        times = np.array([visit.settling[k] for visit in found])
         known = np.flatnonzero(np.isfinite(times))
         assert known.size > 0.6 * len(times)
         least, most, true = np.empty((3, known.size))
         for at, i in enumerate(known):
-            stop, dwell = stop_of(1, found.dwells[i]), found.dwells[i]
+            dwell, period_s = found[i].dwell, found[i].period_s
+            stop = stop_of(1, dwell)
             t = np.arange(controller.move_start[stop], controller.arrive[stop] + 0.6, 2e-4)
             size = np.abs(world(1).length(t) - world(1).length(t[-1:]))
             noise = 5.0 * dwell.noise + 4.0 * np.sqrt(dwell.value_var)
             assert noise < 0.9 * band
-            least[at] = settled_after(size, band - noise, band + noise) - found.period_s
-            most[at] = settled_after(size, band + noise, band - noise) + found.period_s
+            least[at] = settled_after(size, band - noise, band + noise) - period_s
+            most[at] = settled_after(size, band + noise, band - noise) + period_s
             true[at] = max(0.0, settled_after(size, band, band))
         assert (times[known] >= least).all()
         assert (times[known] <= most).all()
         if band == max(
             BANDS
         ):  # of the narrower one half the visits swing out once more and half do not: either is the median
-            assert np.median(most - least) < 6.0 * found.period_s
-            assert abs(np.median(times[known]) - np.median(true)) <= found.period_s
+            assert np.median(most - least) < 6.0 * period_s
+            assert abs(np.median(times[known]) - np.median(true)) <= period_s
 
 
 def found_noise(seed):
     """Return the noise that a run finds; the result for one bar applies to the other."""
     run = stream_of(messages_of(World(seed, planned()[1].visits, arm=WORN), seed))
-    noise = characterized([Part(run, "run")], PUMA.chain, standard_rig(), BANDS)[1]
+    noise = characterize(run)[1]
     return replace(noise, bar_sigma=dict.fromkeys(("bar46", "bar61"), noise.bar_sigma["bar46"]))
 
 
@@ -304,7 +309,7 @@ def test_from_a_session_file_to_a_noise_file(tmp_path, run):
     code, text, _ = run("characterize", path, "--model", "puma560", "--json", "--out", out, "--force")  # again
     document = json.loads(text)
     assert code == 0
-    assert document["noise"] == said(1)[0]["noise"]
+    assert document["noise"] == json.loads(json.dumps(said(1)[0]["noise"]))
     assert "backlash/mrad" in run("characterize", path, "--model", "puma560", "--details").out
 
 

@@ -28,7 +28,9 @@ def test_each_joint_comes_from_both_sides_independently_of_all_others(joints):
 
 def test_the_poses_are_those_that_tell_most_of_every_joint():
     tells = np.array([[1.0, 0.1], [0.9, 0.1], [0.1, 0.5], [0.0, 0.0]])
-    assert most_informative(tells, 2) == [0, 2]
+    step = np.array([0.01, 0.01])
+    assert list(most_informative(tells, 2, lambda pose: step)) == [0, 2]
+    assert list(most_informative(tells, 2, lambda pose: None if pose == 0 else step)) == [1, 2]
 
 
 @pytest.fixture(scope="module")

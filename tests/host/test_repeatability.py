@@ -7,7 +7,7 @@ from scipy import stats
 from truearm.errors import ProblemError
 from truearm.estimate.repeatability import (
     LEVEL,
-    Visited,
+    Visits,
     mean_interval,
     poses_of,
     quantile_interval,
@@ -35,7 +35,7 @@ def visited(rng, bend=0.0):
     true = strayed - 0.5 * side * width
     length = 0.46 + np.sum(JAC[pose] * true, axis=1) + np.hypot(SIGMA, SAMPLES) * rng.standard_normal(n)
     q = 0.5 * pose[:, None] + strayed
-    return Visited(length, np.full(n, SAMPLES**2), q, side, JAC[pose], np.full((n, JOINTS), 1e-14))
+    return Visits(length, np.full(n, SAMPLES**2), q, side, JAC[pose], np.full((n, JOINTS), 1e-14))
 
 
 def coverage(intervals, truth):
@@ -49,61 +49,61 @@ def covers(share, runs=RUNS):
 
 
 @pytest.fixture(scope="module")
-def found():
+def runs():
     rng = np.random.default_rng(5)
     return [repeatability(visited(rng)) for _ in range(RUNS)]
 
 
-def test_backlash_is_found_with_its_interval(found):
+def test_backlash_is_found_with_its_interval(runs):
     for joint, truth in enumerate(BACKLASH):
-        ours = [one.backlash[joint] for one in found]
+        ours = [one.backlash_si[joint] for one in runs]
         assert covers(coverage(ours, truth))
         values = np.array([one.value for one in ours])
         assert abs(np.mean(values) - truth) < 4.0 * np.std(values) / np.sqrt(RUNS)
 
 
-def test_spreads_are_found_with_their_intervals(found):
-    assert covers(coverage([one.unexplained for one in found], np.hypot(SIGMA, SAMPLES)))
-    assert covers(coverage([one.bar_sigma for one in found], SIGMA))
+def test_spreads_are_found_with_their_intervals(runs):
+    assert covers(coverage([one.unexplained_m for one in runs], np.hypot(SIGMA, SAMPLES)))
+    assert covers(coverage([one.bar_sigma_m for one in runs], SIGMA))
     for joint in range(JOINTS):
-        assert covers(coverage([one.spread[joint] for one in found], SERVO))
-        assert covers(coverage([one.difference[joint] for one in found], 0.0))
+        assert covers(coverage([one.reading_spread_si[joint] for one in runs], SERVO))
+        assert covers(coverage([one.reading_difference_si[joint] for one in runs], 0.0))
     # With what the servo strays by: √(σ² + Σ J² servo²), of all poses together.
     along = np.sqrt(SIGMA**2 + SAMPLES**2 + SERVO**2 * np.mean(np.sum(JAC**2, axis=1)))
-    assert covers(coverage([one.along for one in found], along))
+    assert covers(coverage([one.along_m for one in runs], along))
 
 
-def test_the_joints_sigma_is_half_the_backlash(found):
+def test_the_joints_sigma_is_half_the_backlash(runs):
     for joint in np.flatnonzero(BACKLASH):
-        assert coverage([one.joint_sigma[joint] for one in found], 0.5 * BACKLASH[joint]) > 0.9
-    assert np.median([one.joint_sigma[4].value for one in found]) < 1e-4  # no backlash, so next to nothing
+        assert coverage([one.joint_sigma_si[joint] for one in runs], 0.5 * BACKLASH[joint]) > 0.9
+    assert np.median([one.joint_sigma_si[4].value for one in runs]) < 1e-4  # no backlash, so next to nothing
 
 
-def test_a_backlash_that_changes_with_the_pose_is_told(found):
-    p = np.array([one.misfit for one in found])
+def test_a_backlash_that_changes_with_the_pose_is_told(runs):
+    p = np.array([one.misfit_probability for one in runs])
     assert stats.kstest(p, "uniform").pvalue > 1e-3
     rng = np.random.default_rng(6)
     bent = [repeatability(visited(rng, bend=1.5e-3)) for _ in range(20)]
-    assert max(one.misfit for one in bent) < 1e-3
-    assert min(one.bar_sigma.value for one in bent) > SIGMA  # what is left over is counted as the bar's
+    assert max(one.misfit_probability for one in bent) < 1e-3
+    assert min(one.bar_sigma_m.value for one in bent) > SIGMA  # what is left over is counted as the bar's
 
 
 def test_too_few_visits_are_refused():
     once = visited(np.random.default_rng(1))
     rows = np.arange(8)
-    few = Visited(**{name: getattr(once, name)[rows] for name in Visited.__dataclass_fields__})
+    few = Visits(**{name: getattr(once, name)[rows] for name in Visits.__dataclass_fields__})
     with pytest.raises(ProblemError, match="too few repetitions"):
         repeatability(few)
-    together = Visited(**{**vars(once), "side": np.repeat(once.side[:, :1], JOINTS, axis=1)})
+    together = Visits(**{**vars(once), "side": np.repeat(once.side[:, :1], JOINTS, axis=1)})
     with pytest.raises(ProblemError, match="always change together"):
         repeatability(together)
 
 
 def test_a_joint_that_the_bar_does_not_show():
     jac = visited(np.random.default_rng(2)).jac * (np.arange(JOINTS) != 5)
-    told = repeatability(Visited(**{**vars(visited(np.random.default_rng(2))), "jac": jac}))
-    assert np.isnan(told.backlash[5].value)
-    assert told.joint_sigma[5].high == np.inf
+    told = repeatability(Visits(**{**vars(visited(np.random.default_rng(2))), "jac": jac}))
+    assert np.isnan(told.backlash_si[5].value)
+    assert told.joint_sigma_si[5].high == np.inf
 
 
 def test_visits_are_sorted_into_poses():

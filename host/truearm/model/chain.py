@@ -325,6 +325,13 @@ def along(trace: PointTrace, direction: Floats) -> PointDerivatives:
     return _carried(trace, force, cross(point, force))
 
 
+def distance_jacobian(chain: Chain, params: Floats, q: Floats, p_end_point: Floats, p_base_point: Floats) -> Floats:
+    """Return ∂d/∂joints (n, j) of the distance d from a point of the base to one of the end, (3,) or (n, 3)."""
+    trace = trace_point(chain, params, q, p_end_point)
+    vector = trace.p_base - p_base_point
+    return np.asarray(along(trace, vector / np.linalg.norm(vector, axis=1, keepdims=True)).jac_joints)
+
+
 def about(trace: PointTrace, direction: Floats) -> PointDerivatives:
     """Return derivatives of the end's rotation about a direction, like ``along`` for a coordinate: a pure couple.
 

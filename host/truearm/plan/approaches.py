@@ -14,13 +14,14 @@ sum, over the joints, of the logarithm of the squared derivatives of the length 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import hadamard
 
 from truearm.errors import Argument, PlanError
-from truearm.model.chain import along, point_forward, trace_point
+from truearm.model.chain import distance_jacobian, point_forward
 from truearm.plan.bar_paths import Pace, move_seconds, moves_allowed, way_without_bar, ways_with_bar
 from truearm.plan.measurement_limits import Pairing, Site, free_travel
 from truearm.plan.route import Route
@@ -46,40 +47,33 @@ class ApproachesWanted(NamedTuple):
 
 def plan_approaches(site: Site, pairing: Pairing, wanted: ApproachesWanted, pace: Pace) -> Route:
     """Return the route: via points with the bar on, poses, and repeated rows for long dwells. Raises PlanError."""
-    found = candidates(site, [pairing], wanted.n_candidates, wanted.seed)
-    derivatives = length_derivatives(site, found.q, pairing)
-    both = list(zip(found.q, derivatives, strict=True))
-    away = [
-        _away(site, q, jac, pairing)
-        for q, jac in steps_of(both, "looking for poses at which every joint moves the bar")
-    ]
-    reached = np.array([step is not None for step in away])
-    if reached.sum() < wanted.n_poses:
-        raise PlanError(
-            *(
-                f"only {int(reached.sum())} poses leave the bar room to retract and return; ask for fewer ",
-                Argument("poses"),
-            ),
-            *(" or give a ", Argument("result"), ", whose model needs less reserve"),
-        )
-    usable = np.flatnonzero(reached)
-    chosen = usable[most_informative(derivatives[usable], wanted.n_poses)]
+    q = candidates(site, [pairing], wanted.n_candidates, wanted.seed).q
+    derivatives = length_derivatives(site, q, pairing)
+    chosen = most_informative(derivatives, wanted.n_poses, lambda k: _away(site, q[k], derivatives[k], pairing))
     rng = np.random.default_rng([wanted.seed, 0xC4A2])
-    stops: list[tuple[Floats, bool, bool]] = []  # joints, whether the bar is read, whether it is mounted there
-    for pose in steps_of(chosen.tolist(), "planning paths between poses"):
-        q, step = found.q[pose], away[pose]
-        assert step is not None
-        if stops:
-            via, mount = _between(site, stops[-1][0], q, pairing, wanted.seed)
-            stops += [(place, False, False) for place in via]
-        else:
-            mount = True
-        long = max(1, round(wanted.long_s / pace.dwell))
-        stops += [(q, True, mount and k == 0) for k in range(long)]
+    long = max(1, round(wanted.long_s / pace.dwell))
+    stops: list[_Stop] = []
+    for pose, step in steps_of(list(chosen.items()), "planning paths between poses"):
+        via, mount = _between(site, stops[-1].q, q[pose], pairing, wanted.seed) if stops else ((), True)
+        stops += [_Stop(place) for place in via]
+        stops += [_Stop(q[pose], True, mount and k == 0) for k in range(long)]
         for _ in range(wanted.rounds):
-            for signs in rng.permutation(approach_directions(len(q))):
-                stops += [(q + signs * step, False, False), (q, True, False)]
-    return _route(site, stops, pairing, pace)
+            for signs in rng.permutation(approach_directions(len(step))):
+                stops += [_Stop(q[pose] + signs * step), _Stop(q[pose], True)]
+    joints, is_read, mounts = map(np.array, zip(*stops, strict=True))
+    names = (np.full(is_read.sum(), name) for name in (SHELL, pairing.bar, pairing.chuck, pairing.sphere))
+    sphere = np.array(site.rig.spheres[pairing.sphere].xyz)
+    seconds = np.array([0.0, *move_seconds(site, joints[:-1], joints[1:], sphere, pace)])
+    rows = np.where(is_read, np.cumsum(is_read) - 1, -1)
+    return Route(Plan(joints[is_read], *names), joints, rows, mounts, seconds, pace)
+
+
+class _Stop(NamedTuple):
+    """Joints, whether the bar is read, and whether it is mounted there."""
+
+    q: Floats
+    is_read: bool = False
+    mount: bool = False
 
 
 def approach_directions(joints: int) -> Floats:
@@ -88,25 +82,33 @@ def approach_directions(joints: int) -> Floats:
     return np.asarray(hadamard(order)[:, 1 : joints + 1], dtype=np.float64)
 
 
-def most_informative(derivatives: Floats, n: int) -> list[int]:
-    """Return the n of all poses (p, j) at which the length is most informative about every joint, chosen greedily."""
+def most_informative(derivatives: Floats, n: int, room: Callable[[int], Floats | None]) -> dict[int, Floats]:
+    """Return the n of all poses (p, j) at which the length is most informative about every joint, chosen greedily.
+
+    ``room`` returns how far each joint may move off a pose, None if the bar has no room there. Raises PlanError.
+    """
     squared = np.square(derivatives)
     total = np.full(squared.shape[1], 1e-6)  # m²/rad²: limits the gain for a joint that no pose shows
-    chosen: list[int] = []
-    for _ in range(n):
-        gain = np.sum(np.log(total + squared), axis=1)
-        gain[chosen] = -np.inf
-        chosen.append(int(np.argmax(gain)))
-        total = total + squared[chosen[-1]]
+    left = np.ones(len(squared), bool)
+    chosen: dict[int, Floats] = {}
+    while len(chosen) < n:
+        if not left.any():
+            raise PlanError(
+                f"only {len(chosen)} poses leave the bar room to retract and return; ask for fewer ",
+                *(Argument("poses"), " or give a ", Argument("result"), ", whose model needs less reserve"),
+            )
+        best = int(np.argmax(np.where(left, np.sum(np.log(total + squared), axis=1), -np.inf)))
+        left[best] = False
+        if (step := room(best)) is not None:
+            chosen[best] = step
+            total = total + squared[best]
     return chosen
 
 
 def length_derivatives(site: Site, q: Floats, pairing: Pairing) -> Floats:
     """Return ∂length/∂joints (n, j) of the bar at joints q (n, j)."""
     _, mounted = pairing.of(site.rig)
-    trace = trace_point(site.arm.chain, site.arm.params, q, mounted.p_sphere)
-    vector = trace.p_base - mounted.p_chuck
-    return np.asarray(along(trace, vector / np.linalg.norm(vector, axis=1, keepdims=True)).jac_joints)
+    return distance_jacobian(site.arm.chain, site.arm.params, q, mounted.p_sphere, mounted.p_chuck)
 
 
 def _away(site: Site, q: Floats, jac: Floats, pairing: Pairing) -> Floats | None:
@@ -136,14 +138,3 @@ def _between(site: Site, start: Floats, end: Floats, pairing: Pairing, seed: int
     if via is None:
         raise PlanError("no collision-free path to two of the poses was found; try another ", Argument("seed"))
     return via if len(via) else 0.5 * (start + end)[None], True
-
-
-def _route(site: Site, stops: list[tuple[Floats, bool, bool]], pairing: Pairing, pace: Pace) -> Route:
-    q = np.array([stop[0] for stop in stops])
-    read, mount = (np.array([stop[k] for stop in stops]) for k in (1, 2))
-    pose = np.where(read, np.cumsum(read) - 1, -1)
-    n = int(read.sum())
-    names = (np.full(n, name) for name in (SHELL, pairing.bar, pairing.chuck, pairing.sphere))
-    sphere = np.array(site.rig.spheres[pairing.sphere].xyz)
-    seconds = np.array([0.0, *move_seconds(site, q[:-1], q[1:], sphere, pace)])
-    return Route(Plan(q[read], *names), q, pose, mount, seconds, pace)

@@ -18,56 +18,46 @@ JOINTS = ("joint", "backlash/mrad", "difference/mrad", "scatter/mrad", "sigma to
 
 def repeatability_findings(document: Document) -> list[Finding]:
     """Return the repeatability, what identify uses, how the arm settles, and the noise; figures with intervals of 95 %."""
-    return ordered([_verdict(document), *_findings(document)], document["simulated"])
-
-
-def _verdict(document: Document) -> Finding:
-    spread = document["repeatability"]
-    backlash = [
-        (row["value"], joint, row) for joint, row in zip(document["joints"], spread["backlash_si"], strict=True)
-    ]
-    _, joint, largest = max(backlash, key=lambda entry: entry[0] if isfinite(entry[0]) else -1.0)
-    values = {
-        **{name: document[name] for name in ("visits", "poses", "sides", "bar")},
-        "along": interval(spread["along_m"], MM),
-        "alone": interval(spread["unexplained_m"], MM),
-        "backlash": interval(largest, MRAD),
-        "joint": joint,
-    }
-    return Finding("repeatability", values)
-
-
-def _findings(document: Document) -> Iterator[Finding]:
-    spread, settling, noise = (document[name] for name in ("repeatability", "settling", "noise"))
-    declared = {"mm": MM.of(noise["declared_bar_sigma_m"])}
-    yield Finding(
-        "noise-to-use", {"bar": document["bar"], "sigma": interval(noise["bar_sigma_m"], MM), "declared": declared}
-    )
-    if not spread["backlash_explains"]:
-        yield Finding("backlash-varies", {"probability": spread["misfit_probability"]})
+    spread, settling, noise, sensor = (document[name] for name in ("repeatability", "settling", "noise", "sensor"))
+    widths = zip(spread["backlash_si"], document["joints"], strict=True)
+    largest, joint = max(widths, key=lambda width: width[0]["value"] if isfinite(width[0]["value"]) else -1.0)
+    noisiest, floor = max(document["readings"], key=lambda row: row["reading_si"]["value"]), sensor["floor"]
     bands = [
         f"{MM.text(band['within_m'])} after {interval(band['median_s'], S)} (median) and {interval(band['share_95_s'], S)} "
         f"(95th percentile) in {counted(band['visits'], 'visit')}"
         for band in settling["bands"]
         if band["visits"]
     ]
-    begin = settling["dwells_begin_s"]
-    values = {"median": {"s": begin["median"]}, "largest": {"s": begin["largest"]}, "bands": bands}
-    yield Finding("settling-measured", values)
-    sensor, worst = document["sensor"], max(document["readings"], key=lambda row: row["reading_si"]["value"])
-    floor = sensor["floor"]
-    values = {
-        "reading": interval(worst["reading_si"], MRAD),
-        "step": MRAD.text(worst["step_si"], ".3g"),
-        "mean": interval(worst["mean_si"], MRAD),
-        "rounding": f"{round(MRAD.of(worst['rounding_si']), 6):.2g} mrad",
+    verdict = {
+        **{name: document[name] for name in ("visits", "poses", "sides", "bar")},
+        "along": interval(spread["along_m"], MM),
+        "alone": interval(spread["unexplained_m"], MM),
+        "backlash": interval(largest, MRAD),
+        "joint": joint,
+    }
+    declared = {"mm": MM.of(noise["declared_bar_sigma_m"])}
+    to_use = {"bar": document["bar"], "sigma": interval(noise["bar_sigma_m"], MM), "declared": declared}
+    misfit = {"probability": spread["misfit_probability"]}
+    begin = {name: {"s": value} for name, value in settling["dwells_begin_s"].items()}
+    measured = {
+        "reading": interval(noisiest["reading_si"], MRAD),
+        "step": MRAD.text(noisiest["step_si"], ".3g"),
+        "mean": interval(noisiest["mean_si"], MRAD),
+        "rounding": f"{round(MRAD.of(noisiest['rounding_si']), 6):.2g} mrad",
         "sample": interval(sensor["sample_m"], UM),
         "period": MS.text(sensor["period_s"], ".3g"),
         "independent": interval(sensor["independent_after_s"], MS),
         "floor": floor and interval(floor, UM),
         "over": floor and floor["tau_s"],
     }
-    yield Finding("noise-measured", values)
+    findings = [
+        Finding("repeatability", verdict),
+        Finding("noise-to-use", to_use),
+        *([] if spread["backlash_explains"] else [Finding("backlash-varies", misfit)]),
+        Finding("settling-measured", {**begin, "bands": bands}),
+        Finding("noise-measured", measured),
+    ]
+    return ordered(findings, document["simulated"])
 
 
 def joint_table(document: Document) -> Table:

@@ -33,7 +33,7 @@ from truearm.errors import Argument, RigError
 from truearm.session.dwells import MOUNTING, Dwell
 from truearm.session.joint_format import MAX_JOINTS
 from truearm.session.line_passes import LONGEST_S, Leg, LinePass
-from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, DwellLabel, Floats, Move, Rig
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, DwellLabel, Floats, Move, Plan, Rig
 
 FITTINGS = (*MOUNTED, "shell")
 MAX_NAME = 64
@@ -91,6 +91,12 @@ class Marks:
             self.malformed += 1
             return
         self.rows.append(PlanRow([float(value) for value in q or []], _fittings(document), move))
+
+    def with_plan(self, plan: Plan) -> Marks:
+        """Return the same with the rows of another plan."""
+        names = [{key: str(getattr(plan, key)[row]) for key in plan.IDS} for row in range(len(plan))]
+        rows = zip(plan.q.tolist(), map(_fittings, names), plan.move.tolist(), strict=True)
+        return replace(self, rows=[PlanRow(*row) for row in rows])
 
     @property
     def dwells(self) -> list[int]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,7 @@ from truearm.workflows.session_parts import SUFFIX, open_finished
 if TYPE_CHECKING:
     from truearm.session.observations import Survey, SyncResult
     from truearm.session.session_file import Session, Source
-    from truearm.types import BallBar, DwellLabel, Rig
+    from truearm.types import BallBar, DwellLabel, Plan, Rig
 
 RIG = "rig.toml"
 SAID = 3  # damaged places reported; inspect lists all
@@ -42,13 +42,15 @@ class SessionOptions:
     """How to read a session.
 
     ``allow_damaged``: use the intact parts of a damaged file, and call ``say`` with the losses. ``may_be_empty``: a
-    part of a session need not give an observation. ``line_points``: maximum number per pass along a line.
+    part of a session need not give an observation. ``line_points``: maximum number per pass along a line. ``plan``
+    replaces that of the session.
     """
 
     allow_damaged: bool = False
     may_be_empty: bool = False
     line_points: int | None = None
     say: Say = silent
+    plan: Plan | None = None
 
 
 def reasons_text(rejected: Mapping[str, int]) -> str:
@@ -147,8 +149,10 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     rules = LineRules(points=options.line_points)
     labels = labels_of(path)
     try:
-        found = surveyed(session)
-        result = observations(session.batches, rig, name=path.name, found=found, line_rules=rules, labels=labels)
+        read = surveyed(session)
+        if options.plan is not None:
+            read = replace(read, marks=read.marks.with_plan(options.plan))
+        result = observations(session.batches, rig, name=path.name, found=read, line_rules=rules, labels=labels)
     except (RigError, SessionError) as exc:
         if str(exc).startswith(str(path)):
             raise
