@@ -1,7 +1,7 @@
 """What MkDocs does not find in docs/: pages made of the code, and links that leave the folder.
 
 - reference/commands/: a page a command, of what its parser knows;
-- reference/api.md: the docstrings of the public names, where the page has ``<!-- docstrings -->``;
+- reference/api.md: the public names and their docstrings, where the page has ``<!-- names -->`` and ``<!-- docstrings -->``;
 - reference/findings.md: the codes of findings, where the page has ``<!-- findings -->``;
 - reference/wire.md: protocol/SPEC.md; changes.md: CHANGELOG.md; notebooks/: a page a notebook.
 
@@ -32,6 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 COPIED = {"protocol/SPEC.md": "reference/wire.md", "CHANGELOG.md": "changes.md"}  # file of the repository → page
 COMMANDS = "reference/commands"
 DOCSTRINGS = "<!-- docstrings -->"
+NAMES = "<!-- names -->"
 FINDINGS = "<!-- findings -->"
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
 external: dict[str, set[str]] = defaultdict(set)
@@ -64,7 +65,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Put the docstrings in, and point links that leave docs/ to where the file is found."""
     if DOCSTRINGS in markdown:
         markdown = markdown.replace(DOCSTRINGS, "\n".join(docstring_section(name) for name in truearm.__all__))
-    markdown = markdown.replace(FINDINGS, finding_table())
+    markdown = markdown.replace(NAMES, name_table()).replace(FINDINGS, finding_table())
     uri = page.file.src_uri
     home = next((source for source, made in COPIED.items() if made == uri), f"docs/{uri}")
     return LINK.sub(lambda found: _link(found, home, uri), markdown)
@@ -147,6 +148,14 @@ def _escaped(text: str) -> str:
 
 
 # Python
+
+
+def name_table() -> str:
+    """Every public name with the first line of its docstring: functions, then classes."""
+    names = sorted((n for n in truearm.__all__ if not n.startswith("__")), key=lambda name: (name[0].isupper(), name))
+    first = {name: (inspect.getdoc(getattr(truearm, name)) or "").partition("\n")[0] for name in names}
+    rows = [f"| [`{name}`](#{name}) | {line.replace('``', '`')} |" for name, line in first.items()]
+    return "\n".join(["| name | description |", "|---|---|", *rows])
 
 
 def docstring_section(name: str) -> str:
