@@ -9,10 +9,15 @@ import pytest
 from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, printed
 from report_bench import CERTIFICATE, full_page, make_page, view
 
+from truearm.box.gauge_places import Place, Places
+from truearm.box.gauge_result import calibrate, gauge_page
+from truearm.box.requests import GaugeOptions
 from truearm.findings import Finding, entries
-from truearm.report import calibration_page, correction_page, gauge_page
+from truearm.report import calibration_page, correction_page
 from truearm.report.map_picture import Cells, map_picture
 from truearm.report.validation_findings import validation_findings
+from truearm.session.box_ident import Channel, Ident
+from truearm.session.sample_noise import mean_of
 from truearm.workflows.report import validation_page
 
 PHONE = 400
@@ -27,23 +32,13 @@ def unusable():
 
 def gauge():
     x = np.linspace(-0.03, 0.03, 9)
-    group = (("sensor", "lvdt, serial LV-1"), ("coefficients", ", ".join(["-0.00123457"] * 8)))
-    return gauge_page.render(
-        gauge_page.GaugePage(
-            title="Calibration of lvdt",
-            subtitle=LONG,
-            unit="V",
-            reference=x,
-            reading=10.0 * x,
-            noise=np.full(9, 1e-6),
-            residual=1e-7 * np.cos(np.arange(9)),
-            left_out=1e-7 * np.sin(np.arange(9)),
-            sigma=1e-7,
-            orders=(1, 2, 3),
-            press=np.array([1e-5, 1e-6, 1e-7]),
-            order=3,
-            certificate=(("What", group),),
-        )
+    places = Places("uid", "lvdt", "V", 1e-7)
+    for reference, error in zip(x, 1e-7 * np.cos(np.arange(9)), strict=True):
+        places.places.append(Place(reference, mean_of(10.0 * (reference + error) + 1e-6 * np.sin(np.arange(99))), 20.0))
+    calibration = calibrate(places, Channel("lvdt", "V", 1e-7), None)
+    ident = Ident("1.0", 1, {}, (), (), {})
+    return gauge_page(
+        calibration, GaugeOptions("lvdt", instrument=LONG), ident, {"channels": [], "magnetostrictive": {}}
     )
 
 

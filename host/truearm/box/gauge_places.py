@@ -1,29 +1,39 @@
-"""Keep the places of a gauging on the disk until the box has stored the calibration.
+"""The places of a gauging, kept on the disk until the box has stored the calibration, and its references from a file.
 
-The file is written after every place, so a run that ends early (Ctrl-C, a cable, the computer) loses nothing: the next
-run continues from it. The file holds no calibration, and nothing else reads it.
+The file of the places is written after every place, so a run that ends early (Ctrl-C, a cable, the computer) loses
+nothing: the next run continues from it. It holds no calibration, and nothing else reads it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
-from truearm.errors import InputError, WriteError
-from truearm.files.disk import read_bytes, write_atomic
+from truearm.box.gauge_polynomial import distinct_places
+from truearm.errors import InputError, TableError, WriteError
+from truearm.files.csv_cells import numbers, read_cells
+from truearm.files.disk import read_bytes, read_text, write_atomic
+from truearm.files.observation_columns import Column
 from truearm.session.sample_noise import MeanOfSamples
+from truearm.text import counted, one_line
+from truearm.types import Floats
+from truearm.units import MM, suffixes
 
+UNITS = suffixes("m", ("mm", "um", "in"))
+FEWEST_PLACES = 5
+MAX_REFERENCES = 1000
 MAX_BYTES = 1 << 20  # 1000 places of 200 bytes
+MAX_METRES = 10.0
 
 
 @dataclass(frozen=True)
 class Place:
-    """A reference position [m]: the sensor's mean reading in the channel's unit, and the box's temperature [°C]
-    meanwhile.
-    """
+    """A reference position [m]: the sensor's mean reading in the channel's unit, and the box's temperature [°C]."""
 
     reference: float
     mean: MeanOfSamples
@@ -31,7 +41,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class KeptPlaces:
+class Places:
     """The places of a ``channel`` of the box with this ``uid``; one count is ``scale`` of the channel's ``unit``."""
 
     uid: str
@@ -40,54 +50,97 @@ class KeptPlaces:
     scale: float
     places: list[Place] = field(default_factory=list)
 
+    @property
+    def readings(self) -> Floats:
+        """The mean readings (n,) in the channel's unit."""
+        return np.array([place.mean.mean for place in self.places])
 
-def kept_path(page: Path) -> Path:
-    """Return the file of the places that belongs to the page of a calibration."""
-    return page.with_suffix(".places.json")
+    @property
+    def references(self) -> Floats:
+        """The references (n,) [m]."""
+        return np.array([place.reference for place in self.places])
 
+    def too_few(self) -> str:
+        """Return why these places are not enough for a calibration; "" if they are."""
+        distinct, n = distinct_places(self.readings), len(self.places)
+        if distinct >= FEWEST_PLACES:
+            return ""
+        again = f" ({counted(n, 'reading')}; those of the same sensor value count once)" * (n > distinct)
+        return f"places measured: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
 
-class GaugeRun:
-    """The places of a run, on the disk after every change. ``say`` shows a line to the operator."""
+    def line(self, number: int) -> str:
+        """Return what was measured at a place, counted from 1."""
+        place = self.places[number - 1]
+        noise = f"noise {place.mean.noise:.2g}, mean ± {math.sqrt(place.mean.variance):.2g} {self.unit}"
+        reading = f"{MM.text(place.reference, '.4f')} at {place.mean.mean:.8g} {self.unit}"
+        return f"  {one_line(f'{number}: {reading} ({noise})')}"
 
-    def __init__(self, path: Path, kept: KeptPlaces, say: Callable[[str], None]) -> None:
-        self.path, self._kept, self._say = path, kept, say
-        self.places = kept.places
-
-    def add(self, place: Place) -> None:
-        self.places.append(place)
-        self._write()
-
-    def drop(self) -> None:
-        """Drop the last place."""
-        del self.places[-1:]
-        self._write()
-
-    def finish(self) -> None:
-        """Remove the file: the box has the calibration."""
-        self.path.unlink(missing_ok=True)
-
-    def _write(self) -> None:
+    def write(self, path: Path, say: Callable[[str], None]) -> None:
         """Write all places; the run goes on without the file if the disk refuses it."""
         try:
-            write_atomic(self.path, msgspec.json.encode(self._kept, enc_hook=float).decode())  # some are NumPy's
+            write_atomic(path, msgspec.json.encode(self, enc_hook=float).decode())  # some are NumPy's
         except (InputError, WriteError) as exc:
-            self._say(f"  {exc}; if this run ends early, its places are lost")
+            say(f"  {exc}; if this run ends early, its places are lost")
+
+    def earlier(self, path: Path) -> Places:
+        """Return the places that an earlier run for the same channel and box kept; without a file, this object.
+
+        Raises InputError for a file of something else.
+        """
+        if not path.exists():
+            return self
+        try:
+            kept = msgspec.json.decode(read_bytes(path, MAX_BYTES, InputError), type=Places)
+        except (msgspec.MsgspecError, UnicodeDecodeError) as exc:
+            raise InputError(f"{path}: holds no places of a gauging: {exc}; remove it") from None
+        if replace(kept, places=[]) != replace(self, places=[]):
+            raise InputError(
+                f"{path}: holds places of another box, channel or gain ({kept.channel[:40]!r} of box {kept.uid[:40]!r}); "
+                "move it to another folder, or remove it"
+            )
+        return kept
 
 
-def read_kept(path: Path, empty: KeptPlaces) -> KeptPlaces:
-    """Return the places of an earlier run for the channel and box of ``empty``; without a file, ``empty``.
+def read_references(path: Path) -> list[float]:
+    """Return the references [m] in a CSV file. Raises TableError."""
+    header, rows = read_cells(read_text(path, MAX_BYTES, TableError), str(path))
+    titles = {f"reference_{unit}": unit for unit in UNITS}
+    columns = [Column(title, index, titles[title]) for index, title in enumerate(header) if title in titles]
+    if len(columns) != 1:
+        raise TableError("missing-column", place=path, column="reference_mm, reference_um or reference_in")
+    if not 1 <= len(rows) <= MAX_REFERENCES:
+        raise TableError(f"{path}: has {len(rows)} references; 1 to {MAX_REFERENCES} are possible")
+    return [float(value) for value in numbers(rows, columns[0], str(path), MAX_METRES, required=True)]
 
-    Raises InputError for a file of something else.
-    """
-    if not path.exists():
-        return empty
+
+def parse_reference(text: str, scale: float) -> float:
+    """Return a typed reference [m]. Raises InputError."""
     try:
-        kept = msgspec.json.decode(read_bytes(path, MAX_BYTES, InputError), type=KeptPlaces)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as exc:
-        raise InputError(f"{path}: holds no places of a gauging: {exc}; remove it") from None
-    if replace(kept, places=[]) != empty:
+        value = float(text.strip().replace(",", ".")) * scale
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= MAX_METRES:
+        raise InputError(f"{text.strip()[:40]!r} is not a reading")
+    return value
+
+
+def check_references(references: Sequence[float], measured: Sequence[float], stroke: float, file: str) -> None:
+    """Raise InputError if references [m] of a file, with those ``measured`` before, make no calibration.
+
+    They are too few different ones, or farther apart than the sensor's ``stroke`` [m].
+    """
+    if (different := len({*references, *measured})) < FEWEST_PLACES:
         raise InputError(
-            f"{path}: holds places of another box, channel or gain ({kept.channel[:40]!r} of box {kept.uid[:40]!r}); "
-            "move it to another folder, or remove it"
+            f"{file}: {counted(different, 'different reference')}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
         )
-    return kept
+    if too_far := beyond(max(references), [min(references)], stroke):
+        raise InputError(f"{file}: {too_far}")
+
+
+def beyond(reference: float, others: Sequence[float], stroke: float) -> str:
+    """Return that a reference is farther from one of the others than the sensor's stroke; "" if it is not."""
+    other = max(others, key=lambda value: abs(value - reference), default=reference)
+    if abs(other - reference) <= stroke:
+        return ""
+    first, second, distance = (MM.text(value, ".4f") for value in (reference, other, abs(reference - other)))
+    return f"{first} and {second} are {distance} apart, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit"

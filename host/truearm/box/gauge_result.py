@@ -1,4 +1,7 @@
-"""Turn the positions measured by ``truearm box gauge`` into the calibration, as text, as a page, and for the box."""
+"""Turn the places of ``truearm box gauge`` into a calibration for the box, and a page that says how good it is.
+
+Lengths are in mm and µm on the page.
+"""
 
 from __future__ import annotations
 
@@ -7,254 +10,219 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.polynomial import polynomial
 
+from truearm.box.configuration_schema import PROVENANCE, check, mantissa_exponent
+from truearm.box.gauge_places import Places
+from truearm.box.gauge_polynomial import MAX_ORDER, PolyFit, chosen, coefficient_sigmas, fits, head_of, rounded
+from truearm.box.requests import GaugeOptions
 from truearm.errors import Argument, ConfigError, InputError
+from truearm.report import svg
+from truearm.report.certificate import Certificate, certificate_section
+from truearm.report.page_parts import html_page, paragraph, pictures, section, table
+from truearm.report.page_text import figures, number
+from truearm.report.svg import Figure
+from truearm.report.tables import Table
 from truearm.schema import raising
-from truearm.text import counted
+from truearm.session.box_ident import Channel, Ident
+from truearm.text import counted, one_line
 from truearm.types import rms
-from truearm.units import MM, UM
+from truearm.units import DEGC, MM, UM
 from truearm.version import VERSION
 
-if TYPE_CHECKING:
-    from truearm.box.gauge_places import Place
-    from truearm.box.gauge_polynomial import PolyFit
-    from truearm.report.certificate import Facts
-    from truearm.session.box_ident import Channel, Stream
-    from truearm.types import Floats
-
-MAG = "mag"  # name of the magnetostrictive stream
-HEAD = "magnetostrictive"
-FEWEST_PLACES = 5
+HEAD = "magnetostrictive"  # name of the channel, and of its entry in the configuration
 ROUNDING = 1e-9  # m, allowed difference between the stored decimals and the fit
+RESIDUAL_CAPTION = (
+    "Reference minus calibrated reading. Points scatter about zero without a pattern if the order is right; the dashed lines "
+    "are two standard deviations. A difference between there and back indicates play or friction in the stage."
+)
+ORDER_TEXT = (
+    "Error of predicting each place from a polynomial fitted to all others. truearm chooses the lowest order that is not "
+    "significantly worse than the best."
+)
 
 
 @dataclass(frozen=True)
-class GaugeCircumstances:
-    """How, by whom and on which box a channel was calibrated; "" for what is not known.
+class Calibration:
+    """The calibration of a channel at ``places``; ``tried``: the fits of all possible orders."""
 
-    ``uncertainty`` [m] is the expanded uncertainty (k = 2) of the reference ``instrument``, None if unknown.
+    channel: Channel
+    places: Places
+    fit: PolyFit
+    tried: Sequence[PolyFit]
+
+    @property
+    def previous_error(self) -> float | None:
+        """The RMS [m] of the channel's present calibration; None without one."""
+        unit = self.channel.length_unit
+        if unit is None:
+            return None
+        return rms(self.places.references - unit.to_si(polynomial.polyval(self.places.readings, self.channel.poly)))
+
+    @property
+    def largest_residual(self) -> str:
+        return UM.text(float(np.max(np.abs(self.fit.residual))), ".2f")
+
+    def lines(self) -> list[str]:
+        """Return what the operator is shown."""
+        lines = [
+            f"order {fit.order}: cross-validation error {UM.text(fit.press, '.2f')} RMS{' ← chosen' * (fit.order == self.fit.order)}"
+            for fit in self.tried
+        ]
+        n_places, sigma = counted(len(self.places.places), "place"), UM.text(self.fit.sigma, ".2f")
+        lines.append(f"{n_places}, sigma {sigma}, largest residual {self.largest_residual}")
+        if self.previous_error is not None:
+            lines.append(f"the previous calibration is off by {UM.text(self.previous_error, '.2f')} RMS")
+        return lines
+
+
+def calibrate(places: Places, channel: Channel, order: int | None) -> Calibration:
+    """Return the calibration, of the order with the best cross-validation or of this one. Raises InputError.
+
+    The standard deviation is at least that of the means, since few residuals may happen to be smaller.
     """
-
-    channel: str
-    instrument: str = ""
-    uncertainty: float | None = None
-    operator: str = ""
-    uid: str = ""
-    firmware: str = ""
-    serial: str = ""  # of the sensor
-
-
-def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple[PolyFit, list[PolyFit]]:
-    """Return the calibration, and all fits that were tried. Raises InputError."""
-    from truearm.box.gauge_polynomial import MAX_ORDER, chosen, fits
-
-    x, y = _readings(places), _references(places)
-    if missing := too_few(places):
+    if missing := places.too_few():
         raise InputError(missing)
-    tried = fits(x, y, 1 if linear else MAX_ORDER)
+    linear = channel.name == HEAD
+    tried = fits(places.readings, places.references, 1 if linear else MAX_ORDER)
     if order is not None and not linear and order > tried[-1].order:
-        raise InputError(
-            Argument("order"),
-            f" {order} needs more places; {counted(len(places), 'place allows', 'places allow')} order {tried[-1].order}",
-        )
+        allow = counted(len(places.places), "place allows", "places allow")
+        raise InputError(Argument("order"), f" {order} needs more places; {allow} order {tried[-1].order}")
     fit = tried[0] if linear else chosen(tried) if order is None else tried[order - 1]
-    return replace(fit, sigma=max(fit.sigma, _of_means(places, fit))), tried
+    slope = polynomial.polyval(places.readings, polynomial.polyder(fit.poly))
+    of_means = rms(np.asarray(slope * np.sqrt([place.mean.variance for place in places.places]), np.float64))
+    return Calibration(channel, places, replace(fit, sigma=max(fit.sigma, of_means)), tried)
 
 
-def too_few(places: Sequence[Place]) -> str:
-    """Return why these places are not enough for a calibration; "" if they are."""
-    from truearm.box.gauge_polynomial import distinct_places
-
-    if (distinct := distinct_places(_readings(places))) >= FEWEST_PLACES:
-        return ""
-    again = (
-        f" ({counted(len(places), 'reading')}; those of the same sensor value count once)"
-        if len(places) > distinct
-        else ""
-    )
-    return f"places measured: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
-
-
-def _of_means(places: Sequence[Place], fit: PolyFit) -> float:
-    """Return the standard deviation [m] of a position from the noise of its mean alone.
-
-    This is a lower limit: few residuals may happen to be smaller.
-    """
-    slope = np.polynomial.polynomial.polyval(_readings(places), np.polynomial.polynomial.polyder(fit.poly))
-    return rms(np.asarray(slope * np.sqrt([place.mean.variance for place in places]), dtype=np.float64))
-
-
-def _readings(places: Sequence[Place]) -> Floats:
-    return np.array([place.mean.mean for place in places])
-
-
-def _references(places: Sequence[Place]) -> Floats:
-    return np.array([place.reference for place in places])
-
-
-def words(places: Sequence[Place], result: PolyFit, tried: Sequence[PolyFit], channel: Channel) -> list[str]:
-    lines = [
-        f"order {f.order}: cross-validation error {UM.text(f.press, '.2f')} RMS{' ← chosen' if f.order == result.order else ''}"
-        for f in tried
-    ]
-    lines.append(
-        f"{counted(len(places), 'place')}, sigma {UM.text(result.sigma, '.2f')}, largest residual {UM.text(_largest(result), '.2f')}"
-    )
-    before = _before(places, channel)
-    if before is not None:
-        lines.append(f"the previous calibration is off by {UM.text(before, '.2f')} RMS")
-    return lines
-
-
-def _largest(result: PolyFit) -> float:
-    return float(np.max(np.abs(result.residual)))
-
-
-def _before(places: Sequence[Place], channel: Channel) -> float | None:
-    """Return the residual [m RMS] of the channel's present calibration."""
-    unit = channel.length_unit
-    if unit is None:
-        return None
-    residual = _references(places) - unit.to_si(np.polynomial.polynomial.polyval(_readings(places), channel.poly))
-    return rms(residual)
-
-
-def with_calibration(
-    config: dict[str, Any],
-    stream: Stream,
-    index: int,
-    places: Sequence[Place],
-    result: PolyFit,
-    serial: str | None,
-    instrument: str = "",
-    uncertainty: float | None = None,
-) -> dict[str, Any]:
-    """Return the configuration with the new calibration, checked. Raises InputError.
-
-    ``instrument`` and ``uncertainty`` as in ``GaugeCircumstances``.
-    """
-    from truearm.box.configuration_schema import PROVENANCE, check
-
-    channels = [dict(channel) for channel in config["channels"]]
-    before = config[HEAD] if stream.name == MAG else channels[index].get("calibration", {})
+def with_calibration(config: dict[str, Any], calibration: Calibration, options: GaugeOptions) -> dict[str, Any]:
+    """Return the configuration with the new calibration, checked. Raises InputError, ConfigError."""
+    entries = [dict(entry) for entry in config["channels"]]
+    channel = next((entry for entry in entries if entry["name"] == calibration.channel.name), {})
+    is_head = calibration.channel.name == HEAD
+    previous = config[HEAD] if is_head else channel.get("calibration", {})
+    temperature = _temperature(calibration.places)
     provenance = {
-        "serial": before.get("serial", "") if serial is None else serial,
+        "serial": previous.get("serial", "") if options.serial is None else options.serial,
         "date": datetime.now(UTC).date().isoformat(),
-        "sigma": _pair(f"{result.sigma:.2e}"),
-        **_temperature(places),
-        **({"reference": instrument} if instrument else {}),
-        **({} if uncertainty is None else {"reference_sigma": _pair(f"{0.5 * uncertainty:.3e}")}),
+        "sigma": _pair(f"{calibration.fit.sigma:.2e}"),
+        **({} if temperature is None else {"temperature_mdegc": round(1000 * temperature)}),
+        **({"reference": options.instrument} if options.instrument else {}),
+        **({} if options.uncertainty is None else {"reference_sigma": _pair(f"{0.5 * options.uncertainty:.3e}")}),
     }
-    if stream.name == MAG:
-        others = {name: value for name, value in before.items() if name not in {key.called for key in PROVENANCE}}
-        return check({**config, HEAD: {**others, **_head(result), **provenance}})
-    poly = [_pair(text) for text in _rounded(result, places)]
-    channels[index]["calibration"] = {"unit": "m", "poly": poly, **provenance}
-    return check({**config, "channels": channels})
-
-
-def _rounded(result: PolyFit, places: Sequence[Place]) -> list[str]:
-    from truearm.box.gauge_polynomial import rounded
-
-    readings = _readings(places)
-    return rounded(result.poly, np.linspace(readings.min(), readings.max(), 101), ROUNDING)
+    if is_head:
+        kept = {name: value for name, value in previous.items() if name not in {key.called for key in PROVENANCE}}
+        try:
+            us_per_inch, delay_ns = head_of(calibration.fit)
+        except ValueError as exc:
+            raise InputError(f"these places do not give a calibration: {exc}") from exc
+        head = {"us_per_inch": _pair(f"{us_per_inch:.9f}"), "delay_ns": round(delay_ns)}
+        return check({**config, HEAD: {**kept, **head, **provenance}})
+    span = np.linspace(calibration.places.readings.min(), calibration.places.readings.max(), 101)
+    poly = [_pair(text) for text in rounded(calibration.fit.poly, span, ROUNDING)]
+    channel["calibration"] = {"unit": "m", "poly": poly, **provenance}
+    return check({**config, "channels": entries})
 
 
 def _pair(text: str) -> list[int]:
-    from truearm.box.configuration_schema import mantissa_exponent
-
     with raising(ConfigError, "the calibration"):
         return mantissa_exponent(Decimal(text))
 
 
-def _head(result: PolyFit) -> dict[str, Any]:
-    from truearm.box.gauge_polynomial import head_of
-
-    try:
-        head = head_of(result)
-    except ValueError as exc:
-        raise InputError(f"these places do not give a calibration: {exc}") from exc
-    return {"us_per_inch": _pair(f"{head.us_per_inch:.9f}"), "delay_ns": round(head.delay_ns)}
+def _temperature(places: Places) -> float | None:
+    """Return the mean temperature of the box [°C]."""
+    temperatures = [place.temperature for place in places.places if place.temperature is not None]
+    return sum(temperatures) / len(temperatures) if temperatures else None
 
 
-def _temperature(places: Sequence[Place]) -> dict[str, int]:
-    temperatures = [place.temperature for place in places if place.temperature is not None]
-    return {"temperature_mdegc": round(1000 * sum(temperatures) / len(temperatures))} if temperatures else {}
-
-
-def write_page(
-    path: Path,
-    of: GaugeCircumstances,
-    channel: Channel,
-    places: Sequence[Place],
-    result: PolyFit,
-    tried: Sequence[PolyFit],
-    new: dict[str, Any],
-) -> None:
-    """Write the page of a calibration; ``new`` is the configuration that the box will store."""
-    from truearm.files.disk import write_atomic
-    from truearm.report.gauge_page import GaugePage, render
-
-    page = GaugePage(
-        title=f"Calibration of {of.channel}",
-        subtitle=f"{counted(len(places), 'place')}, {datetime.now(UTC).date().isoformat()}",
-        unit=channel.unit,
-        reference=_references(places),
-        reading=_readings(places),
-        noise=np.array([math.sqrt(place.mean.variance) for place in places]),
-        residual=result.residual,
-        left_out=result.left_out,
-        sigma=result.sigma,
-        orders=tuple(f.order for f in tried),
-        press=np.array([f.press for f in tried]),
-        order=result.order,
-        certificate=_certificate(of, channel, places, result, new),
-    )
-    write_atomic(path, render(page))
-
-
-def _certificate(
-    of: GaugeCircumstances, channel: Channel, places: Sequence[Place], result: PolyFit, new: dict[str, Any]
-) -> tuple[tuple[str, Facts], ...]:
-    """Return page one: what was calibrated, against what, and how well."""
-    degc = _temperature(places).get("temperature_mdegc")
-    before, low, high = _before(places, channel), _references(places).min(), _references(places).max()
-    subject = (
-        ("sensor", f"{of.channel}, serial {of.serial}" if of.serial else of.channel),
-        ("operator", of.operator or "not given"),
-        ("date", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
-        ("box", f"{of.uid or 'without a uid'}, firmware {of.firmware or 'not known'}"),
-        ("software", f"truearm {VERSION}"),
-        ("temperature of the box", "unknown" if degc is None else f"{degc / 1000:.1f} °C"),
-    )
-    reference = (
-        ("reference instrument", of.instrument or "not given"),
-        ("its uncertainty (k = 2)", "not given" if of.uncertainty is None else UM.text(of.uncertainty, ".2f")),
-        ("places", f"{len(places)}, from {MM.text(low, '.4f')} to {MM.text(high, '.4f')}"),
-    )
-    spread = UM.text(2.0 * result.sigma, ".2f")
+def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, config: dict[str, Any]) -> str:
+    """Return the page of a calibration as HTML; ``config`` is what the box will store."""
+    fit, places, name = calibration.fit, calibration.places, calibration.channel.name
+    now, temperature, previous = datetime.now(UTC), _temperature(places), calibration.previous_error
+    entries = [entry.get("calibration", {}) for entry in config["channels"] if entry["name"] == name]
+    serial = (entries or [config[HEAD]])[0].get("serial", "")
     total = "not known without the reference's uncertainty"
-    if of.uncertainty is not None:
-        total = UM.text(math.hypot(2.0 * result.sigma, of.uncertainty), ".2f")
-    outcome = (
-        ("of one place, from the scatter about the calibration (k = 2)", spread),
+    if options.uncertainty is not None:
+        total = UM.text(math.hypot(2.0 * fit.sigma, options.uncertainty), ".2f")
+    subject = (
+        ("sensor", f"{name}, serial {serial}" if serial else name),
+        ("operator", options.operator or "not given"),
+        ("date", f"{now:%Y-%m-%d %H:%M} UTC"),
+        ("box", f"{places.uid or 'without a uid'}, firmware {one_line(ident.firmware[:32]) or 'not known'}"),
+        ("software", f"truearm {VERSION}"),
+        ("temperature of the box", "unknown" if temperature is None else DEGC.text(temperature, ".1f")),
+    )
+    low, high = (MM.text(end, ".4f") for end in (places.references.min(), places.references.max()))
+    reference = (
+        ("reference instrument", options.instrument or "not given"),
+        (
+            "its uncertainty (k = 2)",
+            "not given" if options.uncertainty is None else UM.text(options.uncertainty, ".2f"),
+        ),
+        ("places", f"{len(places.places)}, from {low} to {high}"),
+    )
+    uncertainty = (
+        ("of one place, from the scatter about the calibration (k = 2)", UM.text(2.0 * fit.sigma, ".2f")),
         ("of a calibrated length, including the reference (k = 2)", total),
-        ("largest residual", UM.text(_largest(result), ".2f")),
+        ("largest residual", calibration.largest_residual),
         (
             "the previous calibration",
-            "none" if before is None else f"off by {UM.text(before, '.2f')} RMS at these references",
+            "none" if previous is None else f"off by {UM.text(previous, '.2f')} RMS at these references",
         ),
     )
+    sigmas = coefficient_sigmas(places.readings, fit)
     curve = [
-        ("order", str(result.order)),
-        ("coefficients", ", ".join(f"{c:.6g}" for c in result.poly)),
-        ("standard deviations of the coefficients", ", ".join(f"{s:.2g}" for s in np.sqrt(np.diag(result.covariance)))),
+        ("order", str(fit.order)),
+        ("coefficients", ", ".join(f"{coefficient:.6g}" for coefficient in fit.poly)),
+        ("standard deviations of the coefficients", ", ".join(f"{sigma:.2g}" for sigma in sigmas)),
     ]
-    if of.channel == HEAD:
-        pair = new[HEAD]["us_per_inch"]
-        curve.append(("velocity", f"{pair[0] * 10.0 ** pair[1]:.6f} µs per inch, delay {new[HEAD]['delay_ns']} ns"))
-    return ("What", subject), ("Reference", reference), ("Uncertainty", outcome), ("The curve", tuple(curve))
+    if name == HEAD:
+        us_per_inch, delay_ns = head_of(fit)
+        curve.append(("velocity", f"{us_per_inch:.6f} µs per inch, delay {round(delay_ns)} ns"))
+    groups = ("What", subject), ("Reference", reference), ("Uncertainty", uncertainty), ("The curve", tuple(curve))
+    orders = [
+        (f"{tried.order}{' (chosen)' * (tried.order == fit.order)}", figures(UM.of(tried.press)))
+        for tried in calibration.tried
+    ]
+    blocks = (
+        section("Residuals", pictures([_residuals(calibration)])),
+        section("The order", paragraph(ORDER_TEXT), table(Table(("order", "RMS [µm]"), orders))),
+        section("The places", table(_place_table(calibration))),
+    )
+    subtitle = f"{counted(len(places.places), 'place')}, {now.date().isoformat()}"
+    first = certificate_section(Certificate("Calibration of a sensor", "", groups))
+    return html_page("truearm", f"Calibration of {name}", subtitle, blocks, certificate=first)
+
+
+def _residuals(calibration: Calibration) -> Figure:
+    x, y = MM.of(calibration.places.references), UM.of(calibration.fit.residual)
+    two_sigma = UM.of(2.0 * calibration.fit.sigma)
+    reach = 1.05 * max(float(np.abs(y).max()), two_sigma, 1e-3)
+    plot = svg.Plot(
+        svg.linear_axis("reference [mm]", x.min(), x.max()), svg.linear_axis("residual [µm]", -reach, reach)
+    )
+    ends = [plot.x.low, plot.x.high]
+    for level, css, name in ((-two_sigma, "old line", "± 2 σ"), (two_sigma, "old line", ""), (0.0, "mean line", "")):
+        plot.line(ends, [level, level], css, name)
+    tips = (f"{figures(a, 6)} mm: {number(b, 2, sign=True)} µm" for a, b in zip(x, y, strict=True))
+    plot.scatter(x, y, "fit", tips, "places", 3.2)
+    return plot.figure("Residual at each place", RESIDUAL_CAPTION)
+
+
+def _place_table(calibration: Calibration) -> Table:
+    unit = f"[{calibration.channel.unit}]"
+    residuals = "residual [µm]", "residual to a fit of the others [µm]"
+    errors = UM.of(np.stack([calibration.fit.residual, calibration.fit.left_out], axis=1))
+    rows = [
+        (
+            str(i),
+            number(MM.of(place.reference), 4),
+            figures(place.mean.mean, 8),
+            figures(math.sqrt(place.mean.variance), 2),
+            *(number(error, 3, sign=True) for error in row),
+        )
+        for i, (place, row) in enumerate(zip(calibration.places.places, errors, strict=True), 1)
+    ]
+    return Table(("", "reference [mm]", f"reading {unit}", f"noise {unit}", *residuals), rows, "places")
