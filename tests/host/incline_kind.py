@@ -68,5 +68,4 @@ KIND = Kind(
     grouped_by=("place",),
     name="inclination",
     residual={"rad": "measured minus predicted inclination of the end's z axis"},
-    groups="place",
 )

@@ -16,7 +16,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.report.calibration_page import CalibrationPage
 from truearm.report.certificate import MOST, Certificate, Recording, facts_of, more, sensor_facts
 from truearm.report.scene_view import Points, Scene
-from truearm.results import Estimate, Figures, HeldOut, NullDirection, Observability, PredictedError
+from truearm.results import Estimate, Figures, HeldOut, NullDirection, PredictedError
 from truearm.workflows.certificates import ALWAYS_EXCLUDED
 
 SIGMA = 0.084e-3  # m, the paper's residual
@@ -313,8 +313,6 @@ def full_page():
         distance=np.full(n, 6.5),
         weight=np.where(index % 100 == 3, 0.0, 1.0),
         chi2_band=(0.9, 1.1),
-        observability=Observability(2.5, 1.25e-7, 0.75, 0.009),
-        suggested_free=e.free & (np.arange(54) > 9),
         null_space=(NullDirection(("link1.x", "link2.x"), (1.0, -1.0)),),
         hardly_seen=(NullDirection(("link2.z",), (1.0,)),),
     )

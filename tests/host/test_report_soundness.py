@@ -90,11 +90,3 @@ def test_few_fitting_rows_make_a_page(fitted):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Strict(render(replace(page, estimate=replace(page.estimate, fitted=np.arange(2) < fitted))))
-
-
-def test_rows_must_match():
-    page = make_page(20)
-    rotations = {**page.estimate.residual, "rad": np.zeros(19)}
-    for changes in ({"longitude": np.zeros(19)}, {"estimate": replace(page.estimate, residual=rotations)}):
-        with pytest.raises(ValueError, match="must be \\(20,\\)"):
-            replace(page, **changes)

@@ -117,7 +117,6 @@ def test_it_is_identified_judged_and_reported(copy):
     assert abs(zero["value"] - ZERO["i1"]) < 5 * zero["sigma"] < 1e-3
     page = (copy.folder / "page.html").read_text()
     assert "measured minus predicted inclination." in page
-    assert "By inclinometer" in page
     assert "<dt>inclinometers</dt><dd>i1, i2</dd>" in page
 
 

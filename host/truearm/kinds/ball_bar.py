@@ -258,7 +258,6 @@ KIND = Kind(
     regions=("bar",),
     name="ball-bar",
     residual={"m": "measured minus predicted length of the bar"},
-    groups="pairing of chuck and sphere",
     proposals=proposals,
     longitude=longitude,
     doubts=beyond_stroke,

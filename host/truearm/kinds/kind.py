@@ -38,8 +38,8 @@ class Kind:
 
     ``needs`` and ``may`` are the table columns that a row must or can fill; all others stay empty. A string is a column
     of identifiers, a Quantity one or more columns of numbers. An identifier names an entry of the rig if the rig has
-    entries of that type. ``grouped_by`` are the columns whose identifiers group rows in a figure, and ``regions`` those
-    whose identifiers are regions to validate separately. A random selection of rows takes a proportional share of each
+    entries of that type. ``grouped_by`` are the columns whose identifiers name what is mounted or where, and ``regions``
+    those whose identifiers are regions to validate separately. A random selection of rows takes a proportional share of each
     identifier in the columns ``drawn_from``.
     """
 
@@ -60,7 +60,6 @@ class Kind:
     drawn_from: tuple[str, ...] = ()
     name: str  # for display: "ball-bar"
     residual: Mapping[str, str]  # for display, by SI unit: meaning of the residual
-    groups: str  # for display: meaning of the groups of ``grouped_by``
     proposals: Proposing | None = None  # further measurements of this kind
     facts: Callable[[ObservationTable], tuple[tuple[str, str], ...]] | None = (
         None  # of its rows, for a report: label, value

@@ -127,7 +127,6 @@ KIND = Kind(
     drawn_from=("line",),
     name="line",
     residual={"m": "distance of the measured from the predicted point, along and across the line"},
-    groups="line",
     proposals=proposals,
     facts=facts,
 )

@@ -130,5 +130,4 @@ KIND = Kind(
     regions=("plane",),
     name="touched plane",
     residual={"m": "distance of the touching point from the flat, with its sign"},
-    groups="plane",
 )

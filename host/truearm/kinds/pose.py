@@ -120,5 +120,4 @@ KIND = Kind(
         "m": "distance of the measured from the predicted point",
         "rad": "angle between the measured and the predicted orientation",
     },
-    groups="tracker and target",
 )

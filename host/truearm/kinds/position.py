@@ -260,5 +260,4 @@ KIND = Kind(
     regions=("tracker",),
     name="tracked point",
     residual={"m": "distance of the measured from the predicted point"},
-    groups="tracker and target",
 )

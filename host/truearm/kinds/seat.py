@@ -202,7 +202,6 @@ KIND = Kind(
     drawn_from=("socket",),
     name="ball-in-socket",
     residual={"m": "distance of the ball's predicted centre from its socket"},
-    groups="place",
     proposals=proposals,
     check=check,
 )

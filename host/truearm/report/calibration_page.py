@@ -20,14 +20,13 @@ from truearm.findings import Finding
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.figures import convergences, correlation, figures_of, law_figures
+from truearm.report.figures import figures_of, law_figures
 from truearm.report.page_parts import (
     fact_list,
     folded,
     html_page,
     making,
     paragraph,
-    picture,
     pictures,
     section,
     sentences,
@@ -37,12 +36,12 @@ from truearm.report.page_parts import (
 from truearm.report.page_text import ABSENT, figures, number, size
 from truearm.report.residual_rows import row_name, rows_by_kind
 from truearm.report.result_words import (
-    OBSERVABILITY,
     ParameterRow,
     before_words,
     direction_text,
     drawing,
     kind_name,
+    parameter_table,
     residual_words,
 )
 from truearm.report.scene_view import Scene
@@ -65,8 +64,6 @@ class CalibrationPage:
     that of the sphere about its chuck, NaN for rows without one. ``facts`` are labels and values about the recording,
     ``command`` the command that makes the page again. ``prior`` is
     the name of the robot's prior, ``predicted`` the predicted error of the tool from the parameters' covariance.
-
-    Raises ValueError if table, longitude and estimate have different numbers of rows.
     """
 
     title: str
@@ -84,13 +81,6 @@ class CalibrationPage:
     findings: tuple[Finding, ...] = ()  # the verdict first
     scene: Scene | None = None
 
-    def __post_init__(self) -> None:
-        n = len(self.table)
-        residuals = (residual.shape for residual in self.estimate.residual.values())
-        shapes = (self.longitude.shape, self.estimate.fitted.shape, *residuals)
-        if any(shape != (n,) for shape in shapes):
-            raise ValueError(f"longitude, fitted and residual must be ({n},) like the table, are {shapes}")
-
 
 def render(page: CalibrationPage) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
@@ -99,7 +89,7 @@ def render(page: CalibrationPage) -> str:
         section("Residuals", *_residuals(page)),
         section("Parameters", *_parameters(e)),
         section("Joint laws", *map(table, page.law_steps), pictures(law_figures(page.curves))),
-        section("Identifiable and unidentifiable combinations", *visibility(e), *observability(e)),
+        section("Identifiable and unidentifiable combinations", *visibility(e)),
         section("The recording", fact_list(page.facts)),
         making(page.command, _facts(page)),
     )
@@ -140,19 +130,21 @@ def _residuals(page: CalibrationPage) -> Iterator[str]:
         for of_kind in by_kind
         for figure in figures_of(of_kind)
     ]
-    yield pictures([*figures, *convergences(e)])
+    yield pictures(figures)
 
 
 def _parameters(e: Estimate) -> Iterator[str]:
-    robot, rig = range(e.law_parameters.start), range(e.n_robot_parameters, len(e.parameter_names))
+    sigma = np.where(e.free & e.identifiable, e.sigma, np.nan)
+    columns = (e.parameter_names, e.units, e.free, e.nominal, e.value, sigma)
+    rows = [ParameterRow.of(*row) for row in zip(*columns, strict=True)]
+    robot, rig = rows[: e.law_parameters.start], rows[e.n_robot_parameters :]
     yield paragraph(
         "A single parameter may differ from the drawing because of how the fixtures are mounted, or because it "
         "takes over the error of a parameter that is held fixed; judge the arm by its predictions."
     )
-    yield table(parameter_table(e, robot), "numbers")
+    yield table(parameter_table(robot), "numbers")
     if rig:
-        yield folded(f"{counted(len(rig), 'parameter')} of the rig", table(parameter_table(e, rig), "numbers"))
-    yield from (picture(figure) for figure in [correlation(e)] if figure)
+        yield folded(f"{counted(len(rig), 'parameter')} of the rig", table(parameter_table(rig), "numbers"))
 
 
 def _prior(name: str) -> str:
@@ -225,57 +217,6 @@ def suspect_table(e: Estimate, table: ObservationTable) -> Table:
     titles = ["row", "observation", "distance from the others [σ]", *sizes, "weight in the fit [1]"]
     more = f"and {rows.size - MAX_ROWS} more (suspect in result.json)" if rows.size > MAX_ROWS else ""
     return Table(titles, cells, "rows far from the others", more)
-
-
-def observability(e: Estimate) -> Iterator[str]:
-    """Return the four indices of the suggested free set, and that set if more parameters were free; nothing if they were
-    not computed.
-    """
-    if e.observability is None or not e.suggested_free.any():
-        return
-    names = [name for name, is_in in zip(e.parameter_names, e.suggested_free, strict=False) if is_in]
-    values = e.observability._asdict()
-    rows = [(key.upper(), figures(values[key]), unit, words) for key, (words, unit) in OBSERVABILITY.items()]
-    length, angle, gain = tolerances("weak")
-    yield paragraph(
-        f"How well the observations alone determine the largest set of parameters that they can distinguish ({len(names)}). A step is {length}, "
-        f"{angle} or {gain}. Larger is better. Compare sets of poses of the same robot only."
-    )
-    yield table(Table(("index", "value", "unit", "what it says"), rows, "observability"), "plain words")
-    if len(names) < int(e.free[: e.n_robot_parameters].sum()):
-        summary = f"the {counted(len(names), 'parameter')} that can be distinguished"
-        yield folded(summary, paragraph(", ".join(names), 4000))
-
-
-def parameter_table(estimate: Estimate, which: range) -> Table:
-    """Return nominal, identified, change and σ of the parameters ``which``, in mm, deg or 1."""
-    sigma = np.where(estimate.free & estimate.identifiable, estimate.sigma, np.nan)
-    columns = (estimate.parameter_names, estimate.units, estimate.free, estimate.nominal, estimate.value, sigma)
-    rows = [ParameterRow.of(*row) for row in zip(*columns, strict=True)][which.start : which.stop]
-    owners = ["", *(row.name.rpartition(".")[0] for row in rows)]
-    firsts = ["first" * (k > 0 and owners[k] != owners[k + 1]) for k in range(len(rows))]
-    notes = [_note(row) for row in rows]
-    marks = [f"{mark} {first}".strip() for (mark, _), first in zip(notes, firsts, strict=True)]
-    cells = [(*_cells(row), note) for row, (_, note) in zip(rows, notes, strict=True)]
-    return Table(("parameter", "nominal", "identified", "change", "σ", "unit", ""), cells, "parameters", marks=marks)
-
-
-def _note(row: ParameterRow) -> tuple[str, str]:
-    """Return the class of a row and a remark."""
-    if not row.free:
-        return "held", "held fixed"
-    return ("unseen", "unidentifiable alone") if math.isnan(row.sigma) else ("", "")
-
-
-def _cells(row: ParameterRow) -> tuple[str, ...]:
-    decimals = row.unit.decimals
-    values = number(row.nominal, decimals), number(row.value, decimals), number(row.change, decimals, sign=True)
-    return row.name, *values, _sigma(row.sigma, decimals), row.unit.symbol or row.unit.si
-
-
-def _sigma(sigma: float, decimals: int) -> str:
-    """Return σ with the decimals of the value, or more if that would show zero."""
-    return number(sigma, decimals) if not sigma < 5.0 * 10.0**-decimals else figures(sigma, 2)
 
 
 def visibility(estimate: Estimate) -> Iterator[str]:

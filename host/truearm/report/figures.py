@@ -1,4 +1,4 @@
-"""The pictures of a calibration: Fig. 3 and 4 of Goswami 1993, others that separate a good fit from a bad one, correlations, joint laws.
+"""The pictures of a calibration: Fig. 3 and 4 of Goswami 1993, errors before and after, drift, joint laws.
 
 Numbers here are in display units (units.py).
 """
@@ -6,47 +6,35 @@ Numbers here are in display units (units.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.law_curves import SampledCurve, spectrum
-from truearm.kinds.registry import kinds
 from truearm.report import svg
 from truearm.report.law_findings import intervals_text
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import ResidualRows, law_of
 from truearm.report.svg import Figure
-from truearm.results import Estimate
-from truearm.text import counted, outcome
-from truearm.types import Floats, Indices, Mask, rms, thinned
-from truearm.units import DEG, MRAD, shown, symbol, title
+from truearm.text import counted
+from truearm.types import Floats, Indices, Mask, rms
+from truearm.units import DEG, MRAD, title
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); with more points, none has one
 MAX_POINTS = 12000  # points drawn at all; with more, the largest tenth and an even selection of the others
-MAX_GROUPS = 24
 MAX_MARKS = 100  # changes of mount or session that are marked
 STRETCHES = 24  # sections of the order of measurement, each with its mean
 FINEST_BIN = 1e-6  # in display units; noise-free residuals are rounding errors or exactly zero
 LONGITUDE_BIN_DEG = 30.0
 FEWEST_IN_BIN = 5
-MAX_PARAMETERS = 60  # in the picture of correlations
-STRONGEST = 4  # correlations that its caption names
 
 
 def figures_of(rows: ResidualRows) -> list[Figure]:
     """Return all pictures of the rows of one kind, except those for which data are missing."""
-    makers: tuple[Callable[[ResidualRows], Figure | None], ...] = (
-        histogram,
-        by_longitude,
-        before_after,
-        by_group,
-        quantiles,
-        by_order,
-    )
+    makers: tuple[Callable[[ResidualRows], Figure | None], ...] = (histogram, by_longitude, before_after, by_order)
     if not rows.fitted.any():
-        makers = (before_after, by_group, by_order)
+        makers = (before_after, by_order)
     return [figure for figure in (make(rows) for make in makers) if figure is not None]
 
 
@@ -186,97 +174,6 @@ def before_after(rows: ResidualRows) -> Figure:
     return plot.figure("Before and after", f"95 % of the rows lie below {', '.join(p95)}.")
 
 
-def by_group(rows: ResidualRows) -> Figure | None:
-    """Return quartile boxes for each pairing of chuck and sphere, or each place, to show whether one stands out."""
-    names, inverse = np.unique(rows.group, return_inverse=True)
-    if names.size < 2:
-        return None
-    worst = sorted(range(names.size), key=lambda g: -rms(rows.residual[inverse == g]))
-    shown = sorted(worst[:MAX_GROUPS])
-    height = max(300.0, 90.0 + 30.0 * len(shown))
-    values = svg.linear_axis(rows.name, *_reach(rows.residual[np.isin(inverse, shown)]))
-    categories = svg.category_axis("", [str(names[g]) for g in shown[::-1]])
-    left = max(104.0, 16.0 + svg.LETTER * max(map(len, categories.tick_labels)))
-    plot = svg.Plot(values, categories, height, least_left=left, right=66.0)
-    plot.draw(svg.label(plot.width - 4, 18, f"RMS [{rows.unit}]", "end"))
-    for k, g in enumerate(shown[::-1]):
-        sets = [(css, name, rows.residual[at & (inverse == g)]) for css, name, at in _sets(rows)]
-        sets = [entry for entry in sets if entry[2].size]
-        for i, (css, name, inside) in enumerate(sets):
-            offset = 0.0 if len(sets) == 1 else (0.21, -0.21)[i]
-            _draw_box(plot, k + offset, inside, css, name, f"{names[g]}, {name}", rows.unit)
-    place = kinds()[rows.kind].groups
-    sizes = [rms(rows.residual[inverse == g]) for g in worst]
-    # Variance of an RMS: σ²/(2·degrees of freedom).
-    spread = 100.0 / math.sqrt(2.0 * rows.width * float(np.median(np.bincount(inverse))))
-    caption = "Box: quartiles and median; whisker: 5 % to 95 %; beyond it, points. Largest RMS over all rows: "
-    caption += f"{names[worst[0]]}, {figures(sizes[0])} {rows.unit}; smallest: {names[worst[-1]]}, {figures(sizes[-1])} {rows.unit}. "
-    caption += f"By chance alone these vary by {figures(spread, 2)} % (one σ)."
-    if len(shown) < names.size:
-        caption += f" The {len(shown)} with the largest RMS of {names.size} are shown."
-    return plot.figure(f"By {place}", caption)
-
-
-def _draw_box(plot: svg.Plot, row: float, values: Floats, css: str, set_name: str, name: str, unit: str) -> None:
-    p05, p25, p50, p75, p95 = np.percentile(values, [5.0, 25.0, 50.0, 75.0, 95.0])
-    x25, x75 = plot.px([p25, p75])
-    y = float(plot.py(row))
-    tip = f"{name}: {counted(values.size, 'row')}, median {figures(p50)} {unit}, RMS {figures(rms(values))} {unit}"
-    outside = values[(values < p05) | (values > p95)]
-    plot.dots(outside, np.full(outside.size, row), css, set_name)
-    plot.line([p05, p95], [row, row], css + " whisker")
-    plot.draw(svg.rect(x25, y - 4, max(x75 - x25, 1.0), 8, css + " box", tip))
-    plot.line([p50, p50], [row - 0.16, row + 0.16], css + " median")
-    plot.draw(svg.label(plot.width - 4, y + 4, figures(rms(values)), "end small " + css))
-
-
-def quantiles(rows: ResidualRows) -> Figure | None:
-    """Return sorted residuals against the quantiles of the distribution (normal probability plot)."""
-    r, law = np.sort(rows.residual[rows.fitted]), law_of(rows)
-    if r.size < 10 or law.sigma < svg.SMALLEST:
-        return None
-    expected = law.quantile((np.arange(r.size) + 0.5) / r.size)
-    distribution = law.name
-    both = np.concatenate([r, expected])
-    low, high = _reach(both)
-    plot = svg.Plot(
-        svg.linear_axis(f"quantile of the {distribution} [{rows.unit}]", low, high),
-        svg.linear_axis(rows.name, low, high),
-    )
-    at = thinned(r.size, MAX_POINTS)
-    plot.line([low, high], [low, high], "law line", distribution)
-    plot.dots(expected[at], r[at], "fit", "fitted rows")
-    beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.width == 1 else None
-    caption = f"Points on the line follow the {distribution}. If the ends bend away from it, those rows have unexpectedly large residuals."
-    if beyond is not None:
-        caption += (
-            f" Beyond 3σ: {counted(beyond, 'row')}; a normal distribution would have {figures(0.0027 * r.size, 2)}."
-        )
-    name = "Quantiles" if law.width > 1 else "Normal probability"
-    return plot.figure(name, caption)
-
-
-def convergences(estimate: Estimate) -> list[Figure]:
-    """Return the RMS after every iteration of the solver, one picture per unit."""
-    return [_convergence(estimate, si) for si in estimate.rms_history]
-
-
-def _convergence(estimate: Estimate, si: str) -> Figure:
-    history = shown(np.array(estimate.rms_history[si]), si)
-    history = history[np.isfinite(history)]
-    steps = np.arange(history.size)
-    last = max(history.size - 1, 1)
-    plot = svg.Plot(
-        svg.linear_axis("iteration", 0, last, max(svg.round_step(last / 10.0), 1.0)),
-        svg.log_axis(title("RMS", si), history),
-    )
-    tips = [f"iteration {k}: {figures(v, 4)} {symbol(si)}" for k, v in zip(steps, history, strict=True)]
-    plot.line(steps, history, "fit line")
-    plot.scatter(steps, history, "fit", tips, radius=4)
-    caption = f"RMS of the fitted rows; {outcome(estimate.status, estimate.iterations)}."
-    return plot.figure("Convergence" + f" · {symbol(si)}" * (len(estimate.rms_history) > 1), caption)
-
-
 def law_figures(curves: tuple[SampledCurve, ...]) -> list[Figure]:
     """Return two pictures per curve: over the joint's readings and, if it is long enough, over cycles per turn."""
     pairs = ((_over_readings(curve), _over_cycles(curve)) for curve in curves)
@@ -325,55 +222,3 @@ def _runs(flags: np.ndarray) -> list[slice]:
     """Return runs of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return [slice(start, stop) for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
-
-
-def correlation(estimate: Estimate) -> Figure | None:
-    """Return the lower triangle of the robot's parameter correlations; None unless there are 2 to MAX_PARAMETERS."""
-    seen = estimate.free & estimate.identifiable & (np.diag(estimate.covariance) > 0.0)
-    seen[estimate.n_robot_parameters :] = False
-    names = [name for name, is_seen in zip(estimate.parameter_names, seen, strict=True) if is_seen]
-    if not 2 <= len(names) <= MAX_PARAMETERS:
-        return None
-    sigma = np.sqrt(np.diag(estimate.covariance)[seen])
-    rho = estimate.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
-    cell, left, top = 16.0, 118.0, 8.0
-    size = cell * len(names)
-    width = max(left + size, 640.0) + 8.0  # room for the key next to a small triangle
-    marks = [
-        _cell(rho[i, j], left + cell * j, top + cell * i, cell, names[i], names[j])
-        for i, j in zip(*np.tril_indices(len(names), -1))
-    ]
-    for k, name in enumerate(names):
-        at = cell * (k + 0.5)
-        marks.append(svg.label(left - 6, top + at + 4, _short(name), "end small"))
-        turned = f' transform="translate({svg.num(left + at + 4)} {svg.num(top + size + 6)}) rotate(-90)"'
-        marks.append(svg.label(0, 0, _short(name), "end small", turned))
-    marks.append(_colour_key(width - 212.0, top + 14.0))
-    caption = "Of the parameters that were identified. Strongest: " + "; ".join(_strongest(rho, names)) + "."
-    picture = svg.drawing(width, top + size + 112.0, marks, "Correlation. " + caption)
-    return Figure("Correlation of the parameters", caption, picture, wide=True)
-
-
-def _cell(rho: float, x: float, y: float, cell: float, a: str, b: str) -> str:
-    css = "positive" if rho > 0.0 else "negative"
-    extra = f' fill-opacity="{abs(rho):.2f}"'
-    return svg.rect(x, y, cell - 1.0, cell - 1.0, css, f"{a}, {b}: {number(rho, 2, sign=True)}", extra)
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= 16 else name[:15] + "…"
-
-
-def _colour_key(x: float, y: float) -> str:
-    cells = []
-    for k in range(11):
-        rho = k / 5.0 - 1.0
-        cells.append(_cell(rho, x + 18.0 * k, y, 18.0, "key", "correlation"))
-    marks = zip((0, 5, 10), (-1, 0, 1), strict=True)
-    return "".join(cells) + "".join(svg.label(x + 18.0 * k + 9, y + 34, number(v, 0), "mid small") for k, v in marks)
-
-
-def _strongest(rho: Floats, names: Sequence[str]) -> list[str]:
-    i, j = np.tril_indices(len(names), -1)
-    order = np.argsort(-np.abs(rho[i, j]))[:STRONGEST]
-    return [f"{names[i[k]]} and {names[j[k]]} {number(rho[i[k], j[k]], 2, sign=True)}" for k in order]

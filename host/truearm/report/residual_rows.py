@@ -3,7 +3,7 @@
 A residual with one component has a sign, like a ball-bar's. One with several is their norm, like a line's. If the
 errors are white and Gaussian with one σ, the former follow a Gaussian distribution. The latter follow σ times the root
 of χ² with one degree of freedom per component (for three: a Maxwell distribution). ``Law`` represents this distinction;
-histogram and quantile plot are drawn against it. Residuals in several units, such as a pose's position and rotation,
+the histogram is drawn against it. Residuals in several units, such as a pose's position and rotation,
 form several sets of rows.
 """
 
@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from truearm.estimate.circumstances import sessions
 from truearm.estimate.measured_order import mountings
@@ -35,7 +34,6 @@ class ResidualRows(NamedTuple):
     before: Floats  # (n,) likewise
     longitude: Floats  # (n,) deg, NaN where there is none
     fitted: NDArray[np.bool_]  # (n,)
-    group: NDArray[np.str_]  # (n,)
     source: NDArray[np.str_]  # (n,)
     number: Indices  # (n,) of the row in the table, from 1
     session: Indices  # (n,) of the session or file it came from, from 0
@@ -87,15 +85,10 @@ class Law(NamedTuple):
         whole = 2.0 ** (self.width / 2.0 - 1.0) * math.gamma(self.width / 2.0) * self.sigma
         return np.where(z > 0.0, np.maximum(z, 0.0) ** (self.width - 1) * np.exp(-0.5 * z**2) / whole, 0.0)
 
-    def quantile(self, share: Floats) -> Floats:
-        if self.width == 1:
-            return np.asarray(self.mean + self.sigma * special.ndtri(share))
-        return np.asarray(self.sigma * np.sqrt(2.0 * special.gammaincinv(self.width / 2.0, share)))
-
 
 def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[ResidualRows]:
     """Return the observations of each kind and unit for display, without rows that have no finite residual."""
-    group, source, sets = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
+    source, sets = np.array([row_name(name) for name in table.source], dtype=np.str_), []
     order = np.arange(1, len(table) + 1), sessions(table), mountings(table)
     wrapped = DEG.of(np.arctan2(np.sin(longitude), np.cos(longitude)))
     for kind in np.unique(table.kind):
@@ -108,7 +101,7 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
             at = finite[si]
             after, before = (shown(residual[si][at], si) for residual in (estimate.residual, estimate.residual_before))
             component = PARTS.get(si, si) if len(units) > 1 else ""
-            rest = (wrapped[at], estimate.fitted[at], group[at], source[at], *(of[at] for of in order), component)
+            rest = (wrapped[at], estimate.fitted[at], source[at], *(of[at] for of in order), component)
             sets.append(ResidualRows(str(kind), si, after, before, *rest))
     return sets
 
@@ -116,18 +109,6 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
 def row_name(source: str) -> str:
     """Return the source of a row without folders, as in result.json: they reveal where someone works."""
     return str(source).rpartition("/")[2]
-
-
-def _groups(table: ObservationTable) -> NDArray[np.str_]:
-    """Return the group of each row, by its kind; it starts with the rig if there are several."""
-    names = np.full(len(table), "", dtype=object)
-    for key in np.unique(table.kind):
-        rows = np.flatnonzero(table.kind == key)
-        columns = (table[column][rows].tolist() for column in kinds()[str(key)].grouped_by)
-        names[rows] = [" · ".join(filter(None, identifiers)) for identifiers in zip(*columns, strict=True)]
-    if np.unique(table.rig).size > 1:
-        names = np.array([f"{rig}: {name}" if rig else name for rig, name in zip(table.rig, names, strict=True)])
-    return names.astype(np.str_)
 
 
 def law_of(rows: ResidualRows) -> Law:

@@ -17,14 +17,6 @@ SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" w
 MAX_TERMS = 4  # of a combination that are shown
 PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units
 
-# In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
-OBSERVABILITY = {
-    "o1": ("the average parameter: change of one residual in σ, caused by one step (geometric mean)", "σ"),
-    "o2": ("ratio of the weakest to the strongest combination of parameters; 1: all are determined equally well", "1"),
-    "o3": ("the weakest combination: change of all residuals together in σ, caused by one step", "σ"),
-    "o4": ("O2 times O3: small if either is", "σ"),
-}
-
 
 def direction_text(weights: Iterable[float], names: Iterable[str], most: int = MAX_TERMS) -> str:
     """Format a combination of parameters as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
@@ -94,11 +86,13 @@ class ParameterRow:
         form = f".{self.unit.decimals}f"
         forms = ((self.nominal, form), (self.value, form), (self.change, f"+{form}"))
         numbers = ("-" if math.isnan(number) else f"{number:{form}}" for number, form in forms)
-        sigma = "unidentifiable" if math.isnan(self.sigma) else f"{self.sigma:.2g}"
+        sigma = f"{self.sigma:.2g}" if not math.isnan(self.sigma) else "unidentifiable" if self.free else "held fixed"
         return one_line(self.name), *numbers, sigma, self.unit.symbol
 
 
-def parameter_table(entries: Iterable[Mapping[str, Any]]) -> Table:
-    """Return the parameters of result.json."""
-    rows = [ParameterRow.of_document(entry).texts for entry in entries]
-    return Table(("parameter", "nominal", "value", "change", "sigma", "unit "), rows)
+def parameter_table(rows: Iterable[ParameterRow]) -> Table:
+    """Return parameters as a table; the marks are "held" and "unseen"."""
+    listed = list(rows)
+    marks = ["unseen" * math.isnan(row.sigma) if row.free else "held" for row in listed]
+    titles = ("parameter", "nominal", "value", "change", "sigma", "unit ")
+    return Table(titles, [row.texts for row in listed], "parameters", marks=marks)

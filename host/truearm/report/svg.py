@@ -8,7 +8,7 @@ Labels and tooltips are plain text and are escaped here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,7 +19,6 @@ from truearm.report.page_text import MINUS, SUPERSCRIPT, escape
 from truearm.types import Floats
 
 SMALLEST = 1e-15  # smallest value on a log axis; noise-free residuals are rounding errors or exactly zero
-LONGEST_LABEL = 16  # letters of a category
 LETTER = 8.8  # width of a letter in a label, with the large letters of a phone
 
 
@@ -81,13 +80,6 @@ def _power_label(mantissa: float, exponent: int) -> str:
     if -3 <= exponent <= 4:
         return f"{mantissa * 10.0**exponent:g}"
     return ("" if mantissa == 1.0 else f"{mantissa:g}·") + "10" + str(exponent).translate(SUPERSCRIPT)
-
-
-def category_axis(label: str, names: Sequence[str]) -> Axis:
-    """Return an axis with one unit of space per name, centred at 0, 1, 2…"""
-    # Both ends of a long name are kept: the rig at its beginning, and what distinguishes it from others of that rig.
-    labels = tuple(name if len(name) <= LONGEST_LABEL else f"{name[:6]}…{name[-9:]}" for name in names)
-    return Axis(label, -0.5, len(names) - 0.5, tuple(float(k) for k in range(len(names))), labels)
 
 
 class Figure(NamedTuple):
