@@ -24,7 +24,7 @@ from truearm.types import Device, Rig
 
 
 def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) -> None:
-    outcome = run(*good, "--free", "*", "--hold-out", "outer", "--prior", "none", "--json")
+    outcome = run(*good, "--free", "*", "--hold-out", "shell=outer", "--prior", "none", "--json")
     assert (outcome.code, outcome.err) == (0, "")
     result = json.loads(outcome.out)
     assert (result["status"], result["rank"], result["n_free"]) == ("converged", 36, 54)
@@ -39,7 +39,7 @@ def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) ->
 
 
 def test_a_person_reads_parameters_errors_and_what_is_not_seen(run: Run, good: list[object]) -> None:
-    outcome = run(*good, "--free", "*", "--hold-out", "outer", "--details")
+    outcome = run(*good, "--free", "*", "--hold-out", "shell=outer", "--details")
     assert outcome.code == 0
     identified = shown["identified"]
     assert [identified[name] for name in ("rank", "n_free", "held_out", "unseen")] == [36, 54, 20, 18]

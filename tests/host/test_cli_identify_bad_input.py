@@ -49,7 +49,7 @@ BAD_ARGUMENTS = {
     "no such robot file": (["--model", "none.urdf"], "missing-file"),
     "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
     "no such group": (["--hold-out", "shell=s99"], "it has inner, outer"),
-    "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing-left"),
+    "every group": (["--hold-out", "shell=inner", "--hold-out", "shell=outer"], "nothing-left"),
     "no such parameter": (["--free", "link9.*"], "--free link9.*: matches no parameter"),
     "no such folder": (["--out", "/none/result.json"], "missing-file"),
     "a folder": (["--out", "/"], "unreadable-file"),

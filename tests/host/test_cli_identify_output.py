@@ -79,7 +79,7 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     table, rig = noisy
     value = table.value.copy()
     value[70] += 20 * SIGMA
-    options = ["--solver", "map", "--loss", "huber", "--hold-out", "outer", "--report", tmp_path / "r.html"]
+    options = ["--solver", "map", "--loss", "huber", "--hold-out", "shell=outer", "--report", tmp_path / "r.html"]
     result, _ = identified(run, tmp_path, replace(table, value=value), rig, *options)
     page = (tmp_path / "r.html").read_text()
     assert "<h1>Calibration of puma560</h1>" in page

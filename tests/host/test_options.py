@@ -73,7 +73,6 @@ def test_every_word_of_the_page_is_an_option():
         ("inspect s.mcap --allow-truncated", "--allow-damaged"),
         ("demo --device x", "--device"),  # it has no box
         ("record --duration 3", "--duration-s"),
-        ("map --tolerance 3", "truearm report and truearm validate have --tolerance-mm"),
         ("recover session.mcap", "truearm session recover"),
         ("export-session session.mcap --out x", "truearm session export"),
     ],

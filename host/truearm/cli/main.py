@@ -65,13 +65,8 @@ COMMANDS = {name: task for task, summaries in TASKS.items() for name in summarie
 # typer, which exports only its subclass BadParameter.
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
 
-# The parser's words for a wrong command line, and plainer ones. Versions of typer differ: some have others.
+# The parser's words for a wrong command line, and plainer ones.
 _PLAINER = (
-    (r"Value error, ", ""),
-    (r"Input should be greater than or equal to (\S+)", r"must be \1 or more"),
-    (r"Input should be less than or equal to (\S+)", r"must be \1 or less"),
-    (r"Input should be a valid integer.*", "is not a whole number"),
-    (r"Input should be a valid number.*", "is not a number"),
     (r"Got unexpected extra argument(?:\(s\)|s)? \((.*)\)", r"Too many arguments: \1"),
     (r"is not a valid int(?:eger)?(?: range)?", "is not a whole number"),
     (r"is not a valid float(?: range)?", "is not a number"),
@@ -228,7 +223,7 @@ def _unknown_option(exc: typer.BadParameter) -> str | None:
     option = getattr(exc, "option_name", None)  # only of unknown options
     if option is None or exc.ctx is None:
         return None
-    return option_for(command_tree(), exc.ctx.command, exc.ctx.info_name or "", option)
+    return option_for(exc.ctx.command, exc.ctx.info_name or "", option)
 
 
 def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:

@@ -7,7 +7,6 @@ from difflib import get_close_matches
 from typing import Any
 
 ALIKE = 0.75  # of two names, by difflib: less is another word
-MOST_OWNERS = 2  # commands that are named for an option
 
 # Earlier names are refused with a message that gives the new one. An option after a command is one of that command only.
 EARLIER = {
@@ -74,8 +73,8 @@ def command_for(root: Any, word: str) -> str | None:
     return f"truearm has no command {word!r}; use {commands}" if meant else None
 
 
-def option_for(root: Any, command: Any, path: str, word: str) -> str:
-    """Return why the command at ``path`` has no option ``word``, and what is used instead: one like it, or another command."""
+def option_for(command: Any, path: str, word: str) -> str:
+    """Return why the command at ``path`` has no option ``word``, and which one like it is used instead."""
     if word in REMOVED:
         return f"{word}: {REMOVED[word]}"
     options = [name for option in command.params for name in option.opts]
@@ -83,16 +82,7 @@ def option_for(root: Any, command: Any, path: str, word: str) -> str:
         return f"{word} is now {now}"
     if alike := get_close_matches(word, options, cutoff=ALIKE):
         return f"No such option: {word}; did you mean {' or '.join(alike)}?"
-    others: dict[str, list[str]] = {}
-    for name, other in _commands(root):
-        for option in (one.opts[0] for one in other.params):
-            if option == word or option.startswith(f"{word}-"):
-                others.setdefault(option, []).append(f"truearm {name}")
-    owners = [
-        f"{' and '.join(names[:MOST_OWNERS])} {'have' if names[1:] else 'has'} {option}"
-        for option, names in others.items()
-    ]
-    return "; ".join([f"No such option: {word}", *owners])
+    return f"No such option: {word}"
 
 
 def _commands(group: Any, path: str = "") -> Iterator[tuple[str, Any]]:

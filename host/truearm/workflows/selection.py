@@ -38,9 +38,9 @@ def held_out_rows(
 ) -> Mask | None:
     """Return a mask (n,) of the rows to hold out, None if none are named.
 
-    ``wanted``: groups ("shell=s61", "place=front", or "front" alone if no other group has that name), or one fraction
-    such as "0.2": that share of the poses, drawn by ``seed`` equally from every group. ``fit_only``: groups to fit; all
-    others are held out. Raises InputError for an unknown or ambiguous group, or if nothing would be left to fit.
+    ``wanted``: groups ("shell=s61", "place=front"), or one fraction such as "0.2": that share of the poses, drawn by
+    ``seed`` equally from every group. ``fit_only``: groups to fit; all others are held out. Raises InputError for an
+    unknown group, or if nothing would be left to fit.
     """
     if fit_only:
         not_fitted: Mask = ~np.any([_group_rows(table, group, FIT_ONLY) for group in fit_only], axis=0)
@@ -105,13 +105,14 @@ def is_drawn(text: str) -> bool:
 
 def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask:
     column, equals, identifier = group.partition("=")
+    fraction = ", or a fraction between 0 and 1" if argument is HOLD_OUT else ""
     if not equals:
-        return _bare_group_rows(table, group, argument)
+        groups = [f"{column}={name}" for column in GROUPS for name in np.unique(table[column]) if name]
+        raise InputError(argument, f" {group}: is not COLUMN=VALUE{fraction}; {_listed('group', groups, 'the table')}")
     numbers = None if column in identifiers() else column_of_title(table, column)
     if numbers is not None:
         return _rows_between(numbers, identifier, group, argument)
     if not _has_names(column):
-        fraction = ", or a fraction" if argument is HOLD_OUT else ""
         raise InputError(
             argument, f" {group}: {column!r} is not a group; use one of {', '.join(identifiers())}{fraction}"
         )
@@ -138,32 +139,6 @@ def _rows_between(numbers: Floats, span: str, group: str, argument: Argument) ->
         shown = f"{np.nanmin(numbers):g} to {np.nanmax(numbers):g}" if np.isfinite(numbers).any() else "none"
         raise InputError(argument, f" {group}: no row has such a value; the column has {shown}")
     return rows
-
-
-def _bare_group_rows(table: ObservationTable, identifier: str, argument: Argument) -> Mask:
-    columns = [column for column in GROUPS if identifier and np.any(table[column] == identifier)]
-    if len(columns) > 1:
-        raise InputError(
-            argument, f" {identifier} is both a place and a shell; write place={identifier} or shell={identifier}"
-        )
-    if not columns and _is_number(identifier) and argument is HOLD_OUT:
-        raise InputError(
-            argument, f" {identifier}: a fraction lies between 0 and 1, such as 0.2; a group is written shell=NAME"
-        )
-    if not columns:
-        groups = [f"{column}={name}" for column in GROUPS for name in np.unique(table[column]) if name]
-        raise InputError(
-            argument, f" {identifier}: no place or shell has that name; {_listed('group', groups, 'the table')}"
-        )
-    return np.asarray(table[columns[0]] == identifier)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _listed(noun: str, names: Sequence[str], where: str = "it") -> str:
