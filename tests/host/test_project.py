@@ -119,12 +119,12 @@ def test_init_takes_what_was_measured(tmp_path, run):
     assert {part.sigma for part in parts} == {bar.zero_sigma for bar in rig.bars.values()} == {2e-5}
 
 
+BOUNDS = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
+
+
 class Terminal(io.StringIO):
     def isatty(self):
         return True
-
-
-BOUNDS = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
 
 
 @pytest.mark.parametrize(
@@ -137,18 +137,11 @@ BOUNDS = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
             {1e-4},
             ("ur55", "address", "nothing, tape, calliper, machine"),
         ),
-        (
-            ["arm.urdf", "panda_link,panda_link8", "panda_link0, panda_link8", "-150:150", BOUNDS, *[""] * 10],
-            Project("arm.urdf", base="panda_link0", tip="panda_link8", branch=BOUNDS),
-            {1e-4, 1e-3},
-            (),
-        ),
     ],
 )
 def test_init_asks_on_a_terminal_and_again_after_a_typing_error(
     tmp_path, run, monkeypatch, answers, expected, sigmas, named
 ):
-    shutil.copy(Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf", tmp_path / "arm.urdf")
     monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
     monkeypatch.chdir(tmp_path)
     code, _, err = run("init", "--minutes", 0)

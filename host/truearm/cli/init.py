@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import typer
 
@@ -22,7 +22,6 @@ from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.record.robots.sources import check_address
 from truearm.units import MM
 
-T = TypeVar("T")
 OWN_OPTIONS: dict[str, tuple[str, ...]] = {  # of each method
     "ball-bar": ("chucks", "spheres", "bars_mm", "measured_with", "minutes"),
     "sockets": ("ball_xyz_mm", "ball_mm", "table_mm", "places", "seats"),
@@ -106,9 +105,7 @@ def init(
     json
     """
     from truearm.files.project_file import Project
-    from truearm.files.robot_file import is_urdf, load_robot
     from truearm.findings import entries, findings_of, option
-    from truearm.plan.branches import branch_of
     from truearm.workflows.project import ProjectWanted, create
     from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
 
@@ -125,7 +122,7 @@ def init(
     if model is None and not asking:
         raise InputError("--model is missing: give a built-in robot, a robot file or a URDF (see truearm init --help)")
 
-    def ask(given: str | None, question: str, read: Callable[[str], T], default: str = "") -> T:
+    def ask(given: str | None, question: str, read: Callable[[str], str], default: str = "") -> str:
         """Return what was given or is answered; a wrong answer is asked for again."""
         if given is not None or not asking:
             return read(default if given is None else given)
@@ -136,30 +133,6 @@ def init(
                 typer.echo(f"  {exc}", err=True)
 
     model = ask(model, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", _model, "ur5e")
-    if is_urdf(model):
-
-        def links(text: str) -> tuple[str, str]:
-            first, _, last = (part.strip() for part in text.partition(","))
-            if asking:
-                load_robot(model, first or None, last or None)
-            return first, last
-
-        def bounds_of(text: str) -> str:
-            if asking:
-                branch_of(load_robot(model, base or None, tip or None), branch_given(text or None))
-            return text
-
-        base, tip = ask(
-            f"{base},{tip}" if base or tip else None,
-            "First and last link of the arm in the URDF, FIRST,LAST (Enter for its root and its only leaf)",
-            links,
-        )
-        if not sockets:
-            branch = ask(
-                branch,
-                "Bounds of every joint [deg], within which the arm keeps one configuration, LOW:HIGH,… from the base on",
-                bounds_of,
-            )
     project = Project(
         model=_from_folder(model, folder),
         base=base,
