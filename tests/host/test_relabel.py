@@ -212,13 +212,13 @@ class TestOneMissedEnter:
         assert found[13] == ("bar61", "c3", "s1")
         relabel(path, None, "plan", ["14=bar61,c3,s1"])
         assert used(path) == {k: pairing_at(plan, k) for k in used(path)} | {13: ("bar61", "c3", "s1")}
-        assert read_labels(path).decisions[0].trust == "plan"
+        assert json.loads(labels_path(path).read_text())["decisions"][0]["trust"] == "plan"
 
     def test_dwells_of_a_further_part_are_named_by_its_file(self, path, plan):
         second = path.parent / "s.2.mcap"
         recorded(second, plan, [replace(visit, typed=()) for visit in right(plan)], of="s.mcap")
         assert main(["session", "relabel", str(path), "--mounted", "s.2.mcap 14:15=bar61,c3,s1"]) == 0
-        first, further = ([dwell.mounted for dwell in read_labels(of).decisions[0].dwells] for of in (path, second))
+        first, further = ([dwell.mounted for dwell in read_labels(of)] for of in (path, second))
         named = dict(zip(BAR_MOUNTED, ("bar61", "c3", "s1"), strict=True))
         assert further[13:15] == [named, named]
         assert named not in first[13:15]

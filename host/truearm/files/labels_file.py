@@ -6,40 +6,74 @@ modified, and identifies it by its SHA-256. If there are several decisions, the 
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct
 
 from truearm.errors import SessionError
 from truearm.files.disk import read_text, sha256, write_atomic
 from truearm.files.strict_json import strict_json
-from truearm.schema import IDENTIFIER, Choice, Key, List, Number, SchemaError, Table, Text, Whole, raising
+from truearm.schema import NAME
 from truearm.types import BAR_MOUNTED, DwellLabel
 
-FORMAT, FORMAT_VERSION = "truearm-labels", 1
 SUFFIX = ".labels.json"
 MAX_BYTES = 64 << 20
-MOST_DWELLS, MOST_DECISIONS = 100_000, 1000
+MOUNTED = (*BAR_MOUNTED, "shell")
+
+Time = Annotated[int, Meta(ge=-(2**62), le=2**62)]
+Name = Annotated[str, Meta(pattern=rf"^(?:{NAME.pattern})\Z")]
+Text = Annotated[str, Meta(max_length=500)]
 
 
-@dataclass(frozen=True)
-class Decision:
+class Dwell(Struct, frozen=True, omit_defaults=True):
+    """A label; without ``bar``, ``chuck`` and ``sphere``, it is unknown what was mounted."""
+
+    begin_ns: Time
+    end_ns: Time
+    bar: Name = ""
+    chuck: Name = ""
+    sphere: Name = ""
+    shell: Name = ""
+    pose: Annotated[int, Meta(ge=0, le=10**9)] | None = None
+    probability: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    detail: Text = ""
+
+    def __post_init__(self) -> None:
+        if any(self.mounted.values()) and not all(getattr(self, name) for name in BAR_MOUNTED):
+            raise ValueError("names only some of bar, chuck and sphere; give all three or none")
+
+    @property
+    def mounted(self) -> dict[str, str]:
+        """Return what was mounted, by column."""
+        return {name: getattr(self, name) for name in MOUNTED if getattr(self, name)}
+
+    @property
+    def label(self) -> DwellLabel:
+        """Return the label of a dwell."""
+        probability = math.nan if self.probability is None else self.probability
+        return DwellLabel(self.begin_ns, self.end_ns, self.mounted, self.pose, probability, self.detail)
+
+
+class Decision(Struct, frozen=True, omit_defaults=True):
     """Labels settled at one time. ``trust``: what was assumed correct; ``robot``: its nominal model, or ""."""
 
-    trust: str
-    dwells: tuple[DwellLabel, ...]
-    robot: str = ""
+    trust: Text
+    dwells: Annotated[tuple[Dwell, ...], Meta(max_length=100_000)]
+    robot: Text = ""
 
 
-@dataclass(frozen=True)
-class Labels:
+class Labels(Struct, frozen=True):
     """All decisions about the session with this SHA-256, the earliest first."""
 
-    session: str
-    sha256: str
-    decisions: tuple[Decision, ...]
+    format: Literal["truearm-labels"]
+    format_version: Literal[1]
+    session: Text
+    sha256: Text
+    decisions: Annotated[tuple[Decision, ...], Meta(min_length=1, max_length=1000)]
 
 
 def labels_path(session: Path) -> Path:
@@ -47,103 +81,38 @@ def labels_path(session: Path) -> Path:
     return session.with_name(session.stem + SUFFIX)
 
 
-def read_labels(session: Path) -> Labels | None:
-    """Return the labels of a session, or None if it has none.
+def read_labels(session: Path) -> tuple[DwellLabel, ...] | None:
+    """Return the labels of the last decision about a session, or None if it has none.
 
     Raises SessionError, also for labels that belong to another session.
     """
     path = labels_path(session)
     if not path.exists():
         return None
-    text = read_text(path, MAX_BYTES, SessionError)
     try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as exc:
-        raise SessionError(
-            f"{path}: is not JSON: {str(exc)[:100]}; label the dwells again with truearm session relabel"
-        ) from exc
-    with raising(SessionError, str(path)):
-        found = _LABELS.parse(document)
-    if found.sha256 != sha256(session):
+        labels = msgspec.json.decode(read_text(path, MAX_BYTES, SessionError), type=Labels)
+    except (msgspec.MsgspecError, RecursionError) as exc:
+        raise SessionError(f"{path}: {exc}; label the dwells again with truearm session relabel") from exc
+    if labels.sha256 != sha256(session):
         raise SessionError(
             f"{path}: was made for another session named {session.name}; remove it, and label the dwells again with truearm session relabel"
         )
-    return found
+    return tuple(dwell.label for dwell in labels.decisions[-1].dwells)
 
 
-def write_labels(session: Path, decision: Decision) -> None:
-    """Write the labels of a session atomically. Raises InputError."""
+def write_labels(session: Path, labels: Sequence[DwellLabel], trust: str, robot: str) -> None:
+    """Write the labels of a session atomically; ``trust`` and ``robot`` as in ``Decision``. Raises InputError."""
+    dwells = tuple(
+        Dwell(
+            label.begin_ns,
+            label.end_ns,
+            **label.mounted,
+            pose=label.pose,
+            probability=label.probability if math.isfinite(label.probability) else None,
+            detail=label.detail,
+        )
+        for label in labels
+    )
     name = session.name.encode(errors="backslashreplace").decode()
-    document = _document(Labels(name, sha256(session), (decision,)))
-    write_atomic(labels_path(session), strict_json(document) + "\n")
-
-
-def _document(labels: Labels) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "session": labels.session,
-        "sha256": labels.sha256,
-        "decisions": [
-            {"trust": one.trust, "robot": one.robot, "dwells": [_entry(label) for label in one.dwells]}
-            for one in labels.decisions
-        ],
-    }
-
-
-def _entry(label: DwellLabel) -> dict[str, Any]:
-    said: dict[str, Any] = {"begin_ns": label.begin_ns, "end_ns": label.end_ns, **label.mounted}
-    if label.pose is not None:
-        said["pose"] = label.pose
-    if math.isfinite(label.probability):
-        said["probability"] = label.probability
-    return {**said, "detail": label.detail} if label.detail else said
-
-
-def _label(begin_ns: int, end_ns: int, **said: Any) -> DwellLabel:
-    rest = {key: said.pop(key) for key in ("pose", "probability", "detail") if key in said}
-    if said and not all(key in said for key in BAR_MOUNTED):
-        raise SchemaError("names only some of bar, chuck and sphere; give all three or none")
-    return DwellLabel(begin_ns, end_ns, said, **rest)
-
-
-def _labels(format: str, format_version: int, **values: Any) -> Labels:
-    return Labels(**values)
-
-
-_TIME = Whole(-(2**62), 2**62)
-_NAMES = tuple(Key(key, IDENTIFIER, optional=True) for key in (*BAR_MOUNTED, "shell"))
-_DWELL = Table(
-    (
-        Key("begin_ns", _TIME),
-        Key("end_ns", _TIME),
-        *_NAMES,
-        Key("pose", Whole(0, 10**9), optional=True),
-        Key("probability", Number(least=0.0, most=1.0), optional=True),
-        Key("detail", Text(500), optional=True),
-    ),
-    _label,
-)
-_DECISION = Table(
-    (
-        Key("trust", Text(one_line=True)),
-        Key("robot", Text(), optional=True),
-        Key("dwells", List(_DWELL, least=0, most=MOST_DWELLS)),
-    ),
-    Decision,
-)
-_LABELS: Table[Labels] = Table(
-    (
-        Key("format", Choice((FORMAT,))),
-        Key("format_version", Whole(1, FORMAT_VERSION)),
-        Key("session", Text(300)),
-        Key("sha256", Text(64)),
-        Key("decisions", List(_DECISION, least=1, most=MOST_DECISIONS)),
-    ),
-    _labels,
-)
-
-
-def last_dwells(labels: Labels | None) -> tuple[DwellLabel, ...] | None:
-    """Return the labels of the last decision, or None if there are no labels."""
-    return None if labels is None or not labels.decisions else labels.decisions[-1].dwells
+    document = Labels("truearm-labels", 1, name, sha256(session), (Decision(trust, dwells, robot),))
+    write_atomic(labels_path(session), strict_json(msgspec.to_builtins(document)) + "\n")

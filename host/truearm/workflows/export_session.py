@@ -13,6 +13,7 @@ from truearm.file_names import system_reason
 from truearm.files.column_tables import Columns, ColumnTable, Placement
 from truearm.files.column_writers import FORMATS, check_format
 from truearm.files.disk import sha256, working_folder
+from truearm.files.labels_file import read_labels
 from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
 from truearm.files.strict_json import strict_json
@@ -24,7 +25,7 @@ from truearm.session.session_tables import dwell_columns, pass_columns, plan_col
 from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.requests import ExportSession
-from truearm.workflows.session_observations import attached_rig, labels_of, surveyed
+from truearm.workflows.session_observations import attached_rig, surveyed
 from truearm.workflows.session_parts import open_finished
 
 SAID = "session.json"
@@ -111,7 +112,7 @@ def _observations(
     if rig is None:
         yield "dwells", dwell_columns(found, found.dwells, units)
         raise InputError("was recorded without a rig; give a rig to get observations")
-    result = observations(session.batches, rig, name=session.path.name, found=found, labels=labels_of(session.path))
+    result = observations(session.batches, rig, name=session.path.name, found=found, labels=read_labels(session.path))
     yield "dwells", dwell_columns(found, result.dwells, units)
     if result.passes:
         yield "passes", pass_columns(result.passes)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.files.disk import check_outputs, same_file
-from truearm.files.labels_file import labels_path
+from truearm.files.labels_file import labels_path, read_labels
 from truearm.files.noise_file import check_against_rigs, read_noise, with_noise
 from truearm.files.observation_table import check_against_rig, concatenate, read_table
 from truearm.files.result_file import Input, input_of
@@ -37,7 +37,6 @@ from truearm.workflows.session_observations import (
     SessionOptions,
     attached_rig,
     is_session,
-    labels_of,
     nothing_observed,
     observations_of_opened,
     silent,
@@ -233,7 +232,7 @@ def _read_session(
     table = result.table
     if joint_units is not None and len(table) and table.q.shape[1] != len(joint_units):
         raise InputError("other-robot", place=path, joints=table.q.shape[1], expected=len(joint_units))
-    labels = labels_of(path) is not None
+    labels = read_labels(path) is not None
     doubtful = 0
     if robot is not None and not labels:
         with step("comparing labels with the readings"):

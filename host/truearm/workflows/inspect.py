@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from truearm.errors import InputError, SessionError
+from truearm.files.labels_file import read_labels
 from truearm.files.strict_json import without_nan
 from truearm.findings import entries
 from truearm.progress import step
@@ -16,7 +17,7 @@ from truearm.session.joint_format import parse_reading
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM
-from truearm.workflows.session_observations import attached_rig, labels_of, surveyed
+from truearm.workflows.session_observations import attached_rig, surveyed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -212,7 +213,7 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
         if rig is None:
             dwells["not_paired"] = "no rig is attached"
             return document
-        result = observations(session.batches, rig, found=survey, labels=labels_of(session.path))
+        result = observations(session.batches, rig, found=survey, labels=read_labels(session.path))
     except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
         dwells["not_paired"] = one_line(str(exc))
         return document

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, Words, mountings
-from truearm.files.labels_file import Decision, labels_path, write_labels
+from truearm.files.labels_file import labels_path, write_labels
 from truearm.live.session_progress import check_mounted
 from truearm.progress import step
 from truearm.session.plan_matching import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
@@ -58,8 +58,8 @@ def relabel(
             left_out.append({"session": stop.place[0].name, "dwell": stop.place[1], "detail": label.detail})
     saved = paths if trust or mounted else []
     for path in saved:
-        of_path = tuple(label for (file, _), label in labels.items() if file == path)
-        write_labels(path, Decision(trust or "named", of_path, "" if robot is None else robot.chain.name))
+        of_file = [label for (file, _), label in labels.items() if file == path]
+        write_labels(path, of_file, trust or "named", "" if robot is None else robot.chain.name)
     return {
         "sessions": [path.name for path in paths],
         "saved": [str(labels_path(path)) for path in saved],

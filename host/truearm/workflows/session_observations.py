@@ -16,6 +16,7 @@ import numpy as np
 
 from truearm.box.readiness import FAR, LVDT, LVDT_DRIFT, STEEL
 from truearm.errors import Argument, InputError, RigError, SessionError
+from truearm.files.labels_file import read_labels
 from truearm.session.session_tables import UNKNOWN, Batch, Columns, tabulate
 from truearm.text import counted, one_line, page
 from truearm.types import Floats
@@ -25,7 +26,7 @@ from truearm.workflows.session_parts import SUFFIX, open_finished
 if TYPE_CHECKING:
     from truearm.session.observations import Survey, SyncResult
     from truearm.session.session_file import Session, Source
-    from truearm.types import BallBar, DwellLabel, Plan, Rig
+    from truearm.types import BallBar, Plan, Rig
 
 RIG = "rig.toml"
 SAID = 3  # damaged places reported; inspect lists all
@@ -77,15 +78,6 @@ def nothing_observed(path: Path, dwells: Mapping[str, int], passes: Mapping[str,
     # One wrong label is a slip of the operator. If no reading fits its label, the prediction is wrong.
     wrong = "check that robot and rig are those that were measured; if so, " * (set(dwells) == {DOUBTFUL})
     return f"{path}: no observation from {' and '.join(parts)}; {wrong}{'; '.join(helps)}"
-
-
-def labels_of(path: Path) -> tuple[DwellLabel, ...] | None:
-    """Return the settled labels of a session's dwells (``truearm session relabel``), None if there are none. Raises
-    SessionError.
-    """
-    from truearm.files.labels_file import last_dwells, read_labels
-
-    return last_dwells(read_labels(path))
 
 
 def is_session(path: Path) -> bool:
@@ -147,7 +139,7 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
         options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or recorded_rig(session, path)
     rules = LineRules(points=options.line_points)
-    labels = labels_of(path)
+    labels = read_labels(path)
     try:
         read = surveyed(session)
         if options.plan is not None:
