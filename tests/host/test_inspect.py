@@ -58,9 +58,6 @@ def test_json_says_what_was_put_in(stream, tmp_path, run):
     assert (losses["frames_lost"], losses["samples_lost"], losses["frames_malformed"]) == (1, 13, 1)
     assert (losses["console_runs"], losses["console_bytes"]) == (1, len(EVIL))
     assert not {"restarts", "samples_overrun", "sync_unanswered"} & set(losses)
-    assert said["topics"]["/box/adc"]["messages"] == len(places)
-    assert said["topics"]["/box/adc"]["rate_hz"] > 0.0
-    assert said["topics"]["/box/ident"]["rate_hz"] is None  # the pages of one document
     (adc,) = said["streams"]
     assert adc["rate_nominal_hz"] == pytest.approx(1e9 / PERIOD_NS)
     assert adc["rate_by_host_hz"] == pytest.approx(1e9 / PERIOD_NS, rel=1e-6)  # stamps are cut to 1 µs over 15 s
@@ -92,12 +89,12 @@ def test_a_host_clock_that_stepped_is_said(stream, tmp_path, run):
 
 
 def test_text_has_no_control_characters_of_the_file(stream, tmp_path, run):
-    names = [Message("/odd\x1b[31m\x07topic", 1, b"x"), Message("/events", 2, b'{"kind":"a\\u001b[2Jb"}')]
+    events = [Message("/events", 2, b'{"kind":"a\\u001b[2Jb"}')]
     console = [Message("/box/console", 3, EVIL)] * 12
-    code, out, err = run("inspect", write(tmp_path / "s.mcap", [*names, *console, *stream]), "--details")
+    code, out, err = run("inspect", write(tmp_path / "s.mcap", [*events, *console, *stream]), "--details")
     assert (code, err) == (0, "")
     assert all(c.isprintable() or c == "\n" for c in out)
-    for words in ("\\x1b]0;owned\\x07", "line two", "2 more", "\\x1b[31m"):
+    for words in ("\\x1b]0;owned\\x07", "line two", "2 more"):
         assert words in out
 
 

@@ -128,18 +128,16 @@ def _curve(curve: Document) -> tuple[str, ...]:
 Rows = Sequence[Mapping[str, Any]]
 
 MOST_ROWS = 24  # of a table of dwells or passes
-TOPICS = ("topic", "messages", "rate/Hz", "longest gap/s", "bytes")
 STREAMS = ("stream", "channels ", "samples", "nominal/Hz", "by box/Hz", "by host/Hz", "pieces")
 DWELLS = ("dwell", "robot time/s", "settling/s", "used/s", "pose", "mounted ", "rejected ")
 PASSES = ("pass", "robot time/s", "mm/s", "points", "noise x, y, z/µm", "joints/µrad", "line ", "rejected ")
 
 
 def session_tables(document: Mapping[str, Any]) -> Iterator[Table | str]:
-    """Return topics, streams, the box's text, dwells and passes.
+    """Return streams, the box's text, dwells and passes.
 
     Names from the file have their control characters made visible; console text has so already.
     """
-    yield Table(TOPICS, (_topic(name, topic) for name, topic in document["topics"].items()))
     if document["streams"]:
         yield Table(STREAMS, map(_stream, document["streams"]))
     runs = document["console"]
@@ -155,11 +153,6 @@ def session_tables(document: Mapping[str, Any]) -> Iterator[Table | str]:
             yield Table(titles, map(make, shown[:MOST_ROWS]))
         if len(shown) > MOST_ROWS:
             yield f"… {len(shown) - MOST_ROWS} more; --json has all"
-
-
-def _topic(name: str, topic: Mapping[str, Any]) -> tuple[object, ...]:
-    rate = _number(topic["rate_hz"], ".2f")
-    return one_line(name), topic["messages"], rate, f"{topic['longest_silence_s']:.3f}", topic["bytes"]
 
 
 def _stream(stream: Mapping[str, Any]) -> tuple[object, ...]:

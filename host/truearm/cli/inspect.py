@@ -26,7 +26,7 @@ def inspect(
     Options
     -------
     details
-        Print rates, clocks and gaps, and tables of topics, streams, dwells and lines.
+        Print rates, clocks and gaps, and tables of streams, dwells and lines.
     """
     from truearm.cli.details import session_tables
     from truearm.cli.findings_text import show

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from truearm.errors import InputError, SessionError
+from truearm.errors import InputError
 from truearm.files.labels_file import read_labels
 from truearm.files.strict_json import without_nan
 from truearm.findings import entries
@@ -20,76 +20,48 @@ from truearm.units import NS, PPM
 from truearm.workflows.session_observations import attached_rig, surveyed
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from truearm.session.dwells import Dwell
     from truearm.session.line_passes import LinePass
     from truearm.session.observations import Survey
     from truearm.session.session_file import Messages, Session
     from truearm.session.streams import Silences
 
-MAX_TOPICS = 1000
-DOCUMENTS = frozenset({"/plan", "/box/ident"})  # topics of documents sent in parts: their messages have no rate
 CONSOLE_RUNS = 10  # displayed of the box's text
 CONSOLE_BYTES = 400  # displayed of each run
 
 
-@dataclass
-class Topic:
-    """Arrivals of one topic."""
-
-    messages: int
-    bytes: int
-    first_ns: int
-    last_ns: int
-    longest_silence_ns: int = 0
-
-
 class Contents:
-    """Counts messages as they pass, and keeps the first console text of the box."""
+    """Takes what only inspection wants of messages as they pass: their times, and the texts of box and robot."""
 
     def __init__(self) -> None:
         from truearm.session.streams import Silences
 
-        self.topics: dict[str, Topic] = {}
-        self.console: list[bytes] = []
+        self.first_ns, self.last_ns = 2**63 - 1, 0
+        self.console: list[bytes] = []  # the first texts of the box
+        self.robot_bytes = 0  # of what is no joint reading
         self.other_joints = 0  # readings with a different number of joints, which the recorder did not accept
         self.silences = Silences()
         self._watched = False
 
     def watched(self, batches: Iterator[Messages]) -> Iterator[Messages]:
-        """Yield the same messages; they are counted the first time."""
+        """Yield the same messages; they are taken the first time."""
         if self._watched:
             yield from batches
             return
         self._watched = True
         for messages in batches:
-            for topic in messages.topics:
-                self._count(topic, messages, messages.rows(topic.__eq__))
+            self._take(messages)
             self.silences.take(messages)
             yield messages
 
-    def _count(self, name: str, messages: Messages, rows: NDArray[np.intp]) -> None:
-        if not len(rows):
-            return
-        t_ns, topic = messages.t_host_ns[rows], self.topics.get(name)
-        if topic is None:
-            if len(self.topics) >= MAX_TOPICS:
-                raise SessionError(
-                    f"the session has more than {MAX_TOPICS} topics; a session of truearm record has about a dozen"
-                )
-            topic = self.topics[name] = Topic(0, 0, int(t_ns[0]), int(t_ns[0]))
-        topic.messages += len(rows)
-        topic.bytes += int((messages.end[rows] - messages.begin[rows]).sum())
-        silence_ns = max(int(t_ns[0]) - topic.last_ns, int((t_ns[1:] - t_ns[:-1]).max(initial=0)))
-        topic.longest_silence_ns = max(topic.longest_silence_ns, silence_ns)
-        topic.last_ns = int(t_ns[-1])
-        if name == "/robot/console":
-            self.other_joints += sum(parse_reading(line) is not None for line in messages.payloads(rows))
-        if name == "/box/console":
-            said = messages.payloads(rows[: CONSOLE_RUNS - len(self.console)])
-            self.console += [data[:CONSOLE_BYTES] for data in said]
+    def _take(self, messages: Messages) -> None:
+        self.first_ns = int(messages.t_host_ns.min(initial=self.first_ns))
+        self.last_ns = int(messages.t_host_ns.max(initial=self.last_ns))
+        robot = messages.payloads(messages.rows("/robot/console".__eq__))
+        self.robot_bytes += sum(map(len, robot))
+        self.other_joints += sum(parse_reading(line) is not None for line in robot)
+        rows = messages.rows("/box/console".__eq__)[: CONSOLE_RUNS - len(self.console)]
+        self.console += [data[:CONSOLE_BYTES] for data in messages.payloads(rows)]
 
 
 @step("inspecting the session")
@@ -100,21 +72,19 @@ def describe(session: Session) -> dict[str, Any]:
     """
     contents = Contents()
     survey = surveyed(session, lambda: contents.watched(session.batches()))
-    times = [t for topic in contents.topics.values() for t in (topic.first_ns, topic.last_ns)]
     document = {
         "file": str(session.path),
         "truncated": session.truncated,
         "damage": [asdict(damage) for damage in session.damage],
-        "duration_s": NS.to_si(max(times) - min(times)) if times else 0.0,
+        "duration_s": max(NS.to_si(contents.last_ns - contents.first_ns), 0.0),
         "metadata": {
             key: session.metadata.get(key, {}) for key in ("session", "session-end", "joints-added", "recovered")
         },
         "attachments": sorted(session.attachments),
-        "topics": {name: _topic(name, topic) for name, topic in sorted(contents.topics.items())},
         "simulated": any(ident.simulated for ident in survey.idents.values()),
         "firmware": sorted({ident.firmware for ident in survey.idents.values()}),
         "streams": [_stream(stream, survey) for stream in survey.streams],
-        "losses": asdict(survey.losses) | _silences(contents.silences, min(times, default=0), survey),
+        "losses": asdict(survey.losses) | _silences(contents.silences, contents.first_ns, survey),
         "console": [printable(data) for data in contents.console],
         "clock": [asdict(report) for report in survey.clock_reports],
         "temperature_degc": {
@@ -134,16 +104,6 @@ def printable(data: bytes) -> str:
     """Return untrusted bytes as printable text; anything else as \\x.. escapes."""
     text = data.decode(errors="backslashreplace").replace("\r\n", "\n")
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
-
-
-def _topic(name: str, topic: Topic) -> dict[str, Any]:
-    span = NS.to_si(topic.last_ns - topic.first_ns)
-    return {
-        "messages": topic.messages,
-        "bytes": topic.bytes,
-        "rate_hz": (topic.messages - 1) / span if span > 0.0 and name not in DOCUMENTS else None,
-        "longest_silence_s": NS.to_si(topic.longest_silence_ns),
-    }
 
 
 def _stream(stream: Any, survey: Survey) -> dict[str, Any]:
@@ -178,12 +138,11 @@ def _silences(silences: Silences, begin_ns: int, survey: Survey) -> dict[str, An
 
 def _robot(survey: Survey, contents: Contents) -> dict[str, Any]:
     joints = survey.joints
-    console = contents.topics.get("/robot/console")
     names = ("readings", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz")
     return {
         **{name: getattr(joints, name) for name in names},
         "malformed": joints.malformed + contents.other_joints,
-        "console_bytes": console.bytes if console else 0,
+        "console_bytes": contents.robot_bytes,
         "joints": len(joints.step),
         "quantisation_rad": joints.step.tolist(),
         "clock": [asdict(report) for report in joints.reports],
