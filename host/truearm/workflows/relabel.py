@@ -58,8 +58,8 @@ def relabel(
             left_out.append({"session": stop.place[0].name, "dwell": stop.place[1], "detail": label.detail})
     saved = paths if trust or mounted else []
     for path in saved:
-        of_file = [label for (file, _), label in labels.items() if file == path]
-        write_labels(path, of_file, trust or "named", "" if robot is None else robot.chain.name)
+        settled = [label for (file, _), label in labels.items() if file == path]
+        write_labels(path, settled, trust or "named", "" if robot is None else robot.chain.name)
     return {
         "sessions": [path.name for path in paths],
         "saved": [str(labels_path(path)) for path in saved],
