@@ -3,31 +3,20 @@
 ::
 
     TruearmError
-    ├── InputError            what the user gave is wrong: one clear line, exit code 2; a ValueError too
-    │   ├── MissingFileError  a file that does not exist; a FileNotFoundError too
-    │   └── FileError         the content of a file
-    │       ├── TableError    a table of observations (CSV)
-    │       ├── RigError      a rig file (TOML)
-    │       ├── RobotError    a robot file (TOML or URDF)
-    │       ├── PlanError     a plan of poses (CSV)
-    │       ├── TargetError   a table of targets (CSV), or a target that cannot be corrected
-    │       ├── SessionError  a session file (MCAP)
-    │       ├── ConfigError   a box's configuration (TOML)
-    │       └── ImageError    an image for the box's chip (UF2)
-    ├── WriteError            a file cannot be written any more (a full disk)
-    ├── ProblemError          the observations and the robot do not define a solvable problem
-    ├── IncompleteError       a recording ended before everything requested arrived; the received data are kept
-    └── LinkError             the box or the robot stopped answering
-        ├── LinkClosed        the other side ended the stream normally
-        ├── RefusedError      the box refuses a command
-        └── ProtocolError     the box uses a protocol that this version does not support
+    ├── InputError            what the user gave is wrong: exit code 2; a ValueError too
+    │   ├── MissingFileError  a FileNotFoundError too
+    │   └── FileError         Table-, Rig-, Robot-, Plan-, Target-, Session-, Config- and ImageError
+    ├── WriteError
+    ├── ProblemError
+    ├── IncompleteError       what was received is kept
+    └── LinkError             LinkClosed, RefusedError, ProtocolError
 
 Data conditions (rank, convergence, gaps, losses) are fields of results, never exceptions.
 
-Every error is a finding: it has a code and values. A cause on which a user acts in a way of its own has an entry in
-``truearm.finding_texts``, and is raised by its code: ``TableError("no-rows", place=name)``. All other errors have a
-text, "PLACE: REASON", and the code of their class. A text that names an argument of the caller contains it as a separate
-``Argument``. Python shows the argument's name, the command line shows the option instead.
+Every error is a finding with a code and values. A cause on which a user acts in a way of its own has an entry in
+``truearm.finding_texts``, and is raised by its code: ``TableError("no-rows", place=name)``. All others have a text,
+"PLACE: REASON", and the code of their class. A text names an argument of the caller by an ``Argument``: Python shows
+the argument's name, the command line the option.
 """
 
 from __future__ import annotations

@@ -1,15 +1,17 @@
-r"""Calibrate a sensor against a reference: fit the polynomial that converts its reading x to a position y.
+"""Calibrate a sensor against a reference: fit the polynomial that converts its reading x to a position y.
 
-The sensor is placed at n positions. At each, the reference gives y_i and the sensor x_i, a mean over seconds, so its
-noise is small compared with the residuals of the polynomial. The fit uses Legendre polynomials over the readings' span,
-whose columns A = QR are nearly orthogonal.
+At each of n positions, the reference gives y_i and the sensor x_i, a mean over seconds with little noise. The fit uses
+Legendre polynomials over the readings' span, whose columns A = QR are nearly orthogonal.
 
-**Choosing the order.** A higher order always leaves smaller residuals e at the points it was fitted to. Leaving out
-point i predicts it with the error e_i / (1 − h_i), where h is the diagonal of QQᵀ, without another fit (Allen,
-Technometrics 16, 1974, 125, eq. 3.2; PRESS). With n points the mean square of these errors is uncertain by some tens of
-percent. The lowest order within one standard error of the best one is therefore chosen (Breiman and others,
-"Classification and regression trees", 1984, §3.4.3). It is the true order in 76 to 93 % of simulated cases; the least
-mean square alone finds it in 61 to 76 % (tests/host/test_gauge_polynomial.py).
+**Choosing the order.** A higher order always leaves smaller residuals e at the fitted points. Left out, point i is
+predicted with the error
+
+    e_i / (1 − h_i) ,   h the diagonal of QQᵀ
+
+(Allen, Technometrics 16, 1974, 125, eq. 3.2; PRESS). The mean square of these errors is uncertain by some tens of
+percent, so the lowest order within one standard error of the best one is chosen (Breiman and others, "Classification
+and regression trees", 1984, §3.4.3). It is the true order in 76 to 93 % of simulated cases; the least mean square alone
+finds it in 61 to 76 % (tests/host/test_gauge_polynomial.py).
 """
 
 from __future__ import annotations

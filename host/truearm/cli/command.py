@@ -1,7 +1,7 @@
 """Declare a command: its signature has the types, bounds and defaults of its options, its docstring describes them.
 
-Parameters before ``*`` are arguments, those after it are options: ``dwell_s`` is ``--dwell-s``. Their descriptions stand
-at the end of the docstring, in the form of NumPy's, below the headings of the help page::
+Parameters before ``*`` are arguments, those after it options: ``dwell_s`` is ``--dwell-s``. Their descriptions stand at
+the end of the docstring, below the headings of the help page::
 
     def pause(axis: str, *, dwell_s: Annotated[float, DWELL] = 2.0, force: bool = False) -> None:
         \"""Wait at rest.
@@ -18,13 +18,11 @@ at the end of the docstring, in the form of NumPy's, below the headings of the h
         force
         \"""
 
-A parameter whose type is a record, such as those of ``workflows/requests.py``, stands for its fields that are described.
-A field is in SI: the name of its option, such as ``dwell_s`` of the field ``dwell``, has the unit.
+A record, such as those of ``workflows/requests.py``, stands for its fields that are described. A field is in SI: the
+name of its option has the unit.
 
 What the command does not describe, such as ``force``, is described in ``cli/options.py``; a name without a text only
-moves it below another heading.
-
-A command that returns an ``Answer`` gets ``--json``, and ``--details`` if it describes it.
+moves below another heading. A command that returns an ``Answer`` gets ``--json``, and ``--details`` if it describes it.
 """
 
 from __future__ import annotations

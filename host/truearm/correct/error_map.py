@@ -3,13 +3,12 @@
     e(q) = ‖f_i(q) − f_n(q)‖                                  (31)
 
 Two joints with parallel axes move the end in a plane; all others are at rest (Fig. 5: θ_1 = θ_4 = θ_6 = 0, elbow up).
-The plane is divided into square cells. Each cell gets the joint vector that brings the nominal end to its middle or, if
-the middle is out of reach, one that brings it into the cell, if one is known. Elbow up and down are distinguished by
-the sign of the plane's Jacobian ∂(u, v)/∂(q_a, q_b): between them the arm is stretched.
+Each square cell gets the joint vector that brings the nominal end to its middle or, out of reach, one that brings it
+into the cell. The sign of the plane's Jacobian ∂(u, v)/∂(q_a, q_b) distinguishes elbow up and down.
 
-The map's own uncertainty: with the covariance P of the parameters, the identified end has the mean square error tr(J P
-Jᵀ). Where a null direction of the observations would move the end, no meaningful figure exists, and none is given, except
-for directions that only place base or tool: without them, the figures are relative to both.
+With the covariance P of the parameters, the identified end has the mean square error tr(J P Jᵀ). Where a null direction
+would move the end, no figure is given, except for directions that only place base or tool: without them, figures are
+relative to both.
 """
 
 from __future__ import annotations

@@ -1,28 +1,24 @@
 """The paper's methods of correction (Renders 1991, IV): one step of each from the joints that a controller uses.
 
-**False targets** (IV-B), for a controller that keeps its nominal model and is given another target. It moves the joints
-to q = f_n⁻¹(x_m) and thereby the end to f_i(q). Given the desired target x_d, the end arrives at x_n = f_i(f_n⁻¹(x_d)).
-The target is therefore shifted by the opposite of that error:
+**False targets** (IV-B), for a controller that keeps its nominal model. For the target x_d the end arrives at x_n =
+f_i(f_n⁻¹(x_d)), so the target is shifted by the opposite:
 
     x_m = x_d + (x_d − x_n)                                   (32)
 
-One step leaves an error of second order. Since x_m = f_n(q) always holds, it is repeated as x_m ← f_n(q) + (x_d −
-f_i(q)). Differences of orientations are rotation vectors in base axes: rotations are composed, not added.
+Repeated: x_m ← f_n(q) + (x_d − f_i(q)). Orientations are composed.
 
-**Joint space** (IV-C), for a controller that accepts joint readings:
+**Joint space** (IV-C), for a controller that accepts readings, with the nominal Jacobian or its pseudo-inverse:
 
     q_i = f_n⁻¹(x_d) + J_n⁻¹·(x_d − x_n)                      (34)
 
-J_n is the Jacobian of the nominal manipulator, or its pseudo-inverse if the robot does not have six joints or only the
-position matters. One step leaves an error of second order; it is repeated from q_i.
+One step of either leaves an error of second order.
 
-**Offsets** (IV-C): correction of the joints alone, in the paper by the zeros of their encoders:
+**Offsets** (IV-C), in the paper by the zeros of encoders:
 
     q_i = f_n⁻¹(x_d) − Δq                                     (35)
 
-With the joint law θ(q), the controller aims at θ_n(q_n), and the reading at which the true joints are there is
-θ_i⁻¹(θ_n(q_n)). This is exact if only the joint law is wrong, with offsets, gains and any other terms; it does not
-correct lengths. If mountings are removed from the robot, so are the offsets that belong to them.
+Here it is the reading θ_i⁻¹(θ_n(q_n)) at which the true joints are where the controller aims: exact if only the joint
+law is wrong.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Bad rows that are too many to be left out, but without which the declared noise explains all others.
 
-``outliers`` leaves out at most 5 % of the rows. More of them bend a least-squares fit so far that it cannot tell them from
-the others. The Cauchy loss can: it weights rows by their distance and ends near the fit of the good ones. Rows beyond the
-gate from there are then left out of a least-squares fit, rows back within the gate return, and this repeats until
-nothing changes.
+``outliers`` leaves out at most 5 % of the rows. More of them bend a least-squares fit too far. The Cauchy loss ends
+near the fit of the good rows. Rows beyond the gate from there are then left out of a least-squares fit, rows back
+within the gate return, until nothing changes.
 
 The rows are bad if χ² of all others is then in its range, if at most MOST of all rows are bad, and if they follow each
 other no more than chance has it. A robot whose model is wrong, or whose noise is larger than declared, fails the first.

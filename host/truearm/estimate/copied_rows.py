@@ -2,12 +2,11 @@
 
 A copy is no measurement. Counted as one, it makes σ too small, and held out it is predicted by the row that it copies.
 
-Where a device writes few digits, measurements at one commanded pose may be equal by chance. With a resolution r_c of
-each of the w readings and a sensor covariance C, a reading equals one of d earlier ones with a probability of at most
-d · Π r_c / √((2π)^w det C), whatever was measured: this is the largest density times the size of a step. Given all
-earlier rows, this holds for each, so the number of equal rows is at most Poisson distributed (Hoeffding 1956). Rows are
-copies if there are more of them than chance gives with a probability of LEVEL. Rows of a kind without a reading, such as
-a seated ball, add nothing if their joints are equal.
+Where a device writes few digits, measurements at one commanded pose may be equal by chance, with at most the
+probability of docs/explanation/estimation.md, whatever was measured. Given all earlier rows, this holds for each, so
+the number of equal rows is at most Poisson distributed (Hoeffding 1956). Rows are copies if there are more than chance
+gives with a probability of LEVEL. Rows of a kind without a reading, such as a seated ball, add nothing if their joints
+are equal.
 """
 
 from __future__ import annotations

@@ -1,20 +1,15 @@
 """Defaults for what is free and what has a prior: frame choices, joints at rest and the weak prior.
 
-All three are derived from what the data can determine at the nominal robot, with the rig fitted to it, before
-anything is identified:
+They follow from what the data determine at the nominal robot, with the rig fitted to it, before anything is identified:
 
 1. **Frames.** Parameters that only define the pose of base and tool are fixed as far as that is a choice
    (``frame_choice``).
-2. **Still joints.** A joint whose readings span less than STILL times the standard deviation of a drawing (20 mrad, 4
-   mm) does not determine its axis: what it seems to determine is the jitter of the readings. As many parameters are
-   fixed as there would be null directions if the joint did not move at all, starting with the joint's own.
-3. **Prior.** The standard deviation of a drawing (1 mm, 5 mrad, 0.001 of a gain) about the nominal value. It applies
-   only to parameters of directions that the data determine less well than that, judged by the noise in the data, and
-   not to mountings, which are not on any drawing. Without it, a fit drifts along such a direction by centimetres,
-   although no prediction at these poses depends on it. It also applies to the robot's lengths if nothing measures a
-   length. If the data determine everything, there is no prior.
-
-Null space and hardly identifiable directions are reported from the data alone, without this prior (``identify``).
+2. **Still joints.** A joint whose readings span less than STILL times a drawing's standard deviation (20 mrad, 4 mm)
+   does not determine its axis. As many parameters are fixed as there would be null directions if it did not move, its
+   own first.
+3. **Prior.** The standard deviation of a drawing (1 mm, 5 mrad, 0.001 of a gain) about the nominal value, for
+   parameters of directions that the data determine less well, but not mountings. Also for the robot's lengths if
+   nothing measures a length.
 """
 
 from __future__ import annotations

@@ -1,23 +1,14 @@
-"""The variances of joint laws by the evidence in the data (MacKay 1992, Neural Computation 4(3), type-II maximum likelihood).
+"""The variances of joint laws by the evidence in the data (MacKay 1992, Neural Computation 4(3), type-II maximum
+likelihood).
 
-Linearised, measured − predicted = J_g·g + J_c·c + noise, where g are the parameters of geometry and rig, and c the
-coefficients of the laws with the prior c ~ N(0, S), S = Σ_k v_k K_k block by block. With g integrated out, the
-information of the data about c is
-
-    A = N_cc − N_cg N_gg⁻¹ N_gc ,   b likewise of J_cᵀ R⁻¹ y ,
-
-and the gradient of the log evidence by v_k is ½ (zᵀ K_k z − tr K_k V) with
-
-    z = (I + A S)⁻¹ b ,   V = (I + A S)⁻¹ A .
-
-It vanishes at the fixed point of v ← v · zᵀKz / (tr KV + 1/cap²). The last term is a half-normal hyperprior of scale
-``cap`` on each standard deviation √v. Without it, a joint that hardly moves the measured point could have curves of any
+Linearised, measured − predicted = J_g·g + J_c·c + noise. g, geometry and rig, is integrated out. The coefficients of
+laws are c ~ N(0, S), S = Σ_k v_k K_k. docs/explanation/estimation.md has the fixed point of each v_k, with a
+half-normal hyperprior of scale ``cap`` on √v: without it, a joint that hardly moves the point could have curves of any
 size.
 
-All computations are done in the subspace that the data determine: A = G Gᵀ, with as many columns as A has directions
-that matter against a prior of scale ``cap``. Even with hundreds of poses these are few. With L Lᵀ = I + Gᵀ S G and
-X = L⁻¹ Gᵀ, V = XᵀX. The covariance of the coefficients is S − S V S, computed with S = F Fᵀ as F (I + FᵀAF)⁻¹ Fᵀ, which
-rounding cannot make indefinite.
+All computations are in the subspace that the data determine, A = G Gᵀ with few columns. With L Lᵀ = I + Gᵀ S G, X = L⁻¹
+Gᵀ and V = XᵀX, the covariance of the coefficients is S − S V S. It is computed with S = F Fᵀ as F (I + FᵀAF)⁻¹ Fᵀ,
+which rounding cannot make indefinite.
 """
 
 from __future__ import annotations

@@ -1,28 +1,15 @@
 """What the observations can determine of the robot, and the null directions in terms of named parameters.
 
-The rig's unknowns are projected out first: from the scaled root A = [A_robot | A_rig] this leaves (I − U Uᵀ) A_robot,
-where U is a basis of the range of A_rig. Its singular values form two groups. If the Jacobian is analytic, the smaller
-ones are rounding errors (1e-15). The ratio between the groups, the gap, shows how reliable the rank is (Goswami 1993:
-"counting the number of nonzero singular values of H or J").
+The rig's unknowns are projected out first. The singular values of the rest form two groups, of which the smaller ones
+are rounding errors (1e-15). Their gap shows how reliable the rank is (Goswami 1993).
 
-Null directions are made readable by a choice of basis: each direction has a parameter of its own (a pivot, with weight
-1 in this direction and 0 in the others), and all other parameters appear only as needed to compensate for the pivot.
+Each null direction has a parameter of its own, with weight 1 there and 0 in the others. Pivoted QR of the same columns
+gives a suggested free set, which begins with the preferred columns and, among equal ones (``ties``), with the first of
+the robot's file.
 
-The same columns yield a suggested free set: pivoted QR repeatedly takes the column with the longest component not yet
-explained, until nothing is left. Among equivalent parameters, the first in the robot's file is taken (``ties``); the
-papers' choice is stored there (``Robot.free``), and preferred columns are taken before all others. Additional rows cannot make
-independent columns dependent, so the columns taken stay independent when rows are added, and the gain from an addition
-is the difference between two such sets.
-
-A direction may count towards the rank and still be useless. Poses with one tool orientation lose three combinations of
-parameters, but only if the arm keeps that orientation exactly. A real arm keeps it to a few milliradians, which raises
-the three far above rounding. Directions are therefore also compared with the accuracy of a manufacturer's drawing, a
-``unit`` for each parameter (1 mm, 5 mrad, 0.001 of a gain). With columns whitened and in these units, a singular value
-s means that the data alone determine a combination to 1/s units; where s < 1, it is hardly identifiable.
-
-The same applies to a time offset of the joint readings that is determined no better than to a millisecond (a tenth of a
-millimetre at 100 mm/s). Lines driven in one direction at constant speed do not determine it, but since real speeds are
-never exactly constant it is not a null direction.
+A direction of full rank may be useless. With columns in units of a drawing's accuracy (1 mm, 5 mrad, 0.001 of a gain),
+a singular value s determines a combination to 1/s units; below 1 it is hardly identifiable
+(docs/explanation/identifiability.md). So is a time offset known to a millisecond.
 """
 
 from __future__ import annotations

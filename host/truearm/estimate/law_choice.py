@@ -1,18 +1,13 @@
 """Which joint laws are kept: those that the evidence supports, and that regions left out do not contradict.
 
 A law that raises the log evidence by less than GATE nats is dropped. One below EARNEST is dropped if the evidence, with
-the noise learned again without it, is no lower than that. Evidence without a gate makes results on small data sets
-worse. All sags stand or fall together, for gravity acts on all joints or on none.
+the noise learned again without it, is no lower than that. All sags stand or fall together, for gravity acts on all
+joints or on none.
 
-Evidence is of the rows that were measured. A law that describes the arm also helps where it was not fitted, so regions of
-poses are left out in turn, at fixed variances and noise. With u = F⁻¹x, whose prior is N(0, I), the whitened rows of
-region r are y_r = G_r u + noise. The fit to all other regions is
-
-    u = (I + Σ_{s≠r} G_sᵀG_s)⁻¹ Σ_{s≠r} G_sᵀ y_s ,
-
-and y_r − G_r u is its error, after unknowns that only region r has (the sockets of its place) were fitted to it. One
-triangle per region answers for any selection of laws: without a law, its columns of G are left out. A law is dropped if
-without it the errors fall by more nats, ½ Σ |y_r − G_r u|², than the evidence for it.
+Evidence is of the rows that were measured. A law that describes the arm also helps where it was not fitted, so regions
+of poses are left out in turn, at fixed variances and noise. docs/explanation/estimation.md has the fit to all other
+regions: one triangle per region answers for any selection of laws. A law is dropped if without it the errors fall by
+more nats, ½ Σ |y_r − G_r u|², than the evidence for it.
 """
 
 from __future__ import annotations

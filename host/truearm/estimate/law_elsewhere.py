@@ -1,19 +1,13 @@
 """What a fit with laws changes where nothing was measured, limited to what the geometry alone leaves unexplained.
 
-Poses in a corner of the joint space determine the sum of geometry and laws there, but not elsewhere: curve and sag of
-neighbouring joints and the geometry can stand in for each other. The evidence keeps one of these combinations, and its
-extrapolation may be worse than that of the geometry. Laws explain what the geometry leaves of the residuals. A change
-of the predictions in other poses that is much larger is more likely an extrapolation than a law.
+Poses in a corner of the joint space determine the sum of geometry and laws there, but not elsewhere. The evidence keeps
+one of several combinations, whose extrapolation may be worse than that of the geometry. A change of the predictions
+elsewhere that is much larger than what the geometry leaves is more likely an extrapolation than a law.
 
-The estimate is therefore moved towards the geometry as far as the fitted rows permit. With P the covariance of the
-unknowns, and d = J·(x − geometry) the change of the whitened predictions of n residuals in random poses of the same
-fixtures, the moved x minimises
-
-    Δᵀ P⁻¹ Δ + |d|² / (n s²) ,
-
-where s² is the reduced χ² of the geometry alone: an RMS change as large as what the geometry leaves costs as much as a
-single residual of one σ. Where many poses determine the laws, this changes nothing. The covariance of the result is P
-plus the square of the move, its mean square error if x ~ N(x, P).
+The estimate is therefore moved towards the geometry as far as the fitted rows permit: an RMS change as large as what
+the geometry leaves costs as much as one residual of one σ (docs/explanation/estimation.md). Where many poses determine
+the laws, this changes nothing. The covariance of the result is P plus the square of the move, its mean square error if
+x ~ N(x, P).
 """
 
 from __future__ import annotations

@@ -1,36 +1,15 @@
 """Levenberg–Marquardt (Goswami, Quaid, Peshkin 1993, (4)–(10)), on the square-root information.
 
-The paper's step is Δ = (JᵀJ + λI)⁻¹ Jᵀf with f = measured − computed; J is then ∂computed/∂x, the negative of the
-definition in its (9). λI depends on the units of x. Here columns are scaled to length 1 first (Marquardt 1963), so that λ
-is dimensionless. With the scaled root R D⁻¹ = U diag(s) Vᵀ and Qᵀf = z the step is
+docs/explanation/estimation.md has the step, docs/decisions/0019-damping.md the rule of λ with a comparison. Columns are
+scaled to length 1, so λ has no unit; ``plain`` takes the paper's own λI, in units of s_max². Only significant singular
+values (``information.seen``) count: x does not move along null directions.
 
-    Δ = D⁻¹ V diag(s / (s² + λ)) Uᵀ z ,
+λ is divided by 1000 after a step that was predicted to 10 % and not rejected before, follows Nielsen's rule (1999)
+after other good steps, and is multiplied by 4 after a rejected one. A rejected step may only have left a curved valley:
+up to CORRECTORS full steps from its end return to it (a watchdog: Chamberlain and others 1982).
 
-over the significant singular values only (``information.seen``). x does not move along null directions, so a model with
-redundant parameters (54 of which 36 are identifiable) converges like one without. ``plain`` takes D = I, the paper's own
-λI, with λ in units of s_max², which makes it independent of the unit of the noise but not of the units of the parameters.
-
-λ is divided by 1000 after a step that the linearised problem predicted to within 10 % and that was not rejected before
-at a smaller λ; a step that went back to the valley (below) counts with its full reduction. Otherwise it follows Nielsen's rule (1999, Damping Parameter in Marquardt's Method, IMM-REP-1999-05),
-λ · max(1/3, 1 − (2ρ − 1)³), where ρ is the ratio of the actual to the predicted gain. In a curved valley it thus settles
-at the largest worthwhile step (docs/decisions/0019-damping.md has a comparison). λ is multiplied by 4 after a step that
-did not reduce χ².
-
-A step that does not reduce χ² may only have left a curved valley: an orbit that ``move`` does not follow, such as that of
-a point about an axis, while the readings resolve micrometres. Before it is given up, up to CORRECTORS full steps from its end return
-to the valley (a watchdog: Chamberlain and others 1982, Mathematical Programming Study 16). Otherwise the damped steps would
-be as short as the deviation of the arcs from their tangents permits, thousands of them.
-
-The iteration ends when the reduction still predicted by the linearised problem, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (x is then
-within about 1e-5 σ of the minimum) or below 1e-10 per residual (data without noise), or when the step is at rounding
-level. If no step reduces χ² any more although x is within 1e-3 σ of the minimum, the gain is lost in the rounding of χ²:
-this is the minimum, too. A residual of metres over micrometres is rounded at 1e-9 σ (ten operations of 1e-16 each), and
-χ² by up to 2√n times the norm of all such errors, 2e-7 for n = 100 residuals of 1 σ, which is the gain of 4e-4 σ.
-
-Where weights depend on x (joint noise, information.py), x and x + Δ are compared under the weights of x. If each had its
-own weights, the minimum of χ² would not coincide with the point where the gradient Jᵀ C f vanishes, and no step would
-reach that point. The derivatives by drifts and errors of joints
-(systematic_effects.py), which J takes as constant, are those at x in both.
+The iteration ends when the predicted reduction is negligible, or lost in the rounding of χ². Weights that depend on x
+are those of x while x + Δ is judged.
 """
 
 from __future__ import annotations

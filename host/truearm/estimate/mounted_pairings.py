@@ -1,26 +1,16 @@
 """Probability of what was mounted at each dwell of a ball-bar session, from all available evidence.
 
-The hidden state of a dwell is a pairing of the rig (bar, chuck, sphere), or something that is not in the rig. It
-changes as operators change it: mostly where the plan asks for it, sometimes not at all, too late, or to something else,
-mostly with one wrong part (``transition``). What the operator typed is evidence of what is mounted from then on, wrong
-occasionally (TYPED). It does not count where it repeats the plan: Enter confirms the request, whatever is in hand. The
-reading is the other evidence: the sensor value compared with the prediction for each pairing. A sensor beyond its
-stroke is evidence against every pairing that should be within it. A single dwell is not decisive, because with a
-nominal robot another pairing often fits as well. Runs of dwells are, and the forward-backward algorithm of a hidden
-Markov model weighs them (Rabiner 1989, Proc. IEEE 77, III-B).
+docs/decisions/0026-what-was-mounted.md explains the model. The hidden state of a dwell is a pairing of the rig, or
+something that is not in it. ``transition`` models how operators change it. Evidence is what was typed, except where it
+repeats the plan, and the reading. The forward-backward algorithm of a hidden Markov model weighs runs of dwells
+(Rabiner 1989, Proc. IEEE 77, III-B).
 
-The nominal robot predicts to a few millimetres or centimetres, with errors shared by neighbouring poses. The robot is
-therefore fitted at the same time: its parameters, linearised and with a Gaussian prior about the nominal ones, are
-fitted to the dwells weighted by the probability of their pairing. A dwell is judged by the fit without the run that it
-belongs to; otherwise a wrong run would confirm itself. Within a run each dwell is judged given the one before, since a
-prediction with a common error still predicts the difference. The covariance of that fit is the uncertainty of its
-prediction, increased where the usual misfit is larger. Fit and judgement alternate, with a noise that falls from the
-first to the last value of NOISE, so that remaining wrong labels cannot distort the first fits (deterministic
-annealing).
+The robot is fitted at the same time, linearised about the nominal one, to dwells weighted by the probability of their
+pairing. A dwell is judged by the fit without its run, given the dwell before. Fit and judgement alternate, with a noise
+that falls along NOISE (deterministic annealing).
 
-The size of the robot's errors is unknown, so there are two priors, the weak and the wide one. Each fit predicts dwells
-that it was not fitted to, and the product of these densities over the session is its evidence (the pseudo-marginal
-likelihood: Geisser & Eddy 1979, JASA 74, 153). The labels of both are weighted by their evidence.
+The labels of fits with the weak and the wide prior are weighted by the pseudo-marginal likelihood (Geisser & Eddy 1979,
+JASA 74, 153).
 """
 
 from __future__ import annotations

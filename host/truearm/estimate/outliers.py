@@ -1,14 +1,13 @@
 """Outlying rows, left out of a least-squares fit one after the other according to their prediction by all other rows.
 
-An outlier pushes its neighbours beyond the gate, so the first fit flags too many rows. As in the recursive solver, each
-round leaves out only those rows beyond the gate that are at least half as far as the farthest. The rest is then fitted
-again, and rows that are back within the gate return. The final list holds only the outliers. Where the usual row errs
-by more than its declared noise, the gate is wider in proportion: clean rows are not left out because the model is wrong.
+An outlier pushes its neighbours beyond the gate. As in the recursive solver, each round therefore leaves out only rows
+at least half as far as the farthest; the rest is fitted again, and rows back within the gate return. Where the usual
+row errs by more than its declared noise, the gate is wider in proportion.
 
-This works for individual rows. If more than MOST of all rows are left out, or more than LONGEST_RUN consecutive ones,
-the fault is in the model and not in the rows: something moved, a label is wrong, or the noise is not as declared. The
-same holds if more than MOST are beyond the gate of their declared noise. Joint laws may be what is wrong with the model
-then, so the rows that are farthest are still named if they ``matter``: a fit with laws decides (``law_outliers``).
+If more than MOST of all rows are left out or beyond the gate of their declared noise, or more than LONGEST_RUN
+consecutive ones, the model is wrong and not the rows: something moved, a label is wrong, or the noise is not as
+declared. Joint laws may be what is missing then, so the rows that are farthest are still named if they ``matter``: a
+fit with laws decides (``law_outliers``).
 """
 
 from __future__ import annotations

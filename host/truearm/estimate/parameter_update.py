@@ -1,14 +1,16 @@
 """The parameter vector after a step: numbers are added, orientations are rotated, and the base moves along a screw.
 
-A rotation vector ω is rotated by Δ to first order, exp([ω']×) = exp([J_l(ω) Δ]×)·exp([ω]×). If Δ were added instead, a
-step that only rolls a line device about its own axis would also tilt it, by the square of the roll. The axis is known
-to about 1e-5 rad and the roll hardly at all, so this valley would be too strongly curved for a fit to leave it.
+docs/explanation/estimation.md has the formulas. If Δ were added to a rotation vector, a step that only rolls a line
+device about its own axis would also tilt it, by the square of the roll. That valley would be too strongly curved for a
+fit.
 
-The base is the same case on a larger scale. Rotating it about a line through nearly collinear chucks, together with the
-chucks, changes no length; only what is known about the places of the chucks limits it. With ξ = (ω, v) the twist of the
-base by Δ, the base therefore moves by exp(ξ), and a point c beside it moves to exp(ξ) c + Δ_c − (ω × c + v), which is
-c + Δ_c to first order. Where numbers are added instead, a step may only be so long that its arcs, about half a metre in
-radius, deviate from their tangents by less than the noise.
+Rotating the base about a line through nearly collinear chucks, together with the chucks, changes no length. With ξ =
+(ω, v) the twist of the base by Δ, the base moves by exp(ξ), and a point c beside it to
+
+    exp(ξ) c + Δ_c − (ω × c + v) ,
+
+which is c + Δ_c to first order. Where numbers are added, a step may only be so long that its arcs deviate from their
+tangents by less than the noise.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Noise per pose in addition to the declared noise: R = m·I + p·T Tᵀ + w·W Wᵀ + C Q Cᵀ for whitened rows.
+"""Noise per pose in addition to the declared noise, for whitened rows (docs/explanation/uncertainty.md):
 
-Rows are first whitened by their declared covariance, so m is a factor on it: 1 where the sensors are as declared. With
-T and W = ∂(rows)/∂(a translation, and a rotation, of the last link) and C = ∂(rows)/∂(joint readings), p [m²] and w
-[rad²] are the variances of an error of the pose that all of its rows share, and Q = diag(q_1 … q_j) [rad² or m²] those
-of errors of the joints. All are learned by their evidence (``learned_noise``). Without them, a model error shared by
-the rows of a pose would count as information, and noise of the arm would be fitted by joint laws. With one variance for
-all joints and no rotation, the joint that errs most would take the weight from rows that the others place well.
+    R = m·I + p·T Tᵀ + w·W Wᵀ + C Q Cᵀ
 
-R differs from m·I only in the k columns of [T|W|C]. With an orthonormal basis B (N, k) of these, a pose of N > k residuals
-has Bᵀ R B as its only matrix to invert; the other N − k directions have the noise m alone.
+m is a factor on the declared variances. p [m²] and w [rad²] are the variances of a translation and a rotation of the
+last link that all rows of a pose share. Q = diag(q_1 … q_j) [rad² or m²] are those of the joints. T, W and C are the
+derivatives of the rows. All are learned by their evidence (``learned_noise``). Without them, an error shared by the
+rows of a pose would count as information, and joint laws would be fitted to noise.
+
+With an orthonormal basis B (N, k) of [T|W|C], a pose of N > k residuals has only Bᵀ R B to invert; the other N − k
+directions have the noise m alone.
 """
 
 from __future__ import annotations

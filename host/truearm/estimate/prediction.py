@@ -1,21 +1,18 @@
-"""Predicted error of the tool at individual poses, from an estimate.
+"""Predicted error of the tool at individual poses, from an estimate (Renders 1991, II-D, a posteriori).
 
-(Renders 1991, II-D, a posteriori). The measured point moves by J·Δ. With P the covariance of the robot's parameters and
-of the point's own position on the end, where the rig does not know it, its error at a pose has the mean square
-tr(J P Jᵀ), and that of the arm's own scatter is added, where it was learned from the rows. Both parts are needed together: robot and target may each be uncertain by metres and still determine the
-point to a micrometre. Null directions have no variance in P, and need none if they move no point. Two cases are
-distinguished by the null directions N (complete; those that are printed lack parts of 1e-6, and move the tool by more
-than rounding):
+With P the covariance of the robot's parameters and of the point's position on the end, the error at a pose has the mean
+square
 
-- J·N moves all points as one rigid body. Then the observations (seats in sockets, a line device or tracker of unknown
-  pose) do not determine the pose of the base, which was not asked of them. That motion, B = ∂points/∂(twist of the
-  base), is projected out of J.
-- J·N moves the points relative to each other. Then no honest figure exists, and none is given.
+    tr(J P Jᵀ) ,
 
-No figure is given either where the first-order approximation breaks down. A point with an error of a fraction f of its
-distance from the base may have turned by an angle f, and the linearisation then neglects f/2 of its result. Above
-FIRST_ORDER the observations do not determine the position of the tool (flats alone, for example, determine a
-combination of rotations only to σ of many turns).
+plus that of the arm's own scatter, where it was learned. Null directions N have no variance in P:
+
+- If J·N moves all points as one rigid body, the observations do not determine the pose of the base. That motion, B =
+  ∂points/∂(twist of the base), is projected out of J.
+- If J·N moves the points relative to each other, no figure is given.
+
+N must be complete: the printed ones lack parts of 1e-6. No figure is given either above FIRST_ORDER, where
+linearisation fails.
 """
 
 from __future__ import annotations

@@ -1,20 +1,12 @@
 """Priors and free sets for robots that do not define their own.
 
-A ball-bar with the paper's free set needs no prior, because everything free is identifiable. A URDF robot measured by
-seats does, for two reasons. First, its six constants per joint are redundant. Second, the spread of a ball about its
-socket does not determine scale: a robot shrunk by a tenth has a tenth less spread. Held-out spreads do not reveal this
-either, since they shrink equally (on real data, with 10 mm on lengths and no known distance between sockets, the arm
-shrank by 20 % and "improved" by 10 %). The prior therefore states the accuracy of any manufacturer's drawing: lengths
-are correct to a millimetre and angles to a few milliradians. A known distance between two sockets is better. Without a
-prior the solver drifts along hardly identifiable directions and reports max_iterations, while the predictions do not
-change. Encoder gains stay fixed, because an encoder counts complete turns.
+A ball-bar with the paper's free set needs no prior. A URDF measured by seats does: its constants are redundant, and the
+spread of a ball about its socket does not determine scale. The prior is the accuracy of a drawing. Without one, the
+solver drifts along hardly identifiable directions and reports max_iterations, while no prediction changes. Encoder
+gains stay fixed, because an encoder counts complete turns.
 
-A prior resists the data: an error of several σ is partly taken for noise, and the other parameters are distorted to
-fit. A robot file fixes what is redundant, and its rows include the mountings of base and tool, which have the
-tolerances of manual mounting. Goswami's PUMA differs from its design by up to 13 mm and 56 mrad, 12 σ of the weak
-prior, which moves parameters from their true values by up to 1.2 σ of 200 lengths without noise. ``wide_prior`` is for
-these cases: 10 mm, and for angles the 3° that Renders (1991, III-C) allows for manual mounting and machining. Under it
-the same PUMA is identified to 0.02 σ and the lengths to 0.1 µm, and hardly identifiable directions still do not drift.
+A prior resists errors of several σ. ``wide_prior`` is for robots whose rows include hand-made mountings: 10 mm, and for
+angles the 3° of Renders (1991, III-C). docs/explanation/estimation.md has the figures behind both.
 """
 
 from __future__ import annotations

@@ -1,40 +1,17 @@
 """Recursive estimation (Renders 1991, II-F): one observation at a time, with a gate against outliers.
 
-The paper's (18) and (20), corrected (the scan lost (18), and the printed "=" and signs after (19) are wrong):
+docs/explanation/estimation.md has the formulas: the paper's (18) and (20), corrected, with P = S Sᵀ.
 
-    P(N) = P − P Jᵀ [J P Jᵀ + C⁻¹]⁻¹ J P ,   P = P(N−1), P(0) = S_θ
-    Δ(N) = Δ(N−1) + P(N) Jᵀ C [Δx − J Δ(N−1)] .
+A pass processes every row once, all linearised at one x, from the same prior. The next pass is linearised where the
+last one ended, so no data count twice. A pass that would increase χ² is repeated from a narrower prior, by the rule of
+``lm``. (``renders1991`` has the paper's III-E.)
 
-Here rows are whitened (C = I) and P = S Sᵀ, which always remains symmetric and positive semidefinite. For one scalar row
-j with residual r (Potter 1963), φ = Sᵀj, v = φᵀφ + 1 is the variance of the innovation ν = r − jΔ, and
+During a pass the gate compares a row with those before it, as is possible live. The final decision, after the passes,
+compares each row with all others. Each round leaves out rows beyond the gate that are at least half as far as the
+farthest.
 
-    Δ ← Δ + S φ ν / v ,   S ← S − S φ φᵀ / (v + √v) .
-
-**Relinearising without counting data twice.** A pass processes every row once, all linearised at one x, starting from
-the same prior about the same mean. The next pass starts again from that prior, linearised where the last one ended. A
-pass is thus one step of the batch solution (12), to rounding, and P counts the data once. If such a step would increase
-χ² (with the weights of its starting point), the pass is repeated from a narrower prior about x: Marquardt's damping, by
-the rule of ``lm``. (III-E of the paper uses P(N) of a run as P(0) of the next; ``renders1991`` reproduces this and
-explains its cost.)
-
-**The gate.** During a pass, the distance of an innovation, νᵀ(J P Jᵀ + I)⁻¹ν, compares a row with those before it, which
-is all that is possible live. It is not final: early innovations are large where the first linearisation is poor, so a
-clean row may look like an outlier, and an outlier may be hidden by a prior that is still wide. The final decision is
-made after the passes have converged, using all other rows. For a row that was used, the residual e and leverage
-H = J P Jᵀ give the distance of its deleted residual, eᵀ(I − H)⁻¹e; for a row that was not used, it is eᵀ(I + H)⁻¹e. Both
-are χ² with the row's width as degrees of freedom, regardless of the order. Each round leaves out only those rows beyond
-the gate that are at least half as far as the farthest, since an outlier pushes its neighbours out too. Rows that are
-back within the gate return.
-
-P equals the inverse of the information, to rounding. ``solve`` reports the latter because it is zero along null
-directions.
-
-**Memory.** ``update`` needs the filter, 8(k² + k) bytes, and one row, regardless of how many came before. Live use is
-therefore bounded, and the distance of the innovation is the decision at that time. ``minimise`` stores all whitened
-rows, since relinearisation and the gate need every past row: 2.3 kB per length at 54 unknowns, measured including
-temporary copies. For more rows than that allows, ``lm`` and ``map`` work in blocks.
-
-P(0) must be finite: an unknown without a prior starts with a σ larger than any robot (``DIFFUSE``, 10 m, 10 rad, 10).
+``update`` needs the filter and one row, ``minimise`` all rows. P(0) must be finite: an unknown without a prior starts
+with ``DIFFUSE``.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-r"""Repeatability of a robot from visits to the same poses from different sides: spread, backlash and noise, with intervals.
+"""Repeatability of a robot from visits to the same poses from different sides: spread, backlash and noise, with
+intervals.
 
-Visit i of pose g has the length ℓ_i and the mean joint reading q_i, and joint j approached from the side s_ij = ±1 (the
-direction of its last motion). The part explained by the readings is subtracted, y_i = ℓ_i − J_g (q_i − q̄_g). The rest
-is noise to an identification, which takes the readings as correct. If the links lag their encoders by half the backlash
-b,
+Visit i of pose g has the length ℓ_i and the mean reading q_i, and joint j approached from the side s_ij = ±1. The part
+explained by the readings is subtracted, y_i = ℓ_i − J_g (q_i − q̄_g): the rest is noise to an identification. If the
+links lag their encoders by half the backlash b,
 
     y_i = μ_g − ½ Σ_j J_gj s_ij b_j + e_i,
 
-which is a linear regression. Visits to one pose from one side differ by e alone (pure error), so an F test shows
-whether b explains the differences between the sides (lack of fit).
+a linear regression. Visits to one pose from one side differ by e alone, so an F test shows whether b explains the
+differences between the sides (lack of fit).
 
 Intervals are 95 %: χ² for standard deviations, t for means and regressions, order statistics for quantiles.
 """

@@ -4,14 +4,12 @@ A reading q has an error δq of covariance S_q, so the residual measured − pre
 
     C⁻¹ = S_x + J_q S_q J_qᵀ
 
-(Renders, Rossignol, Becquet, Hanus 1991, (7)–(12), there "C_i"), where J_q is the derivative by the joint readings. J_q
-depends on the pose and, slightly, on the parameters, so it is updated at each linearisation. Omitting S_q hardly
-changes the estimate but yields a covariance that is far too small (with Renders' figures a normalised error of 76
-instead of 36).
+(Renders, Rossignol, Becquet, Hanus 1991, (7)–(12), there "C_i"), with J_q the derivative by the readings, updated at
+each linearisation. Without S_q the covariance of the estimate is far too small (docs/explanation/estimation.md).
 
-The weights must stay constant while a step is evaluated. Otherwise a solver that compares χ² before and after would
-see the change due to the weights and stall. ``information.weighed`` returns a problem with the weights of one x. At the
-end of the iteration the weights are those of the estimate.
+The weights stay constant while a step is evaluated: a solver that compares χ² before and after would otherwise see them
+change, and stall. ``information.weighed`` returns a problem with the weights of one x. At the end they are those of the
+estimate.
 """
 
 from __future__ import annotations

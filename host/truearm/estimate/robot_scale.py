@@ -1,16 +1,13 @@
 """A common scale of the robot's lengths: a wrong length in the rig changes all of them by one ratio.
 
-Joint readings are angles, so every length of an identified robot follows from the lengths that the rig declares: a bar,
-the distance of two sockets, the places of chucks. If the only one is wrong by 2 %, the residuals are those of noise and
-the robot is 2 % larger than its drawing. Tolerances do not do that, since those of different links are independent.
+Joint readings are angles, so every length of a robot follows from those of the rig: a bar, the distance of two sockets.
+If the only one is wrong by 2 %, the residuals are those of noise and the robot is 2 % larger. Tolerances do not do
+that, since those of different links are independent.
 
-Test: the changes ΔL of k lengths follow s·L + e, with L the nominal lengths (0 for most offsets of axes) and independent
-e of one unknown variance. F = s² ΣL² (k − 1)/Σe² has 1 and k − 1 degrees of freedom if s = 0 (regression through the
-origin). Heat also scales a robot, by parts in ten thousand, so the scale must exceed what a drawing tolerates.
-
-A robot from a URDF file often has lengths of which only sums are identifiable, such as two along one axis. So the test
-uses orthonormal combinations of the lengths: those that no null direction changes, and that the observations determine
-at least as well as a drawing. Independent e of one variance stay so in orthonormal combinations.
+The test is an F test of regression through the origin (docs/explanation/estimation.md), over orthonormal combinations
+of the lengths that no null direction changes and that the observations determine at least as well as a drawing: a URDF
+often has lengths of which only sums are identifiable. Heat scales a robot by parts in ten thousand, so the scale must
+exceed a drawing's tolerance.
 """
 
 from __future__ import annotations

@@ -1,24 +1,15 @@
 """Robust losses: rows that disagree with all others lose weight instead of distorting the result.
 
-An observation with w whitened residuals r has the norm s = ‖r‖, which is χ_w if it is clean. The cost is Σρ(s) with
+An observation with w whitened residuals r has the norm s = ‖r‖. The cost is Σρ(s) with
 
     linear ρ = s² ,   Huber ρ = s² up to c, 2cs − c² beyond ,   Cauchy ρ = c² ln(1 + s²/c²) .
 
-The gradient of ρ is 2·w(s)·r with w = ρ'/2s. Weighting the rows by √w in the square-root information therefore makes each
-step of lm or map a step of iteratively reweighted least squares. ρ is concave in s², so the weighted problem is an upper
-bound that touches the cost: a step that reduces one reduces the other. c is 1.345 (Huber) or 2.385 (Cauchy) for w = 1,
-which costs 5 % of efficiency on clean data (Holland and Welsch 1977), and the same quantile of χ_w for wider
-observations.
+Weighting the rows by √(ρ'/2s) makes each step of lm or map a step of iteratively reweighted least squares. ρ is concave
+in s², so a step that reduces the weighted problem reduces the cost. c costs 5 % of efficiency on clean data (Holland
+and Welsch 1977).
 
-**Covariance.** (JᵀWJ)⁻¹ is not the covariance of such an estimate, although it is often reported as such. For M-estimates
-with symmetric errors (Huber 1981, 7.6), with ψ(r) = w(s)·r and the averages over observations
-
-    b = ‖ψ‖²/w , corrected by n/(n − k) ,   a = w + w'(s)·s/w  (the mean diagonal of ∂ψ/∂r),
-
-the covariance is A⁻¹BA⁻¹ with A = a·JᵀJ + M and B = b·JᵀJ + M, where M is the information of the prior, which is not data
-and keeps its weight. With a = b = 1 this is the covariance of least squares.
-
-The robust cost has several minima, so Huber starts at the result of least squares, and Cauchy at that of Huber.
+(JᵀWJ)⁻¹ is not the covariance of such an estimate; docs/explanation/estimation.md has that of Huber (1981, 7.6). The
+cost has several minima: Huber starts at the result of least squares, Cauchy at that of Huber.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Systematic errors as additional parameters of a fit: items of the rig, joint readings or motions that were off.
 
-An effect adds to the prediction. Each row already has the derivatives of its prediction by the numbers of the rig
-(including known ones), by each joint reading, by a motion of the robot's base and by a motion of the tool, or of a place of
-sockets, with all its points. An effect is one or several of these derivatives, times a profile over the rows: 1 in the rows that it concerns;
-for a drift, the time or the box's temperature, scaled from −½ at the lowest to ½ at the highest. The parameter of an
-effect therefore has the unit of what is off: metres for a bar's zero or a chuck's coordinates, radians for a joint.
+Each row has the derivatives of its prediction by the numbers of the rig (known ones too), by each joint reading, and by
+a motion of the robot's base, of the tool, or of a place of sockets. An effect is one or several of these, times a
+profile over the rows: 1 where it applies; for a drift, the time or the box's temperature, scaled from −½ at the lowest
+to ½ at the highest. Its parameter has the unit of what is off: metres for a bar's zero, radians for a joint.
 
 The score test uses these derivatives. A fit with effects as parameters evaluates each row with its items displaced.
 """

@@ -1,30 +1,16 @@
 """Quality of an estimate: how well it fits (χ²), and how uncertain the position of the robot's end is (covariance).
 
-**χ².** The reported value is the sum of squares of the whitened residuals of the n data alone, at the estimate, over ν
-= n − tr(H), where H = J(JᵀJ + M)⁻¹Jᵀ is the hat matrix (M: the prior's information). Let h be the eigenvalues of H, so
-that 1 − h is the share of the prior in each direction, and let the true parameters be distributed about the prior's
-mean with c² times the prior's covariance: c = 1 is a true prior, and c → 0 one that is far too wide. The residuals (I −
-H)(ε + Jδ) have the covariance
+χ² is that of the n data alone, over ν = n − tr(H) with the hat matrix H = J(JᵀJ + M)⁻¹Jᵀ, M the prior's information.
+Its range holds for every prior that is true or too wide: docs/explanation/estimation.md derives it. The total cost
+would depend on the prior's width more than on residuals.
 
-    (I − H)(I + c²JM⁻¹Jᵀ)(I − H) ,   along an eigenvector (1 − h)² + c²·h(1 − h) ,
+**Cartesian error** (Renders 1991, II-D). A point of the end has the error J Δ, with the covariance
 
-so χ² is a sum of n squares with these weights. For a true prior the weights are 1 − h, their sum is ν and the mean of
-χ²/ν is 1. For one that is too wide the mean is lower by Σh(1 − h)/ν: by nothing where data or prior alone determine a
-direction (h near 1 or 0), and by ¼/ν for each direction in which they have equal weight. The weights increase with c,
-and so do all quantiles. A range from the lower quantile of c = 0 to the upper of c = 1 therefore contains χ²/ν with at
-least its probability for every prior that is true or too wide. Without a prior, H is a projection, ν = n − rank and
-both ends are those of χ²(ν). Sums of weighted squares are approximated by a χ² with the same mean and variance
-(Satterthwaite 1946); nearly all weights are 1.
+    J Σ Jᵀ , 3 × 3 at each pose.
 
-The total cost, including the prior, would be χ²(n) for a true prior but has the mean ν for one that is too wide, so it
-would depend on the width of the prior more than on the residuals. A prior that is too tight increases both, as it
-should: data and prior disagree.
-
-**Cartesian error** (Renders 1991, II-D). To first order a point of the end has the error J Δ. If the parameters have
-the covariance Σ, this error has the covariance J Σ Jᵀ, 3 × 3 at each pose. Σ = diag(tolerance²) gives the a priori
-analysis of the paper: how large the error will be before any measurement, where it is largest (points worth measuring:
-III-G). Σ = P gives the same a posteriori. P must be the covariance of
-all free parameters together: individual parameters may be uncertain by metres along directions that affect no pose.
+Σ = diag(tolerance²) gives the paper's analysis before any measurement: where the error is largest (III-G). Σ = P, the
+covariance of all free parameters together, gives the same afterwards: single parameters may be uncertain by metres
+along directions that affect no pose.
 """
 
 from __future__ import annotations

@@ -1,22 +1,13 @@
 """Validation of a robot on observations that it was not fitted to: which rows can be used, and what they show.
 
-Unknowns of the rig (a socket's position, a line's pose, a ball's position) are estimated from the validation rows
-themselves, with the robot fixed, because nothing could be predicted otherwise. Rows that fit such unknowns exactly,
-whatever the reading, are not used. Unknowns that the identification estimated can be kept at their identified values;
-they are then validated together with the robot.
+Unknowns of the rig (a socket's position, a line's pose) are estimated from the validation rows themselves, with the
+robot fixed. Rows that fit such unknowns exactly, whatever the reading, are not used. Unknowns that the identification
+estimated can be kept; they are then validated together with the robot.
 
-This also determines how large the errors should be if the robot, and what is kept with it, is as identified, with
-covariance P. For whitened rows with noise ε and the robot's error δ, r = ε − A δ. The other unknowns of the rig, J u
-(with their priors as additional rows below J), absorb the part H r, H = U₁U₁ᵀ, with U₁ the rows of J in the U of its
-thin SVD. The rest has the covariance
-
-    (I − H) + (I − H) A P Aᵀ (I − H) .
-
-One χ² test decides whether the errors have that size. With P as the prior of the robot's parameters about the
-identified ones, the minimum sum of squares of data and priors together is χ² with as many degrees of freedom as there
-are residuals and priors in excess of unknowns: rᵀ(I + A P Aᵀ)⁻¹r once the rig is eliminated. This accounts exactly for
-the errors that rows share, of the robot and of the rig, and for how much n rows can show. Null directions of the
-identification have no prior. ``checks`` examines the residuals of this fit like those of any other.
+How large the errors should be follows from the covariance P of the robot and of what is kept with it
+(docs/explanation/estimation.md). One χ² test decides: with P as the prior, the minimum sum of squares of data and
+priors is χ² with as many degrees of freedom as residuals and priors exceed the unknowns. This accounts for errors that
+rows share. Null directions have no prior. ``checks`` examines the residuals like those of any other fit.
 """
 
 from __future__ import annotations

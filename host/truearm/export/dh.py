@@ -1,14 +1,12 @@
 """Denavit–Hartenberg rows of any robot with revolute joints, computed from the poses of its axes.
 
 Frame 0 lies on the first axis, at the point nearest to the robot's base. Frame i lies on axis i + 1 at the foot of the
-common normal from axis i, with x along that normal. Frame n lies on the last axis, at the point nearest to the flange.
-The remaining transforms at both ends go into base and tool. The direction of x follows the nominal robot, where it is
-chosen to make θ smallest, as manufacturers do.
+common normal from axis i, with x along it. Frame n lies on the last axis, at the point nearest to the flange. The
+direction of x makes θ smallest for the nominal robot, as manufacturers do.
 
-Nearly parallel axes have a distant normal: with an angle of δ and a distance of e between them, its foot is e/δ away,
-hundreds of metres for an arm as built. Such offsets d of successive rows cancel. Each row therefore begins at the frame
-that the rows before it give in floating-point numbers, and the rows predict the arm to 1e-15 of the largest d. With
-``hayati``, rows whose nominal axes are nearly parallel have Hayati's β and d = 0 instead (``model.dh``). Exactly
+Nearly parallel axes have a distant normal, hundreds of metres for an arm as built, and such d of successive rows
+cancel. Each row begins at the frame that the rows before it give in floating point, so the rows predict the arm to
+1e-15 of the largest d. With ``hayati``, nearly parallel rows have Hayati's β and d = 0 instead (``model.dh``). Exactly
 parallel axes have d = 0.
 """
 

@@ -1,28 +1,14 @@
 """A line device: a target that the robot drives along a straight line, measured in the device's axes.
 
-y is the longitudinal coordinate (magnetostrictive, about 1 m); x and z are the two transverse ones (magnetic, a few
-millimetres). Each placement of the device is a line with six unknowns of its own (Renders, Rossignol, Becquet, Hanus
-1991, II-H). Geometry and derivatives are those of a tracker with a very long, thin measuring volume (``position.py``).
+y is the longitudinal coordinate (magnetostrictive, about 1 m); x and z are transverse (magnetic, a few millimetres).
+Each placement has six unknowns of its own (Renders, Rossignol, Becquet, Hanus 1991, II-H), with the geometry of a
+tracker (``position.py``). Points exactly on a line do not determine the roll about it.
 
-Points exactly on a line (transverse readings 0) do not determine the device's roll about it: one direction fewer per
-line.
+The device is first placed from its readings with the nominal robot (``LinePlacement``): by least squares of all points,
+or from the first two as in Renders III-G 5 a. It is an initial value, so these points are kept. It turns as little as
+possible about the line from the declared orientation (``turn_sigma``): an apparent roll is random.
 
-The line device is set up by hand, so it is initially placed from its own readings with the nominal robot
-(``LinePlacement``): by least squares of all its points or, as in Renders III-G 5 a, from its first two points alone.
-Least squares starts closer: two neighbouring points are a few centimetres apart, and if the nominal robot is in error
-by a few millimetres between them, the far end is off by a multiple. Both fits end at the same place. The paper then
-excludes the two points from the identification. Here they are kept, because a placement is only an initial value, and
-prior information about the device's pose is given by its sigma. If you give the placed pose a prior as tight as the two
-points themselves, remove them from the table.
-
-A placement rotates the device so that the line of its points coincides with their line according to the nominal robot.
-About that line it rotates as little as possible from the declared orientation, if that is known (``turn_sigma``). The
-points of a line hardly determine the roll: with a nominal robot whose errors exceed their distance from the line, the
-apparent roll is random, and a prior about a random value is false. The fit would have to move away from it slowly
-against that prior.
-
-The time offset requires the line to be driven in both directions: at constant speed in one direction, τ cannot be
-distinguished from the device's longitudinal position.
+Lines are driven in both directions: otherwise τ is a shift along the line.
 """
 
 from __future__ import annotations

@@ -1,21 +1,15 @@
 """A target on the tool, measured as a point in a device's own axes: a tracker, or a line device (``line.py``).
 
-The prediction is m = R_dᵀ (T(q)·s − p_d) with the device's pose (R_d, p_d) in the base frame. The residual is in the
-device's axes, where the sensors' covariance S_x is declared. With r = T(q)·s − p_d = R_d·m, moving the device by δp and
-rotating it by a small δφ about the base axes changes the prediction by
+    m = κ R_dᵀ (T(q)·s − p_d) ,   δm = −κ R_dᵀ (δp + δφ × r) ,   r = T(q)·s − p_d
 
-    δm = −R_dᵀ (δp + δφ × r) = −R_dᵀ (I, −[R_d m]×) (δp; δφ) ,
+with the device's pose (R_d, p_d) in the base frame, its motion δp and small rotation δφ about the base axes, and its
+scale κ (1; a laser's wavelength in air of another temperature). This is (27), (28) of Renders (1991), with the lever in
+base axes. The residual is in the device's axes, where the sensors' covariance is declared.
 
-which is the device Jacobian (27), (28) of Renders (1991) with its lever in base axes. The printed one has [m]×, which is
-correct only for a device parallel to the base. A device's parameters are x, y, z (p_d, m) and rx, ry, rz, a rotation
-vector ω about the base axes relative to the orientation R_r declared in the rig (the identity if none is declared):
-R_d = exp([ω]×)·R_r and δφ = J_l(ω) δω.
+Parameters are x, y, z (p_d, m) and rx, ry, rz, a rotation vector ω from the declared orientation R_r: R_d =
+exp([ω]×)·R_r and δφ = J_l(ω) δω.
 
-A device can have a wrong scale, such as a laser's wavelength in air of another temperature: it reads κ·m, with κ a
-constant of 1. Every derivative above is then κ times as large, and ∂(κ·m)/∂κ = m.
-
-The joints were truly at q(t) = q_reading(t + τ), to first order q_reading + q̇·τ, so ∂m/∂τ = J_q·q̇ and the derivative of
-the residual is −J_q·q̇.
+The joints were truly at q_reading(t + τ), so ∂m/∂τ = J_q·q̇.
 """
 
 from __future__ import annotations

@@ -1,32 +1,19 @@
 """A robot as a single chain of elementary transforms, with its forward kinematics and derivatives.
 
-The chain is ``T_base_end = L_0 · J_1(θ_1) · L_1 · J_2(θ_2) · … · J_j(θ_j) · L_j``. A link ``L_i`` is a run of
-constants, each a translation along or a rotation about x, y or z. A joint ``J_i`` is one such motion by its true angle
-θ_i, which the joint law (``model.joint_law``) computes from the readings q. A constant is either a parameter (with a name
-and a derivative) or fixed (an alignment that is never identified). Every convention (Sheth–Uicker, URDF,
-Denavit–Hartenberg) builds this same chain.
+    T_base_end = L_0 · J_1(θ_1) · L_1 · J_2(θ_2) · … · J_j(θ_j) · L_j
 
-Derivatives. Let ``L = A·M(p)·B`` where M moves along the unit twist ξ by p. Then ∂L/∂p = L·[Ad(B⁻¹)ξ]: a parameter
-moves everything beyond its link by a twist that is constant in the link's far frame, whatever the pose. With the
-twists of one link as columns (v; w) of a (6, m) matrix X, and a point p and a direction u both expressed in that frame,
+A link ``L_i`` is a run of constants along or about x, y or z: parameters, or fixed. A joint ``J_i`` is one such motion
+by its true angle θ_i, which the joint law (``model.joint_law``) computes from the readings q.
 
-    u·∂p/∂params = [u; p × u]ᵀ X ,
-
-a wrench (a force u through p) times constants. The wrench is carried outwards from the base, with a constant 6×6 matrix
-per link. A joint about an axis does not change the wrench's force and moment along that axis, so it produces only four
-new numbers (a joint along an axis: two). The component of the wrench on the joint's axis is the derivative by θ_i. It is
-the derivative by an offset and, times ∂θ_i/∂parameter, by any parameter of the law; this is a new number where that factor
-varies, such as q_i for a gain. Hence all derivatives are
+docs/explanation/estimation.md derives the derivatives of a point p along a direction u,
 
     u·∂p/∂params = wrenches · twists ,   wrenches (n, b), twists (b, p) the same for all poses,
 
-with b = 6 + 5 n_r + 3 n_p for n_r revolute and n_p prismatic joints with gains. This is the number N of parameters that
-observations of points and directions can identify, so no column of ``wrenches`` is redundant. An estimator folds these b
-columns and multiplies by ``twists`` once at the end, regardless of the number of parameters. The derivative by a joint
-reading is the wrench components on the joint axes times ∂θ/∂q.
+with b = 6 + 5 n_r + 3 n_p for n_r revolute and n_p prismatic joints with gains. An estimator folds b columns and
+multiplies by ``twists`` once.
 
-Shapes: leading axes ``…`` are poses; ``j`` joints, ``p`` parameters. Units: m, rad. Complex params or q are propagated, so
-that a complex step can check every derivative.
+Shapes: leading axes ``…`` are poses; ``j`` joints, ``p`` parameters. Units: m, rad. Complex params or q are propagated,
+for complex steps.
 """
 
 from __future__ import annotations

@@ -2,14 +2,13 @@
 
     θ_i = Σ terms ,    by default  θ_i = offset_i + gain_i·q_i
 
-All code that needs a joint's true angle uses this module: for its value, its derivatives by the readings and by the
-parameters, and its inverse. TERM_FILES is the registry: to add a term, add a file in ``model/joint_terms`` and a line
-there. A chain has parameters of a term if its builder created them, for example from a key in a robot file's [jointN].
+All code that needs true angles uses this module: their value, derivatives by readings and parameters, and inverse.
+TERM_FILES is the registry: to add a term, add a file in ``model/joint_terms`` and a line there. A chain has parameters
+of a term if its builder created them, for example from a key of a robot file's [jointN].
 
-A parameter of a law moves everything beyond its joint about that joint's axis. Its derivative of any observation is
-therefore the derivative by the joint's true angle times ∂θ/∂parameter. ``chain`` computes the former. Where the latter
-varies from pose to pose, a parameter is one more column (``columns``); where it is 1, it is a combination of the
-columns that the links already provide.
+A parameter of a law moves everything beyond its joint about the joint's axis. The derivative is therefore that by the
+true angle, which ``chain`` computes, times ∂θ/∂parameter. Where this factor varies, the parameter is one more column
+(``columns``); where it is 1, it is a combination of the columns of the links.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """Separation of a robot from its mountings: the gauge of a calibration, which depends on the rig it was measured with.
 
-A calibration relates the frames of its rig: T_i(q) is the pose of the end frame (such as the sphere fixture) in the
-base frame (such as the chuck fixture). The transforms before the first joint and after the last are rigid, so their
-errors are indistinguishable from errors in mounting the robot and the tool. Both are treated as mountings:
+T_i(q) is the pose of the end frame (such as the sphere fixture) in the base frame (such as the chuck fixture). The
+transforms before the first joint and after the last are rigid, so their errors are indistinguishable from errors of
+mounting. Both are treated as mountings:
 
-    T_i(q) = B · R(q) · E ,
+    T_i(q) = B · R(q) · E ,   B = L_0i · L_0n⁻¹ ,   E = L_jn⁻¹ · L_ji
 
-where R(q) is the pose of the robot's own flange frame in its own base frame. Relative to the first and the last joint,
-these two frames are where the nominal robot has them. With L_0 and L_j the constants before the first and after the
-last joint (including the offsets of these joints), identified (i) and nominal (n): B = L_0i · L_0n⁻¹ and E = L_jn⁻¹ ·
-L_ji. This is exact for every q.
+R(q) is the pose of the robot's own flange frame in its own base frame, which are where the nominal robot has them
+relative to the first and the last joint. L_0 and L_j are the constants before the first and after the last joint, with
+these joints' offsets, identified (i) and nominal (n). This is exact for every q.
 """
 
 from __future__ import annotations

@@ -2,14 +2,13 @@
 joint.
 
 At each pose the robot first stands still for a long time, to measure the noise of sensor and readings. Then it
-repeatedly moves a short way off and comes back, with each joint approaching from its own side. The sides of a round are
-the rows of a Hadamard matrix, so each joint approaches equally often from both sides and independently of all others,
-and the same few visits separate the effects of the joints on the bar (Plackett and Burman, Biometrika 33, 1946). Each
-round has a new random order, so that drift is not correlated with a direction. The bar stays on: the bar's free travel
-limits how far a joint moves off.
+repeatedly moves a short way off and comes back. The sides of a round are the rows of a Hadamard matrix, so each joint
+approaches equally often from both sides, independently of all others (Plackett and Burman, Biometrika 33, 1946). Each
+round has a new random order, so that drift is not correlated with a direction. The bar stays on: its free travel limits
+how far a joint moves off.
 
-The poses are those at which the bar is most informative about every joint. They are chosen greedily to maximise the
-sum, over the joints, of the logarithm of the squared derivatives of the length summed over the poses.
+The poses are chosen greedily: they maximise the sum, over the joints, of the logarithm of the squared derivatives of
+the length summed over the poses.
 """
 
 from __future__ import annotations

@@ -1,22 +1,15 @@
 """The choice of candidates to measure: greedy optimal design with exchange refinement.
 
-Let J_i (w, k) be the whitened rows of a candidate and M the information of what is known and chosen, in units of each
-parameter's prior σ (so that the prior alone is M = I and metres are comparable with radians). With P = M⁻¹ and S = I +
-J_i P J_iᵀ, one more candidate changes
+With J_i (w, k) the whitened rows of a candidate, M the information in units of each parameter's prior σ, P = M⁻¹ and S
+= I + J_i P J_iᵀ, one more candidate changes
 
-- log det M by log det S: the criterion of D-optimality (the volume of the confidence ellipsoid);
-- tr(LᵀPL) by −‖S^(−1/2) J_i P L‖²: A-optimality with L = I (the mean variance of the parameters), I-optimality with L
-  Lᵀ = the mean of J_rᵀJ_r over the user's region (the mean variance of a point's position there), and E-optimality with
-  L the eigenvector of the largest eigenvalue of P (the worst direction), recomputed at each step.
+- log det M by log det S: D-optimality, the volume of the confidence ellipsoid;
+- tr(LᵀPL) by −‖S^(−1/2) J_i P L‖²: A-optimality with L = I, I-optimality with L Lᵀ = the mean of J_rᵀJ_r over the
+  region, E-optimality with L the eigenvector of the largest eigenvalue of P.
 
-Each step takes the best candidate and adds its block J_iᵀJ_i to M. The order is nested: its first n candidates are the
-choice of n, so a time budget only determines where to stop. If time counts, the gain of a candidate that requires
-mounting the bar is counted per second: ``setup`` is the extra cost of the first candidate of a group relative to a
-further one. The exchange (Fedorov 1972) then removes each chosen candidate in turn and replaces it by the best one, as
-long as this helps; with setups, by one of a group already in use.
-
-Measured on one core with one exchange pass: choosing 400 of 5000 candidates with one row and 36 parameters takes 0.2 s
-(D, A, I) or 0.3 s (E).
+Each step takes the best candidate. If time counts, gains are per second, with ``setup`` for the first candidate of a
+group. The exchange (Fedorov 1972) replaces each by the best one as long as this helps. 400 of 5000 candidates take 0.2
+to 0.3 s.
 """
 
 from __future__ import annotations

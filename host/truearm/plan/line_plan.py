@@ -1,14 +1,12 @@
 """A plan of lines: where to put a line device, and how to drive along it in both directions.
 
-The error at each candidate (``straight``) is computed from the known tolerances of the robot (Renders 1991, II-D), and
-the half with the larger errors is kept: where the error is large, measurement errors matter less (III-G, 4). Among
-these, lines are chosen like ball-bar poses, each a block of rows after fitting the six unknowns of its own device. Each
-is driven at constant speed in both directions, since in one direction a delay between joints and device is
-indistinguishable from the device's position.
+The error at each candidate (``straight``) is computed from the tolerances of the robot (Renders 1991, II-D), and the
+half with the larger errors is kept: there, measurement errors matter less (III-G, 4). Among these, lines are chosen
+like ball-bar poses, each a block of rows after fitting the six unknowns of its own device. Each is driven at constant
+speed in both directions, since in one direction a delay is indistinguishable from the device's position.
 
-A device is assumed to be set up by hand as planned, to BY_HAND about each axis. Otherwise its roll would be determined
-only by the tenths of a millimetre by which the true arm deviates from the line, and the information on the arm would
-depend on them.
+A device is assumed to be set up by hand, to BY_HAND about each axis. Otherwise its roll would be determined only by the
+tenths of a millimetre by which the true arm deviates from the line.
 """
 
 from __future__ import annotations

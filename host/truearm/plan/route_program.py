@@ -1,14 +1,13 @@
 """A route as a program; the suffix of the file selects the language.
 
 The first move starts anywhere and is slow. Every other move is straight in joint space and takes the seconds of the
-route, so that neither a joint nor the bar moves faster than planned. At a pose the program sets an output ("at rest"),
-waits for the dwell, and clears the output before it moves on. A line is driven straight in space at the planned speed,
-with the output set from one end to the other. With an ``input`` the program also waits until the box has answered, at
-most TIMEOUT, and until the answer is cleared. Before leaving a pairing or a line it stops until the bar or the device
-is removed, and at the next one until it is mounted.
+route. At a pose the program sets an output ("at rest"), waits for the dwell, and clears the output. A line is driven
+straight in space at the planned speed, with the output set. With an ``input`` the program also waits until the box has
+answered, at most TIMEOUT, and until the answer is cleared. Before leaving a pairing or a line it stops until bar or
+device is removed, and at the next one until it is mounted.
 
-Imports nothing slow, so that ``--help`` can list the languages. To add one, write a module here with ``text(stops,
-task) -> str`` and add its line to ``DIALECTS``.
+Imports nothing slow, so that ``--help`` can list the languages. To add one, write a module with ``text(stops, task) ->
+str`` and add its line to ``DIALECTS``.
 """
 
 from __future__ import annotations

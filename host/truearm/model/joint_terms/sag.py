@@ -1,15 +1,12 @@
-"""Sag: the deflection of a joint under the weight that it carries, with unknown masses.
+"""Sag: the deflection of a joint under the weight that it carries, with unknown masses, on the nominal geometry.
 
     δθ_i = Σ_k s_ik · g·(axis_i × (p_k − origin_i))
 
-p_k are points that move with the links beyond joint i: the origins of the frames of further joints and of the end. The
-sum over k is the torque of unit masses at these points; g·(a × l) = (g × a)·l. s_ik is joint i's compliance times the mass at p_k, an unknown
-[rad per kg·m, with g of length 1]. Any distribution of masses along the lines between these points has such a torque.
-The geometry is the nominal one. The parameter of (i, k) has ``basis`` (k, gx, gy, gz): the frame with origin p_k (j, the
-number of joints, stands for the end), and the direction of gravity in the base frame.
+p_k are the origins of the frames of further joints and of the end. The sum is the torque of unit masses there. s_ik is
+joint i's compliance times the mass at p_k [rad per kg·m, with g of length 1]. The parameter of (i, k) has ``basis`` (k,
+gx, gy, gz): the frame (j, the number of joints, stands for the end), and the direction of gravity in the base frame.
 
-k = j + 1 stands for the centre of the chain's payload. Its torque is that of the payload's known mass, so its parameter
-is the joint's compliance alone.
+k = j + 1 is the centre of the chain's payload, whose mass is known: its parameter is the joint's compliance alone.
 
 Like a curve, a sag has no key in a robot file: ``model.law_chain`` adds it to a chain.
 """
