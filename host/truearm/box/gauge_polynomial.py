@@ -3,15 +3,14 @@
 At each of n positions, the reference gives y_i and the sensor x_i, a mean over seconds with little noise. The fit uses
 Legendre polynomials over the readings' span, whose columns A = QR are nearly orthogonal.
 
-**Choosing the order.** A higher order always leaves smaller residuals e at the fitted points. Left out, point i is
-predicted with the error
+**Choosing the order.** A higher order leaves smaller residuals e. Left out, point i is predicted with the error
 
     e_i / (1 − h_i) ,   h the diagonal of QQᵀ
 
 (Allen, Technometrics 16, 1974, 125, eq. 3.2; PRESS). The mean square of these errors is uncertain by some tens of
-percent, so the lowest order within one standard error of the best one is chosen (Breiman and others, "Classification
-and regression trees", 1984, §3.4.3). It is the true order in 76 to 93 % of simulated cases; the least mean square alone
-finds it in 61 to 76 % (tests/host/test_gauge_polynomial.py).
+percent, so the lowest order within one standard error of the best one is chosen (Breiman and others, 1984, §3.4.3). It
+is the true order in 76 to 93 % of simulated cases; the least mean square alone finds it in 61 to 76 %
+(tests/host/test_gauge_polynomial.py).
 """
 
 from __future__ import annotations
