@@ -8,12 +8,12 @@ import json
 import numpy as np
 import pytest
 
-from truearm.session.clock import fit_clock
+from truearm.session.clock import RobotClock, fit_clock
 from truearm.session.frames import Exchange
 from truearm.session.joint_format import NO_INPUTS, parse_lines
 from truearm.session.joint_readings import InputTrack, JointReader
 from truearm.session.session_file import columns_of
-from truearm.session.trigger_edges import TimedEdges, fit_edges, match, with_edges
+from truearm.session.trigger_edges import EDGE, fit_edges, match, with_edges
 from truearm.types import Message
 
 CYCLE_S = 0.002
@@ -52,7 +52,7 @@ def edges_at(rng, n, least=0.3, most=1.3):
 
 
 def errors(seed, n, controller, between=(0.3, 1.3), delays=(0.0, 0.0)):
-    """Errors and bounds [µs] of controller time at 500 device times among n edges.
+    """Errors and bounds [µs] of host time at 500 controller times among n edges.
 
     ``delays`` [s] of the input: of rising and falling edges.
     """
@@ -60,14 +60,15 @@ def errors(seed, n, controller, between=(0.3, 1.3), delays=(0.0, 0.0)):
     t = edges_at(rng, n, *between)
     rising = np.arange(n) % 2 == 0
     tick = np.floor(controller.reading(t + np.where(rising, *delays)) / CYCLE_S)
-    stamp = np.floor(device_us(t)).astype(np.int64)
-    fit = fit_edges(100.0, TimedEdges(stamp, rising, tick * CYCLE_S, (tick + 1) * CYCLE_S))
+    edges = np.zeros(n, EDGE)
+    edges["host_ns"], edges["rising"] = 1000 * np.floor(1e6 * t), rising
+    arrivals = RobotClock(100.0, 0, np.array([100.0]), np.zeros(1), np.zeros(1))
+    span_s = tuple(controller.reading(t[[0, -1]]))
+    fit = fit_edges(arrivals, edges, tick * CYCLE_S, (tick + 1) * CYCLE_S, span_s)
     assert fit.rejected == 0
     assert fit.falling_later_ns[0] <= 1e9 * (delays[1] - delays[0]) <= fit.falling_later_ns[1]
-    at = np.floor(device_us(np.linspace(t[0], t[-1], 500))).astype(np.int64)
-    estimate, bound = fit.clock.to_robot_s(at)
-    truth = controller.reading((1e-6 * at - BOOT_S) / (1.0 + 1e-6 * DEVICE_PPM))
-    return 1e6 * (estimate - truth), 1e-3 * bound
+    at = np.linspace(*span_s, 500)
+    return 1e-3 * (fit.clock.to_host_ns(at) - 1e9 * controller.true(at)), 1e-3 * fit.clock.bound_at(at)
 
 
 @pytest.mark.parametrize("seeds", [20, pytest.param(100, marks=pytest.mark.soak)])

@@ -1,35 +1,13 @@
 """Convert the times of the box and of the robot controller to host time.
 
-**The box, by clock exchanges.** An exchange has four times: the host wrote at t0, the device received at t1, it answered at t2, and the host received
-the answer at t3. Nothing can arrive before it was sent, whatever the link does. The host time h(d) at device time d
-therefore has two hard bounds, h(t1 + 1 µs) ≥ t0 and h(t2) ≤ t3: a row of ``truearm.clocks``, which fits the clock.
+**The box** answers requests for its time: the host writes at t0, the device receives at t1 and answers at t2, and the
+answer arrives at t3. Each exchange is a row of ``truearm.clocks``: h(t1) ≥ t0 and h(t2) ≤ t3. The bound includes half of
+the shortest round trip, which no exchange can divide between the two directions.
 
-The bound includes the half-asymmetry, half the shortest round trip. No exchange can show the asymmetry: if the outward
-trip takes constantly longer than the return trip, the estimate is off by half the difference and every exchange looks
-the same.
-
-The box's temperature is that of the microcontroller's own sensor, with a resolution of half a degree. Averaging over two
-minutes smooths the steps; a box changes by less than one step in that time.
-
-**The robot, by arrivals alone.** A reading stamped t by the controller arrives at h(t) + latency, and latency is never negative. The fastest reading of each
-second is a row of ``truearm.clocks``, whose estimate lies under all of them. Queues and a busy host only delay arrivals.
-
-**The shortest latency cannot be observed**: a constant latency is part of the offset. It is not removed here; the
-parameter τ of the identification absorbs it. It does not matter for a robot at rest. Edges of a trigger wire
-(``trigger_edges``) do reveal it.
-
-The **bound** covers the rest: how far the estimate may be from the shortest latency. It is not a hard bound, because a
-link may hold up every packet for a minute without any sign. It is twice the mean height of the fastest packets of the
-minute around above the estimate. The very fastest of 60 such packets lies above the shortest latency by a fraction of
-that height: about a sixtieth if latencies near the shortest are as likely as elsewhere, a seventh if their density
-vanishes linearly there, a quarter if quadratically. With half as many, at the ends, it lies higher by √2 (linearly). A rate drift of 1 ppm per minute (DRIFT) is added.
-
-**Where a clock steps or is slewed**, the estimate follows the lowest arrivals and the others lie above it. The bound is
-therefore also at least 1.75 times the height that all packets of any eight consecutive seconds keep. This holds if every
-eight seconds contain a packet that is nearly as fast as possible, and if the clocks change in only one direction within
-any eight seconds.
-
-If controller time runs backward, the controller restarted: another segment with its own clock begins.
+**The robot** sends readings in one direction. The fastest reading of each second is a row with a latest time alone. The
+estimate is late by the shortest latency, which the parameter τ of the identification absorbs, or a trigger wire shows
+(``trigger_edges``). The bound covers the rest: how far the estimate may be from the shortest latency. It is no hard bound
+(docs/explanation/clocks.md#robot-and-host). Where controller time runs backward, another segment begins.
 """
 
 from __future__ import annotations
@@ -214,6 +192,10 @@ class RobotClock:
     bound_ns: Floats  # (k,) of the error; for "arrivals" excluding the link's shortest latency, which is unknown
     source: str = "arrivals"  # or "edges", of a trigger wire
 
+    def stamps(self, t_robot_s: Floats) -> Ints:
+        """Return controller times (n,) [s] as whole ns from ``t_ref_s``."""
+        return np.rint(1e9 * (np.asarray(t_robot_s) - self.t_ref_s)).astype(np.int64)
+
     def bound_at(self, t_robot_s: Floats) -> Floats:
         """Return bounds (n,) [ns] at controller times: the larger one of the two nodes around each."""
         right = np.clip(np.searchsorted(self.node_s, t_robot_s), 0, len(self.node_s) - 1)
@@ -233,8 +215,7 @@ class RobotClock:
         rates = self.rates
         beyond = rates[0] * np.minimum(t - self.node_s[0], 0.0) + rates[-1] * np.maximum(t - self.node_s[-1], 0.0)
         offset = np.interp(t, self.node_s, self.offset_ns) + 1e9 * beyond
-        dt = np.rint(1e9 * (t - self.t_ref_s)).astype(np.int64)
-        return np.asarray(self.host_ref_ns + dt + np.rint(offset).astype(np.int64))
+        return np.asarray(self.host_ref_ns + self.stamps(t) + np.rint(offset).astype(np.int64))
 
     @property
     def rates(self) -> Floats:

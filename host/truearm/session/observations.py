@@ -150,7 +150,7 @@ def survey(
     for channels in chain.from_iterable(samples.values()):
         channels.place(clocks)
     outputs = {s.index: s.output for s in box.segments if s.output}
-    joints = with_edges(robot.finish(), outputs, clocks)
+    joints = with_edges(robot.finish(), outputs, clocks, wander)
     temperatures = {
         name: box_temperature({s.index: s.temperatures.get(name, []) for s in box.segments}, clocks)
         for name in dict.fromkeys([None, *(name for s in box.segments for name in s.temperatures)])

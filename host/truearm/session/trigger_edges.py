@@ -1,32 +1,13 @@
-r"""Relate robot controller time to device time by the edges of a trigger wire.
+"""Relate robot controller time to host time by the edges of a trigger wire.
 
-The box toggles a digital input of the controller at random times (SPEC §6). Its hardware stamps each edge; the
-controller's readings show between which two of them the input changed. An input is delayed differently in each
-direction: an optocoupler switches on faster than off, and a filter adds to both. So the controller time c(d) at device
-time d has two bounds, one cycle apart if no reading is missing::
+The box toggles a digital input of the controller at random times and stamps each edge. An edge at host time h
+changed the input between two readings, with the controller times ``before`` and ``after``. So the controller showed
+``after`` at a host time from h to h + (after − before), plus the delay of the input: a row of ``truearm.clocks``.
+Polarity and the delay of each direction are unknowns of the fit (docs/decisions/0016-trigger-edges.md).
 
-    last reading with the old level  <  c(edge) + delay of that direction  ≤  first reading with the new level
-
-These are rows of ``truearm.clocks``, which fits the clock. Edges occur anywhere within a cycle, so n of them narrow the
-uncertainty to a few nths of a cycle. Latency plays no role.
-
-**Unknown** are the two delays, and whether the input is inverted. The controller sees falling edges later than rising
-ones by a constant difference D, which may be negative. Edges of one direction, moved by the rates of the clock to those
-of the other, limit D from both sides. With D, both directions bound one clock, that of the direction with the shorter
-delay. Each narrows the other, so this is repeated.
-
-**No edge shows a delay itself**, only the difference of the two: a delay common to both looks like an earlier clock. No
-delay is negative, and the shorter one is assumed to be at most SHORTEST_DELAY_NS, as for an input without a filter. The
-controller's clock therefore lies between the clock of the edges minus SHORTEST_DELAY_NS and that clock. That is the
-**bound**. It holds if the shorter delay is within that range and the rate of the two clocks stays within COURSE_WANDER of
-its mean over two minutes (both are crystals that nothing slews). Any excess of a filter's delay over the range is
-constant and becomes part of the delay τ. So does any difference between the sampling instants of a reading's joints and
-its inputs.
-
-**Matching edges** uses the clocks that are already known (arrivals and exchanges), to within TOLERANCE_S. A change of
-the input and an edge are matched if neither could belong to another one and all have the same polarity, or all the
-opposite one. A bouncing contact or a gap in the readings makes several matches possible: these are left out and
-counted. An edge that contradicts the others is left out: it was matched incorrectly or bounced between two readings.
+**Matching edges** uses the clocks that are already known, to within TOLERANCE_S. A change of the input and an edge are
+matched if neither could belong to another one and all have the same polarity, or all the opposite one. Others are
+counted and not used, as are edges that contradict the others: wrong matches, or bounces between two readings.
 """
 
 from __future__ import annotations
@@ -38,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.clocks import Clock, fit
+from truearm.clocks import WANDER, Clock, fit
 from truearm.session.clock import NODE_S, DeviceClock, EdgeReport, RobotClock
 from truearm.session.joint_readings import Changes, InputTrack, JointStream
 from truearm.types import Floats, Ints
@@ -54,17 +35,9 @@ LATENCY_NS = 1e6  # shortest latency of a fast link: if the bounds are wider, ar
 
 
 Output = Sequence[tuple[int, bool]]  # edges of the box's trigger output in one segment: device time [µs], level
-
-
-class TimedEdges(NamedTuple):
-    """Edges (n,) of the output by ascending device time, each with the controller times [s] between which the input
-    changed.
-    """
-
-    t_us: Ints
-    level: NDArray[np.bool_]
-    before_s: Floats
-    after_s: Floats
+EDGE = np.dtype(
+    [("host_ns", "i8"), ("bound_ns", "f8"), ("rising", "?")]
+)  # an edge of the output, the error of its time
 
 
 class Matched(NamedTuple):
@@ -106,88 +79,104 @@ def match(expected_s: Floats, level: NDArray[np.bool_], changes: Changes) -> Mat
 
 
 @dataclass(frozen=True)
-class EdgeClock:
-    """Device time → controller time within one segment, like ``DeviceClock`` for the host's; ns from ``t_ref_s``."""
+class EdgeFit:
+    """The clock from the edges, how many contradict the others, and how much later falling edges are seen than rising ones.
 
-    t_ref_s: float
-    clock: Clock  # of the direction with the shorter delay
-    best: Clock  # the same by the most likely difference of the delays
-
-    def to_robot_s(self, t_us: Ints) -> tuple[Floats, Floats]:
-        """Return controller times (n,) [s] of device times (n,) and the bounds (n,) [ns] of their errors."""
-        stamps = 1000 * np.asarray(t_us, dtype=np.int64)
-        middle, reach = self.clock.to_time(stamps)
-        aside = np.clip(self.best.to_time(stamps)[0] - middle, -reach, reach)
-        # No delay is negative, and the shorter one is at most SHORTEST_DELAY_NS.
-        seen, bound = middle + aside - 0.5 * SHORTEST_DELAY_NS, reach + np.abs(aside) + 0.5 * SHORTEST_DELAY_NS
-        return np.asarray(self.t_ref_s + 1e-9 * seen), bound
-
-
-class EdgeFit(NamedTuple):
-    """A clock from edges, the number of contradicting edges, and how much later falling output edges are than rising
-    ones.
+    ``to_box_ns`` (k,): the part of the bound at the clock's nodes that is between controller and box. ``falling_later_ns``:
+    at least and at most; NaN if only one direction is usable.
     """
 
-    clock: EdgeClock
+    clock: RobotClock
+    to_box_ns: Floats
     rejected: int
-    falling_later_ns: tuple[float, float]  # at least and at most; NaN if only one direction is usable
+    falling_later_ns: tuple[float, float]
 
 
-def fit_edges(t_ref_s: float, edges: TimedEdges) -> EdgeFit | None:
-    """Fit the clock to edges (n,) of one segment; None if no edge is usable."""
-    before, after = (np.rint(1e9 * (t - t_ref_s)).astype(np.int64) for t in (edges.before_s, edges.after_s))
-    rows, rising = np.stack([1000 * edges.t_us, after + STAMP_NS, before - STAMP_NS]), edges.level
-    alone = [clock for k in (rising, ~rising) if (clock := _fit(rows[:, k])) is not None]
-    if not alone:
+def fit_edges(
+    arrivals: RobotClock,
+    edges: NDArray[Any],
+    before_s: Floats,
+    after_s: Floats,
+    span_s: tuple[float, float],
+    wander: float = WANDER,
+) -> EdgeFit | None:
+    """Fit the clock to edges (n,) of EDGE between readings before and after (n,) [s]; None if no edge is usable.
+
+    ``arrivals`` only converts the short time between these readings. ``wander``: of the host's clock.
+    """
+    course_wander = COURSE_WANDER if wander == WANDER else None
+    stamps, until_ns = arrivals.stamps(after_s), arrivals.to_host_ns(after_s) - arrivals.to_host_ns(before_s)
+    rows = np.stack([stamps, edges["host_ns"] + until_ns + STAMP_NS, edges["host_ns"] - STAMP_NS])
+
+    def clock_of(rows: Ints) -> Clock | None:
+        return fit(*rows, wander=wander, course_wander=course_wander)
+
+    directions = [clock for k in (edges["rising"], ~edges["rising"]) if (clock := clock_of(rows[:, k])) is not None]
+    if not directions:
         return None
-    right = ~np.isin(rows[0], np.concatenate([clock.wrong for clock in alone]))
-    rows, rising = rows[:, right], rising[right]
-    clock = best = alone[0]
+    agreeing = ~np.isin(stamps, np.concatenate([clock.wrong for clock in directions]))
+    rows, rising = rows[:, agreeing], edges["rising"][agreeing]
+    clock = likely = directions[0]
     later = (np.nan, np.nan)
-    for _ in range(ROUNDS if len(alone) == 2 else 0):
+    for _ in range(ROUNDS if len(directions) == 2 else 0):
         if len(clock.steady) > 1:  # a clock stepped
             break
         later = _falling_later(clock, rows, rising)
         least, most = sorted(later)
-        clock = _fit(_earlier_direction(rows, rising, least, most)) or clock
-        best = _fit(_earlier_direction(rows, rising, 0.5 * (least + most), 0.5 * (least + most))) or clock
-    rejected = len(right) - rising.size + clock.wrong.size
-    return EdgeFit(EdgeClock(t_ref_s, clock, best), rejected, later)
-
-
-def _earlier_direction(rows: Ints, rising: NDArray[np.bool_], least: float, most: float) -> Ints:
-    """Return the rows of the earlier direction's clock, whichever that is: falling edges are later by least to most."""
-    earliest, latest = (
-        np.where(rising, min(0.0, least), min(0.0, -most)),
-        np.where(rising, min(0.0, most), min(0.0, -least)),
+        clock = clock_of(rows + _delayed(rising, least, most)) or clock
+        likely = clock_of(rows + _delayed(rising, 0.5 * (least + most), 0.5 * (least + most))) or clock
+    nodes = np.linspace(*span_s, max(2, round((span_s[1] - span_s[0]) / NODE_S) + 1))
+    middle, reach = clock.to_time(arrivals.stamps(nodes))
+    aside = np.clip(likely.to_time(arrivals.stamps(nodes))[0] - middle, -reach, reach)
+    # No delay is negative, and the shorter one is at most SHORTEST_DELAY_NS.
+    host_ns = np.rint(middle + aside + 0.5 * SHORTEST_DELAY_NS).astype(np.int64)
+    to_box_ns = reach + np.abs(aside) + 0.5 * SHORTEST_DELAY_NS
+    nearest = np.clip(np.searchsorted(edges["host_ns"], host_ns), 1, len(edges) - 1)
+    box_ns = np.maximum(edges["bound_ns"][nearest - 1], edges["bound_ns"][nearest])
+    offset_ns = (host_ns - arrivals.host_ref_ns - arrivals.stamps(nodes)).astype(np.float64)
+    return EdgeFit(
+        RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, nodes, offset_ns, to_box_ns + box_ns, source="edges"),
+        to_box_ns,
+        len(edges) - rising.size + clock.wrong.size,
+        later,
     )
-    return rows + np.rint([np.zeros(rising.size), latest, earliest]).astype(np.int64)
 
 
-def _fit(rows: Ints) -> Clock | None:
-    return fit(*rows, course_wander=COURSE_WANDER)
+def _delayed(rising: NDArray[np.bool_], least: float, most: float) -> Ints:
+    """Return what to add to rows (3, n), so that all are of the direction with the shorter delay, whichever that is.
+
+    Falling edges are seen later than rising ones by least to most [ns].
+    """
+    latest = np.where(rising, max(0.0, -least), max(0.0, most))
+    earliest = np.where(rising, max(0.0, -most), max(0.0, least))
+    return np.rint([np.zeros(rising.size), latest, earliest]).astype(np.int64)
 
 
 def _falling_later(clock: Clock, rows: Ints, rising: NDArray[np.bool_]) -> tuple[float, float]:
     """Return how much later falling edges are seen than rising ones, at least and at most.
 
-    The difference of the delays is constant, so each edge limits it by all edges of the other direction, which the rates
-    of a clock move to it.
+    The difference is constant, so each edge limits it by all edges of the other direction, which the rates of a clock move
+    to it.
     """
     early, late = (clock.relative_to_course(*rows[:, k]) for k in (rising, ~rising))
     x = np.concatenate([early.x, late.x])
     (least, most), (least_later, most_later) = early.range(x), late.range(x)
-    return float(np.max(least_later - most)), float(np.min(most_later - least))
+    return float(np.max(least - most_later)), float(np.min(most - least_later))
 
 
-def with_edges(joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock]) -> JointStream:
+def with_edges(
+    joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock], wander: float = WANDER
+) -> JointStream:
     """Return the readings, with clocks from edges wherever these are more accurate than arrivals.
 
-    ``outputs`` and ``clocks``: of the box's segments.
+    ``outputs`` and ``clocks``: of the box's segments. ``wander``: of the host's clock.
     """
-    if not any(segment in clocks for segment in outputs):
+    edges = np.concatenate(
+        [np.empty(0, EDGE), *(_edges(output, clocks[k]) for k, output in outputs.items() if k in clocks)]
+    )
+    if not len(edges):
         return joints
-    fits = [_of_segment(k, joints, outputs, clocks) for k in range(len(joints.clocks))]
+    fits = [_of_segment(k, joints, edges, wander) for k in range(len(joints.clocks))]
     return replace(
         joints,
         clocks=tuple(clock for clock, _ in fits),
@@ -198,118 +187,60 @@ def with_edges(joints: JointStream, outputs: Mapping[int, Output], clocks: Mappi
     )
 
 
+def _edges(output: Output, clock: DeviceClock) -> NDArray[Any]:
+    """Return the edges (n,) of EDGE of one segment of the box."""
+    edges = np.array([(0, 0.0, level) for _, level in output], EDGE)
+    edges["host_ns"], edges["bound_ns"] = clock.to_host_ns(np.array([t_us for t_us, _ in output], np.int64))
+    return edges
+
+
 def _of_segment(
-    k: int, joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock]
+    k: int, joints: JointStream, edges: NDArray[Any], wander: float
 ) -> tuple[RobotClock, EdgeReport | None]:
     """Return the clock of one segment of controller time and the report on its edges."""
     arrivals, track, span_s = joints.clocks[k], joints.inputs[k], joints.reports[k].t_robot_s
-    edges = _expected(arrivals, outputs, clocks, span_s)
+    expected_s = arrivals.to_robot_s(edges["host_ns"])
+    sent = (expected_s >= span_s[0]) & (expected_s <= span_s[1])  # while the controller sent readings
+    edges, expected_s = edges[sent], expected_s[sent]
     if not len(edges) or not track.readings:
         return arrivals, None
-    number, inverted, matched = _followed(track, edges)
-    fits = {} if number is None else _fits(arrivals, track.changes(number), edges, matched)
-    none = EdgeReport(
+    number, inverted, matched = _followed(track, expected_s, edges["rising"])
+    report = EdgeReport(
         number, inverted, len(edges), 0, *matched[1:], 0, (np.nan, np.nan), np.nan, np.nan, np.nan, in_use=False
     )
-    if not fits:
-        return arrivals, none
-    clock, to_box_ns = _through_nodes(arrivals, fits, clocks, span_s)
+    if number is None:
+        return arrivals, report
+    changes, paired = track.changes(number), matched.change >= 0
+    change = matched.change[paired]
+    fitted = fit_edges(arrivals, edges[paired], changes.before_s[change], changes.after_s[change], span_s, wander)
+    if fitted is None:
+        return arrivals, report
     middle = np.array([0.5 * sum(span_s)])
-    in_use = float(np.median(clock.bound_ns)) <= float(np.median(arrivals.bound_ns)) + LATENCY_NS
-    rejected = sum(fitted.rejected for fitted in fits.values())
+    in_use = float(np.median(fitted.clock.bound_ns)) <= float(np.median(arrivals.bound_ns)) + LATENCY_NS
     report = replace(
-        none,
-        used=int(np.isin(edges["segment"][matched.change >= 0], list(fits)).sum()) - rejected,
-        rejected=rejected,
-        falling_later_ns=_common([fitted.falling_later_ns for fitted in fits.values()]),
-        to_box_ns=float(np.median(to_box_ns)),
-        bound_ns=float(np.max(clock.bound_ns)),
-        shortest_latency_ns=float((arrivals.to_host_ns(middle) - clock.to_host_ns(middle))[0]),
+        report,
+        used=matched.paired - fitted.rejected,
+        rejected=fitted.rejected,
+        falling_later_ns=fitted.falling_later_ns,
+        to_box_ns=float(np.median(fitted.to_box_ns)),
+        bound_ns=float(np.max(fitted.clock.bound_ns)),
+        shortest_latency_ns=float((arrivals.to_host_ns(middle) - fitted.clock.to_host_ns(middle))[0]),
         in_use=in_use,
     )
-    return (clock if in_use else arrivals), report
+    return (fitted.clock if in_use else arrivals), report
 
 
-def _common(ranges: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the intersection of all known ranges; NaN if none is known."""
-    known = np.array([one for one in ranges if np.isfinite(one).all()]).reshape(-1, 2)
-    return (float(np.max(known[:, 0])), float(np.min(known[:, 1]))) if len(known) else (np.nan, np.nan)
-
-
-_EDGE = np.dtype([("expected_s", "f8"), ("t_us", "i8"), ("level", "?"), ("segment", "i8")])
-
-
-def _expected(
-    arrivals: RobotClock,
-    outputs: Mapping[int, Output],
-    clocks: Mapping[int, DeviceClock],
-    span_s: tuple[float, float],
-) -> NDArray[Any]:
-    """Return the edges (n,) of _EDGE of all segments of the box, by ascending controller time expected from arrivals.
-
-    They occurred while the controller sent readings.
-    """
-    tables = [np.empty(0, _EDGE)]
-    for segment, output in outputs.items():
-        if segment in clocks:
-            table = np.array([(0.0, *edge, segment) for edge in output], _EDGE)
-            table["expected_s"] = arrivals.to_robot_s(clocks[segment].to_host_ns(table["t_us"])[0])
-            tables.append(table[(table["expected_s"] >= span_s[0]) & (table["expected_s"] <= span_s[1])])
-    return np.sort(np.concatenate(tables), order="expected_s", kind="stable")
-
-
-def _followed(track: InputTrack, edges: NDArray[Any]) -> tuple[int | None, bool, Matched]:
+def _followed(track: InputTrack, expected_s: Floats, rising: NDArray[np.bool_]) -> tuple[int | None, bool, Matched]:
     """Return the input that follows the output, None if none does, whether it is inverted, and its matches.
 
     It is the input, of the polarity, with the most unambiguous matches.
     """
-    n = len(edges)
+    n = len(expected_s)
     candidates = (
-        (number, inverted, match(edges["expected_s"], edges["level"] ^ inverted, track.changes(number)))
+        (number, inverted, match(expected_s, rising ^ inverted, track.changes(number)))
         for number in track.inputs()
         for inverted in (False, True)
     )
     none = None, False, Matched(np.full(n, -1, dtype=np.intp), n, 0, 0)
     best = max(candidates, key=lambda candidate: candidate[2].paired, default=none)
     return best if best[2].paired >= max(LEAST_USED, LEAST_SHARE * n) else none
-
-
-def _fits(arrivals: RobotClock, changes: Changes, edges: NDArray[Any], matched: Matched) -> dict[int, EdgeFit]:
-    """Return the clock of each segment of the box with enough matched edges."""
-    fits = {}
-    for segment in np.unique(edges["segment"]).tolist():
-        paired = (matched.change >= 0) & (edges["segment"] == segment)
-        change = matched.change[paired]
-        timed = TimedEdges(
-            edges["t_us"][paired], edges["level"][paired], changes.before_s[change], changes.after_s[change]
-        )
-        fitted = fit_edges(arrivals.t_ref_s, timed) if len(change) >= LEAST_USED else None
-        if fitted is not None:
-            fits[segment] = fitted
-    return fits
-
-
-def _through_nodes(
-    arrivals: RobotClock, fits: Mapping[int, EdgeFit], clocks: Mapping[int, DeviceClock], span_s: tuple[float, float]
-) -> tuple[RobotClock, Floats]:
-    """Convert controller time to host time via device time, computed every NODE_S.
-
-    Also return, for each node, the part of the bound that is between controller and box [ns]: it is that of the edges
-    alone, without the box's clock against the host's. Between nodes both clocks are practically straight: a drift of
-    1 ppm a minute bends them by less than 1 µs in 10 s.
-    """
-    nodes = np.linspace(*span_s, max(2, round((span_s[1] - span_s[0]) / NODE_S) + 1))
-    dt = np.rint(1e9 * (nodes - arrivals.t_ref_s)).astype(np.int64)
-    best, to_box_ns = np.full(nodes.size, np.inf), np.full(nodes.size, np.nan)
-    host = np.empty(nodes.size, np.int64)
-    for segment, fitted in fits.items():
-        d_us = fitted.clock.clock.to_stamp(dt) // 1000
-        robot_s, of_robot = fitted.clock.to_robot_s(d_us)
-        device_ns, of_device = clocks[segment].to_host_ns(d_us)
-        here = of_robot + of_device < best
-        best[here], to_box_ns[here] = (of_robot + of_device)[here], of_robot[here]
-        # Device time is whole microseconds, and that of the estimate; the remainder is less than a cycle.
-        host[here] = (device_ns + np.rint(1e9 * (nodes - robot_s)).astype(np.int64))[here]
-    correction = (host - arrivals.host_ref_ns - dt).astype(np.float64)
-    clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, nodes, correction, best, source="edges")
-    return clock, to_box_ns
