@@ -18,7 +18,6 @@ from record_box import (
     Lab,
     Robot,
     array,
-    frame,
     heartbeat,
     u32,
     u64,
@@ -30,7 +29,6 @@ from truearm.record.recorder import Hooks, RecordOptions
 from truearm.session.box_ident import parse_ident_json
 from truearm.session.joint_readings import JointReader
 from truearm.session.session_file import open_session
-from truearm.session.streams import BoxReader
 
 
 class TestFaults:
@@ -227,29 +225,6 @@ class TestFaults:
         console = b"".join(m.data for m in topics(path)["/box/console"])
         assert console.endswith(b"".join(echoed).replace(b"\0", b""))
         assert received(path) == box.sent.replace(b"\0", b"")
-
-    def test_a_count_that_jumps_absurdly_is_not_believed(self, lab, path):
-        """One stray frame changes nothing; the box is asked who it is. The losses that inspect counts again are the same."""
-        box = Box(lab)
-        lab.at(HOST_0 + SECOND, lambda: box.send_raw(frame(array(33, u32(12_512_235), 5, 6, 7))))
-        summary = run(lab, box, path)
-        assert (summary.counters.lost_frames, summary.counters.odd_frames, summary.counters.restarts) == (0, 1, 0)
-        reader = BoxReader()
-        for messages in open_session(path).batches():
-            reader.feed(messages)
-        reader.finish()
-        assert (reader.losses().frames_lost, reader.losses().frames_malformed, len(reader.segments)) == (0, 1, 1)
-
-    def test_a_count_that_goes_on_elsewhere(self, lab, path):
-        """Every sample is kept. The recorder does not believe the count; to the reader, the frames in between are lost."""
-        box = Box(lab)
-        lab.at(HOST_0 + SECOND, lambda: setattr(box, "seq", 12_512_235))
-        summary = run(lab, box, path)
-        assert (summary.counters.lost_frames, summary.counters.restarts) == (0, 0)
-        reader = BoxReader()
-        blocks = [some for messages in open_session(path).batches() for some in reader.feed(messages)] + reader.finish()
-        assert (reader.losses().frames_lost > 12_000_000, len(reader.segments)) == (True, 1)
-        assert sum(len(some) for some in blocks) >= box.blocks - 1
 
     def test_an_answer_that_was_under_way_for_less_than_the_box_held_it(self, lab, path):
         box = Box(lab)

@@ -119,9 +119,9 @@ def test_a_hole_larger_than_the_link_is_a_hole_if_the_boot_id_says_so():
     assert boots_and(received) == (1, {"frames_lost": gone})
 
 
-@pytest.mark.parametrize("seq", [0, 700, 12_512_235, 2**31 + 500, 2**32 - 1])
-def test_a_single_frame_that_is_out_of_place_changes_nothing(seq):
-    """Behind the count or far ahead of it, and with the box's own boot id: the count continues."""
+@pytest.mark.parametrize("seq", [0, 700, 2**32 - 1])
+def test_a_single_frame_behind_the_count_changes_nothing(seq):
+    """It states the box's own boot id: the count continues."""
     messages = long_box(20 * SECOND).messages
     beat = next(m for m in messages if m.topic == "/box/heartbeat")
     _, _, *rest = cbor2.loads(beat.data)

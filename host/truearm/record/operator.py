@@ -20,8 +20,7 @@ class Counters:
     frames: int = 0
     samples: int = 0
     lost_frames: int = 0
-    # number matches neither the previous frame nor a loss: late, from a restarted box, or foreign
-    odd_frames: int = 0
+    odd_frames: int = 0  # behind the count: of a restarted box, or doubled
     console_bytes: int = 0
     probes: int = 0
     unanswered_probes: int = 0

@@ -27,8 +27,6 @@ TAG_UINT16 = 69
 MAX_PAYLOAD = 250
 MAX_DEVICE_US = 2**53  # 285 years: a later time comes from a damaged or hostile file, and ns still fit 63 bits
 MAX_N0 = 2**62
-_FRAMES_PER_NS = 20_000e-9  # fifty times what the fastest box sends
-_FRAMES_AT_ONCE = 1000  # on a link that delivers late
 
 
 class Data(NamedTuple):
@@ -77,14 +75,6 @@ def data_of(frame: list[Any]) -> Data | None:
     if _is_array(timing, TAG_UINT16):
         return Data(seq, stream, n0, t0_us, 0, timing.value, samples.value, flags)
     return None
-
-
-def too_many(lost: int, elapsed_ns: int) -> bool:
-    """Return whether more frames would be lost than any link can carry in the host time between two frames.
-
-    If so, the count cannot be trusted.
-    """
-    return lost > _FRAMES_AT_ONCE + _FRAMES_PER_NS * max(0, elapsed_ns)
 
 
 def _is_array(value: object, tag: int) -> bool:

@@ -1,31 +1,19 @@
 """Assign the frames of a box to its boots, and convert them to blocks of samples and exact losses.
 
-A link neither reorders nor doubles frames (SPEC §4). Within a boot, ``seq`` therefore counts up, and a gap is a loss. A
-box states its boot id in a heartbeat once a second, and in the ident that it sends at boot. Frames are held until then,
-so that where batches end changes nothing.
+A link neither reorders nor doubles frames (SPEC §4). In a boot, ``seq`` counts up: a gap is a loss, and a frame behind
+the count is malformed. A box states its boot id in a heartbeat once a second and in the ident that it sends at boot;
+frames are held until then. If it is another, the box restarted where ``seq`` last falls back, or else jumps
+farthest ahead. A new ``Segment`` begins there.
 
-- If the boot id is another one, the box **restarted** where ``seq`` departs most from the count. A new **segment**
-  begins there, and its frames count from 0.
-- Of the frames of one boot, the longest rising subsequence is used. The others are behind the count or out of place:
-  **malformed**. They are counted and not used.
+The data frames of a batch become ``Blocks``. ``StreamTrack`` counts their samples by ``n0``. Samples missing where frames
+were lost are lost with them, others in the box. If ``n0`` falls back, another run began. Losses in the box before
+the session's start are not counted.
 
-A batch of messages becomes ``Blocks``: tables with one row per data frame of one stream, segment and ident. Device time
-is valid within a segment. Samples are complete within a **run** (from one ``start`` to the next) between blocks marked
-``gap``.
-
-**Samples** are counted by the ``n0`` of each stream (``StreamTrack``). If ``n0`` jumps and frames were lost since the
-stream's last block, the samples were lost with them; if no frames were lost, the box overran. If ``n0`` falls back
-without a restart, a new ``start`` began, and with it a new run. A box left streaming by a killed recorder still holds
-old blocks. The next recorder stops and restarts it; samples missing before that start are not losses of the session.
-
-**The box's own counters** (``Heartbeats``) count from boot and wrap at 2^30 (SPEC §4). If the session did not see the boot,
-only events after its first heartbeat are counted. The layout generated from protocol/frames.cddl gives the kind of each
-element: a ``counter`` is summed; for ``largest`` or ``smallest`` the extreme is kept.
+``Heartbeats`` sums the box's own counters (SPEC §4).
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -255,7 +243,6 @@ class StreamTrack:
 
 CIRCLE = 2**32  # seq wraps here
 MOST_HELD = 8192  # frames without a boot id, which a box states every second
-FELL_US = 10_000_000  # frames of one boot are sent in the order of their times, to within less than this
 
 
 BLOCK = np.dtype(
@@ -418,27 +405,16 @@ class BoxReader:
         return bool(np.all(np.diff(table["seq"], prepend=self._next - 1) == 1) and np.all(same_boot))
 
     def _restart(self, group: NDArray[Any]) -> int | None:
-        """Return the first frame of another boot, None if there is none: before and behind it, most frames count up.
-
-        If that does not decide, it is where ``seq`` departs most from the count.
-        """
-        stated = group[group["boot_id"] != NONE]
-        if not len(stated) or stated["boot_id"][-1] == self.segment.boot_id:
+        """Return the first frame of another boot, None if there is none: the last one behind the count, or the farthest ahead."""
+        stated = group["boot_id"][group["boot_id"] != NONE]
+        if not stated.size or stated[-1] == self.segment.boot_id:
             return None
-        timed = group["t_us"][group["t_us"] != NONE]
-        if self.segment.boot_id is None and not np.any(np.diff(timed) < -FELL_US):
-            return None
-        before = np.append(0, _rise_lengths(*self._ahead(group["seq"])))[:-1]
-        behind = _rise_lengths(-group["seq"][::-1], -stated["seq"][-1])[::-1]
-        usable = np.maximum.accumulate(before) + np.maximum.accumulate(behind[::-1])[::-1]
         expected = group["seq"][0] if self._next is None else self._next
-        departure = np.abs(np.diff(group["seq"], prepend=expected - 1) - 1)
-        return int(np.argmax(np.where(usable == usable.max(), departure, NONE)))
-
-    def _ahead(self, seq: Ints) -> tuple[Ints, int]:
-        """Return how far frames (n,) are ahead of the count, and the least that continues it."""
-        expected = seq[:1] if self._next is None else self._next
-        return (seq - expected + CIRCLE // 2) % CIRCLE - CIRCLE // 2, -CIRCLE if self._next is None else 0
+        jump = np.diff(group["seq"], prepend=expected - 1) - 1
+        behind = np.flatnonzero(jump < 0)
+        if behind.size:
+            return int(behind[-1])
+        return None if self.segment.boot_id is None else int(np.argmax(jump))
 
     def _begin_segment(self, message: int) -> None:
         """Begin another boot, which counts from 0."""
@@ -449,19 +425,21 @@ class BoxReader:
             stream.restart(self._count["frames_lost"])
 
     def _in_order(self, table: NDArray[Any], begin: int, end: int) -> tuple[Ints, Ints]:
-        """Return which frames of one boot count up, and the frames lost in the session before each."""
+        """Return which frames of one boot count up, and the frames lost in the session before each.
+
+        A frame behind the count, or ahead of the one that states the boot id at the end, is malformed.
+        """
         seq = table["seq"][begin:end]
-        ahead, least = self._ahead(seq)
-        rows = np.arange(len(seq))
-        if np.any(ahead != rows):
-            # Frames ahead of one that states the boot id, behind which a group ends, are out of place too.
-            most = ahead[-1] if table["boot_id"][end - 1] != NONE and ahead[-1] >= least else CIRCLE
-            rows = _longest_rise(np.where(ahead <= most, ahead, least - 1), least)
-        used, ahead = begin + rows, ahead[rows]
-        gaps = np.diff(ahead, prepend=ahead[:1] - 1 if self._next is None else -1) - 1
+        expected = seq[:1] if self._next is None else self._next
+        ahead = (seq - expected + CIRCLE // 2) % CIRCLE - CIRCLE // 2
+        if end > begin and table["boot_id"][end - 1] != NONE and ahead[-1] >= 0:
+            ahead = np.where(ahead <= ahead[-1], ahead, -1)
+        rows = np.flatnonzero(ahead > np.maximum.accumulate(np.append(-1, ahead[:-1])))
+        gaps = np.diff(ahead[rows], prepend=-1) - 1
         lost = self._count["frames_lost"] + np.cumsum(gaps)
         self._count["frames_malformed"] += len(seq) - len(rows)
         self._count.update(frames=len(rows), frames_lost=int(gaps.sum()), loss_events=int(np.count_nonzero(gaps)))
+        used = begin + rows
         if len(rows):
             self._next = (int(table["seq"][used[-1]]) + 1) % CIRCLE
         stated = table["boot_id"][used]
@@ -577,36 +555,8 @@ def segment_at(segments: Sequence[Segment], message: Ints) -> Ints:
 
 
 def _bounds(table: NDArray[Any]) -> list[int]:
-    """Return 0 and where groups of frames end.
-
-    That is behind a frame that states the boot id, if the count continues behind it or the next one states another id.
-    """
-    stated = np.flatnonzero(table["boot_id"] != NONE)
-    boot_id = table["boot_id"][stated]
-    following = table["seq"][np.minimum(stated + 1, len(table) - 1)]
-    ends = (following == (table["seq"][stated] + 1) % CIRCLE) | (np.diff(boot_id, append=boot_id[-1:]) != 0)
+    """Return 0 and where groups of frames end: behind a frame that states the boot id."""
     bounds = [0]
-    for end in [*(stated[ends] + 1).tolist(), len(table)]:
+    for end in [*(np.flatnonzero(table["boot_id"] != NONE) + 1).tolist(), len(table)]:
         bounds += [*range(bounds[-1] + MOST_HELD, end, MOST_HELD), end]
     return bounds[:-1]
-
-
-def _rise_lengths(numbers: Ints, least: int) -> Ints:
-    """Return the length of the longest rising subsequence that ends at each number; 0 at those below ``least``."""
-    lowest: list[int] = []  # last number of a rising subsequence, by its length
-    lengths = np.zeros(len(numbers), np.int64)
-    for row in np.flatnonzero(numbers >= least).tolist():
-        place = bisect_left(lowest, numbers[row])
-        lowest[place : place + 1] = [numbers[row]]
-        lengths[row] = place + 1
-    return lengths
-
-
-def _longest_rise(numbers: Ints, least: int) -> Ints:
-    """Return the rows of the longest rising subsequence of the numbers from ``least`` on, the lowest one of several."""
-    lengths = _rise_lengths(numbers, least)
-    rows: list[int] = []
-    for row in np.flatnonzero(lengths)[::-1].tolist():
-        if lengths[row] == lengths.max() - len(rows) and (not rows or numbers[row] < numbers[rows[-1]]):
-            rows.append(row)
-    return np.array(rows[::-1], np.int64)
