@@ -1,28 +1,17 @@
 """Relate two clocks by what is known of one clock's time at stamps of the other.
 
-Let x be a stamp and y(x) = time − x. Nothing arrives before it was sent, so each row states low_k ≤ y(x_k) ≤ high_k: an
-exchange of messages bounds y on both sides, a message with a stamp on one.
+Each row has a stamp x of one clock, and the earliest and latest time of the other clock at x. An exchange of messages
+gives both; a message with a stamp gives the latest alone. ``fit`` returns a ``Clock``, which converts stamps to times with
+bounds.
 
-Both clocks are crystals, so the rate y′ stays within ``wander`` of its mean. A row then bounds y at every other time:
+Both clocks are crystals, so their relative rate stays within ``wander`` of its mean. A row therefore bounds the time
+everywhere, more loosely the farther away. ``Band`` is what all rows together leave: running minima over the rows before
+and after. ``Steady`` estimates the time from the course, the rate over a minute around.
 
-    y(t) ≤ high_k + (rate + wander) (t − x_k)  for t > x_k,    y(t) ≤ high_k − (rate − wander) (x_k − t)  for t < x_k,
+Rows that contradict each other show a step of a clock, or a wrong stamp. FEW rows in succession that agree with each
+other are a step; fewer are left out.
 
-and likewise from below. The least of the upper bounds and the greatest of the lower ones are running minima over the
-rows before t and after t (``Band``). The mean rate is known within an interval by pairs of rows far apart, which widens
-the band. **The distance from the estimate to the farther bound limits its error.**
-
-**The estimate** lies in that range. The middle of the range shows the rate around each row, over a minute. The rates add
-up to a *course*. The range that is left if the rate stays within FOLLOWED of the course's has a middle that is as good
-as the line of the largest margin. Its rates make a better course, and that one the estimate, clipped to the hard range.
-
-**Crystals that nothing slews** drift slowly. If their rate is known to stay within ``course_wander`` of its mean over the two
-minutes around, the course bounds y too: its rate is off by no more than the ranges at both ends of the two minutes
-allow. A narrower range makes a better course and that one a narrower range, until both stay.
-
-**Where rows contradict each other**, a clock stepped or a stamp is wrong. FEW rows in succession that agree with each
-other and contradict those before them are a step; fewer are wrong and left out. Between the last row before a step and
-the first one after it, the time may be as either side continues. A step that contradicts no row cannot be seen, and the
-error may exceed the bound by as much: for exchanges, by up to about two of the shortest round trips.
+Derivation: docs/explanation/clocks.md#how-the-fit-works.
 """
 
 from __future__ import annotations

@@ -1,29 +1,16 @@
 """Write a session file: MCAP that survives a crash.
 
-Messages are collected in a chunk. The chunk ends when it is full or its first message is ``CHUNK_NS`` old, and is then
-passed to the operating system. Once per second of real time it is flushed to the disk (fsync). A killed recorder
-therefore loses less than a second of what it had processed.
+Messages are collected in a chunk of at most CHUNK_NS, and flushed to the disk once a second. A killed recorder loses less
+than a second. Log times are UTC by one pair of times (metadata ``session``); publish times are
+the host's own clock, which all computations use.
 
-A message's log time is UTC, computed from the single pair of times in the metadata ``session``. Its publish time is the
-host's own clock, which all computations use. UTC therefore never steps within a file, and other programs can place the
-file relative to their own.
+The robot's lines are accompanied by their numbers as columns. What every message needs is repeated: metadata once a
+minute, attachments and a copy of the plan every ten minutes, and at the end. A completed file ends with a CRC.
 
-The robot's lines are accompanied by their numbers as columns, for readers; of a source that sends numbers, there are
-only columns. They are written once per chunk, and before an event, after which other numbers may apply.
+Twice a second the writer checks its file (``FileLoss``). A deleted or replaced file is copied from the open descriptor to a
+new one, where the recording continues. Others are written to as before.
 
-What every message needs is repeated, so that one damaged place cannot take it away: the metadata (the box's ident, the
-clock's anchor, the channels) once a minute, the attachments (the rig, and a copy of the plan and of what was mounted)
-every ten minutes, all of them at the end.
-
-A completed file ends with a CRC of everything before it, so a flipped bit anywhere cannot pass for a measurement.
-
-Before each write, and twice a second, the writer checks that its file is still there and has the expected length
-(``FileLoss``). A deleted or replaced file is copied from the open descriptor to a new one next to it, where the
-recording continues; nothing is lost. A renamed or truncated file is written to as before: what is repeated makes the end of
-a truncated one readable. At the end the file is read back and compared with the CRC of what was written.
-
-A writer that is held only reserves its name before ``keep``, so that no other recorder takes it: with the header of a
-new file, or with a lock on an earlier recording, which stays intact until there is something to replace it.
+A writer that is held only reserves its name, with a header or a lock, before ``keep``.
 """
 
 from __future__ import annotations

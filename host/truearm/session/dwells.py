@@ -1,15 +1,13 @@
 """Find dwells, the times when the robot stood still, from its joint readings.
 
-How much a reading varies while the robot is at rest is not declared anywhere, so it is estimated from the readings. The
-range of each joint is taken over windows of four bins (0.2 s). The tenth percentile of these ranges belongs to rest if
-the robot rests for at least a tenth of the time. With n Gaussian readings per window, that percentile is 2.6 (n = 16)
-to 4.3 (n = 100) standard deviations. The threshold is three times that, 8 to 13 standard deviations: rest does not
-cross it, and motion does at once. The threshold is never below two steps of the quantisation or one microradian.
+How much a reading varies at rest is estimated from the readings: the tenth percentile of each joint's range over
+windows of four bins (0.2 s), if the robot rests for a tenth of the time. Three times that is the threshold, 8 to 13
+standard deviations of a reading, but at least two steps of the quantisation and one microradian. Motion crosses it at once.
 
-Bins that share a window with a range below the threshold belong together; a chain of them is a stop. Slow creep below
-that threshold is removed by ``settled_from()``: a dwell begins where the bin means stay at the level of the stop's
-second half, within the scatter of bins in resting stops. The beginning of a stop is always discarded, because the
-robot's clock may run late and a window may extend into the motion.
+Bins that share a window with a range below the threshold belong together; a chain of them is a stop. ``settled_from()``
+removes slow creep: a dwell begins where the bin means stay at the level of the stop's second half, within the scatter of
+bins in resting stops. The beginning of a stop is always discarded: the robot's clock may run late, and a window may
+extend into the motion.
 """
 
 from __future__ import annotations

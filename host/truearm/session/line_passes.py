@@ -1,38 +1,15 @@
-"""Measure passes along a line device in motion: assign legs to lines and compute their rows.
+"""Measure passes along a line device in motion.
 
-Three signals are combined. The magnetostrictive head gives the position of the magnet along the device (its y) at the
-edge of each interrogation. Two transducers give the transverse position (x and z), in samples that are late by their
-group delay. The robot gives its joints. Each row is at the instant of an interrogation. There, all three signals are
-evaluated by cubics fitted over the same time before and after, long enough for seven joint readings
-and at least a tenth of a second. A row is made only where that window is complete: no missing sample or reading, no
-restart of a clock, no extrapolation.
+A **leg** is a motion from one stop or turn to the next, found from the joint readings alone (``find_legs``). It ends where
+the step between two bins is slow, or turns by more than a right angle.
 
-Rows are taken where the magnet moves steadily, at nine tenths of its median speed or more, because how fast a robot
-starts and stops is not a matter of kinematics. They are as close together as possible without overlapping windows or
-correlated device noise. The correlation is judged by the integrated correlation time of the residuals of a polynomial
-through eight windows.
+A **row** is at the instant of an interrogation of the head that gives the position along the device (y). Cubics fitted to
+the same time before and after give y, the transverse position (x, z) and the joints there. A row needs a complete
+window: no missing sample or reading, no restart of a clock. Rows lie where the magnet moves steadily, with windows that
+do not overlap and noise that is not correlated.
 
-The noise stated for a row is the noise of the readings, averaged as by the fit, plus the speed times the error of the
-clocks. The uncertainty that the rig declares for the device is added where the row is used.
-
-The clock errors are treated as independent between rows, though all rows in one life of box and controller share them.
-Measured in the simulator, the error differs by ± 4 µs from pass to pass where the bounds are 230 to 250 µs. This does
-no harm. A common error adds to τ: σ(τ) describes τ as seen by the lines, and as the robot's delay it may be wrong by
-the bounds. An error that differs between the lives of a session, or even from pass to pass by the full bound, moves
-each line up and down in turn, unlike any robot parameter. It increases the variance of any combination of the robot's
-parameters by a factor of at most 1.0001 over the stated one (four lines there and back at 100 mm/s, 0.14 ms, device
-poses unknown; 1.01 with poses known to 0.1 mm). It would matter for devices with exactly known poses: a factor of 1.7
-with an error per pass, 2.4 if driven one way in two lives of the clocks, 3.9 if τ is also declared known.
-
-**Legs** are the motions of the robot from one stop or turn to the next, found from its joint readings alone. A straight line
-there and back is two legs, whether or not the robot rests at the turn. Between two bins of readings (50 ms) the joints take
-a step. A leg ends where the step is slow, either in absolute terms or relative to the steps within half a second before and
-after, and where it turns by more than a right angle. Legs continue across missing readings.
-
-**Local cubics.** With n samples of white noise σ in the window t − w … t + w, the value at t has the variance (9/4) σ²/n.
-Beyond a cubic, the signal's next term is of fourth degree, c·P₄(u), where P₄ is Legendre's polynomial and u = −1 … 1. It
-causes an error of (3/8)·c at the middle and residuals with an RMS of c/3. The error at the middle is therefore 9/8 of the RMS
-of the residuals, or less if these are partly noise. The same fit has the same error in two signals that move together.
+The noise of a row is that of the readings, averaged as by the fit, plus speed times the error of the clocks
+(docs/decisions/0013-points-in-motion.md).
 """
 
 from __future__ import annotations

@@ -1,20 +1,12 @@
-"""Assign bar, chuck and sphere to each dwell, by the plan or by what was said to be mounted.
+"""Assign bar, chuck and sphere to each dwell, by the plan or by what was said to be mounted; lines to legs likewise.
 
-A robot follows its plan in order. A pose may be left out, visited twice, or stopped at in between, and the program may
-be stopped and begun again. The assignment is therefore a path through the plan: (dwell, pose) pairs that are near in
-joint space, with each dwell in at most one of them. The path gains 1 for every pair. It pays REPEAT for staying at the
-previous pose and BACK for going back in the plan. Among paths of equal value the one with the smaller distances is
-chosen. Moving forward costs nothing, however many poses are skipped. A single stop near an earlier pose is therefore
-not a restart, but two in a row are. The best path is computed dwell by dwell; a Fenwick tree gives the best one that
-ends before a pose. This takes O(k log k) for k near pairs.
+A robot follows its plan in order. A pose may be left out, visited twice or stopped at in between, and the program may
+begin again. The assignment is a path through the plan: (dwell, pose) pairs that are near in joint space. Each pair gains
+1. Staying at the previous pose costs REPEAT, going back costs BACK: one stop near an earlier pose is no restart, two in
+a row are. Among paths of equal value, the nearer one is chosen.
 
-A plan may contain the same joint pose twice with different fittings. If dwells are missing, several paths may then have
-the same value, and nothing shows which one the robot took. A dwell to which such paths assign different bars, chucks or
-spheres is **ambiguous**. A pair lies on a best path exactly if the best path ending at it plus the best path beginning
-at it, minus the pair they share, has the best value. Distances do not decide here: otherwise a robot that misses its
-poses by a little more on one side would be assigned another bar.
-
-Legs are assigned to lines in the same way, by the plan or by what was said to be mounted.
+A plan may contain the same pose with different fittings. A dwell to which paths of the highest value assign different
+fittings is **ambiguous**. Distances do not decide here.
 """
 
 from __future__ import annotations

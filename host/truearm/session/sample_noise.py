@@ -1,27 +1,15 @@
-"""Estimate the variance of a mean of samples, where a signal comes to rest, and its long-term wander.
+"""Estimate the variance of a mean of samples, where a signal rests, and its long-term wander.
 
-**The mean of correlated samples.** The variance of the mean of n samples with autocovariance Γ(k) is σ²/n_eff with
-n_eff = n σ² / C and C = Γ(0) + 2 Σ Γ(k). Beyond the correlation length, an estimate of Γ is noise, so the sum stops at
-the first lag W that is at least five times the integrated correlation time τ(W) = C(W) / (2 Γ(0)) (Sokal, "Monte Carlo
-methods in statistical mechanics", 1997, §3). Using deviations from the estimated mean lowers each Γ(k) by C/n; this is
-corrected (Wolff, "Monte Carlo errors with less errors", Comput. Phys. Commun. 156, 2004, eq. 49).
+**The mean of correlated samples** has the variance C / n, with the sum C of the autocovariances. The sum ends at the
+first lag that is five times the integrated correlation time (Sokal, "Monte Carlo methods in statistical mechanics", 1997,
+§3), and is corrected for the estimated mean (Wolff, Comput. Phys. Commun. 156, 2004, eq. 49).
 
-**Where rest begins in a stop.** The second half of a stop defines rest: its level, and how far the mean of k blocks
-deviates from that by noise alone. Stretches of 1, 2, 4 … blocks are checked against that level, short ones for ringing
-and long ones for creep. Rest begins after the last stretch that deviates. The bounds are such that noise alone
-truncates a fraction FALSE_ALARM of all stops that rest from their beginning, whatever their number of stretches
-(Bonferroni), if a block's mean is Gaussian. The bounds are never below ``floor``, the deviation that the caller
-tolerates.
+**Rest** is defined by a stop's second half. Stretches of 1, 2, 4 … blocks are compared with its level: short ones show
+ringing, long ones creep. Rest begins after the last stretch that deviates by more than noise or ``floor`` explains. Noise
+alone truncates a fraction FALSE_ALARM of stops.
 
-Nothing here depends on the kind of signal: the sensor's samples and the joint readings are treated alike.
-
-**The Allan deviation.** The overlapping Allan deviation shows how far the mean of samples wanders with increasing
-averaging time.
-
-σ²(τ) is half the mean square of the difference of two neighbouring means over τ. White noise falls as 1/√τ. Where it
-stops falling is the floor below which a longer rest does not improve a mean. Degrees of freedom are those of white
-noise (Riley, Handbook of Frequency Stability Analysis, NIST SP 1065, 2008, §5.4.1), so the intervals are valid down to
-the floor and too narrow beyond it.
+**The Allan deviation** shows how the mean wanders with the averaging time. Its degrees of freedom are those of white noise
+(Riley, NIST SP 1065, 2008, §5.4.1).
 """
 
 from __future__ import annotations

@@ -1,19 +1,15 @@
 """Read a session file, complete or truncated, within bounds.
 
-The record layout is that of the mcap library. Iterating over the records is done here for two reasons. An untrusted
-file may claim any size, which the library would allocate. And messages are needed in the order of the file, which is
-several times faster than through its indices (1.3 µs for a message of 200 bytes).
+A complete file has a CRC of all its bytes. If that matches, nothing else is checked. Otherwise each record is checked by
+itself: chunks, attachments and our metadata have CRCs. Behind a damaged record, the next intact one is searched for, so
+one flipped bit costs the second of messages in its chunk. The writer repeats metadata, attachments and the plan, of
+which any intact copy is used.
 
-A complete file has a CRC of all its bytes. If that matches, nothing else is checked. Otherwise, every record is checked by
-itself: a chunk and an attachment have a CRC, and ours among the metadata too. Behind a damaged record, the next intact one
-is searched for. One flipped bit therefore costs the second of messages in its chunk. Records without a CRC (headers,
-metadata of other programs) are accepted as they are.
+Chunks become ``Messages``: columns with one row per message, some megabytes of records at a time. Python only finds the
+length of each record; NumPy reads all headers in one pass.
 
-The writer repeats metadata and attachments, of which any intact copy is as good as the first. Of a damaged file, the plan
-and what was mounted are read from their copy.
-
-Chunks become columns, some megabytes of records at a time, one row per message. Python looks at each record only once, to find
-its length; NumPy then reads all record headers in one pass.
+The record layout is that of the mcap library. The iteration is not, because an untrusted file may claim any size, which
+the library would allocate, and because its order is that of the indices.
 """
 
 from __future__ import annotations

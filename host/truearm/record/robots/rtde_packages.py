@@ -11,8 +11,7 @@ big-endian. A package consists of its size [2 bytes, including these three], its
     U                                                    recipe (1 byte), the values in the order of the names
     M                                                    length (1 byte), text, length (1 byte), source, level (1 byte)
 
-S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND. The size
-field limits a package to 65535 bytes; the names take at most 2048.
+S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND.
 """
 
 from __future__ import annotations

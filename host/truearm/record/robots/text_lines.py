@@ -1,4 +1,4 @@
-"""Lines of CSV or JSON over TCP or UDP, for any robot that can be programmed to print its joints.
+"""Lines of CSV or JSON over TCP or UDP, for robots that can print their joints.
 
 ::
 
@@ -7,14 +7,13 @@
     lines+tcp://192.168.0.2:7008?unit=deg&t=stamp&q=positions          JSON with names and units of its own
     lines+udp://0.0.0.0:7008?columns=t_ms,q1_deg,q2_deg                CSV without a header
 
-A line that begins with ``{`` is JSON, any other line CSV. **CSV** begins with a header (``columns``), unless the address
+A line that begins with ``{`` is JSON, others CSV. **CSV** begins with a header (``columns``), unless the address
 gives one. **JSON** follows docs/reference/session-format.md, or the names and units in the address or in a line before
 the readings, such as ``{"names": {"t": "stamp", "q": ["j1", "j2"]}, "unit": "deg", "t_unit": "ms"}``. ``q`` is the name
-of a list, or a list of the joints' names. ``unit`` is one for all joints or one for each (``deg,deg,mm``), the same for
-measured joints, commanded joints and velocities.
+of a list, or a list of the joints' names. ``unit`` is one for all joints or one for each (``deg,deg,mm``).
 
-A line that is already in the session format is stored as received. Any other line is stored with its numbers in SI and,
-under ``line``, in its original form. Lines that are not readings are passed on unchanged to ``/robot/console``.
+A line in the session format is stored as received. Any other reading is stored with its numbers in SI and, under
+``line``, in its original form.
 """
 
 from __future__ import annotations
