@@ -312,20 +312,20 @@ the tracked arms with other programs.
   joint space (k-means of all joint readings, scaled to their standard deviations).
 - **The largest error of UR10 C** depends on whether its first row is held out. That row is the home position, straight up. It lies outside all other rows by 32° in joint 2, 7° in joint 1 and
   3° in joint 3, where no error curve could be fitted. `truearm identify --hold-out 0.2` with seed 0 (the row `--hold-out 0.2` of the table) holds it out, and the largest error is that of the home position.
-  Of 11 such splits (seeds 0 to 10), the mean error is 0.081 to 0.089 mm. The largest is 0.28 to 0.36 mm in the six that fit the home position, and 0.54 to 0.61 mm, at the home position, in the five that hold it out.
+  Of 11 such splits (seeds 0 to 10), the mean error is 0.081 to 0.089 mm. The largest is 0.28 to 0.36 mm in the six that fit the home position. In the five that hold it out, it is 0.54 to 0.61 mm, at that position.
   Geometry alone errs by 1.32 mm there. In the row `--hold-out 0.2, row 1 left out`, the split is the same, but
   the home position is neither fitted nor judged. The largest error, 0.365 mm, is then that of data row 291, which lies 2° outside all fitted rows in joint 3. Within the fitted range, the largest error is 0.314 mm.
 - **UR10 C by bars**: simulated bar lengths between three chucks and the tracked points, where they lie within ±37.5 mm of 46 and 61 cm, with 0.03 mm of noise. The chucks were placed at random
   (`chuck_places()` with seed 0). The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
 - **UR5** (Tsinghua, laser tracker): the author's 20 random poses are held out.
 - **MUKCa** (a ball on the end is seated in the sockets of a tool, which lies at several places): complete places are held out. The table names the fitted places, an arrow, and the held-out ones.
-- **Constants.** The constants of the error curves (knots, length scales in octaves, and priors of the variances: [decision 28](../decisions/0028-joint-laws-by-evidence.md)) were chosen on UR10 series C and on an IRB 120 that is not in this table. The rule by which a variance
+- **Constants.** The constants of the error curves were chosen on UR10 series C and on an IRB 120 that is not in this table: knots, length scales in octaves, and priors of the variances ([decision 28](../decisions/0028-joint-laws-by-evidence.md)). The rule by which a variance
   that fell to zero is raised again was chosen on simulated arms. Nothing was chosen on the other data sets. `auto`, the default of `--joint-laws`, never uses held-out rows.
 
 ## Commands
 
 Each line fits one data set of the table. Run them in truearm's source folder. They give the figures of the column "geometry"; leave out `--joint-laws none` for those with joint laws.
-With joint laws and the rig fitted to the nominal robot, they print 0.898 mm before and 0.089 mm after for UR10 C, 0.516 and 0.057 mm RMS for the UR5 (`validate`), and 2.648 and 0.190 mm for panda_3, back → front.
+With joint laws and the rig fitted to the nominal robot, they print 0.898 mm before and 0.089 mm after for UR10 C. For the UR5 (`validate`) it is 0.516 and 0.057 mm RMS, for panda_3, back → front, 2.648 and 0.190 mm.
 
 <!-- test: skip, a minute on two cores; tests/host/test_joint_laws_real.py fits the same rows -->
 ```sh
@@ -340,7 +340,7 @@ truearm identify tests/data/mukca/kuka_14.csv --model tests/data/mukca/iiwa14.ur
 truearm identify tests/data/mukca/kuka_14.csv --model tests/data/mukca/iiwa14.urdf --tip ball_link --rig tests/data/mukca/rig.toml --fit-only place=front --joint-laws none
 ```
 
-Series A is fitted like series C. `validate` places the tracker anew by the author's 20 poses of the UR5, so it prints a smaller error (0.095 mm RMS) than the table, where the fit places the tracker. Other random
+Series A is fitted like series C. `validate` places the tracker anew by the author's 20 poses of the UR5. It prints a smaller error (0.095 mm RMS) than the table, where the fit places the tracker. Other random
 draws, blocks of joint space and the simulated bars are made by `bench/real_arms.py`.
 
 ## Public data that are not in the repository
@@ -356,7 +356,7 @@ public repositories of other projects.
 | IRB 120 with a laser tracker (icelinker/Robot-Calibration-LaserTracker, 1000 poses, 3 reflectors), commanded joints | random fifth, each reflector | 0.189, 0.208, 0.189 | 0.063, 0.080, 0.074 |
 | the same, joints as the controller read them (too early) | random fifth, the first reflector | 0.413 | 0.333 |
 
-Of 173 splits of these data and of the sets above into 30 to 2358 rows to fit (random rows, blocks, places left out), three are worse with joint laws than with geometry by more than 3 % and two standard errors: by 4 to 6 %, with 40 rows of
+These data and the sets above were split 173 times, with 30 to 2358 rows to fit (random rows, blocks, places left out). Three splits are worse with joint laws than with geometry by more than 3 % and two standard errors. They are worse by 4 to 6 %, with 40 rows of
 the IRB 120 and the readings that its controller gave.
 """
 
