@@ -1,11 +1,11 @@
 """Read UF2 images for the box's chip as untrusted files and check them before anything is written.
 
-A UF2 file is a sequence of 512-byte blocks: eight words (two magic numbers, flags, address, size of the data, number of
-this block, number of blocks, family of the chip), 476 bytes of data, and a third magic number
-(github.com/microsoft/uf2). The chip's boot ROM writes what it receives without checks and skips what it does not
-understand, so a damaged file leaves a box that does not start. Here every block must be valid: of the chip's family,
-complete, in order, and within the chip's flash. The boot stage in the first 256 bytes must have the checksum without
-which the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
+A UF2 file is a sequence of 512-byte blocks: eight words, 476 bytes of data, and a third magic number
+(github.com/microsoft/uf2). The words are two magic numbers, flags, address, size of the data, number of this block,
+number of blocks, and family of the chip. The chip's boot ROM writes what it receives without checks and skips what it
+does not understand, so a damaged file leaves a box that does not start. Here every block must be valid: of the chip's
+family, complete, in order, and within the chip's flash. The boot stage in the first 256 bytes must have the checksum
+without which the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
 """
 
 from __future__ import annotations

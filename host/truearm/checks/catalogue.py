@@ -1,9 +1,9 @@
 """The list of hypotheses: every item that can be off, in each form in which it can.
 
-A form is a set of candidates: profiles over the rows (an offset, a drift, what follows a joint's last move), or spans
-of rows in which an item is off (a step, a run). A hypothesis holds the columns of its item; a candidate multiplies them.
-Items and what can happen to them come from the kinds (``Fault`` and ``Group.faults``); joints, the arm, base and tool are
-listed here.
+A form is a set of candidates. These are profiles over the rows (an offset, a drift, what follows a joint's last move),
+or spans of rows in which an item is off (a step, a run). A hypothesis holds the columns of its item; a candidate
+multiplies them. Items and what can happen to them come from the kinds (``Fault`` and ``Group.faults``); joints, the
+arm, base and tool are listed here.
 """
 
 from __future__ import annotations

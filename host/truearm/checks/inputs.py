@@ -1,9 +1,9 @@
 """Whether the inputs of a fit are right: other interpretations of table and rig are tried if it is doubtful.
 
-If a robot's residuals after identification are larger than the tolerances of a drawing (1 mm, 5 mrad), if its fit does
-not converge, or if base, tool or links are far from where they were described, the cause is rarely the robot. All
-interpretations of ``alternatives`` are then ranked by their evidence in a few rows, and the best are fitted. The formulas
-are in docs/explanation/hypotheses.md.
+A fit may not converge, or leave residuals larger than the tolerances of a drawing (1 mm, 5 mrad). Base, tool or links
+may be far from where they were described. The cause is rarely the robot. All interpretations of ``alternatives`` are
+then ranked by their evidence in a few rows, and the best are fitted. The formulas are in
+docs/explanation/hypotheses.md.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Rows that were measured with another part than their label says, or with a set-up that the other rows do not share.
 
 After a robust fit, each possible label has a robust log-likelihood in each row, −1.5 log(1 + r²/2s²), with s the median
-residual; "none of them" has that of a residual of APART s. The run of rows in which another label gains most over the
-given one, less PRICE a row, is relabelled, and the next is sought, until chance may give as much. The fit is repeated with the
-new labels as long as they change. One wrong mount can pull a fit along with it, and a moved set-up half of the rows: the
-fits without each mount, and without each half, compete with that of all rows.
+residual. "none of them" has that of a residual of APART s. The run of rows in which another label gains most, less
+PRICE a row, is relabelled. The next is sought, until chance may give as much. The fit is repeated with the new labels
+as long as they change. One wrong mount can pull a fit along with it, and a moved set-up half of the rows. The fits
+without each mount, and without each half, compete with that of all rows.
 """
 
 from __future__ import annotations

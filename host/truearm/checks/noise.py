@@ -1,8 +1,8 @@
 """Noise of residuals that are not as declared: of another size, or shared by rows near each other.
 
-The kernels are V = σ²[(1 − a) I + a K] over the rows, with K: rows near in the order of measurement, rows of one mount,
-or rows of similar joint readings. The one with the greatest restricted likelihood is taken, if it is better than the
-declared noise by the number of kernels tried.
+The kernels are V = σ²[(1 − a) I + a K] over the rows. K correlates rows near in the order of measurement, rows of one
+mount, or rows of similar joint readings. The one with the greatest restricted likelihood is taken, if it is better than
+the declared noise by the number of kernels tried.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Backlash of joints: each link lags its encoder by half the backlash, on the side that the joint came from.
 
 Where the side s_j = ±1 is known, the link is at q_j − ½ b_j s_j, and only the uncertainty of b_j remains. Treating ½
-b_j as noise of either sign in every row would overestimate it: the joints move from pose to pose so that the bar keeps
-about the same length, Σ J_j Δq_j ≈ 0, so the effects of the sides (the signs of Δq_j) of several joints on the length
-partly cancel (docs/decisions/0017-dwells-and-noise.md). Where the side is unknown, ½ b_j is treated as noise.
+b_j as noise of either sign in every row would overestimate it. From pose to pose the bar keeps about the same length, Σ
+J_j Δq_j ≈ 0. The effects of the sides (the signs of Δq_j) of several joints therefore partly cancel
+(docs/decisions/0017-dwells-and-noise.md). Where the side is unknown, ½ b_j is treated as noise.
 """
 
 from __future__ import annotations

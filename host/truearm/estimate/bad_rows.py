@@ -4,9 +4,9 @@
 near the fit of the good rows. Rows beyond the gate from there are then left out of a least-squares fit, rows back
 within the gate return, until nothing changes.
 
-The rows are bad if χ² of all others is then in its range, if at most MOST of all rows are bad, and if they follow each
-other no more than chance has it. A robot whose model is wrong, or whose noise is larger than declared, fails the first.
-Something that moved for some time fails the last.
+The rows are bad on three conditions: χ² of all others is then in its range, at most MOST of all rows are bad, and they
+follow each other no more than by chance. A robot whose model is wrong, or whose noise is larger than declared, fails
+the first. Something that moved for some time fails the last.
 """
 
 from __future__ import annotations

@@ -7,9 +7,8 @@ They follow from what the data determine at the nominal robot, with the rig fitt
 2. **Still joints.** A joint whose readings span less than STILL times a drawing's standard deviation (20 mrad, 4 mm)
    does not determine its axis. As many parameters are fixed as there would be null directions if it did not move, its
    own first.
-3. **Prior.** The standard deviation of a drawing (1 mm, 5 mrad, 0.001 of a gain) about the nominal value, for
-   parameters of directions that the data determine less well, but not mountings. Also for the robot's lengths if
-   nothing measures a length.
+3. **Prior.** The standard deviation of a drawing (1 mm, 5 mrad, 0.001 of a gain), for parameters of directions that the
+   data determine less well. Mountings have none. Also for the robot's lengths if nothing measures a length.
 """
 
 from __future__ import annotations

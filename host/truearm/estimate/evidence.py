@@ -3,7 +3,7 @@ likelihood).
 
 Linearised, measured − predicted = J_g·g + J_c·c + noise. g, geometry and rig, is integrated out. The coefficients of
 laws are c ~ N(0, S), S = Σ_k v_k K_k. docs/explanation/estimation.md has the fixed point of each v_k, with a
-half-normal hyperprior of scale ``cap`` on √v: without it, a joint that hardly moves the point could have curves of any
+half-normal hyperprior of scale ``cap`` on √v. Without it, a joint that hardly moves the point could have curves of any
 size.
 
 All computations are in the subspace that the data determine, A = G Gᵀ with few columns. With L Lᵀ = I + Gᵀ S G, X = L⁻¹

@@ -1,13 +1,13 @@
 """Which parameters only define the pose of frames: of the base in the rig, and of the tool on the flange.
 
-A parameter of the first constants moves the entire robot by one twist of the base, whatever the pose; one of the last
+A parameter of the first constants moves the entire robot by one twist of the base, whatever the pose. One of the last
 constants moves the end by one twist in its own axes. Generic readings distinguish these from all others, and from a
 twist that only looks constant over one table.
 
 Such a motion is a choice of frame if unknowns of the rig (a tracker's pose, a target's position, sockets) can
-compensate for it, or if no observation depends on it (the base about the only chuck). No measurement of this kind can
-determine it. Directions of the data's null space over these parameters and the rig are such choices. As many parameters
-are fixed as there are directions.
+compensate for it. So is one on which no observation depends (the base about the only chuck). No measurement of this
+kind can determine it. Directions of the data's null space over these parameters and the rig are such choices. As many
+parameters are fixed as there are directions.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ gives a suggested free set, which begins with the preferred columns and, among e
 the robot's file.
 
 A direction of full rank may be useless. With columns in units of a drawing's accuracy (1 mm, 5 mrad, 0.001 of a gain),
-a singular value s determines a combination to 1/s units; below 1 it is hardly identifiable
+a singular value s determines a combination to 1/s units. Below 1 it is hardly identifiable
 (docs/explanation/identifiability.md). So is a time offset known to a millisecond.
 """
 

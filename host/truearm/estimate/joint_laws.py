@@ -1,7 +1,7 @@
 """Error curves and sag of joints, added to an estimate of the geometry where the evidence in the data supports them.
 
-``with_joint_laws`` starts from a least-squares estimate. If no law is worthwhile, that estimate is returned unchanged:
-the noise per pose that the evidence requires would degrade the geometry of an arm whose errors it mistakes for noise.
+``with_joint_laws`` starts from a least-squares estimate. If no law is worthwhile, that estimate is returned unchanged.
+The noise per pose that the evidence requires would degrade the geometry of an arm whose errors it mistakes for noise.
 Otherwise the parameters of the laws are appended to those of the estimate's robot and fitted together with everything
 else under the learned noise. The fit is still judged (χ²) against the declared noise.
 """

@@ -4,7 +4,7 @@ Poses in a corner of the joint space determine the sum of geometry and laws ther
 one of several combinations, whose extrapolation may be worse than that of the geometry. A change of the predictions
 elsewhere that is much larger than what the geometry leaves is more likely an extrapolation than a law.
 
-The estimate is therefore moved towards the geometry as far as the fitted rows permit: an RMS change as large as what
+The estimate is therefore moved towards the geometry as far as the fitted rows permit. An RMS change as large as what
 the geometry leaves costs as much as one residual of one σ (docs/explanation/estimation.md). Where many poses determine
 the laws, this changes nothing. The covariance of the result is P plus the square of the move, its mean square error if
 x ~ N(x, P).

@@ -3,7 +3,7 @@
 Bad rows bend the geometry and hide the laws, and the laws that were not fitted widen the gate for bad rows. Two rounds
 break this circle. First, the geometry is fitted without the rows beyond the gate that its own misfit widens
 (``outliers``), and laws are fitted to the others. Then every row is compared with its prediction by the laws under the
-learned noise: rows beyond that gate are left out if they ``matter``, and rows within it return, until the set no longer
+learned noise. Rows beyond that gate are left out if they ``matter``, and rows within it return, until the set no longer
 changes. Where no law is kept without those rows, none is left out, and the fit is that of the geometry to all rows.
 """
 

@@ -4,8 +4,8 @@ docs/explanation/estimation.md has the step, docs/decisions/0019-damping.md the 
 scaled to length 1, so λ has no unit; ``plain`` takes the paper's own λI, in units of s_max². Only significant singular
 values (``information.seen``) count: x does not move along null directions.
 
-λ is divided by 1000 after a step that was predicted to 10 % and not rejected before, follows Nielsen's rule (1999)
-after other good steps, and is multiplied by 4 after a rejected one. A rejected step may only have left a curved valley:
+λ is divided by 1000 after a step that was predicted to 10 % and not rejected before. After other good steps it follows
+Nielsen's rule (1999), after a rejected one it is multiplied by 4. A rejected step may only have left a curved valley:
 up to CORRECTORS full steps from its end return to it (a watchdog: Chamberlain and others 1982).
 
 The iteration ends when the predicted reduction is negligible, or lost in the rounding of χ². Weights that depend on x

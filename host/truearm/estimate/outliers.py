@@ -1,13 +1,13 @@
 """Outlying rows, left out of a least-squares fit one after the other according to their prediction by all other rows.
 
 An outlier pushes its neighbours beyond the gate. As in the recursive solver, each round therefore leaves out only rows
-at least half as far as the farthest; the rest is fitted again, and rows back within the gate return. Where the usual
+at least half as far as the farthest. The rest is fitted again, and rows back within the gate return. Where the usual
 row errs by more than its declared noise, the gate is wider in proportion.
 
 If more than MOST of all rows are left out or beyond the gate of their declared noise, or more than LONGEST_RUN
-consecutive ones, the model is wrong and not the rows: something moved, a label is wrong, or the noise is not as
-declared. Joint laws may be what is missing then, so the rows that are farthest are still named if they ``matter``: a
-fit with laws decides (``law_outliers``).
+consecutive ones, the model is wrong. Something moved, a label is wrong, or the noise is not as declared. Joint laws may
+be what is missing then, so the rows that are farthest are still named if they ``matter``: a fit with laws decides
+(``law_outliers``).
 """
 
 from __future__ import annotations

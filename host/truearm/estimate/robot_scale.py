@@ -5,9 +5,9 @@ If the only one is wrong by 2 %, the residuals are those of noise and the robot 
 that, since those of different links are independent.
 
 The test is an F test of regression through the origin (docs/explanation/estimation.md), over orthonormal combinations
-of the lengths that no null direction changes and that the observations determine at least as well as a drawing: a URDF
-often has lengths of which only sums are identifiable. Heat scales a robot by parts in ten thousand, so the scale must
-exceed a drawing's tolerance.
+of the lengths. No null direction changes these, and the observations determine them at least as well as a drawing. A
+URDF often has lengths of which only sums are identifiable. Heat scales a robot by parts in ten thousand, so the scale
+must exceed a drawing's tolerance.
 """
 
 from __future__ import annotations

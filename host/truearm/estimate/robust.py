@@ -4,9 +4,9 @@ An observation with w whitened residuals r has the norm s = ‖r‖. The cost is
 
     linear ρ = s² ,   Huber ρ = s² up to c, 2cs − c² beyond ,   Cauchy ρ = c² ln(1 + s²/c²) .
 
-Weighting the rows by √(ρ'/2s) makes each step of lm or map a step of iteratively reweighted least squares. ρ is concave
-in s², so a step that reduces the weighted problem reduces the cost. c costs 5 % of efficiency on clean data (Holland
-and Welsch 1977).
+Weighting the rows by √(ρ'/2s) makes each step of lm or map a step of iteratively reweighted least squares. Since ρ is
+concave in s², a step that reduces the weighted problem reduces the cost. c costs 5 % of efficiency on clean data
+(Holland and Welsch 1977).
 
 (JᵀWJ)⁻¹ is not the covariance of such an estimate; docs/explanation/estimation.md has that of Huber (1981, 7.6). The
 cost has several minima: Huber starts at the result of least squares, Cauchy at that of Huber.

@@ -1,10 +1,10 @@
 """What each row of a fit shows: its distance from the others, its error without its pose, and its share of declared noise.
 
 One walk over the whitened rows serves all three. With the leverage H = J P Jᵀ of all rows of a pose together, the fit
-without them leaves the residual (I − H)⁻¹e, to first order, and no refit is needed.
+without them leaves the residual (I − H)⁻¹e to first order. No refit is needed.
 
-Least squares absorbs the part H of rows with unit noise, so the expected mean square of a row's residual is
-tr(L (I − H) Lᵀ), where L is the root of its declared covariance. Anything above that is unexplained.
+Least squares absorbs the part H of rows with unit noise, so a row's residual has the expected mean square tr(L (I − H)
+Lᵀ). L is the root of its declared covariance. Anything above that is unexplained.
 """
 
 from __future__ import annotations

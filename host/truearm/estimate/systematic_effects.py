@@ -1,9 +1,10 @@
 """Systematic errors as additional parameters of a fit: items of the rig, joint readings or motions that were off.
 
-Each row has the derivatives of its prediction by the numbers of the rig (known ones too), by each joint reading, and by
-a motion of the robot's base, of the tool, or of a place of sockets. An effect is one or several of these, times a
-profile over the rows: 1 where it applies; for a drift, the time or the box's temperature, scaled from −½ at the lowest
-to ½ at the highest. Its parameter has the unit of what is off: metres for a bar's zero, radians for a joint.
+Each row has the derivatives of its prediction by the numbers of the rig (known ones too) and by each joint reading. It
+also has those by a motion of the robot's base, of the tool, or of a place of sockets. An effect is one or several of
+these, times a profile over the rows: 1 where it applies; for a drift, the time or the box's temperature, scaled from −½
+at the lowest to ½ at the highest. Its parameter has the unit of what is off: metres for a bar's zero, radians for a
+joint.
 
 The score test uses these derivatives. A fit with effects as parameters evaluates each row with its items displaced.
 """

@@ -9,7 +9,7 @@ would depend on the prior's width more than on residuals.
     J Σ Jᵀ , 3 × 3 at each pose.
 
 Σ = diag(tolerance²) gives the paper's analysis before any measurement: where the error is largest (III-G). Σ = P, the
-covariance of all free parameters together, gives the same afterwards: single parameters may be uncertain by metres
+covariance of all free parameters together, gives the same afterwards. Single parameters may be uncertain by metres
 along directions that affect no pose.
 """
 

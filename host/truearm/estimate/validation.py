@@ -5,8 +5,8 @@ robot fixed. Rows that fit such unknowns exactly, whatever the reading, are not 
 estimated can be kept; they are then validated together with the robot.
 
 How large the errors should be follows from the covariance P of the robot and of what is kept with it
-(docs/explanation/estimation.md). One χ² test decides: with P as the prior, the minimum sum of squares of data and
-priors is χ² with as many degrees of freedom as residuals and priors exceed the unknowns. This accounts for errors that
+(docs/explanation/estimation.md). One χ² test decides. With P as the prior, the minimum sum of squares of data and
+priors is χ². Its degrees of freedom are the residuals and priors in excess of unknowns. This accounts for errors that
 rows share. Null directions have no prior. ``checks`` examines the residuals like those of any other fit.
 """
 

@@ -1,8 +1,8 @@
 """Individual whitened observations, for solvers that weight or judge single observations.
 
 ``information.observe`` folds all rows into one triangle at once. A robust loss, the recursive filter and standardised
-residuals first need the rows of each observation, w of them for an observation with w scalar residuals, whitened by
-C⁻¹ = L Lᵀ so that their noise has unit covariance.
+residuals first need the rows of each observation, w of them for w scalar residuals. These are whitened by C⁻¹ = L Lᵀ,
+so that their noise has unit covariance.
 """
 
 from __future__ import annotations

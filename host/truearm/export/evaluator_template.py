@@ -3,7 +3,7 @@
 Units: m, rad, kg. A pose has three rows of [R | p] in the base frame. ``forward(q)`` returns the pose at readings q.
 ``correct(pose, q)`` returns readings near q at which the arm has the pose, and the remaining error: the larger of the
 distance [m] and of 2·sin(turn/2) [rad]. Use the readings only if this error is below your limit. Each of them stays
-within LARGEST_CHANGE [rad or m] of q and within the joint limits; the error of a pose that has no such readings, or of
+within LARGEST_CHANGE [rad or m] of q and within the joint limits. The error of a pose that has no such readings, or of
 an R that is no rotation, is not small. If the pose or q is not finite, or q lies farther than that outside the joint
 limits, q is returned and the error is infinite.
 """

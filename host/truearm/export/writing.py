@@ -1,6 +1,6 @@
 """Prepare a calibrated robot for a format: refit it for what the format cannot hold, and compute the remaining error.
 
-Statements about a file are computed from the input of its writer: the links and the joint law of ``link_frames``
+Statements about a file are computed from the input of its writer. The links and the joint law of ``link_frames``
 predict poses, and these are compared with those of the identified robot. A format that declares a term of the law but
 writes no such term is rejected.
 """

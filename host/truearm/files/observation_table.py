@@ -1,6 +1,6 @@
 """Tables of observations: CSV with units in the column names, one observation per row (docs/reference/table-format.md).
 
-A table is checked in three steps: the text is CSV with rows of equal width (``read_cells``), its header names known
+A table is checked in three steps. The text is CSV with rows of equal width (``read_cells``), its header names known
 quantities with units (``read_header``), and its cells contain what their column and the row's kind require
 (``parse_table``). Every error message names the file, the row (as an editor or a spreadsheet counts, with the header as
 row 1) and the column.

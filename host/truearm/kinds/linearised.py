@@ -5,9 +5,9 @@ chucks, spheres and sockets, zero and gain of bars. A row refers to a coordinate
 problem's known constants*. Known and unknown coordinates are therefore read in the same way, and only the unknown ones
 (index below P) have a column in the Jacobian.
 
-The Jacobian is kept as the product ``wrenches @ twists`` for the robot's params (model/chain.py), because it is
-computed in this form, and because an estimator folds only the wrenches, which have fewer columns. Arrays (w, n, c) are
-stored component by component: all poses of one column are contiguous.
+The Jacobian is kept as the product ``wrenches @ twists`` for the robot's params (model/chain.py), as it is computed. An
+estimator folds only the wrenches, which have fewer columns. Arrays (w, n, c) are stored component by component: all
+poses of one column are contiguous.
 """
 
 from __future__ import annotations

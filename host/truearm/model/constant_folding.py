@@ -1,8 +1,8 @@
 """Constant folding: the parts of a chain that are equal for all poses, computed once for each set of params.
 
 These are the links (runs of constants) and the matrix that converts wrenches to derivatives by parameters (derived in
-chain.py). Twists and wrenches are ordered by axis here, (v_x, w_x, v_y, w_y, v_z, w_z), and likewise force and moment:
-a joint about an axis rotates two such pairs into each other and leaves the third unchanged.
+chain.py). Twists and wrenches are ordered by axis here, (v_x, w_x, v_y, w_y, v_z, w_z), and likewise force and moment.
+A joint about an axis rotates two such pairs into each other and leaves the third unchanged.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ mounting. Both are treated as mountings:
 
     T_i(q) = B · R(q) · E ,   B = L_0i · L_0n⁻¹ ,   E = L_jn⁻¹ · L_ji
 
-R(q) is the pose of the robot's own flange frame in its own base frame, which are where the nominal robot has them
-relative to the first and the last joint. L_0 and L_j are the constants before the first and after the last joint, with
+R(q) is the pose of the robot's own flange frame in its own base frame. Relative to the last and the first joint, they
+are where the nominal robot has them. L_0 and L_j are the constants before the first and after the last joint, with
 these joints' offsets, identified (i) and nominal (n). This is exact for every q.
 """
 

@@ -3,9 +3,8 @@ joint.
 
 At each pose the robot first stands still for a long time, to measure the noise of sensor and readings. Then it
 repeatedly moves a short way off and comes back. The sides of a round are the rows of a Hadamard matrix, so each joint
-approaches equally often from both sides, independently of all others (Plackett and Burman, Biometrika 33, 1946). Each
-round has a new random order, so that drift is not correlated with a direction. The bar stays on: its free travel limits
-how far a joint moves off.
+approaches equally often from both sides (Plackett and Burman, Biometrika 33, 1946). Each round has a new random order,
+so that drift is not correlated with a direction. The bar stays on: its free travel limits how far a joint moves off.
 
 The poses are chosen greedily: they maximise the sum, over the joints, of the logarithm of the squared derivatives of
 the length summed over the poses.

@@ -1,10 +1,10 @@
 """Paths between poses with the bar on: straight in joint space, with via points where the bar would exceed its travel.
 
 A straight joint move between two poses of a shell leaves the shell halfway. If some sample of a move violates the
-limits, the middle of the move is brought back onto the shell by the smallest change of joints (Δq = J_dᵀ(J_d
-J_dᵀ)⁻¹(zero − d), J_d = ∂d/∂q) and becomes a via point (Goswami 1993, Data collection). Both halves are then treated in
-the same way, up to DEEPEST halvings. If no path is found, the bar must be removed for the move. Moves without a bar may
-detour through a pose of the branch.
+limits, the middle of the move is brought back onto the shell by the smallest change of joints. With J_d = ∂d/∂q, this
+is Δq = J_dᵀ(J_d J_dᵀ)⁻¹(zero − d). The middle becomes a via point (Goswami 1993, Data collection). Both halves are then
+treated in the same way, up to DEEPEST halvings. If no path is found, the bar must be removed for the move. Moves
+without a bar may detour through a pose of the branch.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A plan of lines: where to put a line device, and how to drive along it in both directions.
 
 The error at each candidate (``straight``) is computed from the tolerances of the robot (Renders 1991, II-D), and the
-half with the larger errors is kept: there, measurement errors matter less (III-G, 4). Among these, lines are chosen
+half with the larger errors is kept. There, measurement errors matter less (III-G, 4). Among these, lines are chosen
 like ball-bar poses, each a block of rows after fitting the six unknowns of its own device. Each is driven at constant
 speed in both directions, since in one direction a delay is indistinguishable from the device's position.
 

@@ -1,8 +1,8 @@
 """The limits of a measurement: an arm with its rig, and the limits at a pose and on the path to it.
 
 The bar's travel is limited; a ``reserve`` of it is left for errors of the model used for planning. Goswami's PUMA
-deviates from its design by -16 to +22 mm along the bar, so the default is 22 mm of 37.5; a plan based on an identified
-model needs almost none. Both ends of the bar sit in magnetic cups, which allow a limited angle: the one on the table
+deviates from its design by -16 to +22 mm along the bar, so the default is 22 mm of 37.5. A plan based on an identified
+model needs almost none. Both ends of the bar sit in magnetic cups, which allow a limited angle. The one on the table
 about the vertical, the one on the end about the end's z axis, which points away from the arm.
 """
 

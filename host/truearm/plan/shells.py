@@ -2,9 +2,9 @@
 
 A shell is the set of positions of a sphere about a chuck with the ball-bar at mid-travel: ``‖T(q)·s − c‖ = zero``. The
 measuring points are the crossings of a grid of latitudes and longitudes (Goswami, Quaid, Peshkin 1993, fig. 2) that the
-arm reaches. At each point the tool faces the chuck, except for a random tilt of up to ``MAX_TILT``, and is rotated
-about that axis by a random angle over the full turn. With a constant tool orientation relative to the base, the
-measurements lose rank (28 of 36).
+arm reaches. At each point the tool faces the chuck, with a random tilt of up to ``MAX_TILT``, and is rotated about that
+axis by a random angle over the full turn. With a constant tool orientation relative to the base, the measurements lose
+rank (28 of 36).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Pages: a list of blocks in one frame.
 
-A block is HTML, made here of plain text: a heading, sentences, facts, a table, a picture, what findings say. A page is a
-single HTML file: style and pictures are included, and a Content-Security-Policy prevents the browser from
-loading anything and from running any script but that of its 3-D view (report/scene_view.py). It opens from disk without a network, follows the reader's light or dark
-setting, can be printed, and fits a phone.
+A block is HTML, made here of plain text: a heading, sentences, facts, a table, a picture, what findings say. A page is
+a single HTML file with style and pictures. A Content-Security-Policy prevents the browser from loading anything, and
+from running any script but that of its 3-D view (report/scene_view.py). It opens from disk without a network, follows
+the reader's light or dark setting, can be printed, and fits a phone.
 """
 
 from __future__ import annotations

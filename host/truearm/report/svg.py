@@ -1,7 +1,7 @@
 """Small SVG plots: axes with round ticks, points, lines, bars. The page's style sheet assigns colours by class.
 
-No plotting library is used: this way a figure is about ten times smaller, follows the page's light and dark colours,
-and every mark can have a tooltip (``<title>``) without a script. Arguments named ``css`` are class names of page.css.
+No plotting library is used. A figure is thus about ten times smaller, follows the page's light and dark colours, and
+every mark can have a tooltip (``<title>``) without a script. Arguments named ``css`` are class names of page.css.
 Labels and tooltips are plain text and are escaped here.
 """
 

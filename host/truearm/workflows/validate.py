@@ -2,7 +2,7 @@
 
 The verdict compares the errors with the expected ones: the noise declared by rig and table, and the uncertainty of the
 identification (``estimate.validation.consistency``). "Without" means the robot as described, after its base and tool
-have been fitted to these rows: how they are mounted is not an error that a calibration could take credit for. The
+have been fitted to these rows. How they are mounted is not an error that a calibration could take credit for. The
 calibration's own residuals are not used as a measure, because a calibration that fits badly would then be judged
 leniently. There are three verdicts. The errors are consistent with the expected ones; they are smaller than without the
 calibration, but partly unexplained; or they are not smaller.
