@@ -8,8 +8,8 @@ Legendre polynomials over the readings' span, whose columns A = QR are nearly or
     e_i / (1 − h_i) ,   h the diagonal of QQᵀ
 
 (Allen, Technometrics 16, 1974, 125, eq. 3.2; PRESS). The mean square of these errors is uncertain by some tens of
-percent, so the lowest order within one standard error of the best one is chosen (Breiman and others, 1984, §3.4.3). It
-is the true order in 76 to 93 % of simulated cases; the least mean square alone finds it in 61 to 76 %
+percent. The lowest order within one standard error of the best one is chosen (Breiman and others, 1984, §3.4.3). It is
+the true order in 76 to 93 % of simulated cases; the least mean square alone finds it in 61 to 76 %
 (tests/host/test_gauge_polynomial.py).
 """
 

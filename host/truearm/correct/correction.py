@@ -4,9 +4,8 @@
 the paper's methods. Each yields joint readings q. A controller that accepts poses is given f_n(q), which it converts
 back into q.
 
-Three kinds of targets are rejected, without a guess. These are a target that the nominal or the identified robot cannot
-reach within the joint limits, one closer to a singularity than ``margin``, and one where an iteration increases the
-error.
+A target is rejected, without a guess, if the nominal or the identified robot cannot reach it within the joint limits.
+So is one closer to a singularity than ``margin``, and one where an iteration increases the error.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Whether a calibration is better than the nominal robot, with base and tool placed, at poses that were not fitted.
 
 The two robots are compared pose by pose. d is the mean magnitude of a pose's errors after the calibration, less that
-before. |d| is at most the distance between the two predictions, so no outlier dominates. Rows of one pose have
+before. Its magnitude is at most the distance between the two predictions, so no outlier dominates. Rows of one pose have
 correlated errors, so poses are the independent samples, and t is the mean of d in its standard errors.
 
 The calibration is better if t is below the quantile of Student's t for LEVEL, and worse, and refused, if t is above

@@ -5,9 +5,9 @@ the noise learned again without it, is no lower than that. All sags stand or fal
 joints or on none.
 
 Evidence is of the rows that were measured. A law that describes the arm also helps where it was not fitted, so regions
-of poses are left out in turn, at fixed variances and noise. docs/explanation/estimation.md has the fit to all other
-regions: one triangle per region answers for any selection of laws. A law is dropped if without it the errors fall by
-more nats, ½ Σ |y_r − G_r u|², than the evidence for it.
+of poses are left out in turn, at fixed variances and noise. The fit to all other regions
+(docs/explanation/estimation.md) needs one triangle per region for any selection of laws. A law is dropped if without it
+the errors fall by more nats, ½ Σ |y_r − G_r u|², than the evidence for it.
 """
 
 from __future__ import annotations

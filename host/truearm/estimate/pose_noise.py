@@ -2,10 +2,10 @@
 
     R = m·I + p·T Tᵀ + w·W Wᵀ + C Q Cᵀ
 
-m is a factor on the declared variances. p [m²] and w [rad²] are those of a translation and a rotation of the last link
-that all rows of a pose share. Q = diag(q_1 … q_j) [rad² or m²] are those of the joints. T, W and C are the derivatives
-of the rows. All are learned by their evidence (``learned_noise``). Without them, an error shared by the rows of a pose
-would count as information, and joint laws would be fitted to noise.
+m is a factor on the declared variances. Likewise p [m²] and w [rad²] are those of a translation and a rotation of the
+last link that all rows of a pose share. Q = diag(q_1 … q_j) [rad² or m²] are those of the joints. T, W and C are the
+derivatives of the rows. All are learned by their evidence (``learned_noise``). Without them, an error shared by the
+rows of a pose would count as information, and joint laws would be fitted to noise.
 
 With an orthonormal basis B (N, k) of [T|W|C], a pose of N > k residuals has only Bᵀ R B to invert. The other N − k
 directions have the noise m alone.

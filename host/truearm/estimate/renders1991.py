@@ -1,7 +1,7 @@
 """The procedure of Renders 1991, III-E, run by run, to reproduce the paper. Use ``map`` for actual work.
 
 "… taking the covariance matrix P_N of the previous run for P_0 of the next run, and the estimates of the previous run
-for the initial guess": each run is the batch solution (12), linearised where the last one ended, with the posterior of
+for the initial guess". Each run is the batch solution (12), linearised where the last one ended, with the posterior of
 the last one as its prior. But both are based on the same data. After k runs the data count k times: P is about k times
 too small, and errors of the first linearisation are kept as if they had been measured and decay only as 1/k. The result
 contains a warning about this.

@@ -2,8 +2,8 @@
 
 The prediction is n·(T(q)·s − c) − offset, with a point c and a normal n₀ declared in the rig and n = exp([t₁e₁ +
 t₂e₂]×)·n₀. The three unknowns of a plane are its ``offset`` along n [m] and its two tilts t₁, t₂ [rad] about e₁ and e₂,
-which form a right-handed frame with n₀. e₁ is the base axis least aligned with n₀, made perpendicular to it, and e₂ =
-n₀ × e₁.
+which form a right-handed frame with n₀. Of these, e₁ is the base axis least aligned with n₀, made perpendicular to it,
+and e₂ = n₀ × e₁.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ J_r(ρ) = J_l(ρ)ᵀ
     ∂predicted = J_l(ρ)⁻ᵀ R_dᵀ (∂φ_end − ∂φ_device) .
 
 The derivative of the end's rotation about a direction u by a parameter is the wrench of a pure couple u applied to that
-parameter's twist (``chain.about``), just as the derivative of a coordinate is that of a force (``chain.along``).
+parameter's twist (``chain.about``). Likewise, the derivative of a coordinate is that of a force (``chain.along``).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ Craig's a_{i−1}, α_{i−1} stand in row i. θ of a revolute joint and d of a 
 ``joint<i>.offset``.
 
 Parallel axes have no definite common normal: d_i and d_{i+1} have one effect, and nothing describes the tilt about y.
-β_i does, and d_i becomes a constant. docs/reference/robot-format.md says which parameters to fix.
+Here β_i does, and d_i becomes a constant. docs/reference/robot-format.md says which parameters to fix.
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 motion.
 
 A line has a middle posture, drawn at random, a direction, and a rotation of the tool from end to end. Inverse
-kinematics follows it outwards from the middle. It is kept if the entire path satisfies the limits and the joint speed,
-and if the target stays within the range of the transverse sensors by twice the a-priori straightness (Renders 1991,
-II-C: 15 mm).
+kinematics follows it outwards from the middle. The entire path must satisfy the limits and the joint speed. The target
+must stay within the range of the transverse sensors by twice the a-priori straightness (Renders 1991, II-C, 15 mm).
 """
 
 from __future__ import annotations

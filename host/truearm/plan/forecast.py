@@ -3,7 +3,7 @@
 To first order, information does not depend on the readings, only on the poses. The planned poses are therefore turned
 into a table with the lengths that the model predicts, after the rows that were already measured. ``observe`` folds them
 as it would fold real rows. The sigmas are those that ``identify`` will report as long as the model is close to the
-truth: errors of 10 mm and 50 mrad change them by a few per cent. The parameters that ``identify`` fixes, and the priors
+truth. Errors of 10 mm and 50 mrad change them by a few per cent. The parameters that ``identify`` fixes, and the priors
 that it assumes by default, follow from the same rows (``choose_defaults``).
 """
 

@@ -4,7 +4,8 @@
 
 p_k are the origins of the frames of further joints and of the end. The sum is the torque of unit masses there. s_ik is
 joint i's compliance times the mass at p_k [rad per kg·m, with g of length 1]. The parameter of (i, k) has ``basis`` (k,
-gx, gy, gz). k is the frame (j, the number of joints, stands for the end), g the direction of gravity in the base frame.
+gx, gy, gz). Here k is the frame (j, the number of joints, stands for the end), and g the direction of gravity in the
+base frame.
 
 k = j + 1 is the centre of the chain's payload, whose mass is known: its parameter is the joint's compliance alone.
 
