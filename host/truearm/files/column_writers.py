@@ -1,61 +1,47 @@
-"""Write tables of columns to disk in batches: CSV, NumPy's .npz, Parquet, MCAP messages. Numbers are stored bit for
-bit.
+"""Write tables of columns to disk in batches: CSV, NumPy's .npz, Parquet. Numbers are stored bit for bit.
 
-All but MCAP are written as Parquet first, and converted when the table ends. Memory holds one batch, or one column.
+All are written as Parquet first, and converted when the table ends. Memory holds one batch, or one column.
 """
 
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from truearm.errors import Argument, InputError
-from truearm.files.column_tables import Columns, ColumnTable, Placement, Tables
-
-
-class TableFiles:
-    """One file per table, of the format that the suffix names."""
-
-    def __init__(self, suffix: str, folder: Path, placement: Placement) -> None:
-        self._suffix, self._folder = suffix, folder
-
-    def begin(self, name: str, columns: Columns) -> tuple[str, ColumnTable]:
-        """See ``Tables``."""
-        file = f"{name}.{self._suffix}"
-        return file, ArrowTable(self._folder / file, columns)
-
-    def close(self) -> None:
-        """See ``Tables``."""
+Columns = Mapping[str, NDArray[Any]]  # titles and columns of equal length
 
 
-class ArrowTable(ColumnTable):
-    """A table in a file named .parquet, .csv or .npz.
+class ArrowTable:
+    """A table that is being written to a file named .parquet, .csv or .npz; ``rows`` is the number of rows so far.
 
-    CSV: UTF-8 with a header; floats in the fewest digits that give the same number again; an empty cell for NaN.
-    .npz: one array per title, readable by ``numpy.load`` without pickling.
+    The first batch defines titles and types, and is not written yet. CSV: UTF-8 with a header; floats in the fewest
+    digits that give the same number again; an empty cell for NaN. .npz: one array per title, readable by ``numpy.load``
+    without pickling. Raises OSError if the disk refuses a write.
     """
 
     def __init__(self, path: Path, columns: Columns) -> None:
         from pyarrow import parquet
 
-        super().__init__()
+        self.rows = 0
         self._path, self._parquet = path, path.with_suffix(".parquet")
         self._schema = _arrow(columns).schema
         # Measured numbers hardly repeat: looking for repetitions makes files larger and takes a third of the time.
         texts = [title for title, column in columns.items() if column.dtype.kind == "U"]
         self._writer = parquet.ParquetWriter(self._parquet, self._schema, compression="zstd", use_dictionary=texts)
 
-    def _write(self, columns: Columns) -> int:
+    def write(self, columns: Columns) -> None:
+        """Append a batch with the titles and types of the first."""
         table = _arrow(columns).cast(self._schema)
         self._writer.write_table(table)
-        return int(table.num_rows)
+        self.rows += int(table.num_rows)
 
     def close(self) -> None:
+        """Complete the file."""
         self._writer.close()
         if self._path != self._parquet:
             (_write_csv if self._path.suffix == ".csv" else _write_npz)(self._parquet, self._path)
@@ -92,23 +78,3 @@ def _write_npz(source: Path, path: Path) -> None:
             column = column.astype(np.str_) if column.dtype.kind == "O" else column
             with archive.open(f"{title}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, column, allow_pickle=False)
-
-
-def _mcap(folder: Path, placement: Placement) -> Tables:
-    from truearm.files.mcap_tables import McapTables
-
-    return McapTables(folder, placement)
-
-
-FORMATS: dict[str, Callable[[Path, Placement], Tables]] = {
-    "csv": partial(TableFiles, "csv"),
-    "npz": partial(TableFiles, "npz"),
-    "parquet": partial(TableFiles, "parquet"),
-    "mcap": _mcap,
-}
-
-
-def check_format(name: str) -> None:
-    """Raise InputError for an unknown format."""
-    if name not in FORMATS:
-        raise InputError("wrong-value", place=Argument("format"), value=name[:40], names=list(FORMATS))

@@ -121,9 +121,11 @@ def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
 def check_new_folder(path: Path, source: Path) -> None:
     """Raise InputError if ``path`` cannot become a new folder, or would be within the folder ``source``."""
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise InputError("file-exists", place=path)
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written; choose another one")
+        raise InputError("file-exists", place=path, folder=True)
+    if not path.parent.is_dir():
+        raise InputError("missing-file", place=path, folder=path.parent)
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: the folder {path.parent} cannot be written; choose another one")
     if _real(path).is_relative_to(_real(source)):
         raise InputError(f"{path}: is within {source}, whose files it would join; give a folder elsewhere")
 

@@ -206,17 +206,14 @@ class ExportSession:
     """What to export of a session.
 
     ``out``: a new or empty folder. ``rig`` replaces the recorded one. ``robot`` shows which joints are prismatic.
-    ``rate`` [Hz]: for the format mcap only, the maximum number of samples of a stream per second; 0 for all, None for the
-    usual one.
     """
 
     session: Path
     out: Path
-    format: str = "csv"
+    format: Annotated[str, OneOf(("csv", "npz", "parquet"))] = "csv"
     rig: Path | None = None
     robot: RobotChoice = NO_ROBOT
     allow_damaged: bool = False
-    rate: Annotated[float | None, Within(0.0)] = None
 
 
 @dataclass(frozen=True)
