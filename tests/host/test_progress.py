@@ -6,9 +6,11 @@ import shutil
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from truearm.cli import progress_line as shown
+from truearm.cli import progress_line
 from truearm.cli.main import main
+from truearm.cli.progress_line import Shown
 from truearm.progress import listening, part_of, step, steps_of
 
 SESSION = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
@@ -54,16 +56,6 @@ def test_steps_inside_move_the_step_around_them_forwards_only():
         assert list(steps_of([1], "hears")) == [1]
 
 
-def test_the_time_left_of_all_stands_before_that_of_the_step():
-    whole, inner = shown.RunningStep("planning", 0.0, print, 0.25), shown.RunningStep("looking", 27.0, print, 0.5)
-    assert shown.shown_text([whole, inner], 30.0) == (
-        "planning: 25 %, 30 s, about 1 min 30 s left; looking: 50 %, 3 s, about 3 s left"
-    )
-    assert shown.shown_text([whole], 30.0) == "planning: 25 %, 30 s, about 1 min 30 s left"
-    assert shown.shown_text([shown.RunningStep("all", 0.0, print), inner], 30.0) == "looking: 50 %, 3 s, about 3 s left"
-    assert shown.shown_text([], 30.0) == ""
-
-
 def test_a_step_that_fails_ends():
     heard = Heard()
     with pytest.raises(ZeroDivisionError), listening(heard), step("dividing"):
@@ -71,38 +63,26 @@ def test_a_step_that_fails_ends():
     assert heard == ["dividing", "end"]
 
 
-@pytest.mark.parametrize(
-    ("share", "after_s", "text"),
-    [
-        (0.0, 12.2, "reading a.mcap: 12 s"),
-        (0.25, 30.0, "reading a.mcap: 25 %, 30 s, about 1 min 30 s left"),
-        (1.0, 200.0, "reading a.mcap: 100 %, 3 min 20 s, about 0 s left"),
-    ],
-)
-def test_what_is_said(share, after_s, text):
-    assert shown.said(shown.RunningStep("reading a.mcap", 5.0, lambda _: None, share), 5.0 + after_s) == text
+def drawn(stream, quiet_s, monkeypatch):
+    """Return what is drawn of a step within another one, half of which is done."""
+    monkeypatch.setattr(progress_line, "QUIET_S", quiet_s)
+    listener = Shown(Console(file=stream, force_terminal=True, width=100))
+    with listening(listener), step("planning\x1b[2J [bold]a"), step("choosing poses") as advance:
+        advance(0.5)
+        listener.refresh()
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", stream.getvalue())
 
 
-def test_the_innermost_step_that_is_long_is_shown_and_cleared(monkeypatch):
-    now_s = [0.0]
-    monkeypatch.setattr(shown.time, "monotonic", lambda: now_s[0])
-    monkeypatch.setattr(shown, "EVERY_S", 3600.0)  # the thread sleeps; the test looks
+def test_long_steps_are_shown_with_their_shares_and_cleared(monkeypatch):
     stream = io.StringIO()
-    listener = shown.Shown(stream)
-    with listening(listener), step("planning\x1b[2J"):
-        now_s[0] = 1.9
-        listener.show()
-        assert stream.getvalue() == ""
-        with step("choosing poses") as advance:
-            now_s[0] = 3.0
-            listener.show()  # the inner step is young
-            now_s[0] = 5.9
-            advance(0.5)
-            listener.show()
-        assert stream.getvalue().endswith(shown.CLEAR)
-    listener.close()
-    lines = [line for line in re.split(r"\r|\x1b\[2K", stream.getvalue()) if line]
-    assert lines == ["planning\\x1b[2J: 3 s", "choosing poses: 50 %, 4 s, about 4 s left"]
+    rows = [row for row in re.split(r"[\r\n]+", drawn(stream, -1.0, monkeypatch)) if row]
+    assert re.match(r"planning\\x1b\[2J \[bold\]a +0:00:0\d", rows[0])
+    assert re.match(r"choosing poses +50% 0:00:0\d", rows[-1])
+    assert "\x1b[?25h" in stream.getvalue()[-8:]  # the cursor is shown again
+
+
+def test_short_steps_are_not_shown(monkeypatch):
+    assert drawn(io.StringIO(), 60.0, monkeypatch).strip() == ""
 
 
 def test_a_terminal_that_goes_away_stops_nothing():
@@ -110,11 +90,8 @@ def test_a_terminal_that_goes_away_stops_nothing():
         def write(self, text):
             raise OSError
 
-    listener = shown.Shown(Gone())
-    with listening(listener), step("working"):
-        listener._steps[0].begun_s -= 10.0
-        listener.show()
-    listener.close()
+    with listening(Shown(Console(file=Gone(), force_terminal=True))), step("working"):
+        pass
 
 
 class Depth:

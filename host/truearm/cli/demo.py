@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import typer
@@ -70,7 +70,7 @@ def demo(
     from truearm.workflows.simulate import SESSION, simulate_fast
 
     request = replace(request, poses=FULL_POSES) if full else request
-    simulate_fast(request, partial(typer.echo, err=json))
+    simulate_fast(request, lambda text: print(text, file=sys.stderr if json else None, flush=True))
     folder, command_line = request.out, shlex.join(["truearm", *(context.obj or [])])
     table, page = folder / "observations.csv", folder / "report.html"
     sources = Sources((folder / SESSION,), say=warn)

@@ -12,6 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -21,7 +22,6 @@ import typer
 from truearm.cli.command import OPTIONS, stem_of
 from truearm.cli.names import option_for
 from truearm.cli.output import print_json
-from truearm.cli.progress_line import shown_progress
 from truearm.cli.project import CommandGroup, ProjectCommand, defaults, missing_file
 from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode, table
@@ -233,6 +233,14 @@ def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:
     return missing_file(parameter.name or "", arguments, Path.cwd()) if wanted and parameter else None
 
 
+def _shown_progress() -> AbstractContextManager[None]:
+    if not sys.stderr.isatty():
+        return nullcontext()
+    from truearm.cli.progress_line import shown_progress  # slow to import
+
+    return shown_progress()
+
+
 def _run(arguments: list[str]) -> int:
     if _COMPLETE in os.environ:  # the shell asks for completions on standard output
         return int(command_tree().main(prog_name="truearm", standalone_mode=False) or ExitCode.DONE)
@@ -241,7 +249,7 @@ def _run(arguments: list[str]) -> int:
         # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
         answers = defaults(Path.cwd())
         context = command.make_context("truearm", list(arguments), obj=arguments, default_map=answers)
-        with context, shown_progress():
+        with context, _shown_progress():
             command.invoke(context)
         sys.stdout.flush()
     except typer.Exit as exc:

@@ -7,9 +7,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import typer
-
-from truearm.cli.progress_line import CLEAR
 from truearm.files.strict_json import strict_json
 from truearm.text import one_line
 
@@ -17,18 +14,17 @@ from truearm.text import one_line
 def print_lines(lines: Iterable[str]) -> None:
     """Print lines on standard output."""
     for line in lines:
-        typer.echo(line)
+        print(line, flush=True)
 
 
 def print_json(document: Any) -> None:
     """Print a document as JSON on standard output; a number that is not finite is null."""
-    typer.echo(strict_json(document))
+    print(strict_json(document))
 
 
 def warn(text: str) -> None:
-    """Print a warning on standard error, on a terminal in place of the step that is shown there."""
-    clear = CLEAR if sys.stderr.isatty() else ""
-    typer.echo(f"{clear}warning: {text}", err=True)
+    """Print a warning on standard error, on a terminal above the steps that are shown there."""
+    print(f"warning: {text}", file=sys.stderr)
 
 
 def warn_of_further_parts(session: Path, what: str) -> None:
@@ -37,4 +33,4 @@ def warn_of_further_parts(session: Path, what: str) -> None:
 
     parts = [one_line(part.name) for part in session_parts(session)[1:]]
     if parts:
-        typer.echo(f"{one_line(session.name)} continues in {', '.join(parts)}: {what}", err=True)
+        print(f"{one_line(session.name)} continues in {', '.join(parts)}: {what}", file=sys.stderr)

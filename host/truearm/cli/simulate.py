@@ -8,9 +8,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-import typer
-
 from truearm.cli.command import command
+from truearm.cli.output import print_lines
 from truearm.cli.project import ProjectCommand, typed
 from truearm.errors import InputError
 from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
@@ -98,12 +97,16 @@ def simulate(
         raise InputError("needs-option", place="--rate", needed="--fast")
     if stage and fast:
         raise InputError("--stage waits for what you type, in real time: leave out --fast")
+
+    def say(line: str) -> None:
+        print_lines([line])
+
     if stage:
-        simulate_stage(request, typer.echo, _typed_lines())
+        simulate_stage(request, say, _typed_lines())
     elif fast:
-        simulate_fast(request, typer.echo)
+        simulate_fast(request, say)
     else:
-        simulate_box_and_robot(request, typer.echo)
+        simulate_box_and_robot(request, say)
 
 
 def _typed_lines() -> Callable[[], list[str]]:
