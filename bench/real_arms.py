@@ -319,7 +319,7 @@ the tracked arms with other programs.
   (`chuck_places()` with seed 0). The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
 - **UR5** (Tsinghua, laser tracker): the author's 20 random poses are held out.
 - **MUKCa** (a ball on the end is seated in the sockets of a tool, which lies at several places): complete places are held out. The table names the fitted places, an arrow, and the held-out ones.
-- **Constants.** The constants of the error curves were chosen on UR10 series C and on an IRB 120 that is not in this table: knots, length scales in octaves, and priors of the variances ([decision 28](../decisions/0028-joint-laws-by-evidence.md)). The rule by which a variance
+- **Constants.** The constants of the error curves were chosen on UR10 series C and on an IRB 120 that is not in this table. They are knots, length scales in octaves, and priors of the variances ([decision 28](../decisions/0028-joint-laws-by-evidence.md)). The rule by which a variance
   that fell to zero is raised again was chosen on simulated arms. Nothing was chosen on the other data sets. `auto`, the default of `--joint-laws`, never uses held-out rows.
 
 ## Commands
