@@ -14,6 +14,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "extending.md"
 FILE = re.compile(r"^New file `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
+COPY = re.compile(r"^Copy `([^`]+)` to `([^`]+)`, with `([^`]+)` in place of `([^`]+)`\.$", re.M)
 LINE = re.compile(r"^New lines? in `([^`]+)`, after `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
 TEXT = re.compile(r"^In `([^`]+)`, `([^`]+)` becomes `([^`]+)`\.$", re.M)
 # Compiled files are copied too: with the sources' times they stay valid, and nothing is compiled again. A file that
@@ -31,6 +32,15 @@ for command in json.load(sys.stdin):
     said.append([code, out.getvalue(), err.getvalue()])
 json.dump(said, sys.stdout)
 """
+
+
+def new_files(text: str) -> list[tuple[str, str]]:
+    """Return path and content of each file that a part of the page adds: written there, or a copy with one change."""
+    copies = [
+        (path, (ROOT / source).read_text(encoding="utf-8").replace(before, after))
+        for source, path, after, before in COPY.findall(text)
+    ]
+    return FILE.findall(text) + copies
 
 
 class Said(NamedTuple):
@@ -61,7 +71,7 @@ class Copy:
         """Apply the code blocks below a heading of the page."""
         text = re.split(r"^## ", PAGE.read_text(encoding="utf-8"), flags=re.M)
         (section,) = (part for part in text if part.startswith(f"{recipe}\n"))
-        for path, content in FILE.findall(section):
+        for path, content in new_files(section):
             assert not (self.folder / path).exists()
             (self.folder / path).write_text(content, encoding="utf-8")
         for path, before, content in LINE.findall(section):

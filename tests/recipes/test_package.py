@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from tests.host.tcp_peer import Peer
-from tests.recipes.recipes import ALL_IN_ONE, FILE, PAGE, Said, findings
+from tests.recipes.recipes import ALL_IN_ONE, PAGE, Said, findings, new_files
 from tests.recipes.test_kind import ZERO, write_inputs
 from tests.recipes.test_source import OPEN, SENT
 from tests.recipes.test_term import SPRUNG
@@ -31,7 +31,7 @@ def site(tmp_path_factory):
     package.mkdir()
     record.mkdir()
     page = PAGE.read_text(encoding="utf-8")
-    for path, content in FILE.findall(page):
+    for path, content in new_files(page):
         (package / path.rpartition("/")[2]).write_text(content, encoding="utf-8")
     section = page.partition("## A package of your own")[2]
     (toml,) = re.findall(r"```toml\n(.*?)```", section, re.S)
