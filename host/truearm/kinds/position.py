@@ -3,7 +3,7 @@
     m = κ R_dᵀ (T(q)·s − p_d) ,   δm = −κ R_dᵀ (δp + δφ × r) ,   r = T(q)·s − p_d
 
 with the device's pose (R_d, p_d) in the base frame, and its motion δp and small rotation δφ about the base axes. κ is
-its scale (1; a laser's wavelength). This is (27), (28) of Renders (1991), with the lever in base axes; the printed [m]×
+its scale (1; a laser's wavelength). This is (27), (28) of Renders (1991), with the lever in base axes; printed [m]×
 holds for a device parallel to the base. The residual is in the device's axes, where the sensors' covariance is
 declared.
 
