@@ -189,8 +189,8 @@ class Clock:
 
         A bound is infinite if nothing was sent to the clock that stamps: the times are then late by the shortest latency.
         """
-        whole = np.asarray(stamps, dtype=np.int64) - self.stamp_ref
-        t = whole.astype(float)
+        stamps_ns = np.asarray(stamps, dtype=np.int64) - self.stamp_ref
+        t = stamps_ns.astype(float)
         y, bound = np.empty(t.shape), np.empty(t.shape)
         piece = np.searchsorted([steady.band.x[0] for steady in self.steady[1:]], t, side="right")
         for k, steady in enumerate(self.steady):
@@ -206,7 +206,7 @@ class Clock:
                 best = np.where(undecided, _middle(low, high), best)
             y[selected] = np.clip(best, low, high)
             bound[selected] = np.maximum(high - y[selected], y[selected] - low)
-        return self.time_ref + whole + np.rint(y).astype(np.int64), bound + 1.0
+        return self.time_ref + stamps_ns + np.rint(y).astype(np.int64), bound + 1.0
 
     def relative_to_course(self, stamps: Ints, latest: Ints, earliest: Ints) -> Band:
         """Return other rows, ascending, relative to the course of this clock, which has no step."""
@@ -289,12 +289,12 @@ def _without_steps(rows: Band) -> list[NDArray[np.intp]]:
     pieces: list[NDArray[np.intp]] = []
     for piece in _consistent_runs(rows):
         if pieces:
-            before = pieces[-1]
-            contradicting = np.flatnonzero(rows.rows(piece).contradicts(rows.rows(before)))
+            preceding = pieces[-1]
+            contradicting = np.flatnonzero(rows.rows(piece).contradicts(rows.rows(preceding)))
             if contradicting.size < FEW:  # these are wrong, and the clock did not step
-                pieces[-1] = np.append(np.delete(before, contradicting), piece)
+                pieces[-1] = np.append(np.delete(preceding, contradicting), piece)
                 continue
-            pieces[-1] = before[: contradicting[-1] + 1]  # rows behind it agree with either side
+            pieces[-1] = preceding[: contradicting[-1] + 1]  # rows behind it agree with either side
         pieces.append(piece)
     return pieces
 

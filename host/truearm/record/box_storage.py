@@ -128,9 +128,9 @@ class BoxStorage:
 
     def flush(self) -> None:
         """Store what follows the last delimiter: the stream has ended or was cut."""
-        rest = self._splitter.flush()
-        if rest and self.heard_ns is not None:
-            self._take_console(self.heard_ns, rest)
+        remainder = self._splitter.flush()
+        if remainder and self.heard_ns is not None:
+            self._take_console(self.heard_ns, remainder)
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -214,15 +214,15 @@ class BoxStorage:
         """Count losses in the box. It counts since boot, so losses before this recording first heard of it are not
         included.
         """
-        before = self._beat or (boot_id, dropped, overruns)
-        if before[0] != boot_id:
-            before = (boot_id, 0, 0)
-        more = (dropped - before[1]) % _BEAT_WRAP, (overruns - before[2]) % _BEAT_WRAP
-        if max(more) >= _BEAT_WRAP // 2:
+        counts_before = self._beat or (boot_id, dropped, overruns)
+        if counts_before[0] != boot_id:
+            counts_before = (boot_id, 0, 0)
+        increase = (dropped - counts_before[1]) % _BEAT_WRAP, (overruns - counts_before[2]) % _BEAT_WRAP
+        if max(increase) >= _BEAT_WRAP // 2:
             return  # of a count that went back
         self._beat = boot_id, dropped, overruns
-        self.counters.dropped_in_box += more[0]
-        self.counters.overruns_in_box += more[1]
+        self.counters.dropped_in_box += increase[0]
+        self.counters.overruns_in_box += increase[1]
 
     def _take_ident_page(self, t_host_ns: int, fields: Mapping[str, Any]) -> None:
         document = self._pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])
@@ -236,18 +236,18 @@ class BoxStorage:
             self.restarted = True
             self.cleared()
             self.writer.event("box-restarted", t_host_ns, boot_id=ident.boot_id, boot_id_before=self.ident.boot_id)
-        known, self.ident = self.faults, ident
+        faults_before, self.ident = self.faults, ident
         for text in ident.faults:
-            if text not in known:
+            if text not in faults_before:
                 self.writer.event("box-fault", t_host_ns, text=text)
         self._streams = {s.id: (f"/box/{s.name}", _SAMPLE_BYTES * len(s.channels)) for s in ident.streams.values()}
         if fields["req_id"] == self.awaited:
             self.answer = ""
 
 
-def _check_same(before: Ident, now: Ident) -> None:
+def _check_same(recorded: Ident, answering: Ident) -> None:
     """Raise ProtocolError if a different box answers: its calibration and its clock differ."""
-    uids = [str(ident.document.get("uid", ""))[:32] for ident in (before, now)]
+    uids = [str(ident.document.get("uid", ""))[:32] for ident in (recorded, answering)]
     if uids[0] != uids[1]:
         raise ProtocolError(
             f"another box answers ({uids[1] or 'without a uid'}; the recording began with {uids[0] or 'one without'}); "

@@ -34,14 +34,14 @@ class FileLoss(StrEnum):
 
 def file_loss(file: BinaryIO, path: Path, size: int) -> FileLoss | None:
     """Return what happened to ``file``, opened at ``path`` with ``size`` bytes written; None if it is unchanged."""
-    own = os.fstat(file.fileno())
-    if own.st_size < size:
+    status = os.fstat(file.fileno())
+    if status.st_size < size:
         return FileLoss.TRUNCATED
     try:
-        there = path.stat()
+        path_status = path.stat()
     except OSError:
-        return FileLoss.DELETED if own.st_nlink == 0 else FileLoss.RENAMED
-    return None if os.path.samestat(own, there) else FileLoss.REPLACED
+        return FileLoss.DELETED if status.st_nlink == 0 else FileLoss.RENAMED
+    return None if os.path.samestat(status, path_status) else FileLoss.REPLACED
 
 
 def rescued_file(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:

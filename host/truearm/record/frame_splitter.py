@@ -42,23 +42,23 @@ class Runs:
         runs = data.split(self._delimiter)
         runs[0] = self._rest + runs[0]
         self._rest = runs.pop()
-        found: list[tuple[bool, bytes]] = []
+        items: list[tuple[bool, bytes]] = []
         for run in runs:
             if self._overlong or len(run) > self._limit:
-                found += [(False, piece) for piece in self._pieces(run)]
+                items += [(False, piece) for piece in self._pieces(run)]
                 self._overlong = False
             elif run:
-                found.append((True, run))
+                items.append((True, run))
         if len(self._rest) > self._limit:
             *full, self._rest = self._pieces(self._rest)
-            found += [(False, piece) for piece in full]
+            items += [(False, piece) for piece in full]
             self._overlong = True
-        return found
+        return items
 
     def flush(self) -> bytes:
         """Return what follows the last delimiter when the stream has ended."""
-        rest, self._rest, self._overlong = self._rest, b"", False
-        return rest
+        remainder, self._rest, self._overlong = self._rest, b"", False
+        return remainder
 
     def _pieces(self, run: bytes) -> list[bytes]:
         return [run[i : i + self._limit] for i in range(0, len(run), self._limit)]
@@ -72,11 +72,11 @@ class FrameSplitter:
 
     def push(self, data: bytes) -> list[tuple[bool, bytes]]:
         """Return ``(True, payload)`` for each frame and ``(False, bytes)`` for any other run."""
-        found: list[tuple[bool, bytes]] = []
+        items: list[tuple[bool, bytes]] = []
         for whole, run in self._runs.push(data):
             payload = payload_of(run) if whole else None
-            found.append((False, run) if payload is None else (True, payload))
-        return found
+            items.append((False, run) if payload is None else (True, payload))
+        return items
 
     def flush(self) -> bytes:
         """Return the bytes after the last delimiter when the stream has ended or was cut."""
@@ -105,13 +105,13 @@ def frame_head(payload: bytes) -> tuple[int | None, int | None]:
     not an unsigned integer.
     """
     first = payload[0] if payload else 0
-    at = 1 if 0x81 <= first <= 0x97 else 2 if first == 0x98 and payload[1:2] > b"\0" else len(payload)
+    offset = 1 if 0x81 <= first <= 0x97 else 2 if first == 0x98 and payload[1:2] > b"\0" else len(payload)
     numbers: list[int] = []
-    while len(numbers) < 2 and at < len(payload):
-        width = _UINT_WIDTH.get(payload[at])
-        if width is None or at + width >= len(payload):
+    while len(numbers) < 2 and offset < len(payload):
+        width = _UINT_WIDTH.get(payload[offset])
+        if width is None or offset + width >= len(payload):
             break
-        numbers.append(int.from_bytes(payload[at + (width > 0) : at + width + 1], "big"))
-        at += width + 1
+        numbers.append(int.from_bytes(payload[offset + (width > 0) : offset + width + 1], "big"))
+        offset += width + 1
     kind, seq, *_ = [*numbers, None, None]
     return (kind, seq) if kind is not None and kind <= _LARGEST_TYPE else (None, None)

@@ -158,12 +158,12 @@ class RobotIntake:
         never = isinstance(error, LinkClosed) and self.heard_ns is None  # no reading yet: not a source
         return not isinstance(self._link, Reopenable) or isinstance(error, ProtocolError) or never
 
-    def _back(self, t_host_ns: int, after: JointLine) -> None:
+    def _back(self, t_host_ns: int, reading: JointLine) -> None:
         """Note the first reading after a loss: its duration, and the number of lost readings if the robot counts them."""
         self.lost_ns = None
-        before, lost = self._last, None
-        if before and UNNUMBERED not in (before.seq, after.seq) and after.t > before.t and after.seq > before.seq:
-            lost = after.seq - before.seq - 1
+        last, lost = self._last, None
+        if last and UNNUMBERED not in (last.seq, reading.seq) and reading.t > last.t and reading.seq > last.seq:
+            lost = reading.seq - last.seq - 1
         away_s = None if self.heard_ns is None else round((t_host_ns - self.heard_ns) / 1e9, 3)
         self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=lost)
 
@@ -207,20 +207,20 @@ class RobotIntake:
             self._next_preview_ns = t_host_ns + PREVIEW_NS
             self._writer.add(ROBOT_PREVIEW, t_host_ns, line)
 
-    def _count_missing(self, before: JointLine, after: JointLine) -> None:
+    def _count_missing(self, last: JointLine, reading: JointLine) -> None:
         """Count readings that were lost because they could not be stored, by their numbers if they have any."""
         if not self.backlog.held_up:
             return
-        if UNNUMBERED in (before.seq, after.seq):
+        if UNNUMBERED in (last.seq, reading.seq):
             self._counters.robot_dropped |= self.backlog.drops
-        elif after.t > before.t:
-            self._counters.robot_missing += max(after.seq - before.seq - 1, 0)
+        elif reading.t > last.t:
+            self._counters.robot_missing += max(reading.seq - last.seq - 1, 0)
 
     def flush(self, t_host_ns: int) -> None:
         """Store what came behind the last line feed."""
-        rest = self._lines.flush()
-        if rest:
-            self._store_console(t_host_ns, rest)
+        remainder = self._lines.flush()
+        if remainder:
+            self._store_console(t_host_ns, remainder)
 
     def _store_console(self, t_host_ns: int, data: bytes) -> None:
         self._counters.robot_console_bytes += len(data)

@@ -305,11 +305,11 @@ def _notice_silence(connection: socket.socket) -> None:
 def host_and_port(url: str, scheme: str) -> tuple[str, int]:
     """Return host and port of ``scheme://host:port``. Raises InputError."""
     try:
-        parts = urlsplit(url)
-        host, port = parts.hostname, parts.port
+        address = urlsplit(url)
+        host, port = address.hostname, address.port
     except ValueError:
         host = port = None
-    if host is None or not port or parts.scheme != scheme or parts.path or parts.query:
+    if host is None or not port or address.scheme != scheme or address.path or address.query:
         raise InputError(
             "wrong-value", place="address", value=url, form=f"{scheme}://host:port, such as {scheme}://127.0.0.1:7007"
         )

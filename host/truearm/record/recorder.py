@@ -216,10 +216,10 @@ class _Recorder:
 
     def _configure(self) -> None:
         osr = self._options.osr
-        others = [s for s in self._ident().streams.values() if osr is not None and s.osr not in (0, osr)]
-        for stream in others:
+        differing = [s for s in self._ident().streams.values() if osr is not None and s.osr not in (0, osr)]
+        for stream in differing:
             self._command(CONFIGURE, stream.id, osr)
-        if others:
+        if differing:
             self._command(IDENTIFY)  # period and group delay depend on the osr
         self._writer.metadata("box", {"ident": json.dumps(self._ident().document)})
 

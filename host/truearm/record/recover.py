@@ -69,7 +69,7 @@ def is_whole(session: Session) -> bool:
 def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     """Write ``out``, a complete session, from one that was opened with ``allow_damaged``.
 
-    ``said`` goes to metadata ``recovered``. Raises InputError if ``out`` exists or cannot be created, TruearmError if
+    ``note`` goes to metadata ``recovered``. Raises InputError if ``out`` exists or cannot be created, TruearmError if
     it cannot be written, SessionError if the damaged file changes while it is read.
     """
     topics: dict[str, TopicAccount] = {}
@@ -100,7 +100,7 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
         losses = box.losses()
         if ident is not None and not losses.blocks_without_ident and IDENT in topics:
             topics[IDENT].lost = 0
-        found = Recovered(
+        recovered = Recovered(
             topics=dict(sorted(topics.items())),
             damage=session.damage,
             cut_off=session.truncated,
@@ -110,9 +110,9 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
             samples=losses.samples,
             undescribed=losses.blocks_without_ident,
         )
-        writer.metadata("recovered", {**note, **_entries(found)})
+        writer.metadata("recovered", {**note, **_entries(recovered)})
         writer.close(session.metadata.get("session-end"))
-    return found
+    return recovered
 
 
 def _ident(session: Session) -> Ident | None:
@@ -122,11 +122,11 @@ def _ident(session: Session) -> Ident | None:
         return None
 
 
-def _entries(found: Recovered) -> dict[str, str]:
+def _entries(recovered: Recovered) -> dict[str, str]:
     return {
-        "cut_off": str(found.cut_off).lower(),
-        "unread_bytes": str(found.unread_bytes),
-        "messages_saved": str(sum(account.saved for account in found.topics.values())),
-        "messages_lost": str(sum(account.lost for account in found.topics.values())),
-        "damaged_at": " ".join("?" if damage.at is None else str(damage.at) for damage in found.damage),
+        "cut_off": str(recovered.cut_off).lower(),
+        "unread_bytes": str(recovered.unread_bytes),
+        "messages_saved": str(sum(account.saved for account in recovered.topics.values())),
+        "messages_lost": str(sum(account.lost for account in recovered.topics.values())),
+        "damaged_at": " ".join("?" if damage.at is None else str(damage.at) for damage in recovered.damage),
     }

@@ -211,8 +211,8 @@ class SessionWriter:
 
     def add_json(self, topic: str, t_host_ns: int, row: Mapping[str, Any]) -> None:
         """Append ``row`` as JSON; entries that are None are left out."""
-        said = {key: value for key, value in row.items() if value is not None}
-        self.add(topic, t_host_ns, _as_json(said).encode())
+        entries = {key: value for key, value in row.items() if value is not None}
+        self.add(topic, t_host_ns, _as_json(entries).encode())
 
     def event(self, kind: str, t_host_ns: int, **fields: Any) -> None:
         """Append to ``/events``."""
@@ -260,9 +260,9 @@ class SessionWriter:
                 self._add_columns()
                 self._write_chunk()
                 self._copy_head(attached=True)
-                said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
-                if said:
-                    self._add_metadata("session-end", said)
+                entries = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
+                if entries:
+                    self._add_metadata("session-end", entries)
                 self._writer.finish()
                 self._flushed()
                 os.fsync(self._out.file.fileno())

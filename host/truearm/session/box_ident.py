@@ -243,8 +243,8 @@ def _check_protocol(version: object) -> None:
 
 def _thermometers(entries: object) -> tuple[str, ...]:
     """Return the names of the thermometers by number; an invalid name becomes "". A box before 1.3 has none."""
-    found = entries[:MAX_THERMOMETERS] if isinstance(entries, list) else []
-    names = [entry.get("name") if isinstance(entry, dict) else None for entry in found]
+    listed = entries[:MAX_THERMOMETERS] if isinstance(entries, list) else []
+    names = [entry.get("name") if isinstance(entry, dict) else None for entry in listed]
     return tuple(name if isinstance(name, str) else "" for name in names)
 
 
@@ -281,7 +281,7 @@ def _divided(channel: Channel, entry: object, channels: list[Channel]) -> Channe
     over = entry.get("over") if isinstance(entry, dict) and not channel.fault else None
     if over is None:
         return channel
-    index = next((k for k, other in enumerate(channels) if other.name == over and other is not channel), None)
+    index = next((k for k, divisor in enumerate(channels) if divisor.name == over and divisor is not channel), None)
     if index is None or channels[index].fault or not channels[index].scale:
         return replace(
             channel,

@@ -59,21 +59,21 @@ class BoxTemperature(NamedTuple):
         if not len(self.degc):
             return np.full(len(t_host_ns), np.nan)
         k = np.clip(np.searchsorted(self.t_host_ns, t_host_ns), 1, max(len(self.degc) - 1, 1))
-        away = np.abs(self.t_host_ns[[np.minimum(k, len(self.degc) - 1), k - 1]] - t_host_ns).min(axis=0)
+        distance_ns = np.abs(self.t_host_ns[[np.minimum(k, len(self.degc) - 1), k - 1]] - t_host_ns).min(axis=0)
         begin = self.t_host_ns[0]
-        found = np.interp(1e-9 * (t_host_ns - begin), 1e-9 * (self.t_host_ns - begin), self.degc)
-        return np.where(away <= AROUND_NS, found, np.nan)
+        degc = np.interp(1e-9 * (t_host_ns - begin), 1e-9 * (self.t_host_ns - begin), self.degc)
+        return np.where(distance_ns <= AROUND_NS, degc, np.nan)
 
 
 def box_temperature(
-    heard: Mapping[int, Sequence[tuple[int, int]]], clocks: Mapping[int, DeviceClock]
+    stated: Mapping[int, Sequence[tuple[int, int]]], clocks: Mapping[int, DeviceClock]
 ) -> BoxTemperature:
-    """Return the readings ``heard`` in each segment, given as device time [µs] and m°C.
+    """Return the readings in the reports of each segment, given as device time [µs] and m°C.
 
     Readings of segments without a clock are left out.
     """
     times, degrees = [np.zeros(0, np.int64)], [np.zeros(0)]
-    for segment, beats in heard.items():
+    for segment, beats in stated.items():
         readings = [(t_us, mdegc) for t_us, mdegc in beats if COLDEST <= mdegc <= WARMEST]
         if segment in clocks and readings:
             t_us, mdegc = np.array(readings, dtype=np.int64).T
@@ -136,8 +136,8 @@ def fit_clock(
     segment: int, exchanges: Sequence[Exchange] | Ints, wander: float = WANDER
 ) -> tuple[DeviceClock, ClockReport] | None:
     """Return the clock of one segment and its report; None if no exchange is usable."""
-    every = np.array(exchanges, dtype=np.int64).reshape(-1, 4)
-    sane = every[(every[:, 1] <= every[:, 2]) & (every[:, 0] <= every[:, 3])]
+    rows = np.array(exchanges, dtype=np.int64).reshape(-1, 4)
+    sane = rows[(rows[:, 1] <= rows[:, 2]) & (rows[:, 0] <= rows[:, 3])]
     # By any clock, the host measured less time than the device: a stamp is wrong.
     sane = sane[_round_trips(sane) >= -TICK_NS - RATE_LIMIT * 1000.0 * (sane[:, 2] - sane[:, 1])]
     sane = sane[np.argsort(sane[:, 1], kind="stable")]
@@ -153,8 +153,8 @@ def fit_clock(
     middle = np.array([int(t1[0] + t1[-1]) // 2])
     report = ClockReport(
         segment=segment,
-        exchanges=len(every),
-        rejected=len(every) - len(sane) + clock.wrong.size,
+        exchanges=len(rows),
+        rejected=len(rows) - len(sane) + clock.wrong.size,
         device_us=(int(t1[0]), int(t1[-1])),
         offset_ns=int((device.to_host_ns(middle)[0] - 1000 * middle)[0]),
         rate_ppm=PPM.of(clock.rate),
@@ -198,8 +198,8 @@ class RobotClock:
 
     def bound_at(self, t_robot_s: Floats) -> Floats:
         """Return bounds (n,) [ns] at controller times: the larger one of the two nodes around each."""
-        right = np.clip(np.searchsorted(self.node_s, t_robot_s), 0, len(self.node_s) - 1)
-        return np.asarray(np.maximum(self.bound_ns[np.maximum(right - 1, 0)], self.bound_ns[right]))
+        node = np.clip(np.searchsorted(self.node_s, t_robot_s), 0, len(self.node_s) - 1)
+        return np.asarray(np.maximum(self.bound_ns[np.maximum(node - 1, 0)], self.bound_ns[node]))
 
     def to_robot_s(self, t_host_ns: Ints) -> Floats:
         """Return controller times (n,) [s] of host times: the inverse of ``to_host_ns``, to the nanosecond."""
@@ -220,8 +220,8 @@ class RobotClock:
     @property
     def rates(self) -> Floats:
         """How much faster the host counts than the controller, from each node to the next; [0] for a single node."""
-        apart = np.diff(self.node_s)
-        return np.diff(self.offset_ns) / (1e9 * apart) if len(apart) and apart.min() > 0.0 else np.zeros(1)
+        dt = np.diff(self.node_s)
+        return np.diff(self.offset_ns) / (1e9 * dt) if len(dt) and dt.min() > 0.0 else np.zeros(1)
 
 
 @dataclass(frozen=True)

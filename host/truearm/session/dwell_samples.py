@@ -70,51 +70,51 @@ class Noise(NamedTuple):
 def usual_noise(dwells: Iterable[Samples | None]) -> Noise:
     """Return the median noise of the sensor over several dwells."""
     noises = []
-    for taken in dwells:
-        if taken is not None:
-            _, counts = taken.longest()
-            if counts.size >= 2 * LEAST_BLOCKS * (block := block_length(taken)):
-                samples = extension(counts, taken.channels[0])
+    for samples_of_dwell in dwells:
+        if samples_of_dwell is not None:
+            _, counts = samples_of_dwell.longest()
+            if counts.size >= 2 * LEAST_BLOCKS * (block := block_length(samples_of_dwell)):
+                samples = extension(counts, samples_of_dwell.channels[0])
                 noises.append((block_variance(samples, block), quick_noise(samples)))
     return Noise(*np.median(noises, axis=0).tolist()) if noises else Noise(float("nan"), float("nan"))
 
 
-def block_length(taken: Samples) -> int:
+def block_length(samples: Samples) -> int:
     """Return the number of samples in BLOCK_S."""
-    return max(1, round(BLOCK_S / (1e-9 * taken.period_ns)))
+    return max(1, round(BLOCK_S / (1e-9 * samples.period_ns)))
 
 
-def measured(dwell: Dwell, taken: Samples | None, sensor: DwellSensor, sensing: Sensing) -> Dwell:
+def measured(dwell: Dwell, samples: Samples | None, sensor: DwellSensor, sensing: Sensing) -> Dwell:
     """Return the dwell with its mean length, or with the reason why it has none."""
     rules = sensing.rules
-    if taken is None:
+    if samples is None:
         return replace(dwell, reason="no samples" if sensing.any_clock else "no clock")
-    begin_ns, counts = taken.longest()
-    dwell = replace(dwell, clock_bound_ns=taken.bound_ns)
-    if taken.bound_ns > 1e9 * rules.guard_s:
-        return replace(dwell, reason="clock", detail=f"±{MS.text(NS.to_si(taken.bound_ns), '.0f')}")
-    period_s = 1e-9 * taken.period_ns
+    begin_ns, counts = samples.longest()
+    dwell = replace(dwell, clock_bound_ns=samples.bound_ns)
+    if samples.bound_ns > 1e9 * rules.guard_s:
+        return replace(dwell, reason="clock", detail=f"±{MS.text(NS.to_si(samples.bound_ns), '.0f')}")
+    period_s = 1e-9 * samples.period_ns
     if counts.size < LEAST_SAMPLES or period_s * (counts.size + 1) < rules.shortest_s:
         return replace(dwell, reason="gap", detail=f"{period_s * counts.size:.2f} s at most without a gap")
-    if taken.fault.any():
+    if samples.fault.any():
         return replace(dwell, reason="rail", detail="the converter's fault")
-    stretched = extension(counts, taken.channels[0])
+    stretched = extension(counts, samples.channels[0])
     length = sensor.zero + sensor.gain * stretched
-    block = block_length(taken)
-    found = settled(length, block, sensor.gain**2 * sensing.noise.block_var, max(UNSETTLED * sensor.sigma, MICRON))
-    first = _first_sample(found, counts.size, block)
+    block = block_length(samples)
+    rest = settled(length, block, sensor.gain**2 * sensing.noise.block_var, max(UNSETTLED * sensor.sigma, MICRON))
+    first = _first_sample(rest, counts.size, block)
     if period_s * (counts.size - first + 1) < rules.shortest_s:
         reason, detail = _unusable(counts, stretched, sensor)
         quick = quick_noise(length)
         if not reason and quick > max(NOISY * abs(sensor.gain) * sensing.noise.quick, MICRON):
             reason, detail = "noisy", _noise_words(quick, NOISY * abs(sensor.gain) * sensing.noise.quick)
         elif not reason:
-            reason, detail = _unsettled(found, round(rules.shortest_s / (block * period_s)))
+            reason, detail = _unsettled(rest, round(rules.shortest_s / (block * period_s)))
         return replace(dwell, reason=reason, detail=detail)
     dwell = _with_mean(dwell, mean_of(length[first:]), sensor)
     if first:
         late_s = 1e-9 * (begin_ns - dwell.start_host_ns) + period_s * first
-        dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * taken.period_ns, sensing.joints)
+        dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * samples.period_ns, sensing.joints)
     reason, detail = _unusable(counts[first:], stretched[first:], sensor)
     # A drift within the bar's declared repeatability is already covered by it.
     if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, sensor.sigma, MICRON):
@@ -131,8 +131,8 @@ def settled(length: Floats, block: int, usual_var: float, floor: float) -> Settl
     means = block_means(length, block)
     if means.size < LEAST_BLOCKS or rests_within(means, floor):
         return None
-    own = block_variance(length, block)
-    variance = own if np.isnan(usual_var) else min(max(own, usual_var), OWN_NOISE * usual_var)
+    own_var = block_variance(length, block)
+    variance = own_var if np.isnan(usual_var) else min(max(own_var, usual_var), OWN_NOISE * usual_var)
     return settled_from(means, variance, floor)
 
 
@@ -146,22 +146,22 @@ def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
     ]
 
 
-def _first_sample(found: Settled | None, n: int, block: int) -> int:
+def _first_sample(rest: Settled | None, n: int, block: int) -> int:
     """Return the first of n samples at rest; leading samples outside any block belong to their neighbours."""
-    return n % block + int(found.first) * block if found is not None and found.first else 0
+    return n % block + int(rest.first) * block if rest is not None and rest.first else 0
 
 
-def _with_mean(dwell: Dwell, of: MeanOfSamples, sensor: DwellSensor) -> Dwell:
+def _with_mean(dwell: Dwell, mean: MeanOfSamples, sensor: DwellSensor) -> Dwell:
     return replace(
         dwell,
-        value=of.mean,
-        value_var=of.variance,
-        sigma=float(np.sqrt(of.variance + sensor.sigma**2)),
-        noise=of.noise,
-        drift=of.drift,
-        drift_sigma=of.drift_sigma,
-        n_samples=of.n,
-        n_eff=of.n_eff,
+        value=mean.mean,
+        value_var=mean.variance,
+        sigma=float(np.sqrt(mean.variance + sensor.sigma**2)),
+        noise=mean.noise,
+        drift=mean.drift,
+        drift_sigma=mean.drift_sigma,
+        n_samples=mean.n,
+        n_eff=mean.n_eff,
     )
 
 
@@ -178,14 +178,14 @@ def _unusable(counts: NDArray[Any], stretched: Floats, sensor: DwellSensor) -> t
     return "", ""
 
 
-def _unsettled(found: Settled | None, last: int) -> tuple[str, str]:
+def _unsettled(rest: Settled | None, last: int) -> tuple[str, str]:
     """Describe the swing or creep that is still visible in the last blocks."""
-    if found is None:
+    if rest is None:
         return "gap", ""
-    off = float(np.max(np.abs(found.deviation[-last:])))
+    off = float(np.max(np.abs(rest.deviation[-last:])))
     return "ringing" if rings(
-        found
-    ) else "drift", f"{UM.text(off, '.0f')} off, {UM.text(float(found.bound), '.0f')} allowed"
+        rest
+    ) else "drift", f"{UM.text(off, '.0f')} off, {UM.text(float(rest.bound), '.0f')} allowed"
 
 
 def _noise_words(noise: float, limit: float) -> str:

@@ -116,19 +116,19 @@ def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
 
 def find_stops(bins: Bins, step: Floats, rules: DwellRules) -> list[Dwell]:
     """Return the stops of the signals in the bins, given their own noise and their step (j,)."""
-    quiet = whole = _whole_windows(bins)
-    if not np.any(whole):
+    quiet = complete = _whole_windows(bins)
+    if not np.any(complete):
         return []
     for joint, smallest in enumerate(step):  # one by one: a session may hold half a million bins
         ranges = _window_ranges(bins, joint)
-        quiet = quiet & (ranges <= motion_threshold(ranges[whole], smallest))
+        quiet = quiet & (ranges <= motion_threshold(ranges[complete], smallest))
     runs = [
         slice(first, last)
         for first, last in _runs(quiet, len(bins.n))
         if bins.t_last_s[last - 1] - bins.t_first_s[first] >= SHORTEST_S
     ]
-    rest = _Rest(resting_variance(bins, runs), np.maximum(1.001 * step, LEAST_MOTION), step)
-    return [_dwell(bins, run, rules, rest) for run in runs]
+    resting = _Rest(resting_variance(bins, runs), np.maximum(1.001 * step, LEAST_MOTION), step)
+    return [_dwell(bins, run, rules, resting) for run in runs]
 
 
 @dataclass(frozen=True)
@@ -151,17 +151,17 @@ def resting_variance(bins: Bins, runs: list[slice]) -> Floats:
 
 def motion_threshold(ranges: Floats, step: float) -> float:
     """Return the largest range of a joint at rest in one window, from the ranges (w,) of complete windows."""
-    rest = float(np.quantile(ranges, QUIET_SHARE))
-    return max(QUIET_FACTOR * rest, 2.001 * step, LEAST_MOTION)
+    quiet_range = float(np.quantile(ranges, QUIET_SHARE))
+    return max(QUIET_FACTOR * quiet_range, 2.001 * step, LEAST_MOTION)
 
 
 def _whole_windows(bins: Bins) -> NDArray[np.bool_]:
     """Return which bins (b,) are followed by three more bins without a gap."""
     b = len(bins.n)
-    whole = np.arange(b) <= b - WINDOW_BINS
+    complete = np.arange(b) <= b - WINDOW_BINS
     for k in range(1, WINDOW_BINS):
-        whole[:-k] &= ~bins.gap[k:]
-    return whole
+        complete[:-k] &= ~bins.gap[k:]
+    return complete
 
 
 def _window_ranges(bins: Bins, joint: int) -> Floats:
@@ -184,55 +184,55 @@ def _runs(quiet: NDArray[np.bool_], b: int) -> Iterator[tuple[int, int]]:
         yield int(first), min(int(last) + 1, b)
 
 
-def _dwell(bins: Bins, run: slice, rules: DwellRules, rest: _Rest) -> Dwell:
+def _dwell(bins: Bins, run: slice, rules: DwellRules, at_rest: _Rest) -> Dwell:
     stood = float(bins.t_first_s[run.start])
     inside = np.flatnonzero(
         (bins.t_first_s[run] >= stood + rules.settle_s)
         & (bins.t_last_s[run] <= stood + rules.settle_s + rules.longest_s)
     )
     if not inside.size:
-        left = max(0.0, float(bins.t_last_s[run.stop - 1]) - stood - rules.settle_s - rules.guard_s)
-        return _of_bins(bins, run, rules, rest.step, stood, "too short", f"{left:.2f} s")
-    used = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1)
-    whole = _seconds(bins, used, rules)
-    if whole < rules.shortest_s:
-        return _of_bins(bins, used, rules, rest.step, stood, "too short", f"{max(0.0, whole):.2f} s")
-    first, late = _settled(bins, used, rest)
-    settled = slice(min(used.start + first, used.stop - 1), used.stop)
+        remaining_s = max(0.0, float(bins.t_last_s[run.stop - 1]) - stood - rules.settle_s - rules.guard_s)
+        return _of_bins(bins, run, rules, at_rest.step, stood, "too short", f"{remaining_s:.2f} s")
+    span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1)
+    lasts_s = _seconds(bins, span, rules)
+    if lasts_s < rules.shortest_s:
+        return _of_bins(bins, span, rules, at_rest.step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
+    first, late = _settled(bins, span, at_rest)
+    settled = slice(min(span.start + first, span.stop - 1), span.stop)
     if first and _seconds(bins, settled, rules) < rules.shortest_s:
-        swing = float(np.ptp(bins.mean[used][:, late]))
-        return _of_bins(bins, used, rules, rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
-    return _of_bins(bins, settled, rules, rest.step, stood)
+        swing = float(np.ptp(bins.mean[span][:, late]))
+        return _of_bins(bins, span, rules, at_rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
+    return _of_bins(bins, settled, rules, at_rest.step, stood)
 
 
-def _settled(bins: Bins, used: slice, rest: _Rest) -> tuple[int, int]:
+def _settled(bins: Bins, span: slice, resting: _Rest) -> tuple[int, int]:
     """Return the first of these bins from which all joints rest, and the joint that settles last."""
-    means, n = bins.mean[used], bins.n[used]
+    means, n = bins.mean[span], bins.n[span]
     if len(means) < LEAST_BLOCKS:
         return 0, 0
     signals = np.ascontiguousarray(means.T)
-    if rests_within(signals, rest.floor):
+    if rests_within(signals, resting.floor):
         return 0, 0
     fewer = float(np.median(n) / np.min(n))  # a bin cut short by the end of the recording has fewer readings
-    firsts = settled_from(signals, fewer * rest.bin_var, rest.floor).first
+    firsts = settled_from(signals, fewer * resting.bin_var, resting.floor).first
     return int(np.max(firsts)), int(np.argmax(firsts))
 
 
-def _seconds(bins: Bins, used: slice, rules: DwellRules) -> float:
-    return float(bins.t_last_s[used.stop - 1]) - rules.guard_s - float(bins.t_first_s[used.start])
+def _seconds(bins: Bins, span: slice, rules: DwellRules) -> float:
+    return float(bins.t_last_s[span.stop - 1]) - rules.guard_s - float(bins.t_first_s[span.start])
 
 
 def _of_bins(
-    bins: Bins, used: slice, rules: DwellRules, step: Floats, stood: float, reason: str = "", detail: str = ""
+    bins: Bins, span: slice, rules: DwellRules, step: Floats, stood: float, reason: str = "", detail: str = ""
 ) -> Dwell:
     return Dwell(
-        segment=int(bins.segment[used.start]),
-        start_s=float(bins.t_first_s[used.start]),
-        end_s=float(bins.t_last_s[used.stop - 1]) - rules.guard_s,
+        segment=int(bins.segment[span.start]),
+        start_s=float(bins.t_first_s[span.start]),
+        end_s=float(bins.t_last_s[span.stop - 1]) - rules.guard_s,
         stood_s=stood,
         reason=reason,
         detail=detail,
-        **_readings(bins, used, step),
+        **_readings(bins, span, step),
     )
 
 
@@ -245,17 +245,17 @@ def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStre
         return dwell
     first, end = dwell.bins
     first += int(np.searchsorted(stream.bins.t_first_s[first:end], start_s))
-    used = slice(min(first, end - 1), end)
-    read = _readings(stream.bins, used, stream.step)
+    span = slice(min(first, end - 1), end)
+    read = _readings(stream.bins, span, stream.step)
     return replace(dwell, start_s=start_s, start_host_ns=start_host_ns, **read)
 
 
-def _readings(bins: Bins, used: slice, step: Floats) -> dict[str, Any]:
+def _readings(bins: Bins, span: slice, step: Floats) -> dict[str, Any]:
     """Return the mean and the variances (j,) of the readings in these bins; the latter are at least those of quantisation."""
-    n, mean = bins.n[used], bins.mean[used]
+    n, mean = bins.n[span], bins.mean[span]
     total = int(np.sum(n))
     q = np.sum(n[:, None] * mean, axis=0) / total
-    squares = n @ (mean - q) ** 2 + np.sum(bins.scatter[used], axis=0, dtype=np.float64)
+    squares = n @ (mean - q) ** 2 + np.sum(bins.scatter[span], axis=0, dtype=np.float64)
     # For a quantised reading the smallest change seen is the step; for a fine one it is negligible.
     q_var = squares / max(1, total - 1) + step**2 / 12.0
-    return {"q": q, "q_var": q_var, "n_readings": total, "bins": (used.start, used.stop)}
+    return {"q": q, "q_var": q_var, "n_readings": total, "bins": (span.start, span.stop)}

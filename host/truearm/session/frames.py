@@ -155,8 +155,8 @@ def conforms(frame: list[Any]) -> bool:
     if kind not in wire.LAYOUT:
         return True
     types, limits = _ELEMENTS[kind]
-    whole = len(frame) > wire.needed(kind) and list(map(type, frame[1 : len(types) + 1])) == types[: len(frame) - 1]
-    return whole and all(0 <= frame[k] < limit for k, limit in limits)
+    complete = len(frame) > wire.needed(kind) and list(map(type, frame[1 : len(types) + 1])) == types[: len(frame) - 1]
+    return complete and all(0 <= frame[k] < limit for k, limit in limits)
 
 
 def fields_of(kind: int, payload: bytes) -> dict[str, Any] | None:
@@ -177,8 +177,8 @@ def boot_id(frame: list[Any]) -> int | None:
     if frame[0] == wire.HEARTBEAT and len(frame) > 2:
         return frame[2] if type(frame[2]) is int else None
     if frame[0] == wire.IDENT and len(frame) > 5 and frame[3] == 0 and type(frame[5]) is bytes:
-        found = _BOOT_ID.search(frame[5])
-        return None if found is None else int.from_bytes(found[1] or found[2] or found[3] or found[4])
+        match = _BOOT_ID.search(frame[5])
+        return None if match is None else int.from_bytes(match[1] or match[2] or match[3] or match[4])
     return None
 
 
@@ -315,11 +315,11 @@ def frames_of(messages: Messages) -> Frames:
         if frame[0] in _TIME_AT:
             table["t_us"][k] = frame[_TIME_AT[frame[0]]]
         if frame[0] == wire.DATA and (data := data_of(frame)) is not None:
-            at = int(begin[k]) + payload.rfind(data.samples)
+            offset = int(begin[k]) + payload.rfind(data.samples)
             table["t_us"][k] = data.t0_us
             for name in ("stream", "n0", "period_ns", "flags"):
                 table[name][k] = getattr(data, name)
-            table["samples_at"][k], table["samples_bytes"][k] = at, len(data.samples)
+            table["samples_at"][k], table["samples_bytes"][k] = offset, len(data.samples)
     place = (np.cumsum(is_frame) - 1).tolist()
     return Frames((messages.data,), table[is_frame], {place[k]: frame for k, frame in elements.items()}, malformed)
 

@@ -76,18 +76,18 @@ def parse_line(line: bytes) -> JointLine | None:
     ignored.
     """
     try:
-        found = _usual_line(line)
+        row = _usual_line(line)
         if not line.isascii():
             line.decode()
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return _unusual_line(line)
-    return found
+    return row
 
 
 def parse_reading(line: bytes) -> Reading | None:
     """Return time, number and joints of a line; None if it is not a reading (see ``parse_line``)."""
-    found = parse_line(line)
-    return None if found is None else Reading(found.t, None if found.seq == UNNUMBERED else found.seq, found.q)
+    row = parse_line(line)
+    return None if row is None else Reading(row.t, None if row.seq == UNNUMBERED else row.seq, row.q)
 
 
 def _unusual_line(line: bytes) -> JointLine | None:
@@ -112,16 +112,16 @@ def are_joints(value: object) -> TypeGuard[list[float]]:
     return (
         isinstance(value, list)
         and 1 <= len(value) <= MAX_JOINTS
-        and all(_finite(one) and abs(one) < MAX_Q for one in value)
+        and all(_finite(number) and abs(number) < MAX_Q for number in value)
     )
 
 
-def format_reading(t: float, seq: int | None, q: Sequence[float], **more: object) -> bytes:
-    """Return the line of a reading, every number with all its digits; entries of ``more`` that are None are left out.
+def format_reading(t: float, seq: int | None, q: Sequence[float], **optional: object) -> bytes:
+    """Return the line of a reading, every number with all its digits; entries of ``optional`` that are None are left out.
 
-    ``more`` may hold the optional keys of docs/reference/session-format.md: ``q_cmd``, ``qd``, ``current`` ….
+    ``optional`` may hold the keys of docs/reference/session-format.md: ``q_cmd``, ``qd``, ``current`` ….
     """
-    row = {"t": t, "seq": seq, "q": list(q), **more}
+    row = {"t": t, "seq": seq, "q": list(q), **optional}
     return json.dumps({key: value for key, value in row.items() if value is not None}, separators=(",", ":")).encode()
 
 
@@ -174,10 +174,10 @@ def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints
     """Return the readings among ``lines``, as ``parse_line`` accepts them, with ``joints`` joints (None: as many as the
     first).
     """
-    found = [(row, arrival) for line, arrival in zip(lines, arrival_ns, strict=True) if (row := parse_line(line))]
-    width = joints or (len(found[0][0].q) if found else 0)
-    found = [(row, arrival) for row, arrival in found if len(row.q) == width]
-    return columns_of_rows([row for row, _ in found], [arrival for _, arrival in found], width)
+    rows = [(row, arrival) for line, arrival in zip(lines, arrival_ns, strict=True) if (row := parse_line(line))]
+    width = joints or (len(rows[0][0].q) if rows else 0)
+    rows = [(row, arrival) for row, arrival in rows if len(row.q) == width]
+    return columns_of_rows([row for row, _ in rows], [arrival for _, arrival in rows], width)
 
 
 def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
@@ -265,7 +265,7 @@ def columns_of_rows(
 
 
 def _optional(key: str, values: Sequence[Any], width: int) -> NDArray[Any]:
-    """Return a column of ``more``; None, and arrays of another number of joints, are values that a reading does not have."""
+    """Return a column of optional values; None, and arrays of another number of joints, are values that a reading does not have."""
     if key in ARRAYS:
         nothing = [np.nan] * width
         return _table([nothing if value is None or len(value) != width else value for value in values], width)

@@ -59,19 +59,19 @@ class InputTrack:
 
     def add(self, t: Floats, bits: Ints) -> None:
         """Take readings (n,) in order of controller time [s]; ``bits`` is NO_INPUTS for readings without inputs."""
-        known = bits >= 0
-        t, bits = t[known], bits[known]
+        with_inputs = bits >= 0
+        t, bits = t[with_inputs], bits[with_inputs]
         if not t.size:
             return
         self.readings += t.size
         if self._last is not None:
             t, bits = np.concatenate([[self._last[0]], t]), np.concatenate([[self._last[1]], bits])
         self._last = (float(t[-1]), int(bits[-1]))
-        at = np.flatnonzero((bits[1:] != bits[:-1]) & (t[1:] > t[:-1]))[: MOST_CHANGES - self.count]
-        if at.size:
-            self.count += at.size
-            self._times.append(np.stack([t[at], t[at + 1]], axis=1))
-            self._bits.append(np.stack([bits[at], bits[at + 1]], axis=1))
+        changed = np.flatnonzero((bits[1:] != bits[:-1]) & (t[1:] > t[:-1]))[: MOST_CHANGES - self.count]
+        if changed.size:
+            self.count += changed.size
+            self._times.append(np.stack([t[changed], t[changed + 1]], axis=1))
+            self._bits.append(np.stack([bits[changed], bits[changed + 1]], axis=1))
 
     def inputs(self) -> list[int]:
         """Return the inputs that changed, ascending."""
@@ -150,10 +150,10 @@ class JointStream:
     def between(self, segment: int, start_s: float, end_s: float) -> Readings:
         """Return the readings between two controller times, of those that were kept."""
         spans = enumerate(self.kept.spans)
-        parts = [self.kept.load(k) for k, (s, a, b) in spans if s == segment and a <= end_s and b >= start_s]
+        batches = [self.kept.load(k) for k, (s, a, b) in spans if s == segment and a <= end_s and b >= start_s]
         t, seq, q = map(
             np.concatenate,
-            zip((np.empty(0), np.empty(0, np.int64), np.empty((0, len(self.step)))), *parts, strict=True),
+            zip((np.empty(0), np.empty(0, np.int64), np.empty((0, len(self.step)))), *batches, strict=True),
         )
         inside = (t >= start_s) & (t <= end_s)
         return Readings(t[inside], seq[inside], q[inside])
@@ -286,13 +286,13 @@ class JointReader:
         )
 
     def _all_bins(self) -> Bins | None:
-        parts = [slice(begin, end) for begin, end in pairwise(np.cumsum([0, *self._lengths]).tolist())]
+        places = [slice(begin, end) for begin, end in pairwise(np.cumsum([0, *self._lengths]).tolist())]
         columns: list[NDArray[Any]] = []
-        for number, part in enumerate(parts):
+        for number, place in enumerate(places):
             arrays = self._bins.load(number)
-            columns = columns or [np.empty((parts[-1].stop, *array.shape[1:]), array.dtype) for array in arrays]
+            columns = columns or [np.empty((places[-1].stop, *array.shape[1:]), array.dtype) for array in arrays]
             for column, array in zip(columns, arrays, strict=True):
-                column[part] = array
+                column[place] = array
         return Bins(*columns) if columns else None
 
     def _begin(self, joints: int) -> None:
@@ -317,22 +317,22 @@ class JointReader:
             self._inputs.append(InputTrack())
             self._latest_s, self._previous_bin_s, self._last = -np.inf, -np.inf, None
         highest = np.maximum.accumulate(np.concatenate([[self._latest_s], t]))
-        before = np.concatenate([[self._last[1] if self._last else int(seq[0]) - 1], seq[:-1]])
-        late, doubled = t < highest[:-1], (t == highest[:-1]) & (seq == before)
+        number_before = np.concatenate([[self._last[1] if self._last else int(seq[0]) - 1], seq[:-1]])
+        late, doubled = t < highest[:-1], (t == highest[:-1]) & (seq == number_before)
         keep = ~late & ~doubled
         self.late += int(np.sum(late))
         self.duplicated += int(np.sum(doubled))
-        kept = seq[keep]
-        self.lost += int(np.maximum(np.diff(kept, prepend=before[0]) - 1, 0).sum())
+        numbers = seq[keep]
+        self.lost += int(np.maximum(np.diff(numbers, prepend=number_before[0]) - 1, 0).sum())
         self._latest_s = float(highest[-1])
-        if kept.size:
-            self._last = (self._latest_s, int(kept[-1]))
+        if numbers.size:
+            self._last = (self._latest_s, int(numbers[-1]))
             self._arrivals[-1].add(t[keep], batch.arrival_ns[keep])
             if "inputs" in batch.columns:
                 self._inputs[-1].add(t[keep], batch.columns["inputs"][keep])
             self._bin(t[keep], batch.q[keep])
             if self.keeps:
-                readings = Readings(t[keep], kept, batch.q[keep])
+                readings = Readings(t[keep], numbers, batch.q[keep])
                 self._kept.append(readings, (len(self._arrivals) - 1, float(readings.t[0]), self._latest_s))
 
     def _bin(self, t: Floats, q: Floats) -> None:

@@ -84,9 +84,9 @@ def _steps(bins: Bins) -> tuple[Floats, Floats, NDArray[np.bool_]]:
 def _slow(speed: Floats, seconds: Floats, quantum: Floats) -> NDArray[np.bool_]:
     """Return the steps (b − 1,) at which a leg ends."""
     reach = max(1, round(HORIZON_S / float(np.median(seconds))))
-    before, after = _highest_before(speed, reach), _highest_before(speed[::-1], reach)[::-1]
-    least = SLOW + np.max(quantum, initial=0.0) / seconds
-    return np.asarray((speed <= least) | (speed <= SLOW_SHARE * np.minimum(before, after)))
+    highest_before, highest_after = _highest_before(speed, reach), _highest_before(speed[::-1], reach)[::-1]
+    lowest = SLOW + np.max(quantum, initial=0.0) / seconds
+    return np.asarray((speed <= lowest) | (speed <= SLOW_SHARE * np.minimum(highest_before, highest_after)))
 
 
 def _highest_before(speed: Floats, reach: int) -> Floats:
@@ -168,8 +168,8 @@ def fit_locally(t: Floats, values: Floats, centres: Floats, half_s: float) -> Lo
         inverse = np.linalg.inv(triangle)
         out.value[k], out.rate[k] = (inverse @ of_samples)[:2]
         out.rate[k] /= half_s
-        left = values[window] - q @ of_samples
-        out.rms[k] = np.sqrt(np.sum(left**2, axis=0) / (u.size - DEGREE - 1))
+        residuals = values[window] - q @ of_samples
+        out.rms[k] = np.sqrt(np.sum(residuals**2, axis=0) / (u.size - DEGREE - 1))
         out.leverage[k] = float(inverse[0] @ inverse[0])
     return out
 
@@ -329,20 +329,22 @@ def _readings(leg: Leg, joints: JointStream) -> _Readings:
     t, seq, q = joints.between(leg.segment, leg.start_s, leg.end_s)
     t, first = np.unique(t, return_index=True)
     seq, q = seq[first], q[first]
-    apart = np.diff(t)
-    broken = apart > LOST * float(np.median(apart)) if apart.size else np.zeros(0, dtype=bool)
+    intervals = np.diff(t)
+    broken = intervals > LOST * float(np.median(intervals)) if intervals.size else np.zeros(0, dtype=bool)
     numbered = (seq[1:] != UNNUMBERED) & (seq[:-1] != UNNUMBERED)
     piece = np.cumsum(np.append(False, broken | (numbered & (np.diff(seq) != 1))))[: t.size]
     return _Readings(joints.clocks[leg.segment].to_host_ns(t), q, piece)
 
 
-def _without_faults(taken: Samples | None) -> Samples | None:
+def _without_faults(samples: Samples | None) -> Samples | None:
     """Return the samples that the converter did not flag; a piece ends where it did."""
-    if taken is None or taken.fault.all():
+    if samples is None or samples.fault.all():
         return None
-    well = ~taken.fault
-    piece = taken.piece + np.cumsum(taken.fault)
-    return replace(taken, t_ns=taken.t_ns[well], counts=taken.counts[well], piece=piece[well], fault=taken.fault[well])
+    well = ~samples.fault
+    piece = samples.piece + np.cumsum(samples.fault)
+    return replace(
+        samples, t_ns=samples.t_ns[well], counts=samples.counts[well], piece=piece[well], fault=samples.fault[well]
+    )
 
 
 def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
@@ -386,9 +388,9 @@ def _wrong(s: _Signals, centres: Floats) -> NDArray[np.str_]:
     why = np.full(centres.size, "", dtype="U20")
     why[_count(s.y_t, centres, s.half_s) < STOPPED * _count(s.shots_t, centres, s.half_s)] = "no stop pulses"
     why[_count(s.off_t, centres, s.half_s) > 0] = "out of range"
-    whole = _whole(s.shots_t, s.shots_piece, centres, s.half_s) & _whole(s.q_t, s.q_piece, centres, s.half_s)
-    whole &= _whole(s.across_t, s.across_piece, centres, s.half_s) | (why == "out of range")
-    why[~whole] = "gap"
+    complete = _whole(s.shots_t, s.shots_piece, centres, s.half_s) & _whole(s.q_t, s.q_piece, centres, s.half_s)
+    complete &= _whole(s.across_t, s.across_piece, centres, s.half_s) | (why == "out of range")
+    why[~complete] = "gap"
     return why
 
 
@@ -439,29 +441,29 @@ def _rows(
     sound = np.isfinite(rms).all(axis=1) & np.isfinite(joints.rms).all(axis=1)
     why[(why == "") & ~sound] = "gap"
     slow = passing.direction * along.rate[:, 0] < STEADY * passing.speed
-    kept = (why == "") & ~slow
-    if kept.any():
-        limit = np.maximum(NOISY * np.median(rms[kept], axis=0), MICRON)
-        why[kept & (rms > limit).any(axis=1)] = "noisy"
-        kept &= why == ""
+    usable = (why == "") & ~slow
+    if usable.any():
+        limit = np.maximum(NOISY * np.median(rms[usable], axis=0), MICRON)
+        why[usable & (rms > limit).any(axis=1)] = "noisy"
+        usable &= why == ""
     passing = replace(passing, dropped=dict(Counter(why[why != ""].tolist()) + beyond))
-    if kept.sum() < LEAST_ROWS:
+    if usable.sum() < LEAST_ROWS:
         return _without_rows(passing, Counter(passing.dropped))
-    noise = rms_of_columns(rms[kept])
-    leverage = np.stack([aside.leverage, along.leverage, aside.leverage], axis=1)[kept]
-    own = noise**2 * np.minimum(leverage * correlation, 1.0)
-    by_time = (_beside(along.rate, aside.rate)[kept] * passing.time_sigma_s) ** 2
+    noise = rms_of_columns(rms[usable])
+    leverage = np.stack([aside.leverage, along.leverage, aside.leverage], axis=1)[usable]
+    noise_var = noise**2 * np.minimum(leverage * correlation, 1.0)
+    by_time = (_beside(along.rate, aside.rate)[usable] * passing.time_sigma_s) ** 2
     return replace(
         passing,
-        t_host_ns=passing.leg.start_host_ns + np.rint(1e9 * centres[kept]).astype(np.int64),
-        q=joints.value[kept],
-        q_rate=joints.rate[kept],
-        xyz=_beside(along.value, aside.value)[kept],
-        xyz_sigma=np.sqrt(own + by_time),
+        t_host_ns=passing.leg.start_host_ns + np.rint(1e9 * centres[usable]).astype(np.int64),
+        q=joints.value[usable],
+        q_rate=joints.rate[usable],
+        xyz=_beside(along.value, aside.value)[usable],
+        xyz_sigma=np.sqrt(noise_var + by_time),
         noise=noise,
-        q_noise=np.maximum(rms_of_columns(joints.rms[kept]), step / np.sqrt(12.0)),
-        q_error=float(np.max(MISSED * joints.rms[kept] + 0.5 * step)),  # a joint that hardly moves stays on one step
-        n_samples=int(along.n[kept].sum()),
+        q_noise=np.maximum(rms_of_columns(joints.rms[usable]), step / np.sqrt(12.0)),
+        q_error=float(np.max(MISSED * joints.rms[usable] + 0.5 * step)),  # a joint that hardly moves stays on one step
+        n_samples=int(along.n[usable].sum()),
     )
 
 
@@ -472,12 +474,12 @@ def _beside(y: Floats, xz: Floats) -> Floats:
 
 def _instants(y_t: Floats, first: float, last: float, width: float, forgotten: float, rules: LineRules) -> Floats:
     """Return the interrogations (r,) at which rows are made, evenly spaced and with windows that do not overlap."""
-    most = max(1, int((last - first) / width) + 1)
-    n = max(1, int((last - first) / max(width, forgotten)) + 1) if rules.points is None else min(rules.points, most)
-    wanted = np.linspace(first, last, n) if n > 1 else np.array([0.5 * (first + last)])
-    after = np.clip(np.searchsorted(y_t, wanted), 1, y_t.size - 1)
-    nearer = wanted - y_t[after - 1] < y_t[after] - wanted
-    return np.unique(y_t[after - nearer])
+    limit = max(1, int((last - first) / width) + 1)
+    n = max(1, int((last - first) / max(width, forgotten)) + 1) if rules.points is None else min(rules.points, limit)
+    instants = np.linspace(first, last, n) if n > 1 else np.array([0.5 * (first + last)])
+    following = np.clip(np.searchsorted(y_t, instants), 1, y_t.size - 1)
+    nearer = instants - y_t[following - 1] < y_t[following] - instants
+    return np.unique(y_t[following - nearer])
 
 
 def _correlation(s: _Signals, first: float, last: float, period_s: float) -> tuple[Floats, float]:
@@ -487,10 +489,10 @@ def _correlation(s: _Signals, first: float, last: float, period_s: float) -> tup
     channels = ((s.across_t, s.across[:, 0]), (s.y_t, s.y[:, 0]), (s.across_t, s.across[:, 1]))
     count, longest = np.ones(3), period_s
     for k, (t, values) in enumerate(channels):
-        left, fitted = _noise(t, values, np.arange(first, last, 2.0 * STRETCH * s.half_s))
+        residuals, fitted = _noise(t, values, np.arange(first, last, 2.0 * STRETCH * s.half_s))
         if fitted:
-            variance, noise = mean_variance(left, fitted)
-            count[k] = max(1.0, variance * left.size / noise**2) if noise > 0.0 else 1.0
+            variance, noise = mean_variance(residuals, fitted)
+            count[k] = max(1.0, variance * residuals.size / noise**2) if noise > 0.0 else 1.0
             longest = max(longest, count[k] * float(np.median(np.diff(t))))
     return count, longest
 
@@ -498,12 +500,12 @@ def _correlation(s: _Signals, first: float, last: float, period_s: float) -> tup
 def _noise(t: Floats, values: Floats, starts: Floats) -> tuple[Floats, int]:
     """Return the residuals of a polynomial through each stretch, concatenated, and the number of coefficients used."""
     cuts = np.searchsorted(t, starts)
-    parts = []
+    residuals = []
     for a, b in pairwise(cuts.tolist()):
         if b - a > 4 * (TREND + 1):
             u = np.linspace(-1.0, 1.0, b - a)
-            parts.append(values[a:b] - legendre.legval(u, legendre.legfit(u, values[a:b], TREND)))
-    return np.concatenate([np.empty(0), *parts]), (TREND + 1) * len(parts)
+            residuals.append(values[a:b] - legendre.legval(u, legendre.legfit(u, values[a:b], TREND)))
+    return np.concatenate([np.empty(0), *residuals]), (TREND + 1) * len(residuals)
 
 
 def _without_rows(passing: LinePass, why: Counter[str]) -> LinePass:

@@ -40,22 +40,22 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRule
     begin = np.array([rest.stood_s for rest in rests])
     end = np.array([rest.end_s + rules.guard_s for rest in rests])
     noted = stream.to_host_ns(bins.segment, bins.t_first_s)
-    of = np.searchsorted(begin, 1e-9 * noted, side="right") - 1
-    inside = np.array([i >= 0 and 1e-9 * t <= end[i] for i, t in zip(of, noted, strict=True)])
+    rest_of = np.searchsorted(begin, 1e-9 * noted, side="right") - 1
+    inside = np.array([i >= 0 and 1e-9 * t <= end[i] for i, t in zip(rest_of, noted, strict=True)])
     dwells = []
-    for k, (rest, t_ns) in enumerate(zip(of.tolist(), noted.tolist(), strict=True)):
+    for k, (rest, t_ns) in enumerate(zip(rest_of.tolist(), noted.tolist(), strict=True)):
         if not inside[k]:
             dwells.append(
                 _noted(stream, bins, k, t_ns, "still moving", "the bar did not rest when the joints were noted")
             )
             continue
-        others = np.flatnonzero((of == rest) & inside)
-        apart = float(np.max(np.abs(bins.mean[others] - bins.mean[k])))
-        if apart > rules.pose_tolerance:
+        same = np.flatnonzero((rest_of == rest) & inside)
+        span = float(np.max(np.abs(bins.mean[same] - bins.mean[k])))
+        if span > rules.pose_tolerance:
             dwells.append(
-                _noted(stream, bins, k, t_ns, "ambiguous", f"{len(others)} readings in one rest, {apart:.3f} rad apart")
+                _noted(stream, bins, k, t_ns, "ambiguous", f"{len(same)} readings in one rest, {span:.3f} rad apart")
             )
-        elif k == others[0]:
+        elif k == same[0]:
             dwells.append(_resting(_noted(stream, bins, k, t_ns), rests[rest], t_ns))
     return dwells
 
@@ -66,26 +66,26 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
     Samples at a rail are left out: an open coil is quiet but not at rest. Raises SessionError if the channel has no
     calibration.
     """
-    parts = []
-    for some, host_ns in samples:
-        blocks_n, blocks_gap, period_ns = (some.table[name] for name in ("n", "gap", "period_ns"))
-        period_ns = np.where(period_ns > 0, period_ns, some.stream.period_ns).astype(np.int64)
+    rows = []
+    for block, host_ns in samples:
+        blocks_n, blocks_gap, period_ns = (block.table[name] for name in ("n", "gap", "period_ns"))
+        period_ns = np.where(period_ns > 0, period_ns, block.stream.period_ns).astype(np.int64)
         bin_of_block = np.cumsum(blocks_gap) * 1e9 + np.floor(1e-9 * (host_ns - host_ns[0]) / BIN_S)
         starts = np.flatnonzero(np.diff(bin_of_block, prepend=-1.0))
-        ends = np.append(starts[1:], len(some)) - 1
-        first = some.first[starts]
-        metres = extension(some.counts[:, 0], some.channels[0])
+        ends = np.append(starts[1:], len(block)) - 1
+        first = block.first[starts]
+        metres = extension(block.counts[:, 0], block.channels[0])
         n = np.add.reduceat(blocks_n, starts)
-        at_rail = np.logical_or.reduceat(railed(some.counts[:, 0]), first)
+        at_rail = np.logical_or.reduceat(railed(block.counts[:, 0]), first)
         good = ~at_rail & (np.add.reduceat(blocks_n * period_ns, starts) >= 0.5e9 * BIN_S)
         gap = blocks_gap[starts] | np.append(False, at_rail[:-1])
         mean, low, high = (of.reduceat(metres, first) for of in (np.add, np.minimum, np.maximum))
         last_s = 1e-9 * (host_ns[ends] + period_ns[ends] * (blocks_n[ends] - 1))
-        columns = (np.full(len(n), some.segment), 1e-9 * host_ns[starts], last_s, n, mean / n, low, high, gap)
-        parts.append([column[good] for column in columns])
-    if not parts:
+        columns = (np.full(len(n), block.segment), 1e-9 * host_ns[starts], last_s, n, mean / n, low, high, gap)
+        rows.append([column[good] for column in columns])
+    if not rows:
         return None
-    segment, first_s, last_s, n, mean, low, high, gap = map(np.concatenate, zip(*parts, strict=True))
+    segment, first_s, last_s, n, mean, low, high, gap = map(np.concatenate, zip(*rows, strict=True))
     gap |= first_s - np.append(-np.inf, last_s[:-1]) > 2.0 * BIN_S
     scatter = np.zeros((len(n), 1), np.float32)
     return Bins(segment, first_s, last_s, n, mean[:, None], (mean - low)[:, None], (high - mean)[:, None], scatter, gap)
@@ -113,12 +113,12 @@ def _noted(stream: JointStream, bins: Bins, k: int, t_host_ns: int, reason: str 
 def _resting(dwell: Dwell, rest: Dwell, t_host_ns: int) -> Dwell:
     """Return the dwell over the complete rest of the sensor, in host times."""
     begin, end, stood = (round(1e9 * t) for t in (rest.start_s, rest.end_s, rest.stood_s))
-    at = dwell.start_s
+    noted_s = dwell.start_s
     return replace(
         dwell,
-        stood_s=at + 1e-9 * (stood - t_host_ns),
-        start_s=at + 1e-9 * (begin - t_host_ns),
-        end_s=at + 1e-9 * (end - t_host_ns),
+        stood_s=noted_s + 1e-9 * (stood - t_host_ns),
+        start_s=noted_s + 1e-9 * (begin - t_host_ns),
+        end_s=noted_s + 1e-9 * (end - t_host_ns),
         start_host_ns=begin,
         end_host_ns=end,
         reason=rest.reason,

@@ -116,7 +116,7 @@ class SyncResult:
     @property
     def pass_reasons(self) -> dict[str, int]:
         """Number of rejected passes by reason."""
-        return dict(Counter(one.reason for one in self.passes if one.reason))
+        return dict(Counter(line_pass.reason for line_pass in self.passes if line_pass.reason))
 
 
 def read_blocks(source: Source, box: BoxReader) -> Iterator[tuple[Messages, list[Blocks]]]:
@@ -207,24 +207,24 @@ def observations(
             by_kind[kind_name] = _measured(stops, kind_name, kind.dwell, found, rig, rules)
     dwells = by_kind[BAR]
     measurable = (
-        one
-        if one.reason in ("too long", "ambiguous")
-        else measure(one, found.samples[LINE], found.joints, bool(found.clocks), line_rules)
-        for one in passes
+        line_pass
+        if line_pass.reason in ("too long", "ambiguous")
+        else measure(line_pass, found.samples[LINE], found.joints, bool(found.clocks), line_rules)
+        for line_pass in passes
     )
-    driven = tuple(one for one in measurable if one is not None)
-    used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
+    driven = tuple(line_pass for line_pass in measurable if line_pass is not None)
+    counts = [dwell.n_samples for dwell in dwells if not dwell.reason] + [line_pass.n_samples for line_pass in driven]
     bins = None if has_manual_joints(found.joints) else found.joints.bins
     table = table_of(by_kind, driven, len(found.joints.step), name, bins)
-    at = (1e9 * table.time).astype(np.int64)
-    read = {name: found.thermometers[name].between(at) for name in THERMOMETERS if name in found.thermometers}
+    t_host_ns = (1e9 * table.time).astype(np.int64)
+    read = {name: found.thermometers[name].between(t_host_ns) for name in THERMOMETERS if name in found.thermometers}
     simulated = any(box.simulated for box in found.idents.values())
     table = table.replace(
         **{THERMOMETERS[name]: degc for name, degc in read.items()},
-        temperature=found.temperature.at(at),
+        temperature=found.temperature.at(t_host_ns),
         simulated="yes" if simulated else None,
     )
-    return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
+    return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, sum(counts))
 
 
 def _measured(
@@ -240,15 +240,15 @@ def _measured(
     def during(i: int) -> Samples | None:
         return samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns)
 
-    taken = {i: during(i) for i in list(sensors)[:LEARNT]}
-    sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(taken.values()))
+    first_samples = {i: during(i) for i in list(sensors)[:LEARNT]}
+    sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first_samples.values()))
     for i, sensor in sensors.items():
         if sensor is None:
             dwells[i] = replace(dwells[i], reason="no plan match")
         else:
             dwell = dwells[i]
             dwell = dwell if sensor.names is dwell.mounted else replace(dwell, mounted=dict(sensor.names))
-            dwells[i] = measured(dwell, taken.pop(i) if i in taken else during(i), sensor, sensing)
+            dwells[i] = measured(dwell, first_samples.pop(i) if i in first_samples else during(i), sensor, sensing)
     return without_noisy(dwells)
 
 
@@ -287,8 +287,8 @@ def _unmatched(
     dwell: Dwell, plan: PlannedPoses, rows: list[int], rules: DwellRules, said: Mapping[str, str]
 ) -> tuple[str, str]:
     """Return the reason why a dwell is not a pose of the plan, and its distance."""
-    away = distances(dwell.q, plan)
-    nearest, distance = int(np.argmin(away)), float(away.min())
+    distance_to_pose = distances(dwell.q, plan)
+    nearest, distance = int(np.argmin(distance_to_pose)), float(distance_to_pose.min())
     if np.isinf(distance):
         return "no plan match", f"the plan is of {plan.q.shape[1]} joints"
     if distance > rules.pose_tolerance:
@@ -319,9 +319,10 @@ def table_of(
 
     ``name`` is the session's name for ``source``. ``bins`` of the joints give the direction of approach of each dwell.
     """
-    parts = [_of_dwells(dwells, kind, joints, name, bins) for kind, dwells in by_kind.items()]
-    parts += [_of_pass(one, number, name) for number, one in enumerate(passes, start=1) if not one.reason]
-    return ObservationTable.joined(parts)
+    tables = [_of_dwells(dwells, kind, joints, name, bins) for kind, dwells in by_kind.items()]
+    numbered = enumerate(passes, start=1)
+    tables += [_of_pass(line_pass, number, name) for number, line_pass in numbered if not line_pass.reason]
+    return ObservationTable.joined(tables)
 
 
 def _of_dwells(dwells: Sequence[Dwell], kind: str, joints: int, name: str, bins: Bins | None) -> ObservationTable:
@@ -342,18 +343,18 @@ def _of_dwells(dwells: Sequence[Dwell], kind: str, joints: int, name: str, bins:
     )
 
 
-def _of_pass(one: LinePass, number: int, name: str) -> ObservationTable:
+def _of_pass(line_pass: LinePass, number: int, name: str) -> ObservationTable:
     return ObservationTable(
-        q=one.q,
+        q=line_pass.q,
         kind="line",
-        source=[f"{name} pass {number}.{i}" for i in range(1, len(one.xyz) + 1)],
-        shell=one.group,
-        line=one.mounted.get("line", ""),
-        target=one.mounted.get("target", ""),
-        time=np.asarray(1e-9 * one.t_host_ns),
-        xyz=one.xyz,
-        xyz_sigma=one.xyz_sigma,
-        q_rate=one.q_rate,
+        source=[f"{name} pass {number}.{i}" for i in range(1, len(line_pass.xyz) + 1)],
+        shell=line_pass.group,
+        line=line_pass.mounted.get("line", ""),
+        target=line_pass.mounted.get("target", ""),
+        time=np.asarray(1e-9 * line_pass.t_host_ns),
+        xyz=line_pass.xyz,
+        xyz_sigma=line_pass.xyz_sigma,
+        q_rate=line_pass.q_rate,
     )
 
 

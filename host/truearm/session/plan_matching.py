@@ -139,11 +139,11 @@ def match_plan(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[M
     """
     pairs = _near_pairs(q, plan, tolerance, said)
     matched: list[int | None] = [None] * len(q)
-    worth, before = _ways(pairs, [pair.closeness for pair in pairs], len(plan.q))
+    worth, previous = _ways(pairs, [pair.closeness for pair in pairs], len(plan.q))
     k = max(range(len(pairs)), key=worth.__getitem__, default=-1)
     while k >= 0:
         matched[pairs[k].dwell] = pairs[k].pose
-        k = before[k]
+        k = previous[k]
     return Matches(tuple(matched), _ambiguous(pairs, plan))
 
 
@@ -162,10 +162,10 @@ def _near_pairs(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[
     scale = REPEAT / (tolerance * (len(q) + 1))
     pairs = []
     for dwell, reading in enumerate(q):
-        away = distances(reading, plan)
-        for pose in np.flatnonzero(away <= tolerance).tolist():
+        distance = distances(reading, plan)
+        for pose in np.flatnonzero(distance <= tolerance).tolist():
             if not contradict(said[dwell], plan.mounted[pose]):
-                pairs.append(_Pair(dwell, pose, scale * (tolerance - float(away[pose]))))
+                pairs.append(_Pair(dwell, pose, scale * (tolerance - float(distance[pose]))))
     return pairs
 
 
@@ -178,27 +178,27 @@ def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tup
     """Return the value of the best path that ends at each pair, and the previous pair on that path (-1 for none)."""
     nothing = (0.0, -1)
     tree = [nothing] * (poses + 1)  # of the best paths that end before a pose
-    at: dict[int, tuple[float, int]] = {}  # the best path that ends at a pose
+    ending: dict[int, tuple[float, int]] = {}  # the best path that ends at a pose
     best = nothing
     worth: list[float] = []
-    before: list[int] = []
+    previous: list[int] = []
     for _, group in groupby(enumerate(pairs), key=lambda numbered: numbered[1].dwell):
         of_dwell = [(k, pair.pose) for k, pair in group]
         for k, pose in of_dwell:
             coming, i = nothing, pose
             while i > 0:
                 coming, i = max(coming, tree[i]), i & (i - 1)
-            again = at.get(pose, nothing)
+            again = ending.get(pose, nothing)
             coming = max(coming, (again[0] - REPEAT, again[1]), (best[0] - BACK, best[1]))
             worth.append(coming[0] + 1.0 + closeness[k])
-            before.append(coming[1])
+            previous.append(coming[1])
         for k, pose in of_dwell:  # only now: a dwell is in at most one pair
-            way = (worth[k], k)
-            best, at[pose] = max(best, way), max(at.get(pose, nothing), way)
+            path = (worth[k], k)
+            best, ending[pose] = max(best, path), max(ending.get(pose, nothing), path)
             i = pose + 1
             while i <= poses:
-                tree[i], i = max(tree[i], way), i + (i & -i)
-    return worth, before
+                tree[i], i = max(tree[i], path), i + (i & -i)
+    return worth, previous
 
 
 def _ambiguous(pairs: list[_Pair], plan: PlannedPoses) -> dict[int, tuple[str, ...]]:
@@ -241,12 +241,15 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     said = [_mounted(marks, leg) for leg in legs]
     plan, rows = planned_lines(marks)
     if plan is None:
-        found = [LinePass(leg, words) for leg, words in zip(legs, said, strict=True) if "line" in words]
+        passes = [LinePass(leg, words) for leg, words in zip(legs, said, strict=True) if "line" in words]
     else:
-        found = _matched(legs, plan, rows, tolerance, said)
-    for one in found:
-        _check_rig(one.mounted, rig)
-    return [replace(one, reason="too long") if one.leg.end_s - one.leg.start_s > LONGEST_S else one for one in found]
+        passes = _matched(legs, plan, rows, tolerance, said)
+    for line_pass in passes:
+        _check_rig(line_pass.mounted, rig)
+    return [
+        replace(line_pass, reason="too long") if line_pass.leg.end_s - line_pass.leg.start_s > LONGEST_S else line_pass
+        for line_pass in passes
+    ]
 
 
 def planned_lines(marks: Marks) -> tuple[PlannedPoses | None, list[int]]:
@@ -265,13 +268,13 @@ def _matched(
 ) -> list[LinePass]:
     ends = np.array([np.concatenate([leg.q_start, leg.q_end]) for leg in legs]).reshape(len(legs), -1)
     matches = match_plan(ends, plan, tolerance, said)
-    found = []
+    passes = []
     for k, (leg, pose, words) in enumerate(zip(legs, matches.poses, said, strict=True)):
         if pose is not None:
-            found.append(LinePass(leg, plan.mounted[pose], "ambiguous" * (k in matches.ambiguous), rows[pose]))
+            passes.append(LinePass(leg, plan.mounted[pose], "ambiguous" * (k in matches.ambiguous), rows[pose]))
         elif "line" in words:
-            found.append(LinePass(leg, dict(words), "gap" if leg.cut else "no plan match"))
-    return found
+            passes.append(LinePass(leg, dict(words), "gap" if leg.cut else "no plan match"))
+    return passes
 
 
 def _mounted(marks: Marks, leg: Leg) -> dict[str, str]:
@@ -287,10 +290,10 @@ def _check_rig(mounted: Mapping[str, str], rig: Rig) -> None:
             check_in_rig(key, mounted[key], names)
 
 
-def check_in_rig(key: str, name: str, known: Mapping[str, Any]) -> None:
+def check_in_rig(key: str, name: str, names: Mapping[str, Any]) -> None:
     """Raise RigError if the rig does not have what a session names."""
-    if name not in known:
-        have = ", ".join(sorted(known)) or "none"
+    if name not in names:
+        have = ", ".join(sorted(names)) or "none"
         raise RigError(
             f"the session names {key} {name!r}, which the rig does not have (it has {have}); add it to the rig, or give the right rig as ",
             Argument("rig"),
@@ -325,26 +328,26 @@ def pairing_of(mounted: Mapping[str, str]) -> Pairing | None:
 def may_be_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> tuple[int, ...]:
     """Return the numbers of the stops that are complete and, if there is a plan, at one of its poses."""
     plan = marks.plan()
-    whole = [i for i, dwell in enumerate(dwells) if not dwell.reason]
-    if plan is None or not whole:
-        return tuple(whole)
-    return tuple(i for i in whole if distances(dwells[i].q, plan).min() <= tolerance)
+    complete = [i for i, dwell in enumerate(dwells) if not dwell.reason]
+    if plan is None or not complete:
+        return tuple(complete)
+    return tuple(i for i in complete if distances(dwells[i].q, plan).min() <= tolerance)
 
 
 def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Said]:
     """Return the statements of plan and operator about dwells in order of time; the two are independent."""
     plan, rows = marks.plan(), marks.dwells
-    near, planned = _of_plan(dwells, plan, tolerance)
+    near_poses, planned = _of_plan(dwells, plan, tolerance)
     times = [t for t, _ in marks.mountings]
     ends = [bisect_right(times, dwell.start_host_ns) for dwell in dwells]
     words = [pairing_of(mounted) for _, mounted in marks.mountings]
-    said = []
+    statements = []
     for k, end in enumerate(ends):
         since = words[ends[k - 1] if k else 0 : end]
         typed = tuple(pairing for pairing in since if pairing is not None)
         confirmed = words[end - 1] if end else None
-        said.append(Said(tuple(rows[pose] for pose in near[k]), planned[k], typed, confirmed))
-    return said
+        statements.append(Said(tuple(rows[pose] for pose in near_poses[k]), planned[k], typed, confirmed))
+    return statements
 
 
 def _of_plan(
@@ -356,16 +359,16 @@ def _of_plan(
         return [[] for _ in dwells], nothing
     q = np.array([dwell.q for dwell in dwells])
     matches = match_plan(q, plan, tolerance, [{}] * len(dwells))
-    near, planned = [], nothing
+    near_poses, planned = [], nothing
     for k, pose in enumerate(matches.poses):
-        away = distances(q[k], plan)
-        poses: list[int] = np.argsort(away, kind="stable")[: np.count_nonzero(away <= tolerance)].tolist()
-        near.append(sorted(poses, key=lambda p: p != pose))
+        distance = distances(q[k], plan)
+        poses: list[int] = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= tolerance)].tolist()
+        near_poses.append(sorted(poses, key=lambda p: p != pose))
         if pose is not None:
             alike = poses if k in matches.ambiguous else [pose]
-            found = (pairing_of(plan.mounted[p]) for p in alike)
-            planned[k] = tuple(dict.fromkeys(pairing for pairing in found if pairing is not None))
-    return near, planned
+            pairings = (pairing_of(plan.mounted[p]) for p in alike)
+            planned[k] = tuple(dict.fromkeys(pairing for pairing in pairings if pairing is not None))
+    return near_poses, planned
 
 
 def label_of(dwell: Dwell, said: Said, marks: Marks, pairing: Pairing | None, detail: str = "") -> DwellLabel:
@@ -385,20 +388,20 @@ def labelled(dwells: Sequence[Dwell], labels: Sequence[DwellLabel]) -> list[Dwel
     """Return the dwells with the settled labels; a label applies to the dwells that overlap its time."""
     order = sorted(labels, key=lambda label: label.begin_ns)
     begins = [label.begin_ns for label in order]
-    found = []
+    settled = []
     for dwell in dwells:
         if dwell.reason:
-            found.append(dwell)
+            settled.append(dwell)
             continue
-        at = bisect_right(begins, (dwell.start_host_ns + dwell.end_host_ns) // 2) - 1
-        label = order[at] if at >= 0 and order[at].end_ns >= dwell.start_host_ns else None
+        index = bisect_right(begins, (dwell.start_host_ns + dwell.end_host_ns) // 2) - 1
+        label = order[index] if index >= 0 and order[index].end_ns >= dwell.start_host_ns else None
         if label is None:
-            found.append(replace(dwell, reason="no plan match", detail="it has no label"))
+            settled.append(replace(dwell, reason="no plan match", detail="it has no label"))
         elif pairing_of(label.mounted) is None:
-            found.append(replace(dwell, pose=label.pose, reason="ambiguous", detail=label.detail))
+            settled.append(replace(dwell, pose=label.pose, reason="ambiguous", detail=label.detail))
         else:
-            found.append(replace(dwell, pose=label.pose, mounted=dict(label.mounted)))
-    return found
+            settled.append(replace(dwell, pose=label.pose, mounted=dict(label.mounted)))
+    return settled
 
 
 def with_mountings(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Dwell]:
@@ -412,18 +415,18 @@ def with_mountings(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> l
         return list(dwells)
     times = [t for t, _ in marks.mountings]
     matched = [i for i, dwell in enumerate(dwells) if dwell.pose is not None]
-    found = list(dwells)
+    marked = list(dwells)
     for i, dwell in enumerate(dwells):
         if dwell.reason != "no plan match" or not tolerance < distances(dwell.q, plan).min() < np.inf:
             continue
-        at = bisect_right(matched, i)
-        if at == len(matched):
+        following = bisect_right(matched, i)
+        if following == len(matched):
             continue
-        after, before = dwells[matched[at]], dwells[matched[at - 1]] if at else None
+        after, before = dwells[matched[following]], dwells[matched[following - 1]] if following else None
         if (
             before is None
             or pairing_of(before.mounted) != pairing_of(after.mounted)
             or bisect_right(times, before.end_host_ns) < bisect_right(times, after.start_host_ns)
         ):
-            found[i] = replace(dwell, reason=MOUNTING, detail="")
-    return found
+            marked[i] = replace(dwell, reason=MOUNTING, detail="")
+    return marked

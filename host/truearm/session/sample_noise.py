@@ -172,12 +172,12 @@ def quick_noise(samples: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(np.diff(samples, n=2))) / 6.0))
 
 
-def rings(found: Settled) -> bool:
+def rings(rest: Settled) -> bool:
     """Return whether deviations from the level change sides, as in a swing.
 
     If they stay on one side, it is a creep or a drift.
     """
-    side = np.sign(found.deviation[np.abs(found.deviation) > found.bound])
+    side = np.sign(rest.deviation[np.abs(rest.deviation) > rest.bound])
     return int(np.count_nonzero(np.diff(side))) >= 2
 
 
@@ -201,10 +201,10 @@ def allan(pieces: Sequence[Floats], period_s: float) -> Allan:
     rows = []
     for k in range(longest.bit_length()):
         m = 1 << k
-        found = [_variance(piece, m) for piece in pieces if piece.size >= 3 * m]
-        freedom = sum(f for _, f in found)
+        variances = [_variance(piece, m) for piece in pieces if piece.size >= 3 * m]
+        freedom = sum(f for _, f in variances)
         if freedom >= LEAST_FREEDOM:
-            rows.append((m * period_s, np.sqrt(sum(v * f for v, f in found) / freedom), freedom))
+            rows.append((m * period_s, np.sqrt(sum(v * f for v, f in variances) / freedom), freedom))
     return Allan(*np.array(rows).reshape(-1, 3).T)
 
 

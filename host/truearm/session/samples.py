@@ -44,13 +44,13 @@ def with_ratios(counts: NDArray[np.int32], channels: Sequence[Channel]) -> NDArr
     divided = [k for k, channel in enumerate(channels) if channel.over is not None and not channel.fault]
     if not divided:
         return counts
-    found = counts.copy()
+    ratios = counts.copy()
     for k in divided:
         over = counts[:, channels[k].over]
         usable = ~railed(counts[:, k]) & ~railed(over) & (np.abs(over) >= LEAST_DIVISOR)
         ratio = counts[:, k] / np.where(usable, over, 1) * (channels[k].per_count / RATIO_STEP)
-        found[:, k] = np.where(usable, np.clip(np.rint(ratio), RAIL_LOW, RAIL_HIGH), RAIL_HIGH)
-    return found
+        ratios[:, k] = np.where(usable, np.clip(np.rint(ratio), RAIL_LOW, RAIL_HIGH), RAIL_HIGH)
+    return ratios
 
 
 def volts(counts: NDArray[Any], channel: Channel) -> Floats:
@@ -79,10 +79,12 @@ def extension(counts: NDArray[Any], channel: Channel) -> Floats:
 
 def shown(channel: Channel, count: int) -> tuple[str, float]:
     """Return a usable channel's sample for display, and its name with the unit: metres if it is calibrated to a length."""
-    seen, unit = count * channel.scale, channel.length_unit
+    measured, unit = count * channel.scale, channel.length_unit
     if unit is None:
-        return f"{channel.name}_{channel.unit or 'raw'}", seen
-    return f"{channel.name}_m", unit.to_si(reduce(lambda sum, factor: sum * seen + factor, reversed(channel.poly), 0.0))
+        return f"{channel.name}_{channel.unit or 'raw'}", measured
+    return f"{channel.name}_m", unit.to_si(
+        reduce(lambda sum, factor: sum * measured + factor, reversed(channel.poly), 0.0)
+    )
 
 
 # ------------------------------------------------------------------------------------------------- samples of channels
@@ -128,22 +130,22 @@ class ChannelSamples:
 
     def keep(self, blocks: Iterable[Blocks]) -> None:
         """Keep the channels' samples among all blocks of a box."""
-        for some in blocks:
-            place = columns_in(some.ident, self._names)
+        for block in blocks:
+            place = columns_in(block.ident, self._names)
             if place is None:
-                self._lacking = self._lacking or some.ident
-            elif place[0].id == some.stream.id and len(some):
-                counts = with_ratios(some.counts, some.stream.channels)[:, place[1]]
-                begin_us = int(some.table["t_us"].min()) - some.stream.group_delay_ns // 1000 - SLACK_US
-                end_us = int(some.table["t_us"].max()) + some.reach_ns // 1000 + SLACK_US
-                self._arrays.append((some.table, counts, some.stated_ns), (some.segment, begin_us, end_us))
-                self._kept.append(partial(Blocks, some.segment, some.ident, some.stream, place[1]))
+                self._lacking = self._lacking or block.ident
+            elif place[0].id == block.stream.id and len(block):
+                counts = with_ratios(block.counts, block.stream.channels)[:, place[1]]
+                begin_us = int(block.table["t_us"].min()) - block.stream.group_delay_ns // 1000 - SLACK_US
+                end_us = int(block.table["t_us"].max()) + block.reach_ns // 1000 + SLACK_US
+                self._arrays.append((block.table, counts, block.stated_ns), (block.segment, begin_us, end_us))
+                self._kept.append(partial(Blocks, block.segment, block.ident, block.stream, place[1]))
 
     def _load(self, number: int) -> tuple[Blocks, Ints, Floats]:
         """Return blocks, the host time (b,) [ns] at which the signal had the first value of each, and the bounds."""
-        some = self._kept[number](*self._arrays.load(number))
-        host, bound = self._clocks[some.segment].to_host_ns(some.table["t_us"])
-        return some, host - some.stream.group_delay_ns, bound
+        kept = self._kept[number](*self._arrays.load(number))
+        host, bound = self._clocks[kept.segment].to_host_ns(kept.table["t_us"])
+        return kept, host - kept.stream.group_delay_ns, bound
 
     def place(self, clocks: Mapping[int, DeviceClock]) -> None:
         """Set the clock of each segment of the box."""
@@ -167,31 +169,31 @@ class ChannelSamples:
 
     def during(self, start_ns: int, end_ns: int) -> Samples | None:
         """Return the samples between two host times; None if there are none, or no clock places them in time."""
-        parts, segment = [], -1
+        pieces, segment = [], -1
         for k in np.flatnonzero((self._host_ns[:, 0] <= end_ns) & (self._host_ns[:, 1] >= start_ns)).tolist():
-            some, host, bound = self._blocks(k)
-            rows = slice(*np.searchsorted(host, [start_ns - some.reach_ns, end_ns + 1]))
+            kept, host, bound = self._blocks(k)
+            rows = slice(*np.searchsorted(host, [start_ns - kept.reach_ns, end_ns + 1]))
             if rows.start == rows.stop:
                 continue
-            table, first = some.table[rows], some.first[rows.start : rows.stop + 1]
-            counts, first = some.counts[first[0] : first[-1]], first - first[0]
-            t_ns = np.repeat(host[rows], table["n"]) + some.within_ns(rows)
+            table, first = kept.table[rows], kept.first[rows.start : rows.stop + 1]
+            counts, first = kept.counts[first[0] : first[-1]], first - first[0]
+            t_ns = np.repeat(host[rows], table["n"]) + kept.within_ns(rows)
             low, high = np.searchsorted(t_ns, [start_ns, end_ns + 1])
             if low == high:
                 continue
             gap = np.zeros(t_ns.size, np.bool_)
             gap[first[:-1]] = table["gap"]
-            gap[low] |= some.segment != segment
-            segment, last = some.segment, some
+            gap[low] |= kept.segment != segment
+            segment, last = kept.segment, kept
             fault = np.repeat((table["flags"] & wire.FLAG_CONVERTER) != 0, table["n"])
             columns = t_ns, counts, gap, fault
             touched = slice(*(np.searchsorted(first[:-1], [low, high - 1], side="right") - [1, 0]))
-            parts.append((*(c[low:high] for c in columns), bound[rows][touched], table["period_ns"][touched]))
-        if not parts:
+            pieces.append((*(c[low:high] for c in columns), bound[rows][touched], table["period_ns"][touched]))
+        if not pieces:
             return None
-        t_ns, counts, gap, fault, bound, period_ns = map(np.concatenate, zip(*parts, strict=True))
+        t_ns, counts, gap, fault, bound, period_ns = map(np.concatenate, zip(*pieces, strict=True))
         # Two lives of the box have two clocks; their times may overlap by the clocks' errors.
-        order = np.argsort(t_ns, kind="stable") if len(parts) > 1 else slice(None)
+        order = np.argsort(t_ns, kind="stable") if len(pieces) > 1 else slice(None)
         return Samples(
             t_ns=t_ns[order],
             counts=counts[order],

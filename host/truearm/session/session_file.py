@@ -56,22 +56,22 @@ LATEST_NS = 1 << 62  # 146 years; differences of later times would not fit int64
 FOOTER_BYTES = 20
 
 
-def records(file: BinaryIO, end: int, at: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, body offset and body length of every complete record from ``at`` up to ``end``.
+def records(file: BinaryIO, end: int, offset: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, body offset and body length of every complete record from ``offset`` up to ``end``.
 
     At each yield the file is positioned at the body. Raises SessionError if the file ends before ``end``.
     """
-    while at + RECORD.size <= end:
-        file.seek(at)
+    while offset + RECORD.size <= end:
+        file.seek(offset)
         head = file.read(RECORD.size)
         if len(head) < RECORD.size:
             raise SessionError(f"{file.name}: became shorter while it was being read; wait until nothing writes to it")
         opcode, length = RECORD.unpack(head)
-        at += RECORD.size
-        if opcode == 0 or length > end - at:  # zeros: a power cut kept the file's length but not its bytes
+        offset += RECORD.size
+        if opcode == 0 or length > end - offset:  # zeros: a power cut kept the file's length but not its bytes
             return
-        yield opcode, at, length
-        at += length
+        yield opcode, offset, length
+        offset += length
 
 
 def has_footer(file: BinaryIO, size: int) -> bool:
@@ -199,9 +199,9 @@ class Messages:
         """``data`` as an array of bytes."""
         return np.frombuffer(self.data, np.uint8)
 
-    def rows(self, wanted: Callable[[str], bool]) -> NDArray[np.intp]:
+    def rows(self, is_chosen: Callable[[str], bool]) -> NDArray[np.intp]:
         """Return the rows of the wanted topics, in order."""
-        of_topic = np.array([wanted(topic) for topic in self.topics], dtype=bool)
+        of_topic = np.array([is_chosen(topic) for topic in self.topics], dtype=bool)
         return np.flatnonzero(of_topic[self.topic]) if of_topic.any() else np.empty(0, np.intp)
 
     def payload(self, row: int) -> bytes:
@@ -213,9 +213,9 @@ class Messages:
         data = self.data
         return [data[a:b] for a, b in zip(self.begin[rows].tolist(), self.end[rows].tolist(), strict=True)]
 
-    def without(self, wanted: Callable[[str], bool]) -> Messages:
+    def without(self, is_dropped: Callable[[str], bool]) -> Messages:
         """Return the messages except those of some topics."""
-        return self.take(self.rows(lambda topic: not wanted(topic)))
+        return self.take(self.rows(lambda topic: not is_dropped(topic)))
 
     def take(self, rows: NDArray[np.intp]) -> Messages:
         """Return a selection of the messages as columns."""
@@ -276,12 +276,12 @@ def columns_of_records(chunks: Sequence[bytes], channels: dict[int, str]) -> Mes
     for channel, topic in channels.items():
         of_channel[channel] = topics.setdefault(topic, len(topics))
     number = of_channel[head["channel"]]
-    for at in np.flatnonzero(head["opcode"] == Opcode.CHANNEL).tolist():
-        record = parse(Channel, data[begin[at] + _RECORD_BYTES : end[at]])
+    for row in np.flatnonzero(head["opcode"] == Opcode.CHANNEL).tolist():
+        record = parse(Channel, data[begin[row] + _RECORD_BYTES : end[row]])
         if channels.setdefault(record.id, record.topic) != record.topic or len(channels) > MAX_CHANNELS:
             raise Unreadable  # the specification allows a channel one topic
         of_channel[record.id] = topics.setdefault(record.topic, len(topics))
-        number[at:] = of_channel[head["channel"][at:]]
+        number[row:] = of_channel[head["channel"][row:]]
     t_host_ns = head["t_host_ns"]
     is_message = head["opcode"] == Opcode.MESSAGE
     if np.any(is_message & ((end - begin < _HEAD.itemsize) | (number < 0) | (t_host_ns >= LATEST_NS))):
@@ -302,13 +302,13 @@ def columns_of_records(chunks: Sequence[bytes], channels: dict[int, str]) -> Mes
 def _starts(data: bytes, sizes: Sequence[int]) -> list[int]:
     """Return where each record begins; the records of a chunk fill it completely."""
     starts: list[int] = []
-    add, length_at, at, end = starts.append, _LENGTH, 0, 0
+    add, length_at, offset, end = starts.append, _LENGTH, 0, 0
     for size in sizes:
         end += size
-        while at < end:
-            add(at)
-            at += _RECORD_BYTES + length_at(data, at + 1)[0]
-        if at != end:
+        while offset < end:
+            add(offset)
+            offset += _RECORD_BYTES + length_at(data, offset + 1)[0]
+        if offset != end:
             raise Unreadable
     return starts
 
@@ -376,9 +376,9 @@ class Session:
 
         Raises SessionError if the file is damaged.
         """
-        wanted = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
+        chosen = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
         for messages in self.batches():
-            yield from messages.of(messages.rows(lambda topic: wanted is None or topic in wanted))
+            yield from messages.of(messages.rows(lambda topic: chosen is None or topic in chosen))
 
     def batches(self) -> Iterator[Messages]:
         """Yield all messages as columns, some megabytes at a time, in the order of writing.
@@ -392,13 +392,13 @@ class Session:
         """Yield the records of one chunk after the other."""
         zstd = ZstdDecompressor()
         with open_input(self.path) as file, step(f"reading {self.path.name}") as advance:
-            for number, (at, length) in enumerate(self.chunks):
+            for number, (offset, length) in enumerate(self.chunks):
                 advance(number / len(self.chunks))
-                file.seek(at)
+                file.seek(offset)
                 try:
                     yield chunk_records(file.read(length), zstd)
                 except Unreadable as exc:
-                    raise SessionError("damaged-session", place=self.path, where=f"at byte {at}") from exc
+                    raise SessionError("damaged-session", place=self.path, where=f"at byte {offset}") from exc
 
     def _not_restored(self, messages: Messages) -> Messages:
         """Return the messages that are not in the copy of the plan."""
@@ -435,8 +435,8 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
         walk = RecordWalk(path, file, every_record=True)
         walk.walk()
         if not allow_damaged:
-            where = f"at byte {walk.damaged_at[0]}" if walk.damaged_at else wrong_crc
-            raise SessionError("damaged-session", place=path, where=where)
+            place = f"at byte {walk.damaged_at[0]}" if walk.damaged_at else wrong_crc
+            raise SessionError("damaged-session", place=path, where=place)
         return walk.salvaged(bool(wrong_crc))
 
 
@@ -466,19 +466,19 @@ class RecordWalk:
 
     def walk(self) -> None:
         """Go through all records up to the end of data."""
-        at = len(MCAP0_MAGIC) if self.has_magic else 0
-        while at + RECORD.size <= self._size and not self._data_end:
-            end = self._record(at)
+        offset = len(MCAP0_MAGIC) if self.has_magic else 0
+        while offset + RECORD.size <= self._size and not self._data_end:
+            end = self._record(offset)
             if end is None:
-                self.damaged_at.append(at)
+                self.damaged_at.append(offset)
                 self._gaps.append(len(self._times_ns))
                 if not self._every_record:
                     return
-                begin, at = at, self._search(at + 1)
-                self.session.unread_bytes += at - begin
+                begin, offset = offset, self._search(offset + 1)
+                self.session.unread_bytes += offset - begin
             else:
-                at = end
-        self.session.unread_bytes += 0 if self._data_end else self._size - at
+                offset = end
+        self.session.unread_bytes += 0 if self._data_end else self._size - offset
 
     def wrong_crc(self) -> str:
         """Return where a CRC of a complete file does not match, "" if nowhere.
@@ -513,11 +513,13 @@ class RecordWalk:
         first = min((begin for begin, _ in times_ns), default=0)
         first, last = self._span_ns or (first, max((end for _, end in times_ns), default=0))
         damage = dict[int, Damage]()
-        for at, chunks in gaps:
-            before = max((end for _, end in times_ns[:chunks]), default=first)
-            after = min((begin for begin, _ in times_ns[chunks:]), default=last)
-            lost_s, of_s, from_s = (1e-9 * max(0, ns) for ns in (after - before, last - first, before - first))
-            damage.setdefault(chunks, Damage(at, lost_s, of_s, from_s))  # several places between two chunks are one
+        for offset, chunks in gaps:
+            end_before = max((end for _, end in times_ns[:chunks]), default=first)
+            begin_after = min((begin for begin, _ in times_ns[chunks:]), default=last)
+            lost_s, of_s, from_s = (
+                1e-9 * max(0, ns) for ns in (begin_after - end_before, last - first, end_before - first)
+            )
+            damage.setdefault(chunks, Damage(offset, lost_s, of_s, from_s))  # several places between two chunks are one
         session.damage = tuple(damage.values())
         if wrong_crc and not session.truncated and not damage:
             session.damage = (Damage(None, 0.0, 0.0),)
@@ -525,16 +527,16 @@ class RecordWalk:
         session.restored = None if copy is None else _messages_of_copy(copy)
         return session
 
-    def _record(self, at: int) -> int | None:
-        """Take the record at ``at`` and return where it ends; None if it is damaged."""
-        self._file.seek(at)
+    def _record(self, offset: int) -> int | None:
+        """Take the record at ``offset`` and return where it ends; None if it is damaged."""
+        self._file.seek(offset)
         opcode, length = RECORD.unpack(self._file.read(RECORD.size))
-        begin = at + RECORD.size
+        begin = offset + RECORD.size
         end: int = begin + length
         if (
             end > self._size
             or length > _LIMITS.get(opcode, -1)
-            or (opcode == Opcode.HEADER) != (at == len(MCAP0_MAGIC))
+            or (opcode == Opcode.HEADER) != (offset == len(MCAP0_MAGIC))
         ):
             return None
         session = self.session
@@ -546,7 +548,7 @@ class RecordWalk:
             if opcode == Opcode.DATA_END:
                 if length != _LIMITS[opcode]:
                     return None
-                self.crc, self._data_end = int.from_bytes(body, "little"), at
+                self.crc, self._data_end = int.from_bytes(body, "little"), offset
             elif opcode == Opcode.METADATA:
                 name, entries, proven = parse_metadata(body)
                 self._keep(session.metadata, name, entries, proven)
@@ -575,20 +577,20 @@ class RecordWalk:
         if len(items) > MAX_ITEMS:
             raise SessionError(f"{self.session.path}: holds more than {MAX_ITEMS} attachments or metadata records")
 
-    def _search(self, at: int) -> int:
+    def _search(self, offset: int) -> int:
         """Return the next position at which a record seems to begin; the end of the file if there is none."""
         if len(self.damaged_at) > MAX_BAD:
             raise SessionError(f"{self.session.path}: is damaged in more than {MAX_BAD} places; copy it again")
-        while at + RECORD.size <= self._size:
-            self._file.seek(at)
+        while offset + RECORD.size <= self._size:
+            self._file.seek(offset)
             block = self._file.read(_BLOCK + _HEAD_BYTES)
             for start in _START.finditer(block, 0, _BLOCK + RECORD.size - 1):
                 begin = start.start()
                 opcode, length = RECORD.unpack_from(block, begin)
-                fits = length <= _LIMITS[opcode] and length <= self._size - at - begin - RECORD.size
+                fits = length <= _LIMITS[opcode] and length <= self._size - offset - begin - RECORD.size
                 if fits and (opcode != Opcode.CHUNK or chunk_fits(block[begin + RECORD.size :], length)):
-                    return at + begin
-            at += _BLOCK
+                    return offset + begin
+            offset += _BLOCK
         return self._size
 
     def _summary(self) -> None:
@@ -611,9 +613,9 @@ class RecordWalk:
 def _messages_of_copy(copy: bytes) -> Messages | None:
     """Return the messages in the copy of the plan; None if it cannot be read."""
     file = io.BytesIO(copy)
-    places = [(at, length) for opcode, at, length in records(file, len(copy)) if opcode == Opcode.CHUNK]
+    places = [(offset, length) for opcode, offset, length in records(file, len(copy)) if opcode == Opcode.CHUNK]
     try:
-        chunks = [chunk_records(copy[at : at + length], ZstdDecompressor()) for at, length in places]
+        chunks = [chunk_records(copy[offset : offset + length], ZstdDecompressor()) for offset, length in places]
         return columns_of_records(chunks, {}) if chunks else None
     except Unreadable:
         return None

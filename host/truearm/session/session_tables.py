@@ -52,17 +52,17 @@ _SMALL = {  # topics of small messages, and the frames of the box on them
 _TORQUE = {"rad": "Nm", "m": "N"}
 
 
-def tabulate(found: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
-    """Yield (table, columns) for all messages of the session surveyed in ``found``, in one pass with constant memory.
+def tabulate(survey: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
+    """Yield (table, columns) for all messages of the surveyed session, in one pass with constant memory.
 
     ``joint_units``: "rad" or "m" for each joint ("rad" if not given). Raises SessionError if the box's description
     keeps changing.
     """
     titles: dict[str, list[tuple[str, ...]]] = {}  # of the tables of each name
-    robot, messages_before = _Robot(found, joint_units), 0
-    for messages, blocks in read_blocks(found.source, BoxReader(found.ident)):
-        tables = ((f"box_{some.stream.name}", samples(some, found)) for some in blocks)
-        for name, columns in chain(tables, _small_tables(messages, messages_before, found), robot.take(messages)):
+    robot, messages_before = _Robot(survey, joint_units), 0
+    for messages, blocks in read_blocks(survey.source, BoxReader(survey.ident)):
+        tables = ((f"box_{released.stream.name}", samples(released, survey)) for released in blocks)
+        for name, columns in chain(tables, _small_tables(messages, messages_before, survey), robot.take(messages)):
             yield _table_of(name, columns, titles), columns
         messages_before += len(messages)
     for name, columns in robot.finish():
@@ -82,10 +82,10 @@ def _table_of(name: str, columns: Columns, titles: dict[str, list[tuple[str, ...
     return name if number == 1 else f"{name}-{number}"
 
 
-def _small_tables(messages: Messages, messages_before: int, found: Survey) -> Iterator[Batch]:
+def _small_tables(messages: Messages, messages_before: int, survey: Survey) -> Iterator[Batch]:
     """Yield tables of clock exchanges, events, and all frames of the box but samples."""
     rows = messages.rows(lambda topic: topic in _SMALL)
-    segments = segment_at(found.segments, rows + messages_before).tolist()
+    segments = segment_at(survey.segments, rows + messages_before).tolist()
     tables: dict[str, list[dict[str, Any]]] = {}
     for segment, message in zip(segments, messages.of(rows), strict=True):
         row: dict[str, Any] = {"arrival_ns": message.t_host_ns}
@@ -105,26 +105,26 @@ def _small_tables(messages: Messages, messages_before: int, found: Survey) -> It
             row |= {"segment": segment, "host_time_ns": UNKNOWN, "host_bound_ns": np.nan}
             row |= {name: elements.get(name, UNKNOWN) for name in layout}
             if message.topic == "/box/temperature":
-                row["name"] = _thermometer(found, segment, elements)
+                row["name"] = _thermometer(survey, segment, elements)
         tables.setdefault(message.topic.removeprefix("/").replace("/", "_"), []).append(row)
     for name, listed in tables.items():
         columns = {title: np.array([row[title] for row in listed]) for title in listed[0]}
         if "host_time_ns" in columns:
             for segment in np.unique(columns["segment"]).tolist():
-                if segment in found.clocks:
-                    own = columns["segment"] == segment
-                    placed = found.clocks[segment].to_host_ns(columns["t_us"][own])
-                    columns["host_time_ns"][own], columns["host_bound_ns"][own] = placed
+                if segment in survey.clocks:
+                    of_segment = columns["segment"] == segment
+                    placed = survey.clocks[segment].to_host_ns(columns["t_us"][of_segment])
+                    columns["host_time_ns"][of_segment], columns["host_bound_ns"][of_segment] = placed
         yield name, columns
 
 
-def _thermometer(found: Survey, segment: int, elements: dict[str, Any]) -> str:
+def _thermometer(survey: Survey, segment: int, elements: dict[str, Any]) -> str:
     """Return the name of the thermometer of a reading; "" if the box does not name it."""
-    ident, number = found.idents.get(segment), elements.get("thermometer", UNKNOWN)
+    ident, number = survey.idents.get(segment), elements.get("thermometer", UNKNOWN)
     return ident.thermometers[number] if ident is not None and 0 <= number < len(ident.thermometers) else ""
 
 
-def samples(blocks: Blocks, found: Survey) -> Columns:
+def samples(blocks: Blocks, survey: Survey) -> Columns:
     """Return the samples of blocks: times, counts and converted values.
 
     ``device_time_ns`` is the box's stamp. ``host_time_ns`` is that instant on the host's clock minus the converter's
@@ -134,7 +134,7 @@ def samples(blocks: Blocks, found: Survey) -> Columns:
     stream, table, n, within_ns = blocks.stream, blocks.table, blocks.table["n"], blocks.within_ns()
     counts = with_ratios(blocks.counts, stream.channels)
     total = len(counts)
-    clock = found.clocks.get(blocks.segment)
+    clock = survey.clocks.get(blocks.segment)
     if clock is None:
         host, bounds = np.full(total, UNKNOWN, np.int64), np.full(total, np.nan)
     else:
@@ -165,23 +165,23 @@ def _channel(counts: NDArray[np.int32], channel: Channel, unnamed: str) -> Itera
     yield f"{name}_counts", counts
     if channel.fault:
         return
-    seen = volts(counts, channel)
-    yield f"{name}_{_clean(channel.unit) or 'raw'}", seen
+    measured = volts(counts, channel)
+    yield f"{name}_{_clean(channel.unit) or 'raw'}", measured
     if channel.length_unit is not None:
         yield f"{name}_m", extension(counts, channel)
     elif channel.poly:
         yield (
             f"{name}_{_clean(channel.calibrated_unit) or 'calibrated'}_calibrated",
-            np.asarray(polyval(seen, channel.poly)),
+            np.asarray(polyval(measured, channel.poly)),
         )
 
 
 class _Robot:
     """The readings of the robot in order of arrival, each with its host time."""
 
-    def __init__(self, found: Survey, units: Sequence[str]) -> None:
-        self._joints = found.joints
-        n = len(found.joints.step)
+    def __init__(self, survey: Survey, units: Sequence[str]) -> None:
+        self._joints = survey.joints
+        n = len(survey.joints.step)
         self._units = tuple(units) or ("rad",) * n
         if n and len(self._units) != n:
             raise SessionError("other-robot", place="session", joints=n, expected=len(self._units))
@@ -240,12 +240,12 @@ def _clean(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_/°µ-]+", "_", text)[:32]
 
 
-def plan_columns(found: Survey, joint_units: Sequence[str] = ()) -> Columns | None:
+def plan_columns(survey: Survey, joint_units: Sequence[str] = ()) -> Columns | None:
     """Return the plan's rows as recorded, including via points and lines; None if there are none.
 
     ``pose`` is the number that dwells and passes refer to.
     """
-    rows = found.marks.rows
+    rows = survey.marks.rows
     if not rows:
         return None
     q = np.array([row.q for row in rows])
@@ -258,9 +258,9 @@ def plan_columns(found: Survey, joint_units: Sequence[str] = ()) -> Columns | No
     }
 
 
-def dwell_columns(found: Survey, dwells: Sequence[Dwell], joint_units: Sequence[str] = ()) -> Columns:
+def dwell_columns(survey: Survey, dwells: Sequence[Dwell], joint_units: Sequence[str] = ()) -> Columns:
     """Return one row per dwell; those without an observation have a reason."""
-    units = tuple(joint_units) or ("rad",) * len(found.joints.step)
+    units = tuple(joint_units) or ("rad",) * len(survey.joints.step)
     return {
         "dwell": np.arange(1, len(dwells) + 1),
         "reason": _of(dwells, "reason", np.str_),
@@ -288,8 +288,8 @@ def pass_columns(passes: Sequence[LinePass]) -> Columns:
 
     ``noise``: standard deviation of single samples about the motion.
     """
-    legs = [one.leg for one in passes]
-    noise = np.array([one.noise for one in passes]).reshape(len(passes), 3)
+    legs = [line_pass.leg for line_pass in passes]
+    noise = np.array([line_pass.noise for line_pass in passes]).reshape(len(passes), 3)
     return {
         "pass": np.arange(1, len(passes) + 1),
         "reason": _of(passes, "reason", np.str_),
@@ -299,11 +299,11 @@ def pass_columns(passes: Sequence[LinePass]) -> Columns:
         "controller_start_s": _of(legs, "start_s"),
         "controller_end_s": _of(legs, "end_s"),
         "pose": _poses(passes),
-        **_mounted([one.mounted for one in passes], LINE_MOUNTED),
+        **_mounted([line_pass.mounted for line_pass in passes], LINE_MOUNTED),
         "direction": _of(passes, "direction", int),
         "speed_m_s": _of(passes, "speed"),
-        "points": np.array([len(one.xyz) for one in passes], dtype=np.int64),
-        "points_dropped": np.array([sum(one.dropped.values()) for one in passes], dtype=np.int64),
+        "points": np.array([len(line_pass.xyz) for line_pass in passes], dtype=np.int64),
+        "points_dropped": np.array([sum(line_pass.dropped.values()) for line_pass in passes], dtype=np.int64),
         "samples": _of(passes, "n_samples", int),
         **{f"noise_{axis}_m": noise[:, k] for k, axis in enumerate("xyz")},
         "correlation_s": _of(passes, "correlation_s"),
@@ -320,8 +320,8 @@ def _poses(items: Sequence[Dwell] | Sequence[LinePass]) -> NDArray[np.int64]:
     return np.array([UNKNOWN if item.pose is None else item.pose for item in items], dtype=np.int64)
 
 
-def _mounted(said: Sequence[dict[str, str]], keys: Sequence[str]) -> Columns:
-    return {key: np.array([mounted.get(key, "") for mounted in said], dtype=np.str_) for key in keys}
+def _mounted(mountings: Sequence[dict[str, str]], keys: Sequence[str]) -> Columns:
+    return {key: np.array([mounted.get(key, "") for mounted in mountings], dtype=np.str_) for key in keys}
 
 
 def _joints(q: NDArray[np.float64], units: Sequence[str]) -> Columns:

@@ -132,8 +132,8 @@ class Silences:
     def take(self, messages: Messages) -> None:
         """Take a batch of messages of the session, on any topics."""
         events = messages.rows(lambda topic: topic == "/events").tolist()
-        gone = [row for row in events if any(kind in messages.payload(row) for kind in _GONE)]
-        self._gone_ns += messages.t_host_ns[gone].tolist()
+        loss_rows = [row for row in events if any(kind in messages.payload(row) for kind in _GONE)]
+        self._gone_ns += messages.t_host_ns[loss_rows].tolist()
         self._close(messages.t_host_ns[messages.rows(lambda topic: topic.startswith("/box/"))])
         self.last_ns = max(self.last_ns, int(messages.t_host_ns.max(initial=0)))
 
@@ -144,8 +144,8 @@ class Silences:
 
     def _close(self, t_ns: Ints) -> None:
         t_ns = np.append(self._box_ns, t_ns)
-        gone = np.searchsorted(self._gone_ns, t_ns)
-        silent = np.flatnonzero((np.diff(t_ns) > SILENT_NS) | ((np.diff(gone) > 0) & (np.diff(t_ns) > 0)))
+        losses_before = np.searchsorted(self._gone_ns, t_ns)
+        silent = np.flatnonzero((np.diff(t_ns) > SILENT_NS) | ((np.diff(losses_before) > 0) & (np.diff(t_ns) > 0)))
         self.gaps += zip(t_ns[silent].tolist(), t_ns[silent + 1].tolist(), strict=True)
         self._box_ns = t_ns[-1:]
 
@@ -213,9 +213,9 @@ class StreamTrack:
         self.samples_lost += int(missing[with_frames].sum())
         self.samples_overrun += int(missing[~with_frames & of_session].sum())
         self.pieces += int(np.count_nonzero(gap & of_session))
-        whole = ~gap
-        self.whole_us += int(np.diff(t0_us, prepend=self.last_t0_us)[whole].sum())
-        self.whole_samples += int(np.append(self.last_n, n[:-1])[whole].sum())
+        gapless = ~gap
+        self.whole_us += int(np.diff(t0_us, prepend=self.last_t0_us)[gapless].sum())
+        self.whole_samples += int(np.append(self.last_n, n[:-1])[gapless].sum())
         self.converter_faults += int(np.count_nonzero(flags & wire.FLAG_CONVERTER))
         self.starts += int(np.count_nonzero(begins))
         self.blocks += len(n0)
@@ -368,8 +368,8 @@ class BoxReader:
 
     def exchanges(self, segment: Segment) -> Ints:
         """Return the clock exchanges of a segment (k, 4): times of host write, device receive, device send and arrival."""
-        heard = np.concatenate(self._heard)
-        return np.asarray(heard[segment_at(self.segments, heard[:, 0]) == segment.index, 1:])
+        rows = np.concatenate(self._heard)
+        return np.asarray(rows[segment_at(self.segments, rows[:, 0]) == segment.index, 1:])
 
     def losses(self) -> Losses:
         """Return the losses so far."""
@@ -439,13 +439,13 @@ class BoxReader:
         lost = self._count["frames_lost"] + np.cumsum(gaps)
         self._count["frames_malformed"] += len(seq) - len(rows)
         self._count.update(frames=len(rows), frames_lost=int(gaps.sum()), loss_events=int(np.count_nonzero(gaps)))
-        used = begin + rows
+        counted = begin + rows
         if len(rows):
-            self._next = (int(table["seq"][used[-1]]) + 1) % CIRCLE
-        stated = table["boot_id"][used]
+            self._next = (int(table["seq"][counted[-1]]) + 1) % CIRCLE
+        stated = table["boot_id"][counted]
         if np.any(stated != NONE):
             self.segment.boot_id = int(stated.max())
-        return used, lost
+        return counted, lost
 
     # ------------------------------------------------------------------------------------------------ contents
 
@@ -509,12 +509,12 @@ class BoxReader:
     def _whole(self, frames: Frames, index: Ints, rows: Ints, stream: Stream) -> Ints:
         """Return the rows of the data frames that hold as many samples as they say."""
         table = frames.table[index[rows]]
-        n, rest = np.divmod(table["samples_bytes"], 4 * len(stream.channels))
-        whole = (rest == 0) & (n > 0)
+        n, remainder = np.divmod(table["samples_bytes"], 4 * len(stream.channels))
+        complete = (remainder == 0) & (n > 0)
         for k in np.flatnonzero(table["period_ns"] == 0).tolist():
-            whole[k] &= len(frames.elements[int(index[rows[k]])][5].value) == 2 * n[k]
-        self._count["frames_malformed"] += int(np.count_nonzero(~whole))
-        return np.asarray(rows[whole])
+            complete[k] &= len(frames.elements[int(index[rows[k]])][5].value) == 2 * n[k]
+        self._count["frames_malformed"] += int(np.count_nonzero(~complete))
+        return np.asarray(rows[complete])
 
     def _blocks(self, frames: Frames, index: Ints, lost: Ints, ident: Ident, stream: Stream) -> Blocks:
         rows = frames.table[index]

@@ -34,12 +34,12 @@ class Anchors:
 
     def __init__(self, session: Session) -> None:
         self.kind = session.metadata.get("session", {}).get("clock", "monotonic")
-        known = [anchor for name in ANCHORS if (anchor := read_anchor(session.metadata.get(name, {}))) is not None]
-        if not known:
+        anchors = [anchor for name in ANCHORS if (anchor := read_anchor(session.metadata.get(name, {}))) is not None]
+        if not anchors:
             raise SessionError(
                 f"{session.path}: does not say when it was recorded; is this a session of truearm record?"
             )
-        self.first, self.last = known[0], known[-1]
+        self.first, self.last = anchors[0], anchors[-1]
         self._next = self.first
 
     def now_ns(self) -> int:
@@ -105,9 +105,9 @@ def add_readings(
 
 
 def _outside(t: float | None, zero_s: float | None) -> InputError:
-    which = "no reading lies" if t is None else f"the reading at {t:g} s does not lie"
+    subject = "no reading lies" if t is None else f"the reading at {t:g} s does not lie"
     zero = Argument("zero")
-    how = (
+    remedy = (
         (
             "if the controller's time is not UTC, give the time of the session at which the controller's time was 0 with ",
             zero,
@@ -115,7 +115,7 @@ def _outside(t: float | None, zero_s: float | None) -> InputError:
         if zero_s is None
         else ("is ", zero, " right?")
     )
-    return InputError(f"{which} within the session; ", *how)
+    return InputError(f"{subject} within the session; ", *remedy)
 
 
 def _span(session: Session, replace: bool) -> tuple[int, int]:

@@ -46,9 +46,9 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
     except InputError:
         raise
     except Exception as exc:  # rosbags raises errors of many types for damaged bags
-        where = f"{path} message {number}" if number else path
+        place = f"{path} message {number}" if number else path
         raise SessionError(
-            f"{where}: is not a bag of {MESSAGE_TYPE} or is damaged ({quoted(str(exc))}); repair it with ros2 bag reindex"
+            f"{place}: is not a bag of {MESSAGE_TYPE} or is damaged ({quoted(str(exc))}); repair it with ros2 bag reindex"
         ) from exc
     if not number:
         raise InputError(
@@ -58,7 +58,7 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
 
 def _reading(path: Path, number: int, state: Any, joints: Sequence[str]) -> AddedReading:
     """Return the reading of a message. Raises InputError."""
-    where = f"{path} message {number}"
+    place = f"{path} message {number}"
     names = list(state.name)
     if not joints:
         raise InputError(
@@ -67,16 +67,16 @@ def _reading(path: Path, number: int, state: Any, joints: Sequence[str]) -> Adde
         )
     missing = [joint for joint in joints if joint not in names]
     if missing:
-        raise InputError(f"{where}: has no joint {missing[0]!r}; it has {_listed(names)}")
+        raise InputError(f"{place}: has no joint {missing[0]!r}; it has {_listed(names)}")
     places = [names.index(joint) for joint in joints]
     q, qd, effort = (_picked(values, len(names), places) for values in (state.position, state.velocity, state.effort))
     if q is None:
-        raise SessionError(f"{where}: does not have a finite position for each of its {len(names)} joints")
+        raise SessionError(f"{place}: does not have a finite position for each of its {len(names)} joints")
     stamp = state.header.stamp
     t = stamp.sec + 1e-9 * stamp.nanosec
     if stamp.sec < 0 or stamp.nanosec >= 10**9:
         raise SessionError(
-            f"{where}: has the stamp {stamp.sec} s and {stamp.nanosec} ns, which is not a valid time; correct the stamps, or leave this message out of the bag"
+            f"{place}: has the stamp {stamp.sec} s and {stamp.nanosec} ns, which is not a valid time; correct the stamps, or leave this message out of the bag"
         )
     return AddedReading(t, format_reading(t, None, q, qd=qd, effort=effort, **NO_ARRIVAL))
 

@@ -68,8 +68,8 @@ SEPARATORS = ",;\t"
 
 def separator_of(header: str) -> str:
     """Return the delimiter of a table with this header: the most frequent one of comma, semicolon and tab, else a space."""
-    most = max(SEPARATORS, key=header.count)
-    return most if most in header or " " not in header.strip() else " "
+    separator = max(SEPARATORS, key=header.count)
+    return separator if separator in header or " " not in header.strip() else " "
 
 
 def with_point(cell: str) -> str:
@@ -82,12 +82,12 @@ def with_point(cell: str) -> str:
 
 def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
     """Parse OURS=THEIRS,… into pairs (ours, theirs); {} in both stands for a joint's number. Raises InputError."""
-    parts = text.split(",")
-    pairs = tuple((ours.strip(), theirs.strip()) for ours, _, theirs in (part.partition("=") for part in parts))
-    for part, (ours, theirs) in zip(parts, pairs, strict=True):
+    entries = text.split(",")
+    pairs = tuple((ours.strip(), theirs.strip()) for ours, _, theirs in (entry.partition("=") for entry in entries))
+    for entry, (ours, theirs) in zip(entries, pairs, strict=True):
         if not theirs or not ours or (NUMBERED in ours) != (NUMBERED in theirs) or theirs.count(NUMBERED) > 1:
             raise InputError(
-                f"{quoted(part)}: write OURS=THEIRS, such as t_s=timestamp or q{NUMBERED}_rad=actual_q_{NUMBERED}, "
+                f"{quoted(entry)}: write OURS=THEIRS, such as t_s=timestamp or q{NUMBERED}_rad=actual_q_{NUMBERED}, "
                 f"with {NUMBERED} for a joint's number on both sides or none"
             )
     return pairs
@@ -102,16 +102,16 @@ def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[s
     out: dict[int, str] = {}
     for ours, theirs in renames:
         pattern = re.compile(r"(\d{1,2})".join(map(re.escape, theirs.split(NUMBERED))))
-        places = [(k, found) for k, title in enumerate(titles) if (found := pattern.fullmatch(title))]
+        places = [(k, match) for k, title in enumerate(titles) if (match := pattern.fullmatch(title))]
         if not places:
-            known = ", ".join(map(quoted, titles[:8]))
-            raise InputError(f"no column {quoted(theirs)}; the table begins with {known}")
-        first = min(int(found[1]) for _, found in places) if NUMBERED in theirs else 0
-        for k, found in places:
-            number = int(found[1]) - first + 1 if NUMBERED in theirs else ""
+            listed = ", ".join(map(quoted, titles[:8]))
+            raise InputError(f"no column {quoted(theirs)}; the table begins with {listed}")
+        first = min(int(match[1]) for _, match in places) if NUMBERED in theirs else 0
+        for k, match in places:
+            number = int(match[1]) - first + 1 if NUMBERED in theirs else ""
             out[k] = ours.replace(NUMBERED, str(number))
-    taken = {None, *map(_known_quantity, out.values())}
-    return [out.get(k, f"x_{k}" if _known_quantity(title) in taken else title) for k, title in enumerate(titles)]
+    quantities = {None, *map(_known_quantity, out.values())}
+    return [out.get(k, f"x_{k}" if _known_quantity(title) in quantities else title) for k, title in enumerate(titles)]
 
 
 def _known_quantity(title: str) -> tuple[str, int] | None:
@@ -149,16 +149,16 @@ def _quantity(title: str) -> tuple[str, int, float]:
     """Return quantity, joint number (0: none) and factor of a column's title."""
     if title in ("seq", "inputs"):
         return title, 0, 1.0
-    if found := _TIME.fullmatch(title):
-        return "t", 0, PER_SECOND[found[1]]
-    found = _JOINT.fullmatch(title)
-    if found is None or (found[1] == "qd") != bool(found[5]) or (found[1] == "qd" and found[3]):
+    if match := _TIME.fullmatch(title):
+        return "t", 0, PER_SECOND[match[1]]
+    match = _JOINT.fullmatch(title)
+    if match is None or (match[1] == "qd") != bool(match[5]) or (match[1] == "qd" and match[3]):
         raise InputError(
             "unknown-column",
             place=f"column {quoted(title)}",
             remedy=f"expected a header such as {EXAMPLE}; columns x_... are ignored",
         )
-    return found[1] + (found[3] or ""), int(found[2]), SUFFIXES[found[4]].scale
+    return match[1] + (match[3] or ""), int(match[2]), SUFFIXES[match[4]].scale
 
 
 def _in_order(quantity: str, places: dict[int, Place], n: int) -> tuple[Place, ...]:
@@ -221,8 +221,8 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
     lines = _lines(path, file)
     header = next(lines, "")
     separator = separator_of(header)
-    given = chain([header], lines)
-    rows = rows_of(map(_one_space, given) if separator == " " else given, str(path), separator=separator)
+    rows_of_text = chain([header], lines)
+    rows = rows_of(map(_one_space, rows_of_text) if separator == " " else rows_of_text, str(path), separator=separator)
     try:
         titles = next(rows, Row(1, [])).cells
         columns = read_columns(renamed(titles, renames) if renames else titles)

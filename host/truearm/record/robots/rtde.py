@@ -190,15 +190,15 @@ class RtdeLink:
 def address_of(url: str) -> tuple[str, int, float | None]:
     """Return host, port and rate of an address. Raises InputError."""
     try:
-        parts = urlsplit(url)
+        address = urlsplit(url)
         host, port, query = (
-            parts.hostname,
-            parts.port or PORT,
-            dict(parse_qsl(parts.query, True, bool(parts.query))),
+            address.hostname,
+            address.port or PORT,
+            dict(parse_qsl(address.query, True, bool(address.query))),
         )
         hz = float(query.pop("hz")) if "hz" in query else None
     except ValueError:
         raise InputError(f"{url!r} is not an address; write {EXAMPLE}") from None
-    if parts.scheme != "rtde" or not host or parts.path or query or not (hz is None or 1.0 <= hz <= 500.0):
+    if address.scheme != "rtde" or not host or address.path or query or not (hz is None or 1.0 <= hz <= 500.0):
         raise InputError(f"{url!r} is not an address; write {EXAMPLE}")
     return host, port, hz

@@ -76,9 +76,9 @@ def text_message(payload: bytes) -> tuple[str, str, str] | None:
         return None
     if len(payload) != source_end + 1:
         return None
-    said = LEVELS[level] if level < len(LEVELS) else str(level)
+    level_name = LEVELS[level] if level < len(LEVELS) else str(level)
     source, text = payload[text_end + 1 : source_end], payload[1:text_end]
-    return said, source.decode(errors="replace"), text.decode(errors="replace")
+    return level_name, source.decode(errors="replace"), text.decode(errors="replace")
 
 
 class Packages:
@@ -97,19 +97,19 @@ class Packages:
         """Return the packages completed by ``data``."""
         if self.broken:
             return []
-        found: list[tuple[int, bytes]] = []
-        data, at = self._rest + data, 0
-        while at + _HEAD.size <= len(data):
-            size, kind = _HEAD.unpack_from(data, at)
+        packages: list[tuple[int, bytes]] = []
+        data, offset = self._rest + data, 0
+        while offset + _HEAD.size <= len(data):
+            size, kind = _HEAD.unpack_from(data, offset)
             if size < _HEAD.size:
                 self.broken, self._rest = True, b""
-                return [*found, (BROKEN, data[at:])]
-            if at + size > len(data):
+                return [*packages, (BROKEN, data[offset:])]
+            if offset + size > len(data):
                 break
-            found.append((kind, data[at + _HEAD.size : at + size]))
-            at += size
-        self._rest = data[at:]
-        return found
+            packages.append((kind, data[offset + _HEAD.size : offset + size]))
+            offset += size
+        self._rest = data[offset:]
+        return packages
 
 
 @dataclass(frozen=True)

@@ -88,8 +88,8 @@ def check_address(url: str) -> str:
     """Return the scheme of the address of a live source. Raises InputError for any other text."""
     scheme, separator, _ = url.partition("://")
     if not separator or scheme not in SOURCES:
-        known = ", ".join(f"{name}://" for name in SOURCES)
-        raise InputError(f"{url!r} is not the address of a robot; an address begins with one of {known}")
+        schemes = ", ".join(f"{name}://" for name in SOURCES)
+        raise InputError(f"{url!r} is not the address of a robot; an address begins with one of {schemes}")
     return scheme
 
 

@@ -116,14 +116,14 @@ class Names:
             return None
         if not isinstance(row, dict):
             return None
-        found = {quantity: self._value(row, quantity) for quantity in QUANTITIES}
-        t, seq, q = (found.pop(name) for name in ("t", "seq", "q"))
+        values = {quantity: self._value(row, quantity) for quantity in QUANTITIES}
+        t, seq, q = (values.pop(name) for name in ("t", "seq", "q"))
         joints = self._scaled(q)
         if type(t) not in (int, float) or not abs(t) < MAX_TIME or joints is None:
             return None
-        more = {name: self._scaled(found[name]) for name in ("q_cmd", "qd")}
-        more |= {name: found[name] if are_joints(found[name]) else None for name in ("current", "effort")}
-        inputs = found["inputs"] if type(found["inputs"]) is int else None
+        more = {name: self._scaled(values[name]) for name in ("q_cmd", "qd")}
+        more |= {name: values[name] if are_joints(values[name]) else None for name in ("current", "effort")}
+        inputs = values["inputs"] if type(values["inputs"]) is int else None
         return format_reading(t / self.t_per_second, seq, joints, **more, inputs=inputs, line=text)
 
     def _value(self, row: dict[str, Any], quantity: str) -> Any:
@@ -142,41 +142,41 @@ def _all_of(row: dict[str, Any], names: tuple[str, ...]) -> list[Any] | None:
     return [row[name] for name in names] if all(name in row for name in names) else None
 
 
-def read_names(said: dict[str, Any], names: Names | None = None) -> Names:
+def read_names(declaration: dict[str, Any], names: Names | None = None) -> Names:
     """Return ``names`` extended by a declaration: ``names``, ``unit``, ``t_unit``. Raises InputError."""
     names = names or Names()
-    of = said.get("names", {})
-    wrong = [str(of)] if not isinstance(of, dict) else [name for name in of if name not in QUANTITIES]
+    keys = declaration.get("names", {})
+    wrong = [str(keys)] if not isinstance(keys, dict) else [name for name in keys if name not in QUANTITIES]
     if wrong:
         raise InputError(f"{quoted(wrong[0])} is not a quantity that can be named; these are {', '.join(QUANTITIES)}")
-    units = str(said.get("unit", "")).split(",")
-    if said.get("unit") is not None:
+    units = str(declaration.get("unit", "")).split(",")
+    if declaration.get("unit") is not None:
         if not set(units) <= {"rad", "deg", "m", "mm"} or len(units) > MAX_JOINTS:
             raise InputError(
-                f"unit {quoted(str(said['unit']))} is not known; use rad, deg, m or mm, one for all joints or one per joint"
+                f"unit {quoted(str(declaration['unit']))} is not known; use rad, deg, m or mm, one for all joints or one per joint"
             )
         names = replace(names, scale=tuple(SUFFIXES[unit].scale for unit in units))
-    if said.get("t_unit") is not None:
-        unit = str(said["t_unit"])
+    if declaration.get("t_unit") is not None:
+        unit = str(declaration["t_unit"])
         if unit not in PER_SECOND:
             raise InputError(f"t_unit {quoted(unit)} is not known; use s, ms, us or ns")
         names = replace(names, t_per_second=PER_SECOND[unit])
-    return replace(names, of=names.of | {quantity: _name(name) for quantity, name in of.items()})
+    return replace(names, of=names.of | {quantity: _name(name) for quantity, name in keys.items()})
 
 
 def _name(name: Any) -> Name:
     if isinstance(name, str):
         return name
-    if isinstance(name, list) and 1 <= len(name) <= MAX_JOINTS and all(isinstance(part, str) for part in name):
+    if isinstance(name, list) and 1 <= len(name) <= MAX_JOINTS and all(isinstance(key, str) for key in name):
         return tuple(name)
     raise InputError(f"{quoted(str(name))} is not a name; give the key of a list, or a list of the joints' keys")
 
 
 class LineDialect:
-    """Converts a robot's lines to a session's lines. ``of``: what the address specifies about them."""
+    """Converts a robot's lines to a session's lines. ``specified``: by the address."""
 
-    def __init__(self, of: dict[str, str]) -> None:
-        self._names, self._columns = _declared(of)
+    def __init__(self, specified: dict[str, str]) -> None:
+        self._names, self._columns = _declared(specified)
 
     def line(self, line: bytes) -> bytes:
         """Return a session's line for a robot's; the line itself if it needs no conversion or is not a reading.
@@ -184,10 +184,10 @@ class LineDialect:
         Raises InputError for a header or a declaration that is not understood.
         """
         try:
-            found = self._line(line.decode().strip(), line)
+            values = self._line(line.decode().strip(), line)
         except UnicodeDecodeError:
             return line
-        return found if len(found) <= MAX_LINE else line  # the embedded original may have grown
+        return values if len(values) <= MAX_LINE else line  # the embedded original may have grown
 
     def _line(self, text: str, line: bytes) -> bytes:
         if text.startswith("{"):
@@ -201,8 +201,8 @@ class LineDialect:
     def _json(self, text: str, line: bytes) -> bytes:
         if self._names.ours and parse_reading(line) is not None:
             return line
-        if ('unit"' in text or '"names"' in text) and (said := _declaration(text)) is not None:
-            self._names = read_names(said, self._names)
+        if ('unit"' in text or '"names"' in text) and (declaration := _declaration(text)) is not None:
+            self._names = read_names(declaration, self._names)
             return line
         return line if self._names.ours else self._names.line(text) or line
 
@@ -210,19 +210,19 @@ class LineDialect:
 def _declaration(text: str) -> dict[str, Any] | None:
     """Return the declaration of names and units in a line, None if there is none."""
     try:
-        said = json.loads(text)
+        declaration = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    return said if isinstance(said, dict) and set(said) <= {"names", "unit", "t_unit"} else None
+    return declaration if isinstance(declaration, dict) and set(declaration) <= {"names", "unit", "t_unit"} else None
 
 
-def _declared(of: dict[str, str]) -> tuple[Names, Columns | None]:
+def _declared(specified: dict[str, str]) -> tuple[Names, Columns | None]:
     """Return what an address's query specifies. Raises InputError."""
-    rest = dict(of)
-    columns = rest.pop("columns", None)
-    said: dict[str, Any] = {name: rest.pop(name) for name in ("unit", "t_unit") if name in rest}
-    said["names"] = {name: part.split(",") if "," in part else part for name, part in rest.items()}
-    return read_names(said), None if columns is None else read_columns(columns.split(","))
+    names = dict(specified)
+    columns = names.pop("columns", None)
+    declaration: dict[str, Any] = {name: names.pop(name) for name in ("unit", "t_unit") if name in names}
+    declaration["names"] = {name: key.split(",") if "," in key else key for name, key in names.items()}
+    return read_names(declaration), None if columns is None else read_columns(columns.split(","))
 
 
 class LinesLink:
@@ -250,8 +250,8 @@ class LinesLink:
                 lines += [(t_host_ns, line) for line in self._lines(t_host_ns, data)]
         except LinkError as exc:
             self._end = exc
-            rest = self._runs.flush()
-            lines += [(self._clock.now_ns(), rest)] if rest else []
+            remainder = self._runs.flush()
+            lines += [(self._clock.now_ns(), remainder)] if remainder else []
         if self._end is not None and not lines:
             raise self._end
         return lines
