@@ -212,38 +212,16 @@ class Pages:
 
 
 NONE = -1  # of a frame without this element
-FRAME = np.dtype(
-    [(name, np.int64) for name in ("message", "t_host_ns", "seq", "type", "t_us", "boot_id")]  # of all frames
-    + [
-        (name, np.int64) for name in ("stream", "n0", "period_ns", "flags", "buffer", "samples_at", "samples_bytes")
-    ]  # of data
-)
+_OF_ALL = ("message", "t_host_ns", "seq", "type", "t_us", "boot_id")
+_OF_DATA = ("stream", "n0", "period_ns", "flags", "buffer", "samples_at", "samples_bytes")
+FRAME = np.dtype([(name, np.int64) for name in (*_OF_ALL, *_OF_DATA)])
 _TIME_AT = {wire.EVENT: 3, wire.HEARTBEAT: 3}  # index of the device time in a frame without samples
 
-_DATA = np.dtype(
-    {
-        "names": [
-            "begin",
-            "type",
-            "mark",
-            "seq",
-            "stream",
-            "m_n0",
-            "n0",
-            "m_t0",
-            "t_us",
-            "m_p",
-            "period_ns",
-            "tag",
-            "size",
-        ],
-        "formats": ["u1", "u1", "u1", ">u4", "u1", "u1", ">u8", "u1", ">u8", "u1", ">u4", "3u1", "u1"],
-        "offsets": [0, 1, 2, 3, 7, 8, 9, 17, 18, 26, 27, 31, 34],
-        "itemsize": 35,
-    }
-)
+_BEGIN = [("begin", "u1"), ("type", "u1"), ("m_seq", "u1"), ("seq", ">u4"), ("stream", "u1")]
+_TIMES = [("m_n0", "u1"), ("n0", ">u8"), ("m_t0", "u1"), ("t_us", ">u8"), ("m_p", "u1"), ("period_ns", ">u4")]
+_DATA = np.dtype([*_BEGIN, *_TIMES, ("tag", "3u1"), ("size", "u1")])
 _DATA_TAG = np.array([0xD8, 0x4E, 0x58], np.uint8)
-_SYNC = np.dtype({"names": ["begin", "seq"], "formats": ["4u1", ">u4"], "offsets": [0, 4], "itemsize": 8})
+_SYNC = np.dtype([("begin", "4u1"), ("seq", ">u4")])
 _SYNC_BEGIN = np.array([0x85, 0x18, wire.SYNC_REPLY, 0x1A], np.uint8)
 _SYNC_BYTES = (27, 28, 29, 31)  # by the width of the request's number
 _UINT32, _UINT64 = 0x1A, 0x1B  # CBOR: an unsigned integer of this many bits follows
@@ -327,7 +305,7 @@ def frames_of(messages: Messages) -> Frames:
 def _usual_data(messages: Messages, begin: Ints, end: Ints, table: NDArray[Any]) -> NDArray[np.bool_]:
     """Enter the data frames of the usual layout in the table; return which messages they are."""
     head, size = heads(messages.data, begin, _DATA), end - begin
-    usual = (head["begin"] == 0x88) & (head["type"] == wire.DATA) & (head["mark"] == _UINT32)
+    usual = (head["begin"] == 0x88) & (head["type"] == wire.DATA) & (head["m_seq"] == _UINT32)
     usual &= (head["m_n0"] == _UINT64) & (head["m_t0"] == _UINT64) & (head["m_p"] == _UINT32)
     usual &= np.all(head["tag"] == _DATA_TAG, axis=1) & (size <= MAX_PAYLOAD)
     usual &= (size > _DATA.itemsize) & (head["size"] == size - _DATA.itemsize - 1)

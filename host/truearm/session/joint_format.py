@@ -64,6 +64,7 @@ ARRAYS = ("q_cmd", "qd", "current", "effort")  # one number per joint
 NUMBERS = ("robot_mode", "runtime_state")
 OPTIONAL = (*ARRAYS, "inputs", *NUMBERS)
 WHOLE = ("arrival_ns", "seq", "inputs")  # of integers
+_NEEDED = ("arrival_ns", "t", "seq", "q")
 
 _TYPES = {field.name: field.type for field in msgspec.structs.fields(JointLine)}
 _usual_line = msgspec.json.Decoder(JointLine).decode
@@ -207,14 +208,17 @@ def unpack(*messages: bytes) -> JointBatch | None:
     None if ``pack`` cannot have made one of them, as the lines contain the same data, or if their columns differ.
     """
     try:
-        columns = _joined([cbor2.loads(data) for data in messages])
+        batches = [
+            {key: np.frombuffer(tagged.value, _DTYPES[tagged.tag]) for key, tagged in cbor2.loads(data).items()}
+            for data in messages
+        ]
+        columns = {key: np.concatenate([batch[key] for batch in batches]) for key in batches[0]}
         n, width = len(columns["t"]), len(columns["q"]) // len(columns["t"])
-        columns = {
-            key: columns[key].reshape((n, width) if key in ("q", *ARRAYS) else n)
-            for key in ("arrival_ns", "t", "seq", "q", *OPTIONAL)
-            if key in columns or key not in OPTIONAL
-        }
+        shapes = {key: (n, width) if key in ("q", *ARRAYS) else (n,) for key in (*_NEEDED, *OPTIONAL)}
+        columns = {key: columns[key].reshape(shapes[key]) for key in shapes if key in columns or key in _NEEDED}
     except (cbor2.CBORError, AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError, RecursionError):
+        return None
+    if any(batch.keys() != batches[0].keys() for batch in batches):
         return None
     good = 1 <= width <= MAX_JOINTS and not any(np.isnan(columns[key]).any() for key in ("t", "q"))
     good = good and all((column.dtype.kind == "i") == (key in WHOLE) for key, column in columns.items())
@@ -226,24 +230,6 @@ def unpack(*messages: bytes) -> JointBatch | None:
 def _tagged(column: NDArray[Any]) -> cbor2.CBORTag:
     tag = _FLOAT64 if column.dtype.kind == "f" else _SINT64
     return cbor2.CBORTag(tag, np.ascontiguousarray(column, _DTYPES[tag]).tobytes())
-
-
-def _joined(batches: Sequence[Any]) -> dict[str, NDArray[Any]]:
-    """Return the columns of all batches; ValueError unless all have the same ones, with equal numbers of joints."""
-    first = batches[0]
-    if any(batch.keys() != first.keys() for batch in batches):
-        raise ValueError
-    n = [len(batch["t"].value) for batch in batches]
-    columns = {}
-    for name, tagged in first.items():
-        if any(batch[name].tag != tagged.tag for batch in batches):
-            raise ValueError
-        values = [batch[name].value for batch in batches]
-        # A column has a number, or one per joint, for each reading: its length is a multiple of that of the times.
-        if any(len(value) * n[0] != len(tagged.value) * k for value, k in zip(values, n, strict=True)):
-            raise ValueError
-        columns[str(name)] = np.frombuffer(b"".join(values), _DTYPES[tagged.tag])
-    return columns
 
 
 def columns_of_rows(

@@ -340,11 +340,9 @@ def _without_faults(samples: Samples | None) -> Samples | None:
     """Return the samples that the converter did not flag; a piece ends where it did."""
     if samples is None or samples.fault.all():
         return None
-    well = ~samples.fault
+    ok = ~samples.fault
     piece = samples.piece + np.cumsum(samples.fault)
-    return replace(
-        samples, t_ns=samples.t_ns[well], counts=samples.counts[well], piece=piece[well], fault=samples.fault[well]
-    )
+    return replace(samples, t_ns=samples.t_ns[ok], counts=samples.counts[ok], piece=piece[ok], fault=samples.fault[ok])
 
 
 def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:

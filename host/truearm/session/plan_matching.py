@@ -244,12 +244,11 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
         passes = [LinePass(leg, words) for leg, words in zip(legs, said, strict=True) if "line" in words]
     else:
         passes = _matched(legs, plan, rows, tolerance, said)
-    for line_pass in passes:
+    for k, line_pass in enumerate(passes):
         _check_rig(line_pass.mounted, rig)
-    return [
-        replace(line_pass, reason="too long") if line_pass.leg.end_s - line_pass.leg.start_s > LONGEST_S else line_pass
-        for line_pass in passes
-    ]
+        if line_pass.leg.end_s - line_pass.leg.start_s > LONGEST_S:
+            passes[k] = replace(line_pass, reason="too long")
+    return passes
 
 
 def planned_lines(marks: Marks) -> tuple[PlannedPoses | None, list[int]]:

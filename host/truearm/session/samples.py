@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial, reduce
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -79,12 +79,9 @@ def extension(counts: NDArray[Any], channel: Channel) -> Floats:
 
 def shown(channel: Channel, count: int) -> tuple[str, float]:
     """Return a usable channel's sample for display, and its name with the unit: metres if it is calibrated to a length."""
-    measured, unit = count * channel.scale, channel.length_unit
-    if unit is None:
-        return f"{channel.name}_{channel.unit or 'raw'}", measured
-    return f"{channel.name}_m", unit.to_si(
-        reduce(lambda sum, factor: sum * measured + factor, reversed(channel.poly), 0.0)
-    )
+    if channel.length_unit is None:
+        return f"{channel.name}_{channel.unit or 'raw'}", count * channel.scale
+    return f"{channel.name}_m", float(extension(np.array(count), channel))
 
 
 # ------------------------------------------------------------------------------------------------- samples of channels
@@ -143,9 +140,9 @@ class ChannelSamples:
 
     def _load(self, number: int) -> tuple[Blocks, Ints, Floats]:
         """Return blocks, the host time (b,) [ns] at which the signal had the first value of each, and the bounds."""
-        kept = self._kept[number](*self._arrays.load(number))
-        host, bound = self._clocks[kept.segment].to_host_ns(kept.table["t_us"])
-        return kept, host - kept.stream.group_delay_ns, bound
+        chunk = self._kept[number](*self._arrays.load(number))
+        host, bound = self._clocks[chunk.segment].to_host_ns(chunk.table["t_us"])
+        return chunk, host - chunk.stream.group_delay_ns, bound
 
     def place(self, clocks: Mapping[int, DeviceClock]) -> None:
         """Set the clock of each segment of the box."""
@@ -171,20 +168,20 @@ class ChannelSamples:
         """Return the samples between two host times; None if there are none, or no clock places them in time."""
         pieces, segment = [], -1
         for k in np.flatnonzero((self._host_ns[:, 0] <= end_ns) & (self._host_ns[:, 1] >= start_ns)).tolist():
-            kept, host, bound = self._blocks(k)
-            rows = slice(*np.searchsorted(host, [start_ns - kept.reach_ns, end_ns + 1]))
+            chunk, host, bound = self._blocks(k)
+            rows = slice(*np.searchsorted(host, [start_ns - chunk.reach_ns, end_ns + 1]))
             if rows.start == rows.stop:
                 continue
-            table, first = kept.table[rows], kept.first[rows.start : rows.stop + 1]
-            counts, first = kept.counts[first[0] : first[-1]], first - first[0]
-            t_ns = np.repeat(host[rows], table["n"]) + kept.within_ns(rows)
+            table, first = chunk.table[rows], chunk.first[rows.start : rows.stop + 1]
+            counts, first = chunk.counts[first[0] : first[-1]], first - first[0]
+            t_ns = np.repeat(host[rows], table["n"]) + chunk.within_ns(rows)
             low, high = np.searchsorted(t_ns, [start_ns, end_ns + 1])
             if low == high:
                 continue
             gap = np.zeros(t_ns.size, np.bool_)
             gap[first[:-1]] = table["gap"]
-            gap[low] |= kept.segment != segment
-            segment, last = kept.segment, kept
+            gap[low] |= chunk.segment != segment
+            segment, last = chunk.segment, chunk
             fault = np.repeat((table["flags"] & wire.FLAG_CONVERTER) != 0, table["n"])
             columns = t_ns, counts, gap, fault
             touched = slice(*(np.searchsorted(first[:-1], [low, high - 1], side="right") - [1, 0]))

@@ -163,14 +163,8 @@ MARGIN = 64  # zero bytes after the last record: the header of a short record ma
 
 # A message record. MCAP's log time is UTC and its publish time the host's clock; before session version 0.5 both are
 # the host's clock.
-_HEAD = np.dtype(
-    {
-        "names": ["opcode", "length", "channel", "sequence", "log_ns", "t_host_ns"],
-        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
-        "offsets": [0, 1, 9, 11, 15, 23],
-        "itemsize": 31,
-    }
-)
+_RECORD = [("opcode", "u1"), ("length", "<u8")]
+_HEAD = np.dtype([*_RECORD, ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("t_host_ns", "<u8")])
 _RECORD_BYTES = 9
 _LENGTH = struct.Struct("<Q").unpack_from
 
@@ -514,11 +508,9 @@ class RecordWalk:
         first, last = self._span_ns or (first, max((end for _, end in times_ns), default=0))
         damage = dict[int, Damage]()
         for offset, chunks in gaps:
-            end_before = max((end for _, end in times_ns[:chunks]), default=first)
-            begin_after = min((begin for begin, _ in times_ns[chunks:]), default=last)
-            lost_s, of_s, from_s = (
-                1e-9 * max(0, ns) for ns in (begin_after - end_before, last - first, end_before - first)
-            )
+            end = max((end for _, end in times_ns[:chunks]), default=first)
+            begin = min((begin for begin, _ in times_ns[chunks:]), default=last)
+            lost_s, of_s, from_s = (1e-9 * max(0, ns) for ns in (begin - end, last - first, end - first))
             damage.setdefault(chunks, Damage(offset, lost_s, of_s, from_s))  # several places between two chunks are one
         session.damage = tuple(damage.values())
         if wrong_crc and not session.truncated and not damage:
