@@ -21,7 +21,7 @@ from truearm.record.joint_lines import MAX_LINE
 from truearm.record.links import HostClock
 from truearm.record.robots.joint_table import read_columns, readings
 from truearm.record.robots.sources import FileOptions, open_source
-from truearm.record.robots.text_lines import LineDialect, LinesLink, open_lines
+from truearm.record.robots.text_lines import LineDialect, LinesLink
 from truearm.session.joint_format import parse_reading
 from truearm.session.session_file import open_session
 
@@ -496,8 +496,3 @@ class TestTable:
             list(readings(tmp_path / "none.csv", NO_OPTIONS))
         with refused("unreadable-file"):
             list(readings(tmp_path, NO_OPTIONS))
-
-
-def test_opening_lines_checks_before_it_connects():
-    with pytest.raises(InputError, match="unit 'grad'"):
-        open_lines("lines+tcp://127.0.0.1:1?unit=grad", HostClock())

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truearm.clocks import RATE_LIMIT, SLEWED_WANDER, WANDER
+from truearm.clocks import RATE_LIMIT
 from truearm.session.clock import fit_clock
 from truearm.session.frames import Exchange
 
@@ -74,60 +74,14 @@ def probes(rng, device_s, there, back, duration_s=180.0):
     return every
 
 
-def excess_ns(clock, device_s, duration_s=180.0):
-    """Return the largest |error| − bound at 4001 times."""
-    host = np.linspace(0.0, duration_s, 4001)
-    device = 1e6 * np.array([device_s(t) for t in host])
-    whole = np.floor(device).astype(np.int64)
-    estimate, bound = clock.to_host_ns(whole)
-    return float(np.max(np.abs(estimate - (1e9 * host - 1e3 * (device - whole))) - bound))
-
-
-IMMEDIATE, LONG, USB = (1.0, 1e-3), (250.0, 100.0), (125.0, 80.0)  # floor and mean above it, µs
-
-
-def shape(name, size):
-    """Return device_s of clocks that violate DRIFT: ``size`` in ppm, for steps in µs."""
-    change = {
-        "rate step": lambda t: 1e-6 * size * max(0.0, t - 90.0),
-        "late rate step": lambda t: 1e-6 * size * max(0.0, t - 172.0),
-        "wobble": lambda t: 1e-6 * size * 60.0 / (2.0 * np.pi) * -np.cos(2.0 * np.pi * t / 60.0),
-        "slew": lambda t: 1e-6 * size * float(np.clip((t - 52.0) / (abs(size) * 2e-3), 0.0, 1.0)),  # at 500 ppm
-        "step": lambda t: 1e-6 * size * (t > 85.0),
-    }[name]
-    return lambda t: 5.0 + t * (1.0 + 20e-6) + change(t)
-
-
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-@pytest.mark.parametrize(
-    ("name", "size"),
-    [
-        ("rate step", 5.0),
-        ("rate step", 20.0),
-        ("rate step", 50.0),
-        ("late rate step", 50.0),
-        ("late rate step", 500.0),
-        ("wobble", 5.0),
-        ("wobble", 20.0),
-        ("slew", 100.0),
-        ("slew", 300.0),
-        ("slew", 600.0),
-    ],
-)
-def test_a_clock_that_no_line_describes_is_within_its_bound(name, size, sign):
-    """No exchange need be impossible: 5 ppm bend by 75 µs, far less than the 275 µs that a round trip leaves open."""
-    device_s, slewed = shape(name, sign * size), size > 50.0
-    for seed in range(3):
-        every = probes(np.random.default_rng(seed), device_s, USB, (150.0, 120.0))
-        clock, report = fit_clock(0, every, SLEWED_WANDER if slewed else WANDER)
-        assert excess_ns(clock, device_s) <= 0.0
-        assert report.changes == ()
-
-
 def test_no_bound_is_below_half_the_shortest_round_trip():
     """Exchanges of a slewed clock nearly contradict each other as those of a crystal, and allow next to nothing."""
-    device_s = shape("slew", 300.0)
-    every = probes(np.random.default_rng(3), device_s, USB, (150.0, 120.0))
+
+    def device_s(t):
+        """300 µs at 500 ppm."""
+        return 5.0 + t * (1.0 + 20e-6) + 3e-4 * float(np.clip((t - 52.0) / 0.6, 0.0, 1.0))
+
+    every = probes(np.random.default_rng(3), device_s, (125.0, 80.0), (150.0, 120.0))
     clock, report = fit_clock(0, every)
     _, bound = clock.to_host_ns(np.arange(5_000_000, 185_000_000, 10_000))
     assert np.min(bound) >= report.half_asymmetry_ns > 137e3

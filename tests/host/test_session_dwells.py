@@ -151,11 +151,6 @@ def test_missing_and_extra_dwells():
     assert matched([0.001, 1.5, 2.001, 4.0], plan) == [0, None, 2, 4]
 
 
-def test_a_pose_that_the_robot_stands_at_again():
-    assert matched([0.0, 1.001, 1.002, 2.0], plan_of([0.0, 1.0, 2.0])) == [0, 1, 1, 2]
-    assert matched([0.0, 1.0, 1.0, 2.0], plan_of([0.0, 1.0, 1.0, 2.0])) == [0, 1, 2, 3]
-
-
 @pytest.mark.parametrize(
     ("dwells", "poses"),
     [
@@ -173,12 +168,6 @@ def test_how_far_a_dwell_is_from_the_plan():
     plan = plan_of([[0.0, 0.0], [1.0, 0.0]])
     assert distances(np.array([0.9, 0.2]), plan) == pytest.approx([0.9, 0.2])
     assert np.isinf(distances(np.array([0.9]), plan)).all()
-
-
-def test_a_pose_that_returns_in_the_plan():
-    plan = plan_of([0.0, 1.0, 0.0, 2.0, 0.0])
-    assert matched([0.0, 1.0, 0.0, 2.0, 0.0], plan) == [0, 1, 2, 3, 4]
-    assert matched([1.0, 0.0, 2.0], plan) == [1, 2, 3]
 
 
 def test_of_equal_chains_the_nearer_wins():
@@ -199,37 +188,11 @@ def test_what_was_mounted_may_not_contradict():
     assert matched([0.0], plan, said=[{"chuck": "c3"}]) == [None]
 
 
-@pytest.mark.parametrize(
-    ("dwells", "ambiguous"),
-    [
-        ([0, 1, 2, 3], {0, 1, 2, 3}),  # either half of the plan
-        ([0, 1, 2, 3, 0, 1, 2, 3], set()),
-        ([0, 1, 3, 0, 1, 2, 3], set()),  # 3 then 0 is the change of bars
-        ([0, 1, 2, 3, 0, 1, 3], set()),
-        ([0, 1, 2, 3, 2, 3], set()),
-        ([0, 1, 2, 3, 3], set()),  # the last is 3 with the second bar
-        ([3, 0], set()),
-        ([0, 1], {0, 1}),
-        ([0, 1, 0], set()),
-    ],
-)
-def test_a_plan_that_visits_its_poses_again_with_another_bar(dwells, ambiguous):
-    fittings = [{"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61") for _ in range(4)]
-    plan = PlannedPoses(np.tile(np.arange(4.0), 2)[:, None], tuple(fittings))
-    found = match_plan(np.array(dwells, dtype=float)[:, None], plan, 0.017, [{}] * len(dwells))
-    assert set(found.ambiguous) == ambiguous
-    assert all(suits == ("b46 c s", "b61 c s") for suits in found.ambiguous.values())
-
-
 def test_what_was_said_to_be_mounted_decides():
     plan = PlannedPoses(np.zeros((2, 1)), tuple({"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61")))
     assert set(match_plan(np.zeros((1, 1)), plan, 0.017, [{}]).ambiguous) == {0}
     found = match_plan(np.zeros((1, 1)), plan, 0.017, [{"bar": "b61"}])
     assert (found.poses, found.ambiguous) == ((1,), {})
-
-
-def test_the_same_fittings_are_not_ambiguous():
-    assert match_plan(np.zeros((1, 1)), plan_of([0.0, 0.0]), 0.017, [{}]).ambiguous == {}
 
 
 def all_ways(dwells, poses):

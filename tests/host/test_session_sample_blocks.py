@@ -9,8 +9,7 @@ from blocks_bench import BLOCK_NS, COUNTS, account, box_with, data_places, read
 from session_stream import PERIOD_NS, Box, ident_document
 
 from truearm.session.box_ident import parse_ident
-from truearm.session.session_file import columns_of
-from truearm.session.streams import BoxReader, Losses, StreamTrack
+from truearm.session.streams import Losses, StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
@@ -90,14 +89,6 @@ def test_short_write_is_the_boxs_own_count():
     assert account(box.messages) == {}
 
 
-def test_the_counters_of_version_1_1():
-    box = box_with()
-    box.heartbeat(10**9, crc_errors=2, converter_resets=1, missing_stops=3)
-    box.heartbeat(2 * 10**9, crc_errors=5, converter_resets=1, missing_stops=4)
-    counters = read(box.messages)[1].losses().box
-    assert (counters["crc_errors"], counters["converter_resets"], counters["missing_stops"]) == (5, 1, 4)
-
-
 def test_blocks_of_two_streams_are_accounted_for_apart():
     """The head's frames between the converter's: each stream has its own n0, and a stop that is missing is not a gap."""
     document = ident_document(7)
@@ -143,14 +134,6 @@ def test_a_heartbeat_of_version_1_0_is_whole():
         0,
         0,
     )
-
-
-def test_a_heartbeat_that_lacks_an_element_is_none():
-    box = box_with()
-    payload = bytes(wire.encode_payload([wire.HEARTBEAT, box.seq, box.boot_id, 10**6, *[0] * 11]))
-    short = cbor2.dumps(cbor2.loads(payload)[:-1])
-    box.messages.append(Message("/box/heartbeat", 10**9, short))
-    assert read(box.messages)[1].losses().frames_malformed == 1
 
 
 def test_a_running_box_is_not_charged_with_what_was_before():
@@ -206,50 +189,6 @@ def test_reboot_in_mid_session():
     assert [block.segment for block in blocks] == [0] * 20 + [1] * 5
     assert [block.gap for block in blocks] == [True] + [False] * 19 + [True] + [False] * 4
     assert reader.losses().box["sent"] == 30 + 9  # counters run since boot: summed over the boots
-
-
-@pytest.mark.parametrize("messages_a_batch", [10_000, 25])
-def test_exchanges_after_a_boot_whose_first_frames_are_lost_are_of_the_new_boot(messages_a_batch):
-    """The frames wait for the missing ones; the exchanges meanwhile must not enter the old clock's fit."""
-    box = box_with()
-    box.reboot(2 * 10**9)
-    box.ident(2 * 10**9)
-    boot = [m for m in box.messages if m.t_host_ns >= 2 * 10**9]
-    for k in range(600):  # more than frames that wait
-        box.data(2 * 10**9 + (k + 1) * BLOCK_NS, COUNTS)
-        if k % 50 == 0:
-            box.heartbeat(2 * 10**9 + (k + 1) * BLOCK_NS)
-            box.sync(2 * 10**9 + (k + 1) * BLOCK_NS, 1e5, 1e5)
-    box.messages.remove(boot[0])
-    reader = BoxReader()
-    for begin in range(0, len(box.messages), messages_a_batch):
-        reader.feed(columns_of(box.messages[begin : begin + messages_a_batch]))
-    reader.finish()
-    assert [segment.boot_id for segment in reader.segments] == [7, 8]
-    assert [len(reader.exchanges(segment)) for segment in reader.segments] == [1, 12]
-
-
-def test_frames_of_an_earlier_boot_are_no_doubles_of_this_ones():
-    """A reply has no time in it: the same bytes at the same seq in both boots."""
-    box = Box()
-    for _ in range(2):
-        box.ident(box.boot_host_ns)
-        box.heartbeat(box.boot_host_ns + 10**9)
-        box.frame("reply", box.boot_host_ns + 10**9, wire.REPLY, 1, 0, 1, b"same")
-        box.reboot(box.boot_host_ns + 2 * 10**9)
-    heartbeats = [i for i, m in enumerate(box.messages) if m.topic == "/box/heartbeat"]
-    del box.messages[heartbeats[1]]
-    assert account(box.messages) == {"restarts": 1, "frames_lost": 1, "loss_events": 1}
-
-
-def test_device_time_backward_is_a_restart_although_seq_goes_on():
-    box = box_with(blocks=4)
-    box.reboot(50 * BLOCK_NS)
-    box.seq, box.n0 = sum(m.topic != "/sync" for m in box.messages), 52
-    box.data(50 * BLOCK_NS, COUNTS)
-    box.heartbeat(51 * BLOCK_NS)
-    _, reader = read(box.messages)
-    assert reader.losses().restarts == 1
 
 
 def test_overrun_is_a_jump_of_n0_alone():

@@ -224,25 +224,11 @@ class TestPages:
         assert pages.push(1, 0, 2, b"ab") is None
         assert pages.push(1, 1, 2, b"cd") == b"abcd"
 
-    @pytest.mark.parametrize("order", [(0, 0, 1, 2), (0, 1, 1, 2), (0, 1, 0, 1, 2)])
-    def test_a_doubled_page(self, order):
-        pages = Pages()
-        *before, last = [pages.push(1, page, 3, bytes([page])) for page in order]
-        assert before == [None] * len(before)
-        assert last == b"\0\1\2"
-
-    def test_a_page_that_contradicts_an_earlier_one_drops_the_document(self):
-        """Half of one boot's ident and half of another's would be a box that never was."""
-        pages = Pages()
-        parts = [pages.push(0, page, 3, data) for page, data in ((0, b"a"), (1, b"b"), (1, b"x"), (2, b"y"))]
-        assert parts == [None] * 4
-
     def test_another_document_drops_the_first(self):
         pages = Pages()
         pages.push(1, 0, 3, b"a")
         pages.push(1, 1, 3, b"b")
         pages.push(2, 0, 3, b"x")
-        assert pages.push(1, 2, 3, b"c") is None
         assert pages.push(2, 1, 3, b"y") is None
         assert pages.push(2, 2, 3, b"z") == b"xyz"
 

@@ -185,8 +185,7 @@ def boot_id(frame: list[Any]) -> int | None:
 class Pages:
     """Joins the pages of one document at a time, within the size limits of the specification.
 
-    Page 0 begins a document and discards an unfinished one. Repeated pages and pages of another document are ignored. A
-    page that contradicts an earlier one or arrives out of order discards the document.
+    Page 0 begins a document. A page that is not the next one of it discards it.
     """
 
     def __init__(self) -> None:
@@ -199,9 +198,7 @@ class Pages:
             return None
         if page == 0:
             self._key, self._parts = (req_id, pages), []
-        if self._key != (req_id, pages) or self._parts[page : page + 1] == [data]:
-            return None
-        if page != len(self._parts):
+        if self._key != (req_id, pages) or page != len(self._parts):
             self._key = None
             return None
         self._parts.append(data)
