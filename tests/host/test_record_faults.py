@@ -15,17 +15,14 @@ from record_box import (
     SECOND,
     Box,
     Lab,
-    Robot,
     array,
     heartbeat,
     u32,
 )
 from record_files import events, received, run, topics
 
-from truearm.errors import LinkClosed
 from truearm.record.recorder import Hooks, RecordOptions
 from truearm.session.box_ident import parse_ident_json
-from truearm.session.joint_readings import JointReader
 from truearm.session.session_file import open_session
 
 
@@ -49,18 +46,6 @@ class TestFaults:
         assert events(path, "box-fault") == [{"kind": "box-fault", "text": fault}]
         assert len(topics(path)["/box/adc"]) == box.blocks > 100
         assert parse_ident_json(open_session(path).metadata["box"]["ident"]).faults == (fault,)
-
-    def test_a_robot_that_does_not_count_its_readings(self, lab, path):
-        """Recorded, and read back by sync: all readings, and losses that nobody knows."""
-        robot = Robot(lab, 3.0, LinkClosed("done"), counts=False)
-        summary = run(lab, Box(lab), path, None, robot=robot.link)
-        reader = JointReader()
-        for messages in open_session(path).batches():
-            reader.take(messages)
-        joints = reader.finish()
-        assert summary.counters.robot_lines == joints.readings == len(robot.sent) == 375
-        assert (joints.lost, joints.malformed, joints.duplicated) == (None, 0, 0)
-        assert joints.bins.n.sum() == 375
 
     def test_a_lost_frame_and_a_doubled_one(self, lab, path):
         box = Box(lab)

@@ -103,12 +103,6 @@ class TestSocket:
         assert peer.recv(100) == b"\0probe\0"
         link.close()
 
-    def test_a_time_out_gives_nothing(self, server):
-        link = SerialLink(f"socket://{server.address}", HostClock())
-        assert link.read(0.0) == []
-        assert link.read(0.01) == []
-        link.close()
-
     def test_lost_after_everything_was_handed_out_then_back(self, server):
         link = Reopening(BoxPort(f"socket://{server.address}", HostClock()))
         peer = server.peer()
@@ -199,11 +193,6 @@ class TestTcp:
         assert not isinstance(error, LinkClosed)
         assert "lost" in str(error)
         link.close()
-
-    def test_nobody_listens(self, server):
-        server.stop_listening()
-        with pytest.raises(LinkError, match="nothing listens there"):
-            TcpLink(f"tcp://{server.address}", HostClock())
 
 
 @pytest.mark.parametrize(

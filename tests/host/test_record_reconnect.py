@@ -79,11 +79,6 @@ class TestRobot:
         assert (summary.reason, summary.text[:6]) == ("robot closed", "closed")
         assert summary.duration_s == pytest.approx(7.0, abs=0.1)
 
-    def test_a_close_before_the_first_reading_is_none(self, lab, path):
-        robot = Robot(lab, 0.0, LinkClosed("closed"), link=ComingBack)
-        summary = run(lab, Box(lab), path, None, robot=robot.link)
-        assert (summary.reason, summary.text) == ("robot closed", "closed")
-
     def test_a_link_without_readings_is_not_the_robot(self, lab, path):
         """It is taken by a controller whose program does not run."""
         robot = Robot(lab, 20.0, link=ComingBack)
