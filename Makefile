@@ -41,7 +41,7 @@ lint: .venv/installed-test ## ruff and mypy
 	@said=$$({ $(BIN)/ruff check && $(BIN)/ruff format --check && $(BIN)/mypy; } 2>&1); code=$$?; echo "$$said"; exit $$code
 
 docs: .venv/installed-test ## the documentation site, in build/site: every link within it is checked, those out of it are listed
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "docs: build/site/index.html; links to elsewhere in build/site/external-links.txt"
 
 pictures: .venv/installed-test notebooks ## the pictures of the documentation that are made of code (make benchmark and make hardware draw theirs)
