@@ -13,10 +13,11 @@ from truearm.model.robot import Robot, builtin_robot
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import way_without_bar
 from truearm.plan.branches import branch_of
-from truearm.plan.cartesian_lines import Shape, candidate_lines
+from truearm.plan.cartesian_lines import candidate_lines
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
 from truearm.plan.measurement_limits import Limits, Site
+from truearm.plan.options import LineOptions
 from truearm.types import Floats, Plan, Point, Rig
 from truearm_sim.line_device import REACH
 from truearm_sim.true_robot import PAPER
@@ -49,7 +50,9 @@ def drawn_line_plan(
     known = replace(Known.design(robot, rig or line_rig()), branch=branch_of(robot))
     site = make_site(known, Limits(), Sizes(), seed)
     point = np.array(TARGETS[MAGNET].xyz)
-    found = candidate_lines(site, Shape(LENGTH, speed=speed), n_lines, point, JOINT_SPEED, seed=seed, least=n_lines)
+    found = candidate_lines(
+        site, LineOptions(length=LENGTH, speed=speed), n_lines, point, JOINT_SPEED, seed=seed, fewest=n_lines
+    )
     parts = [lines_plan(q, f"l{i}", speed, back) for i, q in enumerate(found.q[:, [0, -1]], start=1)]
     return plan_file.concatenate(*with_ways(site, parts))
 

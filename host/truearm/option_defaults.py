@@ -26,23 +26,6 @@ MARGIN: Final = 0.05  # smallest singular value: an error of 20 mm then requires
 CRITERION: Final = "I"
 DWELL: Final = 2.0  # s, at rest at a pose
 
-# plan ballbar
-BAR_CANDIDATES: Final = 5000  # poses from which the plan is chosen
-SPREAD: Final = 0.0  # m, variation of the bar's length about mid-travel
-VISITS: Final = 1  # to every mount
 CHECK_POSES: Final = 10
 DESIGN_RESERVE: Final = 22e-3  # m of travel reserved for errors of the model
 RESULT_RESERVE: Final = 3e-3  # m, with the model of a result
-
-# plan line
-LINE_CANDIDATES: Final = 120  # lines from which the plan is chosen
-LINE_LENGTH: Final = 0.5  # m, the device's reach
-TRANSVERSE_RANGE: Final = 15e-3  # m, full range of the transverse sensors
-LINE_SPEED: Final = 50e-3  # m/s
-LINE_POINTS: Final = 12  # measured points in each direction
-PASSES: Final = 1  # in both directions
-
-# plan characterize
-APPROACH_POSES: Final = 4
-ROUNDS: Final = 4  # how often a pose is approached from each side
-LONG_DWELL: Final = 20.0  # s, at rest at each pose, for the noise

@@ -3,17 +3,18 @@
 import functools
 
 from truearm.model.robot import builtin_robot
-from truearm.plan.approaches import ApproachesWanted, plan_approaches
+from truearm.plan.approaches import plan_approaches
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import Pace
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
 from truearm.plan.measurement_limits import Limits, Pairing, Site
+from truearm.plan.options import ApproachOptions
 from truearm.plan.route import Route
 from truearm_sim.world import standard_rig
 
 PAIRING = Pairing("bar46", "c1", "s1")
-WANTED = ApproachesWanted(n_poses=4, rounds=3, long_s=10.0, n_candidates=200)
+WANTED = ApproachOptions(poses=4, rounds=3, long_dwell=10.0, candidates=200)
 
 
 @functools.cache

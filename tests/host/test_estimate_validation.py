@@ -12,9 +12,9 @@ from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation
 from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.bar_paths import Pace
-from truearm.plan.cartesian_lines import Shape
 from truearm.plan.forecast import bar_table
-from truearm.plan.line_plan import LinesWanted, line_rows, plan_lines
+from truearm.plan.line_plan import line_rows, plan_lines
+from truearm.plan.options import LineOptions
 from truearm.plan.shells import candidates
 from truearm.types import Plan, Point
 
@@ -30,7 +30,7 @@ def rows():
     chucks = known.rig.chucks | {"c1": replace(known.rig.chucks["c1"], sigma=2e-4)}
     rig = replace(known.rig, chucks=chucks, targets={"ball": Point("ball", POINT)}, time_offset_sigma=0.0)
     known = replace(known, rig=rig)
-    wanted = LinesWanted(n_lines=2, shape=Shape(length=0.3, n_points=8, speed=0.08), n_candidates=4)
+    wanted = LineOptions(lines=2, length=0.3, points=8, speed=0.08, candidates=4)
     planned = plan_lines(bench.site(NAME), known, wanted, Pace(), target="ball")
     lines, _ = line_rows(known, planned.lines, ["plan1", "plan2"], "ball")
     bars = bar_table(known, candidates(bench.site(NAME), all_pairings(rig), 27))

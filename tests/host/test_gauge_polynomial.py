@@ -90,9 +90,10 @@ def test_what_is_chosen_predicts_better_than_the_highest_order():
     ids=["strong", "straight", "quadratic of 4 sigma", "cubic of 3 sigma", "quintic"],
 )
 def test_how_good_the_choice_is(n, poly):
-    """The figures of box/gauge_polynomial.py: the order found, and the error between the points against the best order in hindsight.
+    """The order found, and the error between the points against the best order in hindsight.
 
-    300 runs there. Here 100: a share of 0.76 is known to 0.043, so 0.63 is three of these below it; an RMS error to some 7 %.
+    300 runs find the true order in 76 to 93 % of cases, and errors 4 to 21 % larger. Of 100, a share of 0.76 is known to
+    0.043, so 0.63 is three of these below it; an RMS error to some 7 %.
     """
     at = np.linspace(-0.9, 1.1, 51)
     right, taken, best = 0, 0.0, 0.0

@@ -14,7 +14,7 @@ from truearm.cli.main import command_tree, main
 from truearm.cli.names import EARLIER, MEANINGS
 from truearm.errors import RobotError
 from truearm.files.robot_file import load_robot
-from truearm.workflows.requests import PoseOptions
+from truearm.plan.options import PoseOptions
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "options.md").read_text()
 ROWS = {

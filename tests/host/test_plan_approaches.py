@@ -8,7 +8,6 @@ from truearm.errors import PlanError
 from truearm.plan.approaches import (
     FARTHEST,
     LEAST,
-    ApproachesWanted,
     approach_directions,
     length_derivatives,
     most_informative,
@@ -16,6 +15,7 @@ from truearm.plan.approaches import (
 )
 from truearm.plan.bar_paths import Pace
 from truearm.plan.measurement_limits import Limits, allowed, free_travel
+from truearm.plan.options import ApproachOptions
 
 
 @pytest.mark.parametrize("joints", [1, 4, 6, 7, 8])
@@ -50,7 +50,7 @@ def test_every_way_keeps_the_bar_on_and_within_its_travel(route):
 def test_every_pose_is_reached_from_each_side_alike_often(route):
     _, way = route
     poses = np.unique(way.plan.q, axis=0)
-    assert len(poses) == WANTED.n_poses
+    assert len(poses) == WANTED.poses
     for q in poses:
         at = np.flatnonzero((way.pose >= 0) & np.all(way.q == q, axis=1))
         away = np.array([way.q[i - 1] - q for i in at if i and way.pose[i - 1] < 0])
@@ -58,7 +58,7 @@ def test_every_pose_is_reached_from_each_side_alike_often(route):
         _, counts = np.unique(np.sign(near[-8 * WANTED.rounds :]), axis=0, return_counts=True)
         assert counts.tolist() == [WANTED.rounds] * 8
         assert np.abs(near).min() >= LEAST
-        assert (np.diff(at) == 1).sum() + 1 == WANTED.long_s / 2.0  # rows of the long rest
+        assert (np.diff(at) == 1).sum() + 1 == WANTED.long_dwell / 2.0  # rows of the long rest
 
 
 def test_what_the_joints_do_together_stays_within_the_free_travel(route):
@@ -80,4 +80,4 @@ def test_the_plan_and_the_programs_say_the_same(route):
 def test_more_poses_than_have_room_are_refused(route):
     site, _ = route
     with pytest.raises(PlanError, match="bar room"):
-        plan_approaches(site, PAIRING, ApproachesWanted(n_poses=50, n_candidates=20), Pace())
+        plan_approaches(site, PAIRING, ApproachOptions(poses=50, candidates=20), Pace())

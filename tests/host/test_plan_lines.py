@@ -17,18 +17,18 @@ from truearm.estimate.identify import identify
 from truearm.files.plan_file import format_plan, parse_plan
 from truearm.model.chain import forward, joint_frames, point_forward
 from truearm.plan.bar_paths import Pace
-from truearm.plan.cartesian_lines import Shape, a_priori, candidate_lines, driven_lines
+from truearm.plan.cartesian_lines import a_priori, candidate_lines, driven_lines
 from truearm.plan.collision_shapes import Sizes, device_is_clear, make_shapes
 from truearm.plan.forecast import forecast
-from truearm.plan.line_plan import SETUP, LinesWanted, line_rows, plan_lines
+from truearm.plan.line_plan import SETUP, line_rows, plan_lines
+from truearm.plan.options import LineOptions
 from truearm.plan.region import Region
 from truearm.plan.route_program import program
 from truearm.plan.route_stops import SETTLE, Signals, Task
 from truearm.types import Point, Rig
 
 POINT = np.array([0.03, -0.02, 0.12])
-SHAPE = Shape(length=0.35, n_points=9, speed=0.08)
-WANTED = LinesWanted(n_lines=4, shape=SHAPE, n_candidates=24)
+WANTED = LineOptions(lines=4, length=0.35, points=9, speed=0.08, candidates=24)
 NAME = "irb120"
 PACE = Pace()
 
@@ -195,14 +195,14 @@ def test_the_true_robot_stays_within_the_transverse_sensors(planned):
 
 def test_lines_lie_where_the_error_is_large(planned):
     site = bench.site(NAME)
-    every = a_priori(site, candidate_lines(site, SHAPE, 24, POINT, PACE.joint_speed).points, POINT)
+    every = a_priori(site, candidate_lines(site, WANTED, 24, POINT, PACE.joint_speed).points, POINT)
     assert planned.error.min() >= np.median(every) - 1e-12
 
 
 def test_foretold_is_what_identification_reports(known):
     """With a delay that is not known: there and back tells it."""
     known = replace(known, rig=replace(known.rig, time_offset_sigma=None))
-    wanted = WANTED._replace(n_lines=8, shape=SHAPE._replace(n_points=12))
+    wanted = replace(WANTED, lines=8, points=12)
     planned = plan_lines(bench.site(NAME), known, wanted, PACE, target="ball")
     rng = np.random.default_rng(2)
     sigma = np.array([{"m": 1e-3, "rad": 4e-3, "1": 0.0}[p.unit] for p in known.chain.parameters]) * known.free
@@ -236,16 +236,16 @@ def test_foretold_is_what_identification_reports(known):
 
 def test_a_budget_in_minutes_is_kept(known):
     site = bench.site(NAME)
-    wanted = WANTED._replace(n_lines=None, minutes=10.0, n_candidates=12)
+    wanted = replace(WANTED, lines=None, minutes=10.0, candidates=12)
     found = plan_lines(site, known, wanted, PACE, target="ball")
     # three minutes each to place the device; a quarter of a minute to drive there and back
     assert len(found.devices) == 3
     assert found.minutes <= 10.0
     with pytest.raises(PlanError, match="too small"):
-        plan_lines(site, known, wanted._replace(minutes=3.0), PACE, target="ball")
-    for budget in ({"n_lines": None, "minutes": None}, {"n_lines": 3, "minutes": 9.0}):
+        plan_lines(site, known, replace(wanted, minutes=3.0), PACE, target="ball")
+    for budget in ({"lines": None, "minutes": None}, {"lines": 3, "minutes": 9.0}):
         with refused("exclusive"):
-            plan_lines(site, known, wanted._replace(**budget), PACE, target="ball")
+            plan_lines(site, known, replace(wanted, **budget), PACE, target="ball")
 
 
 def test_lines_that_were_measured_keep_their_names(known, planned):
@@ -253,7 +253,7 @@ def test_lines_that_were_measured_keep_their_names(known, planned):
     names = list(planned.devices)
     table, _ = line_rows(known, planned.lines, names, "ball")
     more = plan_lines(
-        bench.site(NAME), replace(known, measured=table), WANTED._replace(n_lines=2, seed=1), PACE, target="ball"
+        bench.site(NAME), replace(known, measured=table), replace(WANTED, lines=2, seed=1), PACE, target="ball"
     )
     assert list(more.devices) == ["plan5", "plan6"]
     assert set(more.rig.lines) == {*names, *more.devices}
@@ -282,4 +282,4 @@ def test_the_tool_turns_evenly():
 def test_a_workspace_too_small_is_said():
     nowhere = Region(np.array([0.3, 0.0, 0.3]), np.array([0.3001, 0.0001, 0.3001]))
     with pytest.raises(PlanError, match="350 mm fit"):
-        candidate_lines(bench.site(NAME), SHAPE, 4, POINT, PACE.joint_speed, nowhere, least=4)
+        candidate_lines(bench.site(NAME), WANTED, 4, POINT, PACE.joint_speed, nowhere, fewest=4)

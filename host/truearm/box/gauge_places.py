@@ -90,15 +90,15 @@ class Places:
         if not path.exists():
             return self
         try:
-            kept = msgspec.json.decode(read_bytes(path, MAX_BYTES, InputError), type=Places)
+            places = msgspec.json.decode(read_bytes(path, MAX_BYTES, InputError), type=Places)
         except (msgspec.MsgspecError, UnicodeDecodeError) as exc:
             raise InputError(f"{path}: holds no places of a gauging: {exc}; remove it") from None
-        if replace(kept, places=[]) != replace(self, places=[]):
+        if replace(places, places=[]) != replace(self, places=[]):
             raise InputError(
-                f"{path}: holds places of another box, channel or gain ({kept.channel[:40]!r} of box {kept.uid[:40]!r}); "
+                f"{path}: holds places of another box, channel or gain ({places.channel[:40]!r} of box {places.uid[:40]!r}); "
                 "move it to another folder, or remove it"
             )
-        return kept
+        return places
 
 
 def read_references(path: Path) -> list[float]:
@@ -137,10 +137,10 @@ def check_references(references: Sequence[float], measured: Sequence[float], str
         raise InputError(f"{file}: {too_far}")
 
 
-def beyond(reference: float, others: Sequence[float], stroke: float) -> str:
+def beyond(reference: float, references: Sequence[float], stroke: float) -> str:
     """Return that a reference is farther from one of the others than the sensor's stroke; "" if it is not."""
-    other = max(others, key=lambda value: abs(value - reference), default=reference)
-    if abs(other - reference) <= stroke:
+    farthest = max(references, key=lambda value: abs(value - reference), default=reference)
+    if abs(farthest - reference) <= stroke:
         return ""
-    first, second, distance = (MM.text(value, ".4f") for value in (reference, other, abs(reference - other)))
+    first, second, distance = (MM.text(value, ".4f") for value in (reference, farthest, abs(reference - farthest)))
     return f"{first} and {second} are {distance} apart, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit"

@@ -113,13 +113,13 @@ def with_calibration(config: dict[str, Any], calibration: Calibration, options: 
         **({} if options.uncertainty is None else {"reference_sigma": _pair(f"{0.5 * options.uncertainty:.3e}")}),
     }
     if is_head:
-        kept = {name: value for name, value in previous.items() if name not in {key.called for key in PROVENANCE}}
+        settings = {name: value for name, value in previous.items() if name not in {key.called for key in PROVENANCE}}
         try:
             us_per_inch, delay_ns = head_of(calibration.fit)
         except ValueError as exc:
             raise InputError(f"these places do not give a calibration: {exc}") from exc
         head = {"us_per_inch": _pair(f"{us_per_inch:.9f}"), "delay_ns": round(delay_ns)}
-        return check({**config, HEAD: {**kept, **head, **provenance}})
+        return check({**config, HEAD: {**settings, **head, **provenance}})
     span = np.linspace(calibration.places.readings.min(), calibration.places.readings.max(), 101)
     poly = [_pair(text) for text in rounded(calibration.fit.poly, span, ROUNDING)]
     channel["calibration"] = {"unit": "m", "poly": poly, **provenance}
@@ -140,7 +140,7 @@ def _temperature(places: Places) -> float | None:
 def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, config: dict[str, Any]) -> str:
     """Return the page of a calibration as HTML; ``config`` is what the box will store."""
     fit, places, name = calibration.fit, calibration.places, calibration.channel.name
-    now, temperature, previous = datetime.now(UTC), _temperature(places), calibration.previous_error
+    time, temperature, previous = datetime.now(UTC), _temperature(places), calibration.previous_error
     entries = [entry.get("calibration", {}) for entry in config["channels"] if entry["name"] == name]
     serial = (entries or [config[HEAD]])[0].get("serial", "")
     total = "not known without the reference's uncertainty"
@@ -149,7 +149,7 @@ def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, co
     subject = (
         ("sensor", f"{name}, serial {serial}" if serial else name),
         ("operator", options.operator or "not given"),
-        ("date", f"{now:%Y-%m-%d %H:%M} UTC"),
+        ("date", f"{time:%Y-%m-%d %H:%M} UTC"),
         ("box", f"{places.uid or 'without a uid'}, firmware {one_line(ident.firmware[:32]) or 'not known'}"),
         ("software", f"truearm {VERSION}"),
         ("temperature of the box", "unknown" if temperature is None else DEGC.text(temperature, ".1f")),
@@ -191,7 +191,7 @@ def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, co
         section("The order", paragraph(ORDER_TEXT), table(Table(("order", "RMS [µm]"), orders))),
         section("The places", table(_place_table(calibration))),
     )
-    subtitle = f"{counted(len(places.places), 'place')}, {now.date().isoformat()}"
+    subtitle = f"{counted(len(places.places), 'place')}, {time.date().isoformat()}"
     first = certificate_section(Certificate("Calibration of a sensor", "", groups))
     return html_page("truearm", f"Calibration of {name}", subtitle, blocks, certificate=first)
 

@@ -70,14 +70,14 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
     listed = None if options.references is None else read_references(options.references)
     name = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in options.channel[:40])
     page = options.out or Path(f"gauge-{name}.html")
-    kept = page.with_suffix(".places.json")
+    places_file = page.with_suffix(".places.json")
     # a page beside such a file belongs to the same run: it was interrupted at the last question
-    check_writable(page, options.force or kept.exists(), inputs=inputs, kind="page")
+    check_writable(page, options.force or places_file.exists(), inputs=inputs, kind="page")
     with conversation(device, stop=stop) as box:
         ident, config = ident_of(box), checked_config(box)
         stream, channel = _find(ident, options.channel, device)
-        places = _continued(kept, ident, channel, operator)
-        run = GaugeRun(box, stream, channel, options, operator, kept, places)
+        places = _continued(places_file, ident, channel, operator)
+        run = GaugeRun(box, stream, channel, options, operator, places_file, places)
         try:
             run.measure(listed)
             calibration = calibrate(places, channel, options.order)
@@ -94,12 +94,12 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
                 box.put_config(new)
                 say(f"{device}: stored; the box uses it from now on")
             else:
-                say(f"{device}: unchanged; {kept} keeps the places")
+                say(f"{device}: unchanged; {places_file} keeps the places")
                 return
-            kept.unlink(missing_ok=True)
+            places_file.unlink(missing_ok=True)
         except (KeyboardInterrupt, TruearmError):
             if places.places:
-                say(f"\n{kept} keeps the places; the same command continues from them")
+                say(f"\n{places_file} keeps the places; the same command continues from them")
             raise
 
 
@@ -117,14 +117,14 @@ def _find(ident: Ident, name: str, device: str) -> tuple[Stream, Channel]:
     return place[0], channel
 
 
-def _continued(kept: Path, ident: Ident, channel: Channel, operator: GaugeOperator) -> Places:
+def _continued(places_file: Path, ident: Ident, channel: Channel, operator: GaugeOperator) -> Places:
     """Return the places of a run that ended early, if the operator wants them. Raises InputError."""
     uid = one_line(str(ident.document.get("uid", ""))[:32])
     empty = Places(uid, channel.name, channel.unit, channel.scale)
-    earlier = empty.earlier(kept)
+    earlier = empty.earlier(places_file)
     if earlier.places:
         n_places = counted(len(earlier.places), "place")
-        operator.say(f"{kept}: {n_places} from a run whose calibration was not stored")
+        operator.say(f"{places_file}: {n_places} from a run whose calibration was not stored")
         question = "continue from there? Only if sensor and reference stayed mounted as they were [Y/n] "
         if (operator.ask(question) or "y").lower() not in ("y", "yes"):
             return empty
@@ -228,20 +228,20 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
 
     Raises LinkError if too few samples arrive.
     """
-    skip, wanted = (max(1, round(NS.of(duration) / stream.period_ns)) for duration in (SETTLE_S, seconds))
-    wanted, patience_s = max(wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S
+    skip, n_wanted = (max(1, round(NS.of(duration) / stream.period_ns)) for duration in (SETTLE_S, seconds))
+    n_wanted, patience_s = max(n_wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S
     blocks: list[NDArray[np.int32]] = []
     n_samples = 0
     with streaming(box), step(f"sampling {stream.name} for {seconds:g} s") as advance:
         for block in _blocks(box, stream, skip, box.now_s + patience_s):
             blocks.append(block)
             n_samples += len(block)
-            advance(min(n_samples / wanted, 1.0))
-            if n_samples >= wanted:
+            advance(min(n_samples / n_wanted, 1.0))
+            if n_samples >= n_wanted:
                 break
         else:
             raise LinkError(
-                f"the box sent {n_samples} of {wanted} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
+                f"the box sent {n_samples} of {n_wanted} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
             )
     for _ in box.sent(0.0):  # data in transit
         continue

@@ -115,12 +115,12 @@ def self_test(
     with conversation(device, stop=stop) as connected:
         results = connected.self_test()
         ident = connected.identify()  # its faults are those of this test
-    found = findings(results, device)
-    failed, warned = (sum(f.verdict == verdict for f in found) for verdict in (FAIL, WARN))
+    verdicts = findings(results, device)
+    failed, warned = (sum(f.verdict == verdict for f in verdicts) for verdict in (FAIL, WARN))
     faults = [fault for fault in ident.faults if not fault.startswith("the box says 'self-test")]
-    counts = f"{len(found) - failed - warned} passed, {warned} with a warning, {failed} failed"
-    lines = [one_line_of(ident), *finding_lines(found), *(f"warning: {fault}" for fault in faults), counts]
-    return Answer([vars(f) for f in found], lines, end=ExitCode.FAILED if failed else ExitCode.DONE)
+    counts = f"{len(verdicts) - failed - warned} passed, {warned} with a warning, {failed} failed"
+    lines = [one_line_of(ident), *finding_lines(verdicts), *(f"warning: {fault}" for fault in faults), counts]
+    return Answer([vars(f) for f in verdicts], lines, end=ExitCode.FAILED if failed else ExitCode.DONE)
 
 
 @app.command(cls=ProjectCommand)
@@ -167,12 +167,12 @@ def get(
         check_writable(out, force, kind="configuration")
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
-        found = connected.config()
-    text = format_config(found)
+        config = connected.config()
+    text = format_config(config)
     if out is None:
-        return Answer(found, text.splitlines())
+        return Answer(config, text.splitlines())
     write_atomic(out, text)
-    return Answer(found, [f"{out}: the configuration of {device}"])
+    return Answer(config, [f"{out}: the configuration of {device}"])
 
 
 @config.command("set", cls=ProjectCommand)
@@ -208,15 +208,15 @@ def put(
     texts = _read(changes)
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
-        before = checked_config(connected)
-        after = _changed(before, texts)
-        changed = change_lines(before, after)
+        previous = checked_config(connected)
+        config = _changed(previous, texts)
+        changed = change_lines(previous, config)
         stored = bool(changed) and not dry_run
         if stored:
-            connected.put_config(after)
-    kept = "unchanged (--dry-run)" if changed else "nothing changes"
-    outcome = "stored; the box uses it from now on" if stored else kept
-    return Answer({"changes": changed, "stored": stored, "config": after}, [*changed, f"{device}: {outcome}"])
+            connected.put_config(config)
+    reason = "unchanged (--dry-run)" if changed else "nothing changes"
+    outcome = "stored; the box uses it from now on" if stored else reason
+    return Answer({"changes": changed, "stored": stored, "config": config}, [*changed, f"{device}: {outcome}"])
 
 
 def _read(changes: list[str]) -> list[tuple[str, str | None]]:
@@ -224,13 +224,13 @@ def _read(changes: list[str]) -> list[tuple[str, str | None]]:
     from truearm.box.configuration import MAX_BYTES
     from truearm.files.disk import read_text
 
-    found: list[tuple[str, str | None]] = []
+    texts: list[tuple[str, str | None]] = []
     for change in changes:
         is_value = "=" in change and not Path(change).is_file()
         if "=" not in change and not change.endswith(".toml") and not Path(change).exists():
             raise ConfigError(f"{change[:60]!r} is neither KEY=VALUE, such as osr=2048, nor a file")
-        found.append((change, None if is_value else read_text(Path(change), MAX_BYTES, ConfigError)))
-    return found
+        texts.append((change, None if is_value else read_text(Path(change), MAX_BYTES, ConfigError)))
+    return texts
 
 
 def _changed(config: dict[str, Any], texts: list[tuple[str, str | None]]) -> dict[str, Any]:

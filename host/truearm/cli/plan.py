@@ -5,22 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from truearm import option_defaults
-from truearm.bounds import (
-    DWELL,
-    MINUTES,
-    POSES,
-    SEED,
-    TRAVEL,
-    OneOf,
-    Within,
-)
+from truearm.bounds import MINUTES, POSES
 from truearm.cli.command import Answer, command
 from truearm.cli.options import spans_of
 from truearm.cli.project import ProjectCommand, command_group
-from truearm.plan.criteria import Criterion
-from truearm.units import MM, MM_S
-from truearm.workflows.requests import PlanFiles, PoseOptions
+from truearm.plan.options import ApproachOptions, LineOptions, PoseOptions
+from truearm.units import MM
+from truearm.workflows.requests import PlanFiles
 
 if TYPE_CHECKING:
     from truearm.plan.region import Region
@@ -108,18 +99,8 @@ def ballbar(
 def line(
     files: PlanFiles,
     *,
-    lines: Annotated[int | None, Within(1, 100)] = None,
-    minutes: Annotated[float | None, MINUTES] = None,
-    length_mm: Annotated[float, Within(10.0, 5000.0)] = MM.of(option_defaults.LINE_LENGTH),
-    transverse_mm: Annotated[float, Within(1.0, 500.0)] = MM.of(option_defaults.TRANSVERSE_RANGE),
-    speed_mm_s: Annotated[float, Within(1.0, 1000.0)] = MM_S.of(option_defaults.LINE_SPEED),
-    passes: Annotated[int, Within(1, 20)] = option_defaults.PASSES,
-    points: Annotated[int, Within(3, 500)] = option_defaults.LINE_POINTS,
-    target: str | None = None,
-    criterion: Annotated[str, OneOf(tuple(Criterion))] = option_defaults.CRITERION,
+    options: LineOptions,
     region: str | None = None,
-    candidates: Annotated[int, Within(1, 5000)] = option_defaults.LINE_CANDIDATES,
-    seed: Annotated[int, SEED] = option_defaults.SEED,
 ) -> Answer:
     """Plan lines for a line device, driven there and back, preferably where the expected error is large.
 
@@ -159,30 +140,14 @@ def line(
     candidates : N
         Lines to choose from.
     """
-    from truearm.plan.cartesian_lines import Shape
-    from truearm.plan.line_plan import LinesWanted
     from truearm.workflows.plan import plan_line_files
 
-    shape = Shape(MM.to_si(length_mm), MM.to_si(transverse_mm), MM_S.to_si(speed_mm_s), points)
-    wanted = LinesWanted(lines, minutes, shape, passes, candidates, criterion, seed)
-    return _answer(plan_line_files(files, wanted, _region_of(region), target))
+    return _answer(plan_line_files(files, options, _region_of(region)))
 
 
 @app.command("characterize", cls=ProjectCommand)
 @command()
-def characterize(
-    files: PlanFiles,
-    *,
-    bar: str | None = None,
-    chuck: str | None = None,
-    sphere: str | None = None,
-    poses: Annotated[int, Within(1, 50)] = option_defaults.APPROACH_POSES,
-    rounds: Annotated[int, Within(2, 100)] = option_defaults.ROUNDS,
-    long_dwell_s: Annotated[float, Within(2.0, 60.0)] = option_defaults.LONG_DWELL,
-    reserve_mm: Annotated[float | None, TRAVEL, MM] = None,
-    dwell_s: Annotated[float, DWELL] = option_defaults.DWELL,
-    seed: Annotated[int, SEED] = option_defaults.SEED,
-) -> Answer:
+def characterize(files: PlanFiles, *, options: ApproachOptions) -> Answer:
     """Plan a short run that measures how well the robot repeats: a few poses, reached from both sides of every joint.
 
     Record it, then run truearm characterize on the session.
@@ -212,10 +177,6 @@ def characterize(
         Duration of one long rest at each pose, which measures the noise.
     result
     """
-    from truearm.plan.approaches import ApproachesWanted
     from truearm.workflows.plan import plan_approaches_files
 
-    wanted = ApproachesWanted(poses, rounds, long_dwell_s, seed=seed)
-    reserve = None if reserve_mm is None else MM.to_si(reserve_mm)
-    mounted = {"bar": bar, "chuck": chuck, "sphere": sphere}
-    return _answer(plan_approaches_files(files, wanted, mounted, dwell_s, reserve))
+    return _answer(plan_approaches_files(files, options))

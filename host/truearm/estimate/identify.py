@@ -45,9 +45,8 @@ from truearm.estimate.problem import (
 )
 from truearm.estimate.row_errors import left_out_errors, row_errors
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
-from truearm.estimate.solution import Options, Solution, of_data
+from truearm.estimate.solution import Options, Solution, of_data, solver_named
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
-from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
 from truearm.estimate.validation import has_freedom
@@ -327,7 +326,7 @@ def _solved(
     how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
     # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
     start = nominal.x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
-    solve = solver_of(options.solver)
+    solve = solver_named(options.solver)
     every = solve(problem, columns, start, how_to)
     begun = solve(only(problem, ~gross), columns, start, how_to._replace(on_step=None)) if gross.any() else every
     if options.outliers is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from truearm.estimate.information import Information
 from truearm.estimate.levenberg_marquardt import CORRECTORS, Ends
 from truearm.estimate.problem import Problem
-from truearm.estimate.solvers import Loss
+from truearm.estimate.solvers import SOLVERS, Loss
 from truearm.types import Floats, Residuals
 
 
@@ -42,6 +43,12 @@ class Solution(NamedTuple):
 Solver = Callable[[Problem, NDArray[np.bool_], Floats, Options], Solution]
 
 
+def solver_named(name: str) -> Solver:
+    """Return the function of a solver, loading its module. Raises KeyError for an unknown name."""
+    solver: Solver = import_module(f"{__package__}.{SOLVERS[name].module}").solve
+    return solver
+
+
 def whole(x: Floats, columns: NDArray[np.bool_], part: Floats) -> Floats:
     """Return x (P,) with x[columns] replaced."""
     out = x.copy()
@@ -54,8 +61,9 @@ def prior_error(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> tupl
     return (problem.start - x)[columns], problem.prior_sigma[columns]
 
 
-def of_data(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> tuple[float, int]:
+def of_data(problem: Problem, columns: NDArray[np.bool_], solution: Solution) -> tuple[float, int]:
     """Return χ² and number of scalar residuals of the observations alone, without the prior."""
-    some = np.isfinite(found.prior_sigma)
-    error = (problem.start - found.x)[columns][some] / found.prior_sigma[some]
-    return max(found.information.chi2 - float(error @ error), 0.0), found.information.n_residuals - int(some.sum())
+    has_prior = np.isfinite(solution.prior_sigma)
+    error = (problem.start - solution.x)[columns][has_prior] / solution.prior_sigma[has_prior]
+    information = solution.information
+    return max(information.chi2 - float(error @ error), 0.0), information.n_residuals - int(has_prior.sum())

@@ -8,11 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
-from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, assert_never
-
-if TYPE_CHECKING:
-    from truearm.estimate.solution import Solver
+from typing import NamedTuple, assert_never
 
 
 class Prior(StrEnum):
@@ -81,12 +77,6 @@ def loss_summary(loss: Loss) -> str:
             return "rows far from all others hardly count"
         case _:
             assert_never(loss)
-
-
-def solver(name: str) -> Solver:
-    """Return the function of a solver, loading its module. Raises KeyError for an unknown name."""
-    solve: Solver = import_module(f"{__package__}.{SOLVERS[name].module}").solve
-    return solve
 
 
 def with_loss() -> tuple[str, ...]:

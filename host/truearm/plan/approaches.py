@@ -22,6 +22,7 @@ from truearm.errors import Argument, PlanError
 from truearm.model.chain import distance_jacobian, point_forward
 from truearm.plan.bar_paths import Pace, move_seconds, moves_allowed, way_without_bar, ways_with_bar
 from truearm.plan.measurement_limits import Pairing, Site, free_travel
+from truearm.plan.options import ApproachOptions
 from truearm.plan.route import Route
 from truearm.plan.shells import candidates
 from truearm.progress import steps_of
@@ -33,29 +34,19 @@ SHARE = 0.9  # of the free travel, for all joints together
 SHELL = "characterize"
 
 
-class ApproachesWanted(NamedTuple):
-    """The number of poses, the number of rounds of visits to each, and the seconds of the long dwell at each."""
-
-    n_poses: int = 4
-    rounds: int = 4
-    long_s: float = 20.0
-    n_candidates: int = 400
-    seed: int = 0
-
-
-def plan_approaches(site: Site, pairing: Pairing, wanted: ApproachesWanted, pace: Pace) -> Route:
+def plan_approaches(site: Site, pairing: Pairing, options: ApproachOptions, pace: Pace) -> Route:
     """Return the route: via points with the bar on, poses, and repeated rows for long dwells. Raises PlanError."""
-    q = candidates(site, [pairing], wanted.n_candidates, wanted.seed).q
+    q = candidates(site, [pairing], options.candidates, options.seed).q
     derivatives = length_derivatives(site, q, pairing)
-    chosen = most_informative(derivatives, wanted.n_poses, lambda k: _away(site, q[k], derivatives[k], pairing))
-    rng = np.random.default_rng([wanted.seed, 0xC4A2])
-    long = max(1, round(wanted.long_s / pace.dwell))
+    chosen = most_informative(derivatives, options.poses, lambda k: _away(site, q[k], derivatives[k], pairing))
+    rng = np.random.default_rng([options.seed, 0xC4A2])
+    long = max(1, round(options.long_dwell / pace.dwell))
     stops: list[_Stop] = []
     for pose, step in steps_of(list(chosen.items()), "planning paths between poses"):
-        via, mount = _between(site, stops[-1].q, q[pose], pairing, wanted.seed) if stops else ((), True)
+        via, mount = _between(site, stops[-1].q, q[pose], pairing, options.seed) if stops else ((), True)
         stops += [_Stop(place) for place in via]
         stops += [_Stop(q[pose], True, mount and k == 0) for k in range(long)]
-        for _ in range(wanted.rounds):
+        for _ in range(options.rounds):
             for signs in rng.permutation(approach_directions(len(step))):
                 stops += [_Stop(q[pose] + signs * step), _Stop(q[pose], True)]
     joints, is_read, mounts = map(np.array, zip(*stops, strict=True))
@@ -87,16 +78,16 @@ def most_informative(derivatives: Floats, n: int, room: Callable[[int], Floats |
     """
     squared = np.square(derivatives)
     total = np.full(squared.shape[1], 1e-6)  # m²/rad²: limits the gain for a joint that no pose shows
-    left = np.ones(len(squared), bool)
+    untried = np.ones(len(squared), bool)
     chosen: dict[int, Floats] = {}
     while len(chosen) < n:
-        if not left.any():
+        if not untried.any():
             raise PlanError(
                 f"only {len(chosen)} poses leave the bar room to retract and return; ask for fewer ",
                 *(Argument("poses"), " or give a ", Argument("result"), ", whose model needs less reserve"),
             )
-        best = int(np.argmax(np.where(left, np.sum(np.log(total + squared), axis=1), -np.inf)))
-        left[best] = False
+        best = int(np.argmax(np.where(untried, np.sum(np.log(total + squared), axis=1), -np.inf)))
+        untried[best] = False
         if (step := room(best)) is not None:
             chosen[best] = step
             total = total + squared[best]

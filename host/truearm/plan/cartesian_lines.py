@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from truearm import option_defaults
 from truearm.errors import PlanError
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import tolerance_error
@@ -23,6 +22,7 @@ from truearm.plan.bar_paths import samples
 from truearm.plan.branch_inverse import pose_error
 from truearm.plan.collision_shapes import device_is_clear
 from truearm.plan.measurement_limits import Site, allowed, smallest_singular_value
+from truearm.plan.options import LineOptions
 from truearm.plan.region import Region
 from truearm.progress import steps_of
 from truearm.types import Floats, rms_of_columns
@@ -33,15 +33,6 @@ ON_LINE = 1e-8  # LEVERs, and rad
 # of the tool from end to end: determines its orientation without tilting the device's magnet far
 MOST_TURN = np.deg2rad(40.0)
 AT_ONCE, ROUNDS = 100, 40  # random draws
-
-
-class Shape(NamedTuple):
-    """Requirements of a line device: lengths [m] of a line and of the transverse range, speed [m/s]."""
-
-    length: float = option_defaults.LINE_LENGTH
-    transverse: float = option_defaults.TRANSVERSE_RANGE
-    speed: float = option_defaults.LINE_SPEED
-    n_points: int = option_defaults.LINE_POINTS  # points read in each direction
 
 
 class Lines(NamedTuple):
@@ -64,40 +55,40 @@ class Lines(NamedTuple):
 
 def candidate_lines(
     site: Site,
-    shape: Shape,
+    options: LineOptions,
     n: int,
     point: Floats,
     joint_speed: float,
     region: Region | None = None,
     seed: int = 0,
-    least: int = 1,
+    fewest: int = 1,
 ) -> Lines:
     """Return up to ``n`` lines with their middles in the region. Raises PlanError for fewer than ``least``."""
     rng = np.random.default_rng([seed, 0x11E5])
-    branch, kept = site.arm.branch, list[tuple[Floats, Floats]]()
+    branch, driveable = site.arm.branch, list[tuple[Floats, Floats]]()
     for _ in steps_of(range(ROUNDS), "looking for lines that the arm can drive"):
         middle = rng.uniform(branch.lower, branch.upper, (AT_ONCE, len(branch.lower)))
         along, turn = _directions(rng), MOST_TURN * rng.random((AT_ONCE, 1)) * _directions(rng)
         p_middle = point_forward(site.arm.chain, site.arm.params, middle, point)
         if region is not None:
-            there = ((p_middle >= region.lower) & (p_middle <= region.upper)).all(axis=1)
-            middle, along, turn = middle[there], along[there], turn[there]
+            inside = ((p_middle >= region.lower) & (p_middle <= region.upper)).all(axis=1)
+            middle, along, turn = middle[inside], along[inside], turn[inside]
         if not len(middle):
             continue
-        lines = driven_lines(site, middle, shape.length * along, turn, 2 * shape.n_points + 1, point)
-        rates = _rates(site, lines[:, 1::2], shape.speed * along, shape.speed / shape.length * turn, point)
-        kept += [
+        lines = driven_lines(site, middle, options.length * along, turn, 2 * options.points + 1, point)
+        rates = _rates(site, lines[:, 1::2], options.speed * along, options.speed / options.length * turn, point)
+        driveable += [
             (q, rate)
             for q, rate, u in zip(lines, rates, along, strict=True)
-            if _fits(site, q, rate, u, shape, point, joint_speed)
+            if _fits(site, q, rate, u, options, point, joint_speed)
         ]
-        if len(kept) >= n:
+        if len(driveable) >= n:
             break
-    if len(kept) < least:
+    if len(driveable) < fewest:
         raise PlanError(
-            f"only {len(kept)} lines of {MM.text(shape.length)} fit within the arm's reach; ask for shorter, slower or fewer lines"
+            f"only {len(driveable)} lines of {MM.text(options.length)} fit within the arm's reach; ask for shorter, slower or fewer lines"
         )
-    return Lines(*(np.array(part) for part in zip(*kept[:n], strict=True)))
+    return Lines(*(np.array(column) for column in zip(*driveable[:n], strict=True)))
 
 
 def _directions(rng: np.random.Generator) -> Floats:
@@ -105,7 +96,7 @@ def _directions(rng: np.random.Generator) -> Floats:
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
 
 
-def driven_lines(site: Site, middle: Floats, way: Floats, turn: Floats, n: int, point: Floats) -> Floats:
+def driven_lines(site: Site, middle: Floats, displacement: Floats, turn: Floats, n: int, point: Floats) -> Floats:
     """Return joints (m, n, j) along lines with middle postures ``middle`` (m, j); NaN where no joints were found.
 
     From end to end a point (3,) of the end moves by way (m, 3) [m], and the tool turns by a rotation vector turn (m,
@@ -121,9 +112,9 @@ def driven_lines(site: Site, middle: Floats, way: Floats, turn: Floats, n: int, 
         for k in side:
             pose = at_middle[good]
             pose[:, :3, :3] = Rotation.from_rotvec(shares[k] * turn[good]).as_matrix() @ pose[:, :3, :3]
-            pose[:, :3, 3] = p_middle[good] + shares[k] * way[good] - pose[:, :3, :3] @ point
-            q, there = _followed(site, pose, q)
-            q, good = q[there], good[there]
+            pose[:, :3, 3] = p_middle[good] + shares[k] * displacement[good] - pose[:, :3, :3] @ point
+            q, reached = _followed(site, pose, q)
+            q, good = q[reached], good[reached]
             if not len(good):
                 return np.full_like(out, np.nan)
             out[good, k] = q
@@ -137,12 +128,12 @@ def _followed(site: Site, pose: Floats, q: Floats) -> tuple[Floats, NDArray[np.b
     """Return joints (m, j) near q for poses (m, 4, 4), by Newton's method, and a mask (m,) of success."""
     for _ in range(STEPS):
         error, jacobian = pose_error(site.arm, pose, q)
-        there = np.abs(error).max(axis=1) < ON_LINE
-        if there.all():
+        reached = np.abs(error).max(axis=1) < ON_LINE
+        if reached.all():
             break
         q = q + np.clip((np.linalg.pinv(jacobian, rcond=1e-2) @ error[..., None])[..., 0], -0.3, 0.3)
     branch = site.arm.branch
-    return q, there & ((q > branch.lower) & (q < branch.upper)).all(axis=1)
+    return q, reached & ((q > branch.lower) & (q < branch.upper)).all(axis=1)
 
 
 def _rates(site: Site, q: Floats, velocity: Floats, turning: Floats, point: Floats) -> Floats:
@@ -153,24 +144,27 @@ def _rates(site: Site, q: Floats, velocity: Floats, turning: Floats, point: Floa
     """
     flat = np.nan_to_num(q.reshape(-1, q.shape[2]))
     pose, jacobian = end_and_jacobian(site.arm.chain, site.arm.params, flat)
-    velocity, turning = (np.repeat(part, q.shape[1], axis=0) for part in (velocity, turning))
+    velocity, turning = (np.repeat(vector, q.shape[1], axis=0) for vector in (velocity, turning))
     twist = np.concatenate([velocity - np.cross(turning, pose[:, :3, :3] @ point), turning], axis=1)
     return np.asarray((np.linalg.pinv(jacobian, rcond=1e-3) @ twist[..., None])[..., 0].reshape(q.shape))
 
 
 def _fits(
-    site: Site, q: Floats, q_rate: Floats, along: Floats, shape: Shape, point: Floats, joint_speed: float
+    site: Site, q: Floats, q_rate: Floats, along: Floats, options: LineOptions, point: Floats, joint_speed: float
 ) -> bool:
     """Return whether a line (n, j) can be driven from end to end next to its device."""
     if np.isnan(q).any() or np.abs(q_rate).max() > joint_speed:
         return False
-    way, limits = samples(q[:-1], q[1:])[0], site.limits.tightened()
-    if not allowed(site, way, None, limits).all() or (smallest_singular_value(site, way) < limits.singular_value).any():
+    path, limits = samples(q[:-1], q[1:])[0], site.limits.tightened()
+    if (
+        not allowed(site, path, None, limits).all()
+        or (smallest_singular_value(site, path) < limits.singular_value).any()
+    ):
         return False
     ends = point_forward(site.arm.chain, site.arm.params, q[[0, -1]], point)
-    if not device_is_clear(site.shapes, way, ends[0], ends[1], bool(point.any())):
+    if not device_is_clear(site.shapes, path, ends[0], ends[1], bool(point.any())):
         return False
-    return 2.0 * straightness(site, q[1::2], along, point) < 0.5 * shape.transverse
+    return 2.0 * straightness(site, q[1::2], along, point) < 0.5 * options.transverse
 
 
 def straightness(site: Site, q: Floats, along: Floats, point: Floats) -> float:

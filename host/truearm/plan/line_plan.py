@@ -25,10 +25,11 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation_vector
 from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
-from truearm.plan.cartesian_lines import Lines, Shape, a_priori, candidate_lines
+from truearm.plan.cartesian_lines import Lines, a_priori, candidate_lines
 from truearm.plan.choose import as_blocks, choose, condensed
 from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, planned_table, prior_unit, region_root
 from truearm.plan.measurement_limits import Site
+from truearm.plan.options import LineOptions
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.route_stops import SETTLE, Stop, plain
 from truearm.progress import steps_of
@@ -36,18 +37,6 @@ from truearm.types import Device, Floats, Move, Plan, Rig
 
 SETUP = 180.0  # s to place the device
 BY_HAND = 0.052  # rad about each axis: accuracy with which a device is set up as planned (Renders III-C)
-
-
-class LinesWanted(NamedTuple):
-    """How much to measure, and the purpose of the measurement. ``passes``: how often to drive in both directions."""
-
-    n_lines: int | None = None
-    minutes: float | None = None
-    shape: Shape = Shape()
-    passes: int = 1
-    n_candidates: int = 120
-    criterion: str = "I"
-    seed: int = 0
 
 
 class LinePlan(NamedTuple):
@@ -64,64 +53,64 @@ class LinePlan(NamedTuple):
 
 
 def plan_lines(
-    site: Site, known: Known, wanted: LinesWanted, pace: Pace, region: Region | None = None, target: str = ""
+    site: Site, known: Known, options: LineOptions, pace: Pace, region: Region | None = None, target: str = ""
 ) -> LinePlan:
     """Plan lines: candidates, choice, order and forecast. ``target``: the measured point of the rig, "" for the end's
     origin.
 
     Raises PlanError if too few lines fit into the workspace or the budget, and the errors of the steps.
     """
-    if (wanted.n_lines is None) == (wanted.minutes is None):
+    if (options.lines is None) == (options.minutes is None):
         raise PlanError(
-            "exclusive", first=Argument("lines"), second=Argument("minutes"), neither=wanted.minutes is None
+            "exclusive", first=Argument("lines"), second=Argument("minutes"), neither=options.minutes is None
         )
     point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
-    n = wanted.n_lines or _most(wanted)
-    many = max(wanted.n_candidates, n if wanted.n_lines else 1)
-    least = wanted.n_lines or 1
-    found = candidate_lines(site, wanted.shape, many, point, pace.joint_speed, region, wanted.seed, least)
-    n = min(n, len(found.q))
-    error = a_priori(site, found.points, point)
-    far = np.sort(np.argsort(-error, kind="stable")[: max(-(-len(error) // 2), n)])
-    found, error = found.select(far.tolist()), error[far]
-    places = point_forward(known.chain, known.params, found.points, point).reshape(-1, 3)
-    aim = Aim(poses_in(site, region or around(places), point, seed=wanted.seed), (target,) * bool(target))
+    n = options.lines or _most(options)
+    n_candidates = max(options.candidates, n if options.lines else 1)
+    fewest = options.lines or 1
+    candidates = candidate_lines(site, options, n_candidates, point, pace.joint_speed, region, options.seed, fewest)
+    n = min(n, len(candidates.q))
+    error = a_priori(site, candidates.points, point)
+    erring = np.sort(np.argsort(-error, kind="stable")[: max(-(-len(error) // 2), n)])
+    candidates, error = candidates.select(erring.tolist()), error[erring]
+    places = point_forward(known.chain, known.params, candidates.points, point).reshape(-1, 3)
+    aim = Aim(poses_in(site, region or around(places), point, seed=options.seed), (target,) * bool(target))
     while True:
-        rows = _chosen(known, found, n, wanted, aim, target)
-        lines = found.select(rows).select(_order(found.q[rows]))
+        rows = _chosen(known, candidates, n, options, aim, target)
+        lines = candidates.select(rows).select(_order(candidates.q[rows]))
         names = _new_names(known, n)
-        stops = _stops(site, lines, names, wanted, pace, point)
-        seconds = sum(stop.seconds for stop in stops) + n * (SETUP + _driving(wanted))
-        if wanted.minutes is None or seconds <= 60.0 * wanted.minutes:
+        stops = _stops(site, lines, names, options, pace, point)
+        seconds = sum(stop.seconds for stop in stops) + n * (SETUP + _driving(options))
+        if options.minutes is None or seconds <= 60.0 * options.minutes:
             break
         n -= 1
         if n == 0:
-            raise PlanError(_too_few(wanted))
-    known = replace(known, rig=replace(known.rig, line_travel=wanted.shape.transverse))
-    table, devices = line_rows(known, lines, names, target, wanted.passes)
+            raise PlanError(_too_few(options))
+    known = replace(known, rig=replace(known.rig, line_travel=options.transverse))
+    table, devices = line_rows(known, lines, names, target, options.passes)
     errors = a_priori(site, lines.points, point)
     expected = forecast(_with_lines(known, devices), table, aim)
-    visits = _visits(stops, names, wanted.passes, target)
+    visits = _visits(stops, names, options.passes, target)
     return LinePlan(lines, errors, _with_lines(known, devices).rig, devices, stops, visits, expected, seconds / 60.0)
 
 
-def _driving(wanted: LinesWanted) -> float:
+def _driving(options: LineOptions) -> float:
     """Return the seconds along one line, in all directions and passes."""
-    return 2.0 * wanted.passes * (wanted.shape.length / wanted.shape.speed + 2.0 * SETTLE)
+    return 2.0 * options.passes * (options.length / options.speed + 2.0 * SETTLE)
 
 
-def _most(wanted: LinesWanted) -> int:
+def _most(options: LineOptions) -> int:
     """Return the number of lines that the minutes allow if moves between them took no time."""
-    n = int(60.0 * (wanted.minutes or 0.0) / (SETUP + _driving(wanted)))
+    n = int(60.0 * (options.minutes or 0.0) / (SETUP + _driving(options)))
     if n == 0:
-        raise PlanError(_too_few(wanted))
+        raise PlanError(_too_few(options))
     return n
 
 
-def _too_few(wanted: LinesWanted) -> str:
+def _too_few(options: LineOptions) -> str:
     return (
-        f"a budget of {wanted.minutes:g} min is too small: placing the device takes {SETUP:g} s, and driving along it "
-        f"{_driving(wanted):.0f} s; give more minutes"
+        f"a budget of {options.minutes:g} min is too small: placing the device takes {SETUP:g} s, and driving along it "
+        f"{_driving(options):.0f} s; give more minutes"
     )
 
 
@@ -143,8 +132,8 @@ def line_rows(
         devices[name] = Device(name, cov, None, (rx, ry, rz), None, BY_HAND)
 
     def all_ways(values: Floats, sign: float = 1.0) -> Floats:
-        ways = np.concatenate([values, sign * values[:, ::-1]] * passes, axis=1)
-        return ways.reshape(-1, values.shape[2])
+        passes_of_line = np.concatenate([values, sign * values[:, ::-1]] * passes, axis=1)
+        return passes_of_line.reshape(-1, values.shape[2])
 
     table = planned_table(
         all_ways(lines.points),
@@ -181,20 +170,22 @@ def _with_lines(known: Known, devices: dict[str, Device]) -> Known:
     return replace(known, rig=replace(known.rig, lines={**old, **devices}))
 
 
-def _chosen(known: Known, found: Lines, n: int, wanted: LinesWanted, aim: Aim, target: str) -> list[int]:
+def _chosen(known: Known, candidates: Lines, n: int, options: LineOptions, aim: Aim, target: str) -> list[int]:
     """Return the best ``n`` lines, after fitting the unknowns of their own devices."""
-    parts = []
-    for i in steps_of(range(len(found.q)), f"weighing {len(found.q)} lines"):
-        table, devices = line_rows(known, found.select([i]), ["own"], target, wanted.passes)
+    blocks = []
+    for i in steps_of(range(len(candidates.q)), f"weighing {len(candidates.q)} lines"):
+        table, devices = line_rows(known, candidates.select([i]), ["own"], target, options.passes)
         alone = _with_lines(replace(known, measured=None), devices)
         problem, x, columns = compiled(alone, table)
         (block,) = whitened_blocks(problem, x, columns)
-        own = np.array([name.startswith("line.own.") for name in problem.names])[columns]
-        jac = block.jac.reshape(-1, own.size)
-        unit = prior_unit(alone, problem, columns)[~own]
-        parts.append(condensed(jac[:, ~own] * unit, jac[:, own]))
-    root = region_root(alone, table, aim)[:, ~own]
-    return [int(i) for i in choose(as_blocks(parts), _information(known, parts[0].shape[1]), n, wanted.criterion, root)]
+        of_device = np.array([name.startswith("line.own.") for name in problem.names])[columns]
+        jac = block.jac.reshape(-1, of_device.size)
+        unit = prior_unit(alone, problem, columns)[~of_device]
+        blocks.append(condensed(jac[:, ~of_device] * unit, jac[:, of_device]))
+    root = region_root(alone, table, aim)[:, ~of_device]
+    return [
+        int(i) for i in choose(as_blocks(blocks), _information(known, blocks[0].shape[1]), n, options.criterion, root)
+    ]
 
 
 def _information(known: Known, k: int) -> Floats:
@@ -208,38 +199,38 @@ def _information(known: Known, k: int) -> Floats:
     problem, x, columns = compiled(replace(known, measured=None), known.measured)
     n_robot, unit = int(known.free.sum()), prior_unit(known, problem, columns)
     root = of_rows(settled(problem, x), x, columns).root * unit
-    seen = condensed(root[:, :n_robot], root[:, n_robot:]) if unit.size > n_robot else root
-    information[:n_robot, :n_robot] += seen.T @ seen
+    rows = condensed(root[:, :n_robot], root[:, n_robot:]) if unit.size > n_robot else root
+    information[:n_robot, :n_robot] += rows.T @ rows
     return information
 
 
 def _order(q: Floats) -> list[int]:
     """Order lines (l, n, j) so that each begins near the end of the previous one, which is where that one began."""
-    left, out = list(range(1, len(q))), [0]
-    while left:
-        out.append(min(left, key=lambda i: float(np.abs(q[i, 0] - q[out[-1], 0]).max())))
-        left.remove(out[-1])
-    return out
+    unvisited, order = list(range(1, len(q))), [0]
+    while unvisited:
+        order.append(min(unvisited, key=lambda i: float(np.abs(q[i, 0] - q[order[-1], 0]).max())))
+        unvisited.remove(order[-1])
+    return order
 
 
-def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace: Pace, point: Floats) -> list[Stop]:
+def _stops(site: Site, lines: Lines, names: list[str], options: LineOptions, pace: Pace, point: Floats) -> list[Stop]:
     """Return the beginning of every line, its ends in both directions, and via points between lines."""
     stops: list[Stop] = []
     for number, (q, name) in enumerate(zip(lines.q, names, strict=True)):
-        way = [q[0]]
+        places = [q[0]]
         if stops:
             via = way_without_bar(site, stops[-1].q, q[0], seed=number)
             if via is None:
                 raise PlanError(f"no collision-free path to line {name} was found; try another ", Argument("seed"))
-            way = [*via, q[0]]
+            places = [*via, q[0]]
         first = len(stops)
-        for place in way:
+        for place in places:
             seconds = float(move_seconds(site, stops[-1].q[None], place[None], point, pace)[0]) if stops else 0.0
             stops.append(Stop(place, seconds, Move.VIA))
-        away = "Remove the line device" if first else "Check that no line device is in the way"
-        stops[first] = stops[first]._replace(before=plain(f"{away}. Next: line {name}"))
+        instruction = "Remove the line device" if first else "Check that no line device is in the way"
+        stops[first] = stops[first]._replace(before=plain(f"{instruction}. Next: line {name}"))
         stops[-1] = stops[-1]._replace(there=plain(f"Place the line device along line {name}"))
-        stops += [Stop(place, 0.0, Move.LINE, speed=wanted.shape.speed) for place in (q[-1], q[0]) * wanted.passes]
+        stops += [Stop(place, 0.0, Move.LINE, speed=options.speed) for place in (q[-1], q[0]) * options.passes]
     return stops
 
 

@@ -73,8 +73,8 @@ def characterize_files(files: CharacterizeFiles, bands: Sequence[float]) -> dict
 
 def _recorded_rig(sessions: Sequence[Session]) -> Rig:
     """Return the rig with which all parts of a session were recorded."""
-    first, *others = ((session.path, recorded_rig(session, session.path)) for session in sessions)
-    for path, rig in others:
+    first, *later_parts = ((session.path, recorded_rig(session, session.path)) for session in sessions)
+    for path, rig in later_parts:
         if rig != first[1]:
             raise RigError(f"{path}: was recorded with another rig than {first[0]}; give one as ", Argument("rig"))
     return first[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast
 
@@ -19,15 +19,16 @@ from truearm.files.strict_json import number_or_null
 from truearm.findings import entries
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
-from truearm.plan.approaches import ApproachesWanted, plan_approaches
+from truearm.plan.approaches import plan_approaches
 from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_rig_values
 from truearm.plan.law_forecast import curve_forecasts
-from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
+from truearm.plan.line_plan import LinePlan, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
+from truearm.plan.options import ApproachOptions, LineOptions, PoseOptions
 from truearm.plan.region import Region
 from truearm.plan.route import Visits
 from truearm.plan.route_program import check_joints, check_suffix, program
@@ -37,7 +38,7 @@ from truearm.report.plan_findings import approach_findings, forecast_findings
 from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
-from truearm.workflows.requests import PlanFiles, PoseOptions
+from truearm.workflows.requests import PlanFiles
 from truearm.workflows.selection import all_held_out, default_prior, held_out_rows, proposed_hold_out
 
 LEAST_CHECKS = 3  # fewer reveal little about a drift, and a short plan has no pose to spare
@@ -126,15 +127,17 @@ def _pairings(known: Known, plan: Plan) -> dict[str, Any]:
     """Return the number of poses of each pairing, and what would be left to fit if some were held out."""
     of_pairing = Counter(zip(*(getattr(plan, name).tolist() for name in BAR_MOUNTED), strict=True))
     table = bar_table(known, plan)
-    wanted = [(f"bar={bar}", 0) for bar in dict.fromkeys(plan.bar.tolist())] if len(set(plan.bar.tolist())) > 1 else []
+    proposals = (
+        [(f"bar={bar}", 0) for bar in dict.fromkeys(plan.bar.tolist())] if len(set(plan.bar.tolist())) > 1 else []
+    )
     proposed = proposed_hold_out(table)
     if proposed is not None:
-        wanted.insert(0, (str(proposed.fraction), proposed.seed))
+        proposals.insert(0, (str(proposed.fraction), proposed.seed))
     return {
         "pairings": [
             {**dict(zip(BAR_MOUNTED, names, strict=True)), "poses": poses} for names, poses in of_pairing.items()
         ],
-        "hold_outs": [_hold_out(known, table, words, seed) for words, seed in wanted],
+        "hold_outs": [_hold_out(known, table, words, seed) for words, seed in proposals],
     }
 
 
@@ -155,15 +158,19 @@ def _curves(known: Known, plan: Plan) -> list[dict[str, Any]]:
     """Return what planned poses will show of error curves."""
     return [
         {
-            "joint": one.joint,
+            "joint": curve.joint,
             "ranges": [
-                {"lower_deg": DEG.of(part.lower), "upper_deg": DEG.of(part.upper), "sigma_mrad": MRAD.of(part.sigma)}
-                for part in one.ranges
+                {
+                    "lower_deg": DEG.of(span_of_joint.lower),
+                    "upper_deg": DEG.of(span_of_joint.upper),
+                    "sigma_mrad": MRAD.of(span_of_joint.sigma),
+                }
+                for span_of_joint in curve.ranges
             ],
-            "sigma_mrad": MRAD.of(one.sigma),
-            "unseen_deg": [[DEG.of(end) for end in span] for span in one.unseen],
+            "sigma_mrad": MRAD.of(curve.sigma),
+            "unseen_deg": [[DEG.of(end) for end in span] for span in curve.unseen],
         }
-        for one in curve_forecasts(known, bar_table(known, plan))
+        for curve in curve_forecasts(known, bar_table(known, plan))
     ]
 
 
@@ -201,14 +208,12 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, is_i
 
 
 @step("planning")
-def plan_line_files(
-    files: PlanFiles, wanted: LinesWanted, region: Region | None = None, name: str | None = None
-) -> dict[str, Any]:
-    """Plan, write the requested files, and return the forecast; ``name``: of the rig's target. Raises InputError."""
+def plan_line_files(files: PlanFiles, options: LineOptions, region: Region | None = None) -> dict[str, Any]:
+    """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
     known = _known(files)
-    target = _target(known, name)
-    planned = plan_lines(make_site(known, Limits(), Sizes(), wanted.seed), known, wanted, Pace(), region, target)
+    target = _target(known, options.target)
+    planned = plan_lines(make_site(known, Limits(), Sizes(), options.seed), known, options, Pace(), region, target)
     if files.rig_out is not None:
         write_rig(files.rig_out, planned.rig)
     tool = known.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
@@ -223,27 +228,18 @@ def plan_line_files(
 
 
 @step("planning")
-def plan_approaches_files(
-    files: PlanFiles,
-    wanted: ApproachesWanted,
-    names: Mapping[str, str | None],
-    dwell: float = option_defaults.DWELL,
-    reserve: float | None = None,
-) -> dict[str, Any]:
-    """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message.
-
-    ``names``: of bar, chuck and sphere, by default the rig's first. ``dwell`` [s] and ``reserve`` [m] as in ``BallBarOptions``.
-    """
+def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[str, Any]:
+    """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message."""
     _check(files)
     known = _known(files)
-    limits = _limits(reserve, files.result is not None)
-    pairing = Pairing(**{key: _named(key, names[key], known.rig.mounted()[key]) for key in BAR_MOUNTED})
-    site = make_site(known, limits, Sizes(), wanted.seed)
-    route = plan_approaches(site, pairing, wanted, Pace(dwell=dwell))
-    _write(files, known, route.visits, route.stops, dwell)
+    limits = _limits(options.reserve, files.result is not None)
+    pairing = Pairing(*(_named(what, getattr(options, what), known.rig.mounted()[what]) for what in BAR_MOUNTED))
+    site = make_site(known, limits, Sizes(), options.seed)
+    route = plan_approaches(site, pairing, options, Pace(dwell=options.dwell))
+    _write(files, known, route.visits, route.stops, options.dwell)
     document = {
         **vars(pairing),
-        "poses": wanted.n_poses,
+        "poses": options.poses,
         "via_points": int(np.sum(route.pose < 0)),
         "mounts": route.n_mounts,
         "minutes": route.minutes,
@@ -264,22 +260,22 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
     return replace(known, params=params, rig_values=values, free=robot.free, prior=prior, deciding=deciding)
 
 
-def _named(what: str, given: str | None, have: Iterable[str]) -> str:
+def _named(what: str, name: str | None, have: Iterable[str]) -> str:
     """Return one of the rig's names, by default the first."""
     names = list(have)
-    if (given is None and not names) or (given is not None and given not in names):
-        raise InputError(*_not_in_rig(what, given, names))
-    return names[0] if given is None else given
+    if (name is None and not names) or (name is not None and name not in names):
+        raise InputError(*_not_in_rig(what, name, names))
+    return names[0] if name is None else name
 
 
-def _not_in_rig(what: str, given: str | None, have: Sequence[str]) -> tuple[str, ...]:
+def _not_in_rig(what: str, name: str | None, have: Sequence[str]) -> tuple[str, ...]:
     """Return the message for a name that the rig does not have, or has to be chosen."""
     if not have:
         return (f"the rig has no {what}; add a [[{what}]] to it",)
     listed = ", ".join(have)
-    if given is None:
+    if name is None:
         return f"the rig has several {what}s; choose one of {listed} with ", Argument(what)
-    return Argument(what), f" {given}: is not in the rig; use one of {listed}"
+    return Argument(what), f" {name}: is not in the rig; use one of {listed}"
 
 
 def _limits(reserve: float | None, is_identified: bool) -> Limits:
@@ -337,10 +333,10 @@ def _known(files: PlanFiles) -> Known:
     from truearm.workflows.inputs import Sources, read_sources  # slow to import, as it also reads sessions
     from truearm.workflows.session_parts import with_parts
 
-    same, table, *_ = read_sources(
+    rig, table, *_ = read_sources(
         Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain.joint_units
     )
-    if not isinstance(same, Rig):
+    if not isinstance(rig, Rig):
         raise InputError(
             Argument("measured"), ": rows of several rigs cannot be used for a plan; give the rows of one rig"
         )
@@ -349,8 +345,8 @@ def _known(files: PlanFiles) -> Known:
 
 def _check_travel(known: Known, reserve: float, spread: float) -> None:
     for bar in known.rig.bars.values():
-        left = 0.5 * abs(bar.gain) * bar.travel - reserve - spread
-        if left < LEFT:
+        remaining = 0.5 * abs(bar.gain) * bar.travel - reserve - spread
+        if remaining < LEFT:
             raise InputError(
                 f"bar {bar.name}: its travel of ±{MM.text(0.5 * bar.travel)}, less a reserve of {MM.text(reserve)} and a spread of "
                 f"{MM.text(spread)}, leaves less than {MM.text(LEFT)}; lower ",

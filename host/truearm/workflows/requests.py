@@ -13,24 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from truearm import option_defaults
-from truearm.bounds import (
-    CANDIDATES,
-    CHECK_POSES,
-    DWELL,
-    ITERATIONS,
-    REPEATABILITY,
-    SEED,
-    TRAVEL,
-    VISITS,
-    OneOf,
-    Within,
-)
+from truearm.bounds import ITERATIONS, REPEATABILITY, SEED, OneOf, Within
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
 from truearm.files.robot_file import NO_ROBOT, RobotChoice
-from truearm.plan.criteria import Criterion
 
 if TYPE_CHECKING:
     from truearm.model.poses import Six
@@ -58,22 +46,6 @@ class FitOptions:
     leave_out: tuple[str, ...] = ()
     fit_only: tuple[str, ...] = ()
     joint_laws: Annotated[str, OneOf(tuple(LawMode))] = option_defaults.JOINT_LAWS
-
-
-@dataclass(frozen=True)
-class PoseOptions:
-    """What ``truearm.BallBarOptions`` describes, but for the region."""
-
-    criterion: Annotated[str, OneOf(tuple(Criterion))] = option_defaults.CRITERION
-    candidates: Annotated[int, CANDIDATES] = option_defaults.BAR_CANDIDATES
-    bars: tuple[str, ...] = ()
-    reserve: Annotated[float | None, TRAVEL] = None
-    spread: Annotated[float, TRAVEL] = option_defaults.SPREAD
-    dwell: Annotated[float, DWELL] = option_defaults.DWELL
-    seed: Annotated[int, SEED] = option_defaults.SEED
-    visits: Annotated[int, VISITS] = option_defaults.VISITS
-    check_poses: Annotated[int, CHECK_POSES] = option_defaults.CHECK_POSES
-    joint_laws: bool = False
 
 
 @dataclass(frozen=True)
