@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from truearm.checks.evidence import Design
 from truearm.types import Floats, Indices
@@ -55,9 +55,22 @@ def gain(before: Floats, after: Floats, block: Indices) -> Gain:
     """Return the gain of the residuals (m,) of left-out blocks after something was added to the fit."""
     numbers = np.unique(block)
     squares, later = (np.bincount(block, residual**2)[numbers] for residual in (before, after))
-    less = squares - later
+    less = np.asarray(squares - later, dtype=float)
     if less.size < FEWEST_BLOCKS:
         return Gain(math.nan, math.nan, math.nan)
     t = float(less.mean() / max(less.std(ddof=1) / math.sqrt(less.size), 1e-12))
-    by_ranks = stats.wilcoxon(less, alternative="greater", method="exact").pvalue
-    return Gain(float(less.sum() / squares.sum()), t, float(2.0 * min(special.stdtr(less.size - 1, -t), by_ranks)))
+    chance = min(special.stdtr(less.size - 1, -t), chance_of_ranks(less))
+    return Gain(float(less.sum() / squares.sum()), t, float(2.0 * chance))
+
+
+def chance_of_ranks(less: Floats) -> float:
+    """Return the probability that Wilcoxon's sum of the ranks of positive differences (n,) is so large without a gain.
+
+    It is exact: each rank counts with probability ½. (``scipy.stats.wilcoxon`` gives the same, but takes 0.3 s to import.)
+    """
+    order = np.argsort(np.abs(less), kind="stable")
+    probability = np.ones(1)  # of each sum
+    for rank in range(1, less.size + 1):
+        probability = 0.5 * (np.pad(probability, (0, rank)) + np.pad(probability, (rank, 0)))
+    ranks = 1 + np.flatnonzero(less[order] > 0.0)
+    return float(probability[ranks.sum() :].sum())

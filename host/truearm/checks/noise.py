@@ -29,7 +29,15 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     rows = judged_rows(fit.n)
     inside = np.isin(fit.row, rows)
     row = np.searchsorted(rows, fit.row[inside])
-    few = replace(fit, row=row, component=fit.component[inside], jac=fit.jac[inside], residual=fit.residual[inside])
+    moves = fit.jac[inside].any(axis=0)  # of the others, such as far knots of a curve, there is only the prior
+    few = replace(
+        fit,
+        row=row,
+        component=fit.component[inside],
+        jac=fit.jac[inside][:, moves],
+        residual=fit.residual[inside],
+        wide_prior=fit.wide_prior[:, np.append(moves, True)][fit.wide_prior[:, :-1][:, moves].any(axis=1)],
+    )
     shapes = [(name, width) for name, width in SHAPES if name != "mount" or np.unique(fit.how.run[rows]).size > 1]
     choices = [("white", 0.0, 0.0), *((*shape, share) for shape in shapes for share in SHARES)]
     declared, _ = likelihood(few, DECLARED)

@@ -43,6 +43,7 @@ class Search:
     design: Design
     table: tuple[Weighed, ...]
     bare: Design  # without findings
+    declared: Design  # likewise, with the noise as declared
     fitted: Design  # as the parameters were fitted, without findings
     block: Indices  # (m,) of residuals to leave out together
     refused: tuple[str, ...] = ()  # beyond chance, but they do not predict rows that were left out
@@ -75,7 +76,9 @@ def checked(fit: WhitenedFit) -> Search:
         explained = sum(detection.best.log_evidence - math.log(len(hypotheses)) for detection in plain.detections)
         beside = learned_noise(fit.extended(columns_of(plain.detections, fit), WIDEST)) if still_odd else DECLARED
         kernel = beside if explained + beside.gain > kernel.gain else kernel
-    return plain if kernel.declared else searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted)
+    if kernel.declared:
+        return plain
+    return replace(searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted), declared=bare)
 
 
 def is_odd(design: Design) -> bool:
@@ -106,7 +109,7 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
         table = tuple(weigh(hypothesis, design) for hypothesis in hypotheses)
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count)}
         if not significant or refused or len(detections) == MOST_FINDINGS:
-            return Search(tuple(detections), design, table, bare, fitted, block, refused)
+            return Search(tuple(detections), design, table, bare, bare, fitted, block, refused)
         detection = detected(significant, table, design)
         before = fitted.extended(columns_of(detections, fit))
         after = left_out(before.extended(detection.best.columns), block)

@@ -17,6 +17,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.errors import InputError
 from truearm.estimate.evidence import PriorBlock
@@ -154,6 +155,15 @@ def prior_blocks(laws: Sequence[Law]) -> list[PriorBlock]:
         out.append(block)
         at = block.columns.stop
     return out
+
+
+def acting(law: Law) -> NDArray[np.bool_]:
+    """Return a mask of a law's coefficients without those of a curve that act at no reading within its ``covered`` ranges."""
+    if not isinstance(law, CurveKnots):
+        return np.ones(law.size, dtype=bool)
+    # A coefficient acts up to two spacings away, and a spacing is at most REACH.
+    near = law.first + law.spacing * np.add.outer([-1.0, 0.0, 1.0], np.arange(law.count))
+    return np.asarray(law.covers(near).any(axis=0))
 
 
 @lru_cache(maxsize=8)

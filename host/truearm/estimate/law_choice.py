@@ -55,17 +55,18 @@ def supported(
     is the noise where learning starts, or the choice of nearly the same rows, of which no further law is tried.
     """
     if isinstance(start, LawChoice):
-        laws, dropped = start.kept, dict(start.dropped)
-        found = start.learned._replace(x=make(laws).start)  # beside other faults, the problem has other unknowns
+        of, dropped = make(start.kept), dict(start.dropped)
+        found = start.learned._replace(x=of.start)  # beside other faults, the problem has other unknowns
     else:
-        found = learn(make(laws), start, rounds=1)
+        of = make(laws)
+        found = learn(of, start, rounds=1)
         absent = [unit for unit in _units(laws) if all(found.nats[law] < ABSENT for law in unit)]
         dropped = {law: found.nats[law] for unit in absent for law in unit}
-        found, laws = _without(make(laws), found, dropped), _but(laws, dropped)
-    found = learn(make(laws), found)
+        of, found = make(_but(laws, dropped)), _without(of, found, dropped)
+    found = learn(of, found)
     sure: set[Unit] = set()
-    while laws:
-        units = _units(laws)
+    while of.laws:
+        units = _units(of.laws)
         gain = [sum(found.nats[law] for law in unit) for unit in units]
         weak = sorted((i for i, nats in enumerate(gain) if nats < GATE), key=gain.__getitem__)
         # Two laws of one error leave little evidence for each, so the strongest is judged without the others.
@@ -74,18 +75,18 @@ def supported(
         if doubtful:
             gone = list(units[min(doubtful, key=gain.__getitem__)])
         elif not gone:
-            gone = list(_harmful(make(laws), found, region, units))
+            gone = list(_harmful(of, found, region, units))
         if not gone:
             break
-        fewer, without = _but(laws, gone), _without(make(laws), found, gone)
+        fewer, without = make(_but(of.laws, gone)), _without(of, found, gone)
         if any(found.nats[law] >= ABSENT for law in gone):
-            without = learn(make(fewer), without)
+            without = learn(fewer, without)
         if doubtful and found.evidence - without.evidence >= GATE:
             sure.add(tuple(gone))
             continue
         dropped |= {law: found.nats[law] for law in gone}
-        laws, found = fewer, without
-    return LawChoice(tuple(laws), found, dropped)
+        of, found = fewer, without
+    return LawChoice(of.laws, found, dropped)
 
 
 def without_absent(of: LawProblem, learned: Learned, dropped: Mapping[Law, float]) -> LawChoice:

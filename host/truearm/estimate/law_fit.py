@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from truearm.estimate.evidence import (
     Coefficients,
     Marginal,
+    PriorBlock,
     block_nats,
     coefficients,
     learned,
@@ -25,16 +26,14 @@ from truearm.estimate.evidence import (
     weigh,
 )
 from truearm.estimate.information import fold
-from truearm.estimate.law_candidates import prior_blocks
+from truearm.estimate.law_candidates import acting, prior_blocks
 from truearm.estimate.pose_noise import (
     PoseNoise,
     PoseSample,
-    in_rows,
     learned_noise,
     noise_change,
     pose_information,
     pose_samples,
-    unknowns_of_rows,
 )
 from truearm.estimate.problem import Problem
 from truearm.estimate.whitened_rows import only
@@ -70,15 +69,29 @@ class LawProblem:
     reference: Floats  # (P,)
     sigma: Floats  # (k,)
     laws: tuple[Law, ...]
+    blocks: tuple[PriorBlock, ...]  # of the laws' coefficients
 
     def some(self) -> LawProblem:
-        """Return the problem with a random selection of LEARNING poses."""
+        """Return what the rows say most of: at most LEARNING random poses, and coefficients that act at any reading."""
+        acts = np.concatenate([np.zeros(0, bool), *(acting(law) for law in self.laws)])
+        used = np.ones(self.is_law.size, dtype=bool)
+        used[self.is_law] = acts
+        columns = self.columns.copy()
+        columns[columns] = used
+        blocks, at = [], 0
+        for block in self.blocks:
+            mine = acts[block.columns]
+            blocks.append(
+                replace(block, columns=slice(at, at + int(mine.sum())), kernels=block.kernels[:, mine][..., mine])
+            )
+            at = blocks[-1].columns.stop
+        few = replace(self, columns=columns, is_law=self.is_law[used], sigma=self.sigma[used], blocks=tuple(blocks))
         numbers = np.unique(self.pose)
         share = self.times(LEARNING)
         if share <= 1.0:
-            return self
+            return few
         kept = np.random.default_rng(0).permutation(numbers)[: int(numbers.size / share)]
-        return replace(self, problem=only(self.problem, np.isin(self.pose, kept)))
+        return replace(few, problem=only(self.problem, np.isin(self.pose, kept)))
 
     def times(self, most: tuple[int, int]) -> float:
         """Return how many times as many poses or residuals there are, whichever is more."""
@@ -102,7 +115,7 @@ def law_problem(
 
     Unknowns without a prior get a weak one about ``start``, so redundant parameters are allowed.
     """
-    blocks = prior_blocks(laws)
+    blocks = tuple(prior_blocks(laws))
     is_law = np.zeros(columns.size, dtype=bool)
     is_law[problem.n_robot - (blocks[-1].columns.stop if blocks else 0) : problem.n_robot] = True
     declared = np.isfinite(problem.prior_sigma)
@@ -110,7 +123,7 @@ def law_problem(
     sigma[problem.n_robot :] = RIG_SIGMA
     sigma[declared] = problem.prior_sigma[declared]
     reference = np.where(declared, problem.start, start)
-    return LawProblem(problem, columns, is_law[columns], pose, start, reference, sigma[columns], tuple(laws))
+    return LawProblem(problem, columns, is_law[columns], pose, start, reference, sigma[columns], tuple(laws), blocks)
 
 
 class Learned(NamedTuple):
@@ -145,7 +158,8 @@ def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS, shar
 
     They start from what was learned with more laws; with a noise alone, all variances start small.
     """
-    part, blocks = of.some(), prior_blocks(of.laws)
+    part = of.some()
+    blocks = part.blocks
     if isinstance(start, Learned):
         values, noise, x, least = [start.variances[law] for law in of.laws], start.noise, start.x, 0
     else:
@@ -179,7 +193,7 @@ def nats_of_scatter(of: LawProblem, found: Learned) -> float:
 
 def posterior(of: LawProblem, found: Learned) -> Posterior:
     """Return the posterior of all poses with the learned variances and noise, linearised at what was learned."""
-    blocks = prior_blocks(of.laws)
+    blocks = of.blocks
     values = [found.variances[law] for law in of.laws]
     marginal, rest = _marginal(of, found.x, found.noise)
     weighed = weigh(seen_by(marginal, blocks), blocks, values)
@@ -229,9 +243,8 @@ def _posterior(
 
 def _samples(of: LawProblem, x: Floats, here: Posterior, every: int) -> list[PoseSample]:
     """Return the poses' residuals at the posterior, linearised at x."""
-    mix = unknowns_of_rows(of.problem, x, of.columns)
-    step = mix @ np.append((x - here.x)[of.columns], 1.0)
-    return pose_samples(of.problem, x, of.pose, step, in_rows(mix, here.covariance), every)
+    step = (x - here.x)[of.columns]
+    return pose_samples(of.problem, x, of.columns, of.pose, step, here.covariance, every)
 
 
 def _rows_used(problem: Problem) -> Indices:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.law_fit import LawProblem, Posterior
-from truearm.estimate.pose_noise import PoseNoise, in_rows, pose_rows, spread_of, unknowns_of_rows
+from truearm.estimate.pose_noise import PoseNoise, pose_rows, spread_of
 from truearm.estimate.whitened_rows import gate, noise_root
 from truearm.kinds.group import unit_columns
 from truearm.results import ResidualParts
@@ -41,14 +41,13 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = 
     left_out, distance = problem.no_residuals(), np.full(problem.n_rows, np.nan)
     beyond, widths = np.zeros(problem.n_rows, dtype=bool), np.ones(problem.n_rows, dtype=np.intp)
     squares: dict[str, list[Floats]] = {}
-    posterior = in_rows(unknowns_of_rows(problem, found.x, of.columns), found.covariance)
-    for poses in pose_rows(problem, found.x, of.pose):
+    for poses in pose_rows(problem, found.x, of.columns, of.pose):
         if poses.is_knowledge:
             continue
         poses = poses.projected(np.concatenate([poses.rows, poses.moved], axis=2))
         w = poses.rows.shape[1]
         cov, residual = poses.covariances(noise), poses.rows[..., -1]
-        spread = spread_of(poses.rows, posterior)
+        spread = spread_of(poses.rows, found.covariance)
         values, vectors = np.linalg.eigh(cov - spread if fitted else cov + spread)
         alone = values <= LEAST_SHARE * cov[:, range(w), range(w)].max(axis=1, keepdims=True)  # nothing contradicts it
         inverse = np.where(alone, 0.0, 1.0 / np.where(alone, 1.0, values))

@@ -68,7 +68,7 @@ class RowsByPose(NamedTuple):
     """n poses with w whitened residuals each, and equally many rows of each kind per pose."""
 
     kinds: tuple[RowsOfKind, ...]
-    rows: Floats  # (n, w, b + r + 1) wrenches, by the rig's unknowns, residual
+    rows: Floats  # (n, w, k + 1) derivatives by the unknowns, and the residual
     moved: Floats  # (n, w, 6 + j) [T|W|C]
     basis: Floats | None = None  # (n, N, w), of w of N residuals, if the poses are projected
 
@@ -81,7 +81,7 @@ class RowsByPose(NamedTuple):
         return self._replace(rows=turn @ self.rows, moved=turn @ self.moved, basis=basis)
 
     def split(self) -> tuple[RowsByPose, Floats]:
-        """Return the poses on a basis of [T|W|C], and their rows beyond it (n, N, b + r + 1); N is 0 if none are."""
+        """Return the poses on a basis of [T|W|C], and their rows beyond it (n, N, k + 1); N is 0 if none are."""
         shared = self.projected(self.moved)
         beyond = self.rows[:, :0] if shared.basis is None else self.rows - shared.basis @ shared.rows
         return shared, beyond
@@ -121,20 +121,22 @@ class PoseInformation(NamedTuple):
     logdet: float
 
 
-def pose_rows(problem: Problem, x: Floats, pose: Indices, every: int = 1) -> Iterator[RowsByPose]:
-    """Return all poses, or every ``every``-th, linearised at x, in chunks with equally many rows of each kind per pose.
+def pose_rows(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, every: int = 1
+) -> Iterator[RowsByPose]:
+    """Return all poses, or every ``every``-th, in chunks with equally many rows of each kind per pose.
 
-    ``pose`` (n_rows,) holds the numbers of the poses.
+    The unknowns are x[columns], linearised at x. ``pose`` (n_rows,) holds the numbers of the poses.
     """
-    width = len(folded(problem.chain, x[: problem.n_robot]).twists) + len(problem.names) - problem.n_robot + 1
-    for pieces in _pieces(problem.groups, pose, width, every):
+    by_unknowns = _by_unknowns(problem, x, columns)
+    for pieces in _pieces(problem.groups, pose, by_unknowns.shape[0], every):
         ends = np.cumsum([count * group.sensor_cov.shape[1] for group, count in pieces]).tolist()
         whitened = [_whitened(problem, x, group, count) for group, count in pieces]
         places = (slice(first, last) for first, last in pairwise([0, *ends]))
         kinds = (RowsOfKind(group, of[0], at) for (group, _), of, at in zip(pieces, whitened, places, strict=True))
-        yield RowsByPose(
-            tuple(kinds), *(np.concatenate(arrays, axis=1) for arrays in zip(*(of[1:] for of in whitened), strict=True))
-        )
+        rows, moved = (np.concatenate(arrays, axis=1) for arrays in zip(*(of[1:] for of in whitened), strict=True))
+        n, w, _ = rows.shape
+        yield RowsByPose(tuple(kinds), (rows.reshape(n * w, -1) @ by_unknowns).reshape(n, w, -1), moved)
 
 
 def _pieces(groups: Sequence[Group], pose: Indices, width: int, every: int) -> Iterator[list[tuple[Group, int]]]:
@@ -165,7 +167,7 @@ def _pieces(groups: Sequence[Group], pose: Indices, width: int, every: int) -> I
 
 
 def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> tuple[Floats, Floats, Floats]:
-    """Return the rows' declared covariances, and ``rows`` and ``moved`` of their poses."""
+    """Return the rows' declared covariances; of their poses wrenches, by the rig's unknowns, residual; and ``moved``."""
     lin = piece.evaluate(problem.chain, x)
     w, n, _ = lin.wrenches.shape
     end = folded(problem.chain, x[: problem.n_robot]).end
@@ -183,41 +185,36 @@ def pose_information(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise
 ) -> PoseInformation:
     """Return the observations' information on x[columns] and the residual, at x with the given noise."""
-    mix = unknowns_of_rows(problem, x, columns)
-    triangle, logdet = np.zeros((mix.shape[0], mix.shape[0])), 0.0
-    for poses in pose_rows(problem, x, pose):
+    width = int(columns.sum()) + 1
+    triangle, logdet = np.zeros((width, width)), 0.0
+    for poses in pose_rows(problem, x, columns, pose):
         shared, beyond = poses.split()
         root = np.linalg.cholesky(shared.covariances(noise))
         logdet += 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
         logdet += len(root) * shared.spare * math.log(noise.sensor)
         rows = shared.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ shared.rows
         for whole in (rows, beyond / math.sqrt(noise.sensor)):
-            triangle = fold(triangle, whole.reshape(-1, whole.shape[2]))
-    return PoseInformation(np.asarray(triangle @ mix), logdet)
+            triangle = fold(triangle, whole.reshape(-1, width))
+    return PoseInformation(triangle, logdet)
 
 
-def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
-    """Return (b + r + 1, k + 1), nearly all zeros: ``RowsByPose.rows`` times it are the derivatives by x[columns], and the residual."""
+def _by_unknowns(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
+    """Return (b + r + 1, k + 1), nearly all zeros: what ``_whitened`` has times it are the rows of ``RowsByPose``."""
     robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
     twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
     b, p = twists.shape
-    mix = np.zeros((b + rig.size + 1, p + int(rig.sum()) + 1))
-    mix[:b, :p] = twists
-    mix[b + np.flatnonzero(rig), p + np.arange(int(rig.sum()))] = 1.0
-    mix[-1, -1] = 1.0
-    return csr_array(mix)
-
-
-def in_rows(mix: csr_array, covariance: Floats) -> Floats:
-    """Return the covariance (k, k) of the unknowns in terms of ``RowsByPose.rows``, with zeros for the residual."""
-    unknowns = mix[:, :-1]
-    return np.asarray(unknowns @ (unknowns @ covariance).T)
+    out = np.zeros((b + rig.size + 1, p + int(rig.sum()) + 1))
+    out[:b, :p] = twists
+    out[b + np.flatnonzero(rig), p + np.arange(int(rig.sum()))] = 1.0
+    out[-1, -1] = 1.0
+    return csr_array(out)
 
 
 def spread_of(rows: Floats, posterior: Floats) -> Floats:
-    """Return J P Jᵀ (n, w, w) of the rows (n, w, b) of poses, P (b, b)."""
-    n, w, b = rows.shape
-    return np.asarray((rows.reshape(n * w, b) @ posterior).reshape(n, w, b) @ rows.swapaxes(1, 2))
+    """Return J P Jᵀ (n, w, w) of the ``rows`` (n, w, k + 1) of poses, P (k, k)."""
+    n, w, width = rows.shape
+    jac = rows[..., :-1]
+    return np.asarray((jac.reshape(n * w, width - 1) @ posterior).reshape(jac.shape) @ jac.swapaxes(1, 2))
 
 
 class PoseSample(NamedTuple):
@@ -233,17 +230,15 @@ class PoseSample(NamedTuple):
 
 
 def pose_samples(
-    problem: Problem, x: Floats, pose: Indices, step: Floats, posterior: Floats, every: int
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, step: Floats, posterior: Floats, every: int
 ) -> list[PoseSample]:
-    """Return the poses' information about the noise once x has moved by a step.
-
-    Step and posterior are in terms of ``unknowns_of_rows``, (b + r + 1,) and (b + r + 1, b + r + 1).
-    """
-    out = []
-    for poses in pose_rows(problem, x, pose, every):
+    """Return the poses' information about the noise once x[columns] has moved by −``step`` (k,); ``posterior`` (k, k)."""
+    out, step = [], np.append(step, 1.0)
+    for poses in pose_rows(problem, x, columns, pose, every):
         if not poses.is_knowledge:
             shared, beyond = poses.split()
-            square, spread = ((beyond @ step) ** 2).sum(), ((beyond @ posterior) * beyond).sum()
+            square = ((beyond @ step) ** 2).sum()
+            spread = ((beyond[..., :-1] @ posterior) * beyond[..., :-1]).sum()
             sums = len(beyond) * shared.spare, float(square), float(spread)
             out.append(PoseSample(shared.rows @ step, spread_of(shared.rows, posterior), shared.moved, sums))
     return out

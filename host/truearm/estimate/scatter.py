@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from truearm.estimate.law_fit import LawProblem, Learned, law_problem, learn, nats_of_scatter
-from truearm.estimate.pose_noise import MOTIONS, PoseNoise, pose_rows, unknowns_of_rows
+from truearm.estimate.pose_noise import MOTIONS, PoseNoise, pose_rows
 from truearm.estimate.problem import Problem
 from truearm.estimate.uncertainty import Goodness
 from truearm.results import Scatter
@@ -74,11 +74,10 @@ def covariance_with(
 ) -> Floats:
     """Return the covariance (k, k) of least-squares estimates at x (P,), where ``root`` (k, r) is S."""
     sigma = np.concatenate([np.repeat([scatter.shared, scatter.turned], MOTIONS), list(scatter.joint.values())])
-    of_rows = unknowns_of_rows(problem, x, columns)[:, :-1] @ root
     excess = np.eye(root.shape[1])
-    for poses in pose_rows(problem, x, pose):
+    for poses in pose_rows(problem, x, columns, pose):
         if not poses.is_knowledge:
-            seen = poses.rows @ of_rows
+            seen = poses.rows[..., :-1] @ root
             rows = seen.reshape(-1, root.shape[1])
             along = ((poses.moved * sigma).swapaxes(1, 2) @ seen).reshape(-1, root.shape[1])
             excess += max(scatter.factor - 1.0, 0.0) * rows.T @ rows + along.T @ along  # at least as declared
