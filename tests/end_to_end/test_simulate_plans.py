@@ -62,10 +62,6 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
             "ur5e.csv: was made for robot ur5e",
         ),
         (
-            ["--plan", "{}/nameless.csv", "--rig", "{}/ur5e.toml"],
-            "robot puma560 would pull",
-        ),
-        (
             ["--plan", "{}/nameless.csv", "--rig", "{}/ur5e.toml", "--model", "panda"],
             "other-robot",
         ),

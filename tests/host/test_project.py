@@ -472,15 +472,6 @@ def test_the_newest_file_is_the_one_written_last(tmp_path):
         assert [path.stem for path in of(tmp_path)] == ["2026-11-25-120000", "a-new", "z-old"]
 
 
-def test_a_command_without_a_file_names_one_elsewhere_in_the_project(project, run):
-    """For the session of a rehearsal, which is in no usual folder, the whole command line is printed."""
-    assert "folder sessions (truearm.toml) holds no session yet" in run("inspect").err
-    assert "folder results (truearm.toml) holds no result yet" in run("report").err
-    (project / "rehearsal").mkdir()
-    recorded(project / "rehearsal" / "session.mcap")
-    recorded(project / "other.mcap")
-    os.utime(project / "other.mcap", (1e9, 1e9))
-    (project / "notes.json").write_text("[1]")
-    code, _, err = run("inspect")
-    assert code == 2
-    assert "type: truearm inspect rehearsal/session.mcap (there" in err
+def test_a_command_without_a_file_names_the_command_that_makes_one(project, run):
+    assert "folder sessions (truearm.toml) holds no session yet; make one with truearm record" in run("inspect").err
+    assert "folder results (truearm.toml) holds no result yet; make one with truearm identify" in run("report").err

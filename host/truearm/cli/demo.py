@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import typer
 
 from truearm.cli.command import Answer, command
-from truearm.cli.output import warn
+from truearm.cli.options import command_line, sources_of
 from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
 
 DEMO = SimulateOptions(Path("out/demo"), poses=90, rate=FAST_RATE_HZ)
@@ -65,16 +64,17 @@ def demo(
     from truearm.finding_texts import Severity
     from truearm.report.result_findings import result_findings
     from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
-    from truearm.workflows.inputs import Sources
     from truearm.workflows.selection import last_of_each
     from truearm.workflows.simulate import SESSION, simulate_fast
 
     request = replace(request, poses=FULL_POSES) if full else request
     simulate_fast(request, lambda text: print(text, file=sys.stderr if json else None, flush=True))
-    folder, command_line = request.out, shlex.join(["truearm", *(context.obj or [])])
+    folder = request.out
     table, page = folder / "observations.csv", folder / "report.html"
-    sources = Sources((folder / SESSION,), say=warn)
-    files = IdentifyFiles(request.robot, sources, (folder / "result.json",), table, page, command_line, force=True)
+    sources = sources_of([folder / SESSION], None)
+    files = IdentifyFiles(
+        request.robot, sources, (folder / "result.json",), table, page, command_line(context), force=True
+    )
     document = identify_files(files, last_of_each(read_plan(folder / "plan.csv")), DEFAULTS).document
     answers = [
         finding

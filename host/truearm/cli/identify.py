@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +9,7 @@ import typer
 
 from truearm.bounds import LINE_POINTS
 from truearm.cli.command import Answer, command
-from truearm.cli.options import rigs_of
-from truearm.cli.output import warn
+from truearm.cli.options import command_line, sources_of
 from truearm.cli.project import typed
 from truearm.errors import InputError
 from truearm.estimate.solvers import SOLVERS, with_loss
@@ -106,19 +104,16 @@ def identify(
     from truearm.cli.details import result_tables
     from truearm.report.result_findings import result_findings
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
-    from truearm.workflows.inputs import Sources
     from truearm.workflows.selection import is_drawn
-    from truearm.workflows.session_parts import with_parts
 
     if typed(context, "seed") is not None and not any(map(is_drawn, hold_out or ())):
         raise InputError("needs-option", place="--seed", needed="a fraction to hold out, such as --hold-out 0.2")
-    sources = Sources(tuple(with_parts(inputs)), rigs_of(rig), noise, allow_damaged, line_points, warn)
-    command_line = shlex.join(["truearm", *(context.obj or [])])
+    sources = sources_of(inputs, rig, noise=noise, allow_damaged=allow_damaged, line_points=line_points)
     results = [] if out is None else [out]
     kept = context.lookup_default("out")  # in the project
     if out and kept and typed(context, "out") and Path(kept).resolve().parent != out.resolve().parent:
         results.append(Path(kept))
-    files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line, force)
+    files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line(context), force)
     document = identify_files(files, hold_out or [], IdentifyOptions(**vars(options))).document
     return Answer(
         document,

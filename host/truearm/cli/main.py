@@ -230,7 +230,7 @@ def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:
     """Return the message for a file that is missing on a project's command line, None for any other error."""
     parameter = getattr(exc, "param", None)
     wanted = type(exc).__name__ == "MissingParameter" and parameter is not None
-    return missing_file(parameter.name or "", arguments, Path.cwd()) if wanted and parameter else None
+    return missing_file(parameter.name or "", arguments[0], Path.cwd()) if wanted and parameter else None
 
 
 def _shown_progress() -> AbstractContextManager[None]:

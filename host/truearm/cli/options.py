@@ -108,10 +108,13 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import typer
 
 from truearm import option_defaults
 from truearm.bounds import Within
@@ -127,6 +130,7 @@ if TYPE_CHECKING:
     from truearm.model.workspace import Branch
     from truearm.types import Payload
     from truearm.workflows.certificates import Issue
+    from truearm.workflows.inputs import Sources
 
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
@@ -168,6 +172,20 @@ def rigs_of(given: list[str] | None) -> dict[str, Path]:
     if "" in files and len(files) > 1:
         raise InputError(f"--rig {files['']}: several rigs need names; write --rig NAME=FILE")
     return files
+
+
+def sources_of(inputs: list[Path], rig: list[str] | None, **options: Any) -> Sources:
+    """Return what a command reads: sessions with their further parts, tables, and the rigs of ``--rig``; it warns on standard error."""
+    from truearm.cli.output import warn
+    from truearm.workflows.inputs import Sources
+    from truearm.workflows.session_parts import with_parts
+
+    return Sources(tuple(with_parts(inputs)), rigs_of(rig), say=warn, **options)
+
+
+def command_line(context: typer.Context) -> str:
+    """Return what was typed, as reports quote it."""
+    return shlex.join(["truearm", *(context.obj or [])])
 
 
 def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple[float, ...] | None:

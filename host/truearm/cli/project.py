@@ -273,32 +273,14 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     }
 
 
-MOST = 3  # files that are named in addition to the proposed one
-
-
-def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str | None:
-    """Return the message for a command line without a result or session; None outside a project, and for others.
-
-    ``parameter`` is the name of the command's argument. The message names the command line that reads the newest session
-    elsewhere in the project, for example that of a rehearsal.
-    """
-    is_of_project = parameter in ("result", "inputs", "session") and (parameter, arguments[0]) != ("inputs", "validate")
+def missing_file(parameter: str, command: str, folder: Path) -> str | None:
+    """Return the message for a command without its argument ``parameter``, a result or sessions; None outside a project."""
+    is_of_project = parameter in ("result", "inputs", "session") and (parameter, command) != ("inputs", "validate")
     found = project_of(folder) if is_of_project else None
     if found is None:
         return None
-    from truearm.workflows.project import by_time, folders_of, sessions_of
-
     project, home = found
-
-    def lack(name: str, what: str) -> str:
-        return f"the folder {os.path.relpath(home / name, folder)} (truearm.toml) holds no {what} yet"
-
-    if parameter == "result":
-        return f"{lack(project.results, 'result')}; make one with truearm identify"
-    sessions = by_time(path for subfolder in folders_of(home) for path in sessions_of(subfolder))
-    if not sessions:
-        return f"{lack(project.sessions, 'session')}; make one with truearm record"
-    *others, newest = (os.path.relpath(path, folder) for path in sessions)
-    proposed = shlex.join(["truearm", *arguments, newest])
-    more = f" (there is also {', '.join(others[-MOST:])})" * bool(others)
-    return f"{lack(project.sessions, 'session')}; to read another one, type: {proposed}{more}"
+    is_result = parameter == "result"
+    place = os.path.relpath(home / (project.results if is_result else project.sessions), folder)
+    what, source = ("result", "truearm identify") if is_result else ("session", "truearm record")
+    return f"the folder {place} (truearm.toml) holds no {what} yet; make one with {source}, or name the file of another"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +9,7 @@ import typer
 
 from truearm.bounds import LINE_POINTS, Within
 from truearm.cli.command import Answer, command
-from truearm.cli.options import issue_of, rigs_of
-from truearm.cli.output import warn
+from truearm.cli.options import command_line, issue_of, sources_of
 from truearm.files.robot_file import NO_ROBOT, RobotChoice
 from truearm.text import one_line
 
@@ -57,13 +55,10 @@ def report(
         Points of each pass, as given to truearm identify.
     """
     from truearm.workflows.identify import IdentifyFiles
-    from truearm.workflows.inputs import Sources
     from truearm.workflows.report import report_files
-    from truearm.workflows.session_parts import with_parts
 
-    sources = Sources(tuple(with_parts(inputs or [])), rigs_of(rig), None, True, line_points, warn)
-    command_line = shlex.join(["truearm", *(context.obj or [])])
-    files = IdentifyFiles(robot, sources, command=command_line, force=force)
+    sources = sources_of(inputs or [], rig, allow_damaged=True, line_points=line_points)
+    files = IdentifyFiles(robot, sources, command=command_line(context), force=force)
     certificate = report_files(result, files, out, issue_of(number, tolerance_mm))
     lines = [f"{certificate.heading}: {certificate.decision}", f"Written: {one_line(str(out))}"]
     return Answer({"report": str(out), "decision": certificate.decision}, lines)

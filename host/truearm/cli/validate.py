@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +9,7 @@ import typer
 
 from truearm.bounds import Within
 from truearm.cli.command import Answer, command
-from truearm.cli.options import issue_of, rigs_of
-from truearm.cli.output import warn
+from truearm.cli.options import command_line, issue_of, sources_of
 from truearm.errors import Argument, InputError
 from truearm.files.robot_file import NO_ROBOT, RobotChoice
 
@@ -57,14 +55,11 @@ def validate(
     """
     from truearm.report.validation_findings import error_tables
     from truearm.workflows.identify import IdentifyFiles
-    from truearm.workflows.inputs import Sources
     from truearm.workflows.report import validate_files
-    from truearm.workflows.session_parts import with_parts
 
-    sources = Sources(tuple(with_parts(inputs)), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
+    sources = sources_of(inputs, rig, allow_damaged=allow_damaged)
     if report is None and (number or tolerance_mm is not None):
         raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))
-    command_line = shlex.join(["truearm", *(context.obj or [])])
-    files = IdentifyFiles(robot, sources, report=report, command=command_line, force=force)
+    files = IdentifyFiles(robot, sources, report=report, command=command_line(context), force=force)
     document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
     return Answer(document, tables=error_tables(document), written=[report], more="Errors by region: --details")

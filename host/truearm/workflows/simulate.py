@@ -18,7 +18,6 @@ from truearm.box.readiness import LVDT_DRIFT
 from truearm.errors import Argument, IncompleteError, InputError, LinkError, PlanError
 from truearm.files.disk import write_atomic
 from truearm.files.robot_file import RobotChoice
-from truearm.model.chain import point_forward
 from truearm.plan.branches import branch_of
 from truearm.progress import step
 from truearm.text import counted
@@ -412,10 +411,7 @@ def with_repeatability(rig: Rig, truth: TruthOptions) -> Rig:
 
 
 def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
-    """Raise PlanError with advice for a plan made for another robot; ``name`` is the plan's file.
-
-    If the plan does not name its robot, the bars show it: another arm would pull most of them beyond their travel.
-    """
+    """Raise PlanError with advice for a plan made for another robot or rig; ``name`` is the plan's file."""
     from truearm.files.plan_file import check_against_rig, check_robot
 
     chain = robot.chain
@@ -423,22 +419,6 @@ def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
     if plan.q.shape[1] != len(chain.joints):
         raise PlanError("other-robot", place=name, joints=plan.q.shape[1], expected=len(chain.joints))
     check_against_rig(plan, rig, name)
-    rows = np.flatnonzero(plan.dwells)
-    if not rows.size:
-        return
-    bars = [rig.bars[bar] for bar in plan.bar[rows]]
-    p_sphere, p_chuck = (
-        np.array([points[point].xyz for point in names[rows]])
-        for points, names in ((rig.spheres, plan.sphere), (rig.chucks, plan.chuck))
-    )
-    length = np.linalg.norm(point_forward(chain, chain.params_nominal, plan.q[rows], p_sphere) - p_chuck, axis=1)
-    beyond = np.abs(length - [bar.zero for bar in bars]) - [0.5 * abs(bar.gain) * bar.travel for bar in bars]
-    if np.mean(beyond > 0.0) > 0.5:
-        text = (
-            f"{name}: robot {chain.name} would pull the bar out of its travel at {int(np.sum(beyond > 0.0))} of {rows.size} poses, by "
-            f"{MM.text(float(np.median(beyond[beyond > 0.0])), '.0f')} (median); the plan is for another robot or rig; choose them with "
-        )
-        raise PlanError(text, Argument("model"), " and ", Argument("rig"))
 
 
 def write_truth(path: Path, world: World, robot: Robot, truth: TruthOptions, seed: int) -> None:
