@@ -137,7 +137,7 @@ def command(**texts: str) -> Callable[[F], F]:
 
     def declare(function: F) -> F:
         page, entries = described(function.__doc__, {**options.TEXTS, **texts})
-        known = {**SHARED, **entries}
+        described_names = {**SHARED, **entries}
         hints = get_type_hints(function, include_extras=True)
         answers = hints.pop("return", None) is Answer
         keyword, declared = inspect.Parameter.KEYWORD_ONLY, dict(inspect.signature(function).parameters)
@@ -148,10 +148,10 @@ def command(**texts: str) -> Callable[[F], F]:
         for name, parameter in declared.items():
             is_option, kind = parameter.kind is keyword, hints.get(name, bool)
             field = [(name, kind, parameter.default, is_option)]
-            fields = _fields(kind, known, parameter.default) if is_record(kind) else field
+            fields = _fields(kind, described_names, parameter.default) if is_record(kind) else field
             for option, hint, default, is_option in fields:
-                shared, own = (of.pop((is_option, option), Entry()) for of in (dict(SHARED), entries))
-                entry = Entry(*(mine or theirs for mine, theirs in zip(own, shared, strict=True)))
+                shared, own_entry = (table.pop((is_option, option), Entry()) for table in (dict(SHARED), entries))
+                entry = Entry(*(field or theirs for field, theirs in zip(own_entry, shared, strict=True)))
                 hint = hint if hint is typer.Context else _declared(option, hint, is_option, entry)
                 parameters.append(parameter.replace(name=option, annotation=hint, default=default))
         if entries:
@@ -166,7 +166,7 @@ def command(**texts: str) -> Callable[[F], F]:
 
         run.__name__, run.__doc__ = function.__name__, EXAMPLE.sub("\b\n", page)
         run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        run.__signature__ = inspect.Signature([one.replace(kind=keyword) for one in parameters])  # type: ignore[attr-defined]
+        run.__signature__ = inspect.Signature([parameter.replace(kind=keyword) for parameter in parameters])  # type: ignore[attr-defined]
         return cast(F, run)
 
     return declare
@@ -253,7 +253,7 @@ def fill(kind: Callable[..., R], given: Mapping[str, Any], **values: Any) -> R:
     """
     fields, hints = inspect.signature(kind).parameters, hints_of(kind)
     for name, value in given.items():
-        field = next((of for of in (name, FIELDS.get(name), stem_of(name)) if of in fields), "")
+        field = next((field_name for field_name in (name, FIELDS.get(name), stem_of(name)) if field_name in fields), "")
         if value is not None and field and field not in values and (field == name or not is_record(hints[field])):
             if isinstance(value, str | list) and field in options.READERS:
                 value = options.READERS[field](value)

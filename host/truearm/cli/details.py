@@ -34,8 +34,8 @@ def result_tables(document: Document) -> Iterator[Table | str]:
     for field, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
         directions = document[field]
         if directions:
-            what = counted(len(directions), "combination")
-            yield f"{what} of parameters {'is' if len(directions) == 1 else 'are'} {words}; weights in m, rad and 1:"
+            combinations = counted(len(directions), "combination")
+            yield f"{combinations} of parameters {'is' if len(directions) == 1 else 'are'} {words}; weights in m, rad and 1:"
             yield from _directions(directions, field)
     for suffix in document["residual_units"]:
         yield _error_table(document, suffix)
@@ -54,15 +54,15 @@ def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
 def _error_table(document: Document, suffix: str) -> Table:
     """Return the errors in the unit of ``suffix``: of the fitted rows, of each kind, of the held-out rows."""
     scale = SUFFIXES[suffix]
-    before, after = f"rms_before_{suffix}", f"rms_after_{suffix}"
+    key_before, key_after = f"rms_before_{suffix}", f"rms_after_{suffix}"
     form = f".{UNITS[scale.si].decimals}f"
     rows: list[tuple[str, ...]] = []
-    entries = [entry for entry in document["observations"] if entry[after] is not None]
+    entries = [entry for entry in document["observations"] if entry[key_after] is not None]
     says_nothing = has_little_freedom(document)
     fitted = [("fitted, RMS", {**document, "fitted": sum(entry["fitted"] for entry in entries)})] if entries else []
     fitted += [(f"  {_kind_of(entry)}", entry) for entry in entries] if len(document["observations"]) > 1 else []
     for words, entry in fitted:
-        numbers = entry[before], None if says_nothing else entry[after]
+        numbers = entry[key_before], None if says_nothing else entry[key_after]
         rows.append((words, *(_number(number, form) for number in numbers), str(entry["fitted"])))
     held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
     if held_out.get(f"n_{suffix}"):
@@ -108,8 +108,8 @@ def _planned_line(row: Document) -> tuple[str, ...]:
 
 def _hold_out(row: Document) -> tuple[object, ...]:
     seed = f" --seed {row['seed']}" * (row["seed"] > 0)
-    gone = [name for name in row["all_held_out"] if name != row["hold_out"]]
-    return f"--hold-out {row['hold_out']}{seed}", row["poses"], row["rank"], ", ".join(gone) or "-"
+    lost_names = [name for name in row["all_held_out"] if name != row["hold_out"]]
+    return f"--hold-out {row['hold_out']}{seed}", row["poses"], row["rank"], ", ".join(lost_names) or "-"
 
 
 def _sigma(parameter: Document) -> tuple[str, str]:
@@ -188,8 +188,9 @@ def correction_tables(done: CorrectedFile) -> Iterator[Table | str]:
     """Return the errors of the first targets, and their RMS."""
     from truearm.workflows.correct import SHOWN
 
-    before, after = done.correction.before, done.correction.after
-    names, errors = [*done.places[:SHOWN], "RMS"], [[*of[:SHOWN], rms_of_columns(of)] for of in (before, after)]
+    error_before, error_after = done.correction.before, done.correction.after
+    names = [*done.places[:SHOWN], "RMS"]
+    errors = [[*column[:SHOWN], rms_of_columns(column)] for column in (error_before, error_after)]
     cells = map(_error_cells, *errors)
     titles = ("target", "before [mm]", "after [mm]", "before [deg]", "after [deg]")
     yield Table(titles, ((name, *row) for name, row in zip(names, cells, strict=True)))
@@ -205,10 +206,10 @@ def refused_lines(refused: Sequence[Refused]) -> list[str]:
         f"  {one_line(move.file)} line {move.line}: {one_line(move.statement)}: {move.reason.text(option)}"
         for move in refused[:MOST_REFUSED]
     ]
-    more = [f"  and {counted(len(refused) - MOST_REFUSED, 'more move')}"] * (len(refused) > MOST_REFUSED)
-    return [f"{counted(len(refused), 'move')} not corrected:", *rows, *more]
+    hidden_moves = [f"  and {counted(len(refused) - MOST_REFUSED, 'more move')}"] * (len(refused) > MOST_REFUSED)
+    return [f"{counted(len(refused), 'move')} not corrected:", *rows, *hidden_moves]
 
 
 def _error_cells(*errors: Floats) -> list[str]:
     """Return errors of position and orientation without and with the correction."""
-    return [*(number(of[0], "m", 4) for of in errors), *(number(of[1], "rad", 5) for of in errors)]
+    return [*(number(error[0], "m", 4) for error in errors), *(number(error[1], "rad", 5) for error in errors)]

@@ -45,10 +45,10 @@ def _short(findings: Sequence[Finding], console: Console, room: int, more: str) 
     """Return all findings but notes, in at most ``room`` lines."""
     texts = [_text(finding) for finding in findings if finding.severity is not Severity.NOTE]
     shown: list[str] = []
-    used = 1
+    n_lines = 1
     for text in texts:
-        used += len(console.render_lines(text, pad=False))
-        if used > room:
+        n_lines += len(console.render_lines(text, pad=False))
+        if n_lines > room:
             break
         shown.append(text)
     hidden = len(texts) - len(shown)

@@ -110,9 +110,9 @@ def identify(
         raise InputError("needs-option", place="--seed", needed="a fraction to hold out, such as --hold-out 0.2")
     sources = sources_of(inputs, rig, noise=noise, allow_damaged=allow_damaged, line_points=line_points)
     results = [] if out is None else [out]
-    kept = context.lookup_default("out")  # in the project
-    if out and kept and typed(context, "out") and Path(kept).resolve().parent != out.resolve().parent:
-        results.append(Path(kept))
+    default = context.lookup_default("out")  # in the project
+    if out and default and typed(context, "out") and Path(default).resolve().parent != out.resolve().parent:
+        results.append(Path(default))
     files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line(context), force)
     document = identify_files(files, hold_out or [], IdentifyOptions(**vars(options))).document
     return Answer(

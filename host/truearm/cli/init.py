@@ -110,10 +110,10 @@ def init(
     from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
 
     sockets = None
-    for other, names in OWN_OPTIONS.items():
-        for name in names if other != method else ():
+    for other_method, names in OWN_OPTIONS.items():
+        for name in names if other_method != method else ():
             if typed(context, name) is not None:
-                raise InputError("no-effect", place=Argument(name), reason=f"it is for --method {other}")
+                raise InputError("no-effect", place=Argument(name), reason=f"it is for --method {other_method}")
     if method == "sockets":
         x, y, z = numbers_of("--ball-xyz-mm", ball_xyz_mm, 3) or (0.0, 0.0, 0.0)
         ball = MM.to_si(x), MM.to_si(y), MM.to_si(z)
@@ -122,10 +122,10 @@ def init(
     if model is None and not asking:
         raise InputError("--model is missing: give a built-in robot, a robot file or a URDF (see truearm init --help)")
 
-    def ask(given: str | None, question: str, read: Callable[[str], str], default: str = "") -> str:
+    def ask(option_text: str | None, question: str, read: Callable[[str], str], default: str = "") -> str:
         """Return what was given or is answered; a wrong answer is asked for again."""
-        if given is not None or not asking:
-            return read(default if given is None else given)
+        if option_text is not None or not asking:
+            return read(default if option_text is None else option_text)
         while True:
             try:
                 return read(typer.prompt(question, default=default, err=True).strip())
@@ -150,26 +150,26 @@ def init(
         NOTHING,
     )
     bounds = branch_given(branch or None)
-    wanted = ProjectWanted(
+    request = ProjectWanted(
         project, _lengths(bars_mm or ""), instrument, chucks, spheres, minutes or None, bounds, sockets
     )
-    created = create(folder, wanted)
+    created = create(folder, request)
     controller = [] if created.controller is None else [created.controller]
-    then = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
+    step = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
     lines = [finding.text(option) for finding in controller]
     lines += [f"{path.name:<16}{path}" for path in created.written]
     lines += [finding.text(option) for finding in findings_of(created.plan)[:1]] if created.plan else []
     measuring = f"put what you measured of the rig into {folder / project.rig}"
     printing = f"print {folder / BLOCK} and place it as {folder / DRAWING} shows"
-    lines.append(f"\nnext: {printing if sockets else measuring}; then {then}")
+    lines.append(f"\nnext: {printing if sockets else measuring}; then {step}")
     document = {"written": [str(path) for path in created.written], "plan": created.plan}
     return Answer({**document, "findings": entries(controller)}, lines)
 
 
 def _from_folder(model: str, folder: Path) -> str:
     """A robot's file as truearm.toml names it: by its way from the project's folder; names of built-in robots as they are."""
-    there = Path(model).is_file() and not Path(model).is_absolute() and not (folder / model).is_file()
-    return Path(os.path.relpath(model, folder)).as_posix() if there else model
+    is_relative = Path(model).is_file() and not Path(model).is_absolute() and not (folder / model).is_file()
+    return Path(os.path.relpath(model, folder)).as_posix() if is_relative else model
 
 
 def _model(text: str) -> str:

@@ -35,11 +35,11 @@ def inspect(
     from truearm.workflows.inspect import describe
     from truearm.workflows.session_parts import session_parts
 
-    first, *more = [describe(open_session(part, allow_damaged)) for part in session_parts(session)]
+    first, *further = [describe(open_session(part, allow_damaged)) for part in session_parts(session)]
     if json:
-        print_json({**first, "parts": more})
+        print_json({**first, "parts": further})
         return
-    for document in (first, *more):
+    for document in (first, *further):
         if document is not first:
             typer.echo(f"\n{one_line(document['file'])} continues it:")
         show(session_findings(document), session_tables(document) if details else None)

@@ -198,10 +198,10 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
             break
         command = command.commands[word]
     options = {
-        key: one.opts[0]
-        for one in command.params
-        if one.opts[0].startswith("-")
-        for key in (stem_of(one.name), one.name)
+        key: parameter.opts[0]
+        for parameter in command.params
+        if parameter.opts[0].startswith("-")
+        for key in (stem_of(parameter.name), parameter.name)
     }
     return lambda name: options.get(OPTIONS.get(name, name), option(name))
 
@@ -229,8 +229,8 @@ def _unknown_option(exc: typer.BadParameter) -> str | None:
 def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:
     """Return the message for a file that is missing on a project's command line, None for any other error."""
     parameter = getattr(exc, "param", None)
-    wanted = type(exc).__name__ == "MissingParameter" and parameter is not None
-    return missing_file(parameter.name or "", arguments[0], Path.cwd()) if wanted and parameter else None
+    is_missing = type(exc).__name__ == "MissingParameter" and parameter is not None
+    return missing_file(parameter.name or "", arguments[0], Path.cwd()) if is_missing and parameter else None
 
 
 def _shown_progress() -> AbstractContextManager[None]:

@@ -72,11 +72,11 @@ def map_(
     if task is None and within is not None:
         raise InputError("needs-option", place="--within", needed="--task WxH")
     varied, shown = _joints_of(vary), numbers_of("--at", at)
-    wanted = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
+    map_task = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, None if elbow is None else elbow is Elbow.up, MM.to_si(cell_mm), own_frames)
-    mapped = map_files(calibration, files, section, wanted)
+    mapped = map_files(calibration, files, section, map_task)
     findings = map_findings(mapped, section.cell, task, calibration.simulated)
     if files.report is not None:
         write_map_page(files.report, findings, mapped, calibration, own_frames)

@@ -78,8 +78,8 @@ def option_for(command: Any, path: str, word: str) -> str:
     if word in REMOVED:
         return f"{word}: {REMOVED[word]}"
     options = [name for option in command.params for name in option.opts]
-    if (now := EARLIER.get(f"{path} {word}", EARLIER.get(word))) in options:
-        return f"{word} is now {now}"
+    if (new_name := EARLIER.get(f"{path} {word}", EARLIER.get(word))) in options:
+        return f"{word} is now {new_name}"
     if alike := get_close_matches(word, options, cutoff=ALIKE):
         return f"No such option: {word}; did you mean {' or '.join(alike)}?"
     return f"No such option: {word}"

@@ -155,19 +155,19 @@ def issue_of(number: str, tolerance_mm: float | None) -> Issue:
     return Issue(project, number, None if tolerance_mm is None else MM.to_si(tolerance_mm))
 
 
-def rigs_of(given: list[str] | None) -> dict[str, Path]:
+def rigs_of(texts: list[str] | None) -> dict[str, Path]:
     """Return the files of ``--rig`` by rig name, "" for one without a name, such as ./a=b.toml.
 
     Raises InputError if several rigs have the same name or none.
     """
     files: dict[str, Path] = {}
-    for text in given or ():
+    for text in texts or ():
         name, equals, file = text.partition("=")
         named = bool(equals) and re.fullmatch(rf"[\w-]{{1,{LONGEST_NAME}}}", name, re.ASCII) is not None
         name, path = (name, Path(file)) if named else ("", Path(text))
         if name in files:
-            which = f"rig {name} is given twice" if name else "several rigs need names, --rig NAME=FILE"
-            raise InputError(f"--rig {text}: {which}")
+            problem = f"rig {name} is given twice" if name else "several rigs need names, --rig NAME=FILE"
+            raise InputError(f"--rig {text}: {problem}")
         files[name] = path
     if "" in files and len(files) > 1:
         raise InputError(f"--rig {files['']}: several rigs need names; write --rig NAME=FILE")
@@ -223,7 +223,7 @@ def spans_of(
     does. Raises InputError.
     """
     try:
-        spans = [(float(low), float(high)) for low, high in (part.split(":") for part in text.split(","))]
+        spans = [(float(low), float(high)) for low, high in (span.split(":") for span in text.split(","))]
     except ValueError:
         spans = []
     rising = all(low < high and math.isfinite(high - low) for low, high in spans)
@@ -287,10 +287,10 @@ def gear_periods_of(text: str) -> tuple[float, ...]:
     return tuple(map(DEG.to_si, values))
 
 
-def named_frames(option: str, given: list[str] | None) -> dict[str, Six]:
+def named_frames(option: str, texts: list[str] | None) -> dict[str, Six]:
     """Return frames of an option in mm and deg by name, "" for one without a name. Raises InputError."""
     frames: dict[str, Six] = {}
-    for text in given or ():
+    for text in texts or ():
         name, equals, pose = text.rpartition("=")
         if equals and not name.isidentifier():
             raise InputError(

@@ -27,10 +27,10 @@ def warn(text: str) -> None:
     print(f"warning: {text}", file=sys.stderr)
 
 
-def warn_of_further_parts(session: Path, what: str) -> None:
-    """Print on standard error the further parts that a command does not read, and ``what`` to do with them. Raises SessionError."""
+def warn_of_further_parts(session: Path, advice: str) -> None:
+    """Print on standard error the further parts that a command does not read, and the ``advice`` about them. Raises SessionError."""
     from truearm.workflows.session_parts import session_parts
 
-    parts = [one_line(part.name) for part in session_parts(session)[1:]]
-    if parts:
-        print(f"{one_line(session.name)} continues in {', '.join(parts)}: {what}", file=sys.stderr)
+    names = [one_line(path.name) for path in session_parts(session)[1:]]
+    if names:
+        print(f"{one_line(session.name)} continues in {', '.join(names)}: {advice}", file=sys.stderr)

@@ -87,17 +87,17 @@ class ProjectCommand(TyperCommand):
                     raise InputError(f"{parameter.opts[0]} must be a finite number, is {value}")
                 if parameter.name in TAKES and isinstance(value, str | Path):
                     _check_kind(parameter.name, value, self.params)
-        taken = [
+        words_taken = [
             word
             for parameter in self.params
             if _source(ctx, parameter.name or "") == "DEFAULT_MAP" and ctx.params[parameter.name or ""] is not None
             for word in _words(parameter, ctx.params[parameter.name or ""])
         ]
-        before = ctx.meta.get(RESULT_TAKEN, [])
-        if before or taken:
-            typer.echo(f"from truearm.toml: {shlex.join([*before, *taken])}", err=True)
+        result_taken = ctx.meta.get(RESULT_TAKEN, [])
+        if result_taken or words_taken:
+            typer.echo(f"from truearm.toml: {shlex.join([*result_taken, *words_taken])}", err=True)
             if ctx.obj is not None:  # the command line, as results and reports quote it
-                ctx.obj.extend(taken)
+                ctx.obj.extend(words_taken)
         return super().invoke(ctx)
 
 
@@ -107,9 +107,9 @@ def _check_kind(name: str, value: str | Path, parameters: Sequence[Any]) -> None
     path, kind = next(((path, kind) for path in paths if (kind := kind_of(path))), (paths[0], None))
     if kind is None or kind in TAKES[name]:
         return
-    wanted = " or ".join(KINDS[one].description for one in TAKES[name])
-    instead = f"; give it as --{kind}" if any(f"--{kind}" in one.opts for one in parameters) and kind != name else ""
-    raise InputError(f"{path}: is {KINDS[kind].description.partition(' (')[0]}, where {wanted} is expected{instead}")
+    expected = " or ".join(KINDS[kind_name].description for kind_name in TAKES[name])
+    instead = f"; give it as --{kind}" if any(f"--{kind}" in p.opts for p in parameters) and kind != name else ""
+    raise InputError(f"{path}: is {KINDS[kind].description.partition(' (')[0]}, where {expected} is expected{instead}")
 
 
 class CommandGroup(TyperGroup):
@@ -276,11 +276,11 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
 def missing_file(parameter: str, command: str, folder: Path) -> str | None:
     """Return the message for a command without its argument ``parameter``, a result or sessions; None outside a project."""
     is_of_project = parameter in ("result", "inputs", "session") and (parameter, command) != ("inputs", "validate")
-    found = project_of(folder) if is_of_project else None
-    if found is None:
+    project_and_home = project_of(folder) if is_of_project else None
+    if project_and_home is None:
         return None
-    project, home = found
+    project, home = project_and_home
     is_result = parameter == "result"
     place = os.path.relpath(home / (project.results if is_result else project.sessions), folder)
-    what, source = ("result", "truearm identify") if is_result else ("session", "truearm record")
-    return f"the folder {place} (truearm.toml) holds no {what} yet; make one with {source}, or name the file of another"
+    noun, source = ("result", "truearm identify") if is_result else ("session", "truearm record")
+    return f"the folder {place} (truearm.toml) holds no {noun} yet; make one with {source}, or name the file of another"

@@ -77,7 +77,7 @@ def record(request: RecordOptions) -> Answer:
     if interrupted and not recorded.kept:
         typer.echo("interrupted before the box had started; nothing was recorded", err=True)
     elif recorded.missing:
-        where = f"; the received data are in {recorded.out}" if recorded.kept else "; nothing was recorded"
+        data_place = f"; the received data are in {recorded.out}" if recorded.kept else "; nothing was recorded"
         named = recorded.kept and str(recorded.out) in recorded.missing
-        end = IncompleteError(recorded.missing if named else f"{recorded.missing}{where}")
+        end = IncompleteError(recorded.missing if named else f"{recorded.missing}{data_place}")
     return Answer(recording_document(recorded), end=end)

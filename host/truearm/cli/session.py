@@ -60,37 +60,37 @@ def recover(
     return Answer({"whole": False, "out": str(out), **asdict(recovered)}, [*lines(recovered), written])
 
 
-def lines(found: Recovered) -> list[str]:
+def lines(recovered: Recovered) -> list[str]:
     """What was saved and what was lost, for people."""
     from truearm.report.session_findings import damage_finding
 
-    messages = sum(account.saved for account in found.topics.values())
+    messages = sum(account.saved for account in recovered.topics.values())
     text = [
-        f"saved  {counted(messages, 'message')} over {found.seconds:.1f} s, {counted(found.samples, 'sample')}, "
-        f"{_named(found.attachments, 'attachment')}"
+        f"saved  {counted(messages, 'message')} over {recovered.seconds:.1f} s, {counted(recovered.samples, 'sample')}, "
+        f"{_named(recovered.attachments, 'attachment')}"
     ]
-    width = max((len(topic) for topic in found.topics), default=0)
-    for topic, account in found.topics.items():
+    width = max((len(topic) for topic in recovered.topics), default=0)
+    for topic, account in recovered.topics.items():
         lost = f", {account.lost} lost" if account.lost else ""
         text.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
-    for damage in found.damage[:SHOWN]:
+    for damage in recovered.damage[:SHOWN]:
         text.append(f"lost   {damage_finding(vars(damage)).text()}")
-    if len(found.damage) > SHOWN:
-        text.append(f"lost   and in {counted(len(found.damage) - SHOWN, 'place')} more")
-    if found.undescribed:
-        lost = counted(found.undescribed, "block of samples", "blocks of samples")
+    if len(recovered.damage) > SHOWN:
+        text.append(f"lost   and in {counted(len(recovered.damage) - SHOWN, 'place')} more")
+    if recovered.undescribed:
+        lost = counted(recovered.undescribed, "block of samples", "blocks of samples")
         text.append(f"lost   what {lost} mean: the box's description of its channels was in a damaged place")
-    if found.cut_off:
+    if recovered.cut_off:
         text.append(
-            f"lost   the end of the file, after {found.seconds:.1f} s: its length is unknown (at most a second if the "
+            f"lost   the end of the file, after {recovered.seconds:.1f} s: its length is unknown (at most a second if the "
             "recorder was killed)"
         )
-    text.append(f"       {counted(found.unread_bytes, 'byte is', 'bytes are')} outside intact records")
+    text.append(f"       {counted(recovered.unread_bytes, 'byte is', 'bytes are')} outside intact records")
     return text
 
 
-def _named(names: tuple[str, ...], what: str) -> str:
-    return f"{what} {', '.join(map(one_line, names))}" if names else f"no {what}"
+def _named(names: tuple[str, ...], noun: str) -> str:
+    return f"{noun} {', '.join(map(one_line, names))}" if names else f"no {noun}"
 
 
 @app.command("relabel", cls=ProjectCommand)

@@ -20,10 +20,10 @@ class SimulateCommand(ProjectCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
-        other = any(typed(ctx, name) is not None for name in ("poses", "lines", "model", "stage"))
-        if other:
+        asks_for_own = any(typed(ctx, name) is not None for name in ("poses", "lines", "model", "stage"))
+        if asks_for_own:
             ctx.params["plan"] = typed(ctx, "plan")
-        if other or ctx.params.get("plan") is None:
+        if asks_for_own or ctx.params.get("plan") is None:
             ctx.params["rig"] = typed(ctx, "rig")
         return super().invoke(ctx)
 

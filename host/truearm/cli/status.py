@@ -47,23 +47,23 @@ def _lines(state: State) -> Iterator[str]:
         yield f"{title:<10}{len(state[title]) or 'none'}"
         yield from (f"          {word(row)}" for row in state[title])
     remark = f"(not in {project['sessions']}: if it is no rehearsal, move it there)"
-    others = [f"{_session(row)} {remark}" for row in state["other_sessions"]]
-    others += [f"{_result(row)} (of {_shown(row['session'])})" for row in state["other_results"]]
-    for title, line in zip(("not used", *[""] * len(others)), others, strict=False):
+    unused = [f"{_session(row)} {remark}" for row in state["other_sessions"]]
+    unused += [f"{_result(row)} (of {_shown(row['session'])})" for row in state["other_results"]]
+    for title, line in zip(("not used", *[""] * len(unused)), unused, strict=False):
         yield f"{title:<10}{line}"
 
 
-def _shown(file: str, here: str = os.curdir) -> str:
+def _shown(file: str, current: str = os.curdir) -> str:
     """Return the name of a file or folder relative to this folder, which is ``here``."""
     path = os.path.relpath(file)
-    return here if path == os.curdir else path
+    return current if path == os.curdir else path
 
 
 def _session(row: State) -> str:
     cut = ", is being written" if row["written"] else ", not complete: truearm session recover"
-    whole = "" if row["complete"] else cut
-    other = f", recorded for another robot: {one_line(row['other_robot'])}" if row["other_robot"] else ""
-    return f"{_shown(row['file'])}, {row['size_bytes'] / 2**20:.1f} MiB{whole}{other}"
+    completeness = "" if row["complete"] else cut
+    robot = f", recorded for another robot: {one_line(row['other_robot'])}" if row["other_robot"] else ""
+    return f"{_shown(row['file'])}, {row['size_bytes'] / 2**20:.1f} MiB{completeness}{robot}"
 
 
 def _result(row: State) -> str:

@@ -67,7 +67,7 @@ def typed_lines(take: Callable[[str], None], one_by_one: bool) -> Iterator[Typed
 
     typed, stop = Typed(), threading.Event()
     fd = sys.stdin.fileno()
-    before = termios.tcgetattr(fd)
+    terminal_settings = termios.tcgetattr(fd)
     # A handler is used instead of SIG_IGN, which child processes would inherit.
     stopping = signal.signal(signal.SIGTSTP, lambda number, frame: None)
     if one_by_one:
@@ -82,7 +82,7 @@ def typed_lines(take: Callable[[str], None], one_by_one: bool) -> Iterator[Typed
         signal.signal(signal.SIGTSTP, stopping)
         with suppress(OSError, termios.error):  # the terminal is gone
             if _in_foreground(fd):
-                termios.tcsetattr(fd, termios.TCSANOW, before)
+                termios.tcsetattr(fd, termios.TCSANOW, terminal_settings)
 
 
 def _read(fd: int, typed: Typed, take: Callable[[str], None], stop: threading.Event) -> None:

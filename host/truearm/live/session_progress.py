@@ -56,19 +56,19 @@ class SessionProgress:
 
     def change(self) -> dict[str, str] | None:
         """Return what must be mounted now, None if it already is."""
-        wanted = self.wanted()
-        return None if wanted is None or wanted.items() <= self.mounted.items() else wanted
+        pairing = self.wanted()
+        return None if pairing is None or pairing.items() <= self.mounted.items() else pairing
 
     def mount(self, pairing: Mapping[str, str]) -> None:
         """Note that a part is mounted from now on; a bar and a line exclude each other."""
         self.confirmed = True
-        other = LINE_MOUNTED if "bar" in pairing else BAR_MOUNTED if "line" in pairing else ()
-        self.mounted = {k: v for k, v in self.mounted.items() if k not in other} | dict(pairing)
+        excluded = LINE_MOUNTED if "bar" in pairing else BAR_MOUNTED if "line" in pairing else ()
+        self.mounted = {k: v for k, v in self.mounted.items() if k not in excluded} | dict(pairing)
 
     def visit(self, q: Floats | None) -> int | None:
         """Note a dwell at joints ``q`` (None: unknown); return its row of the plan, None if it is not in the plan."""
-        near = None if q is None else self._near(q)
-        rows = [k for k in self.planned[Move.DWELL] if near is None or k in near]
+        near_rows = None if q is None else self._near(q)
+        rows = [k for k in self.planned[Move.DWELL] if near_rows is None or k in near_rows]
         row = next((k for k in rows if k >= self.next), rows[-1] if rows and q is not None else None)
         self.note(Move.DWELL, row)
         return row
@@ -83,11 +83,11 @@ class SessionProgress:
 
     def arrive(self, q: Floats) -> int | None:
         """Note joints ``q``; return the line of the plan that ends there, if the arm came from its beginning."""
-        near = self._near(q) if self.planned[Move.LINE] else set()
-        if not near or near == self._place:
+        near_rows = self._near(q) if self.planned[Move.LINE] else set()
+        if not near_rows or near_rows == self._place:
             return None
-        row = next((k for k in self.planned[Move.LINE] if k in near and k - 1 in self._place), None)
-        self._place = near
+        row = next((k for k in self.planned[Move.LINE] if k in near_rows and k - 1 in self._place), None)
+        self._place = near_rows
         if row is not None:
             self.note(Move.LINE, row)
         return row
@@ -113,7 +113,7 @@ def parse_mounted(text: str) -> dict[str, str]:
     """Parse ``bar=bar46,chuck=c1`` into a mapping. Raises InputError."""
     mounting: dict[str, str] = {}
     for entry in text.split(","):
-        key, separator, name = (part.strip() for part in entry.partition("="))
+        key, separator, name = (word.strip() for word in entry.partition("="))
         if key not in MOUNTABLE or not separator or not name:
             raise InputError(
                 f"mounted: {entry[:40]!r} is not KEY=NAME, such as bar=bar46; KEY is {', '.join(MOUNTABLE[:-1])} or {MOUNTABLE[-1]}"

@@ -42,13 +42,13 @@ class Rest:
         self.begin_s, self.last_s, self.duration_s = -np.inf, -np.inf, 0.0  # as of the last reading
         self._extremes = np.empty((0, 0))
 
-    def extend(self, t_s: float, values: Floats, most: float) -> bool:
+    def extend(self, t_s: float, values: Floats, largest_range: float) -> bool:
         """Take readings (n, k); return False, and begin a new rest, if they came after a gap or the range of all since
-        ``begin_s`` exceeds ``most``.
+        ``begin_s`` exceeds ``largest_range``.
         """
-        near = 0.0 <= t_s - self.last_s <= GAP_S
-        together = np.vstack([self._extremes, values]) if near else values
-        rests = near and bool(np.all(np.ptp(together, axis=0) <= most))
+        is_continued = 0.0 <= t_s - self.last_s <= GAP_S
+        together = np.vstack([self._extremes, values]) if is_continued else values
+        rests = is_continued and bool(np.all(np.ptp(together, axis=0) <= largest_range))
         if not rests:
             self.begin_s, together = t_s, values
         self._extremes = np.array([together.min(axis=0), together.max(axis=0)])
@@ -222,9 +222,9 @@ class LiveState(Operator):
 
     # --- dwells and lines
 
-    def _follow(self, t_ns: int, t_s: float, values: Floats, most: float) -> None:
+    def _follow(self, t_ns: int, t_s: float, values: Floats, largest_range: float) -> None:
         """Take readings (n, k) that show whether the arm stands."""
-        if not self._rest.extend(t_s, values, most):
+        if not self._rest.extend(t_s, values, largest_range):
             self._counted = False
         elif not self._counted and self._rest.duration_s >= ENOUGH_S:
             self._counted = True
@@ -285,8 +285,8 @@ class LiveState(Operator):
         if self.with_robot:
             yield self._robot(status)
         yield self._progress(status)
-        wanted = progress.change()
-        ask = "" if wanted is None else f"at the next pose, mount {words_of(wanted)}; then press Enter"
+        pairing = progress.change()
+        ask = "" if pairing is None else f"at the next pose, mount {words_of(pairing)}; then press Enter"
         yield ViewLine("mounted", words_of(progress.mounted), ask)  # the arm still stands at the old pose
         yield ViewLine(CONTRADICTION, "", self._contradiction)
         yield ViewLine("file", "", "; ".join(status.file_losses))

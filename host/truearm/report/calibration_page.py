@@ -106,13 +106,13 @@ def _tiles(page: CalibrationPage) -> Iterator[tuple[str, str, list[tuple[str, st
         yield "fit", "RMS after", _sizes(e.rms_after), "the same observations, identified parameters"
     if judged:
         of_units = judged.figures.items()
-        more = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in of_units)
+        remark = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in of_units)
         held_out = _sizes({si: error.rms for si, error in of_units})
-        yield "val", "RMS held out", held_out, f"{counted(judged.n, 'observation')} not used to fit; {more}"
+        yield "val", "RMS held out", held_out, f"{counted(judged.n, 'observation')} not used to fit; {remark}"
     if page.predicted:
         over = f"over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
-        more = f"from the parameters, faults that the rows do not exclude and the arm's own scatter, {over}"
-        yield "old", "RMS of the tool, predicted", _sizes({"m": page.predicted.rms}), more
+        remark = f"from the parameters, faults that the rows do not exclude and the arm's own scatter, {over}"
+        yield "old", "RMS of the tool, predicted", _sizes({"m": page.predicted.rms}), remark
 
 
 def _sizes(errors: Mapping[str, float]) -> list[tuple[str, str]]:
@@ -178,22 +178,26 @@ def _facts(page: CalibrationPage) -> tuple[tuple[str, str], ...]:
 def residual_tables(e: Estimate, rows: ObservationTable) -> Iterator[str]:
     """Return definitions, and a table per unit: RMS and largest residual of each kind, by rig if there are several."""
     errors = errors_by_kind(e, rows)
-    yield paragraph(" ".join(residual_words(kind) for kind in kinds() if any(of.kind == kind for of in errors)))
-    for si in dict.fromkeys(si for of in errors for si in (*of.after, *of.judged)):
+    yield paragraph(" ".join(residual_words(kind) for kind in kinds() if any(rows.kind == kind for rows in errors)))
+    for si in dict.fromkeys(si for rows in errors for si in (*rows.after, *rows.judged)):
         yield table(_residuals_in(si, errors))
 
 
 def _residuals_in(si: str, errors: Sequence[KindErrors]) -> Table:
-    several, none = any(rows.rig for rows in errors), Figures.of(np.zeros(0))
-    titles = ["observations", *["rig"] * several, "fitted rows", title("RMS before", si), title("RMS after", si)]
+    has_rigs, none = any(rows.rig for rows in errors), Figures.of(np.zeros(0))
+    titles = ["observations", *["rig"] * has_rigs, "fitted rows", title("RMS before", si), title("RMS after", si)]
     titles += [title("largest after", si), "held-out rows", title("RMS held out", si)]
     cells = []
     for rows in errors:
         if si in rows.after or si in rows.judged:
-            before, after, judged = (of.get(si, none) for of in (rows.before, rows.after, rows.judged))
-            sizes = [figures(shown(value, si)) for value in (before.rms, after.rms, after.max, judged.rms)]
+            error_before, error_after, judged = (
+                by_unit.get(si, none) for by_unit in (rows.before, rows.after, rows.judged)
+            )
+            sizes = [
+                figures(shown(value, si)) for value in (error_before.rms, error_after.rms, error_after.max, judged.rms)
+            ]
             counts = [int(chosen.sum()) for chosen in (rows.fitted, rows.held_out)]
-            names = [kind_name(rows.kind), *[rows.rig or ABSENT] * several]
+            names = [kind_name(rows.kind), *[rows.rig or ABSENT] * has_rigs]
             cells.append([*names, counts[0], *sizes[:3], counts[1], sizes[3]])
     return Table(titles, cells, f"residuals {symbol(si)}")
 
@@ -215,8 +219,8 @@ def suspect_table(e: Estimate, table: ObservationTable) -> Table:
     ]
     sizes = [title("residual", si) for si in units]
     titles = ["row", "observation", "distance from the others [σ]", *sizes, "weight in the fit [1]"]
-    more = f"and {rows.size - MAX_ROWS} more (suspect in result.json)" if rows.size > MAX_ROWS else ""
-    return Table(titles, cells, "rows far from the others", more)
+    hidden = f"and {rows.size - MAX_ROWS} more (suspect in result.json)" if rows.size > MAX_ROWS else ""
+    return Table(titles, cells, "rows far from the others", hidden)
 
 
 def visibility(estimate: Estimate) -> Iterator[str]:
@@ -242,6 +246,6 @@ def visibility(estimate: Estimate) -> Iterator[str]:
         ),
     ):
         if directions:
-            texts = [direction_text(of.weights, of.names, MAX_TERMS) for of in directions[:MAX_DIRECTIONS]]
+            texts = [direction_text(d.weights, d.names, MAX_TERMS) for d in directions[:MAX_DIRECTIONS]]
             texts += [f"and {len(directions) - MAX_DIRECTIONS} more"] * (len(directions) > MAX_DIRECTIONS)
             yield paragraph(text) + sentences(texts, "directions")

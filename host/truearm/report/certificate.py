@@ -46,9 +46,9 @@ class Certificate:
 
 def facts_of(recordings: Sequence[Recording]) -> Facts:
     """Return labels and values of how sessions were recorded; of several, labels start with the session's name."""
-    several = len(recordings) > 1
+    are_many = len(recordings) > 1
     return tuple(
-        (f"{recording.name}: {label}" if several else label, value)
+        (f"{recording.name}: {label}" if are_many else label, value)
         for recording in recordings
         for label, value in recording.facts
     )
@@ -98,6 +98,6 @@ def certificate_section(certificate: Certificate) -> str:
     )
 
 
-def between(least: float, most: float) -> str:
+def between(lowest: float, highest: float) -> str:
     """Return a range of temperatures."""
-    return f"{DEGC.of(least):.1f} to {DEGC.text(most, '.1f')}"
+    return f"{DEGC.of(lowest):.1f} to {DEGC.text(highest, '.1f')}"

@@ -74,9 +74,9 @@ def _column(document: Document, key: str) -> Floats:
     return np.array([row[key] for row in document["targets"]], dtype=float)
 
 
-def _places(document: Document, when: str) -> Floats:
+def _places(document: Document, pose_key: str) -> Floats:
     """Return the positions (n, 3) [mm] of the targets, "before" or "after" the correction."""
-    return np.array([[row[when][f"{axis}_mm"] for axis in "xyz"] for row in document["targets"]])
+    return np.array([[row[pose_key][f"{axis}_mm"] for axis in "xyz"] for row in document["targets"]])
 
 
 def _limit(row: Document) -> str:
@@ -100,11 +100,11 @@ def _moves(document: Document) -> list[tuple[str, ...]]:
 
 def _tiles(document: Document) -> Iterator[tuple[str, str, list[tuple[str, str]], str]]:
     point, due = document["error_point"], _column(document, "expected_mm")
-    before, shift = _column(document, "error_before_mm"), _column(document, "shift_mm")
+    error_before, shift = _column(document, "error_before_mm"), _column(document, "shift_mm")
     largest = float(due.max()) if np.isfinite(due).all() else float("nan")
     for css, name, value, note in (
         ("old", "shift, median", float(np.median(shift)), "of the commanded position"),
-        ("val", "error without correction, RMS", rms(before), f"of {point}, by the model"),
+        ("val", "error without correction, RMS", rms(error_before), f"of {point}, by the model"),
         ("fit", "expected error, largest (k = 2)", largest, f"of {point}, {_EXPECTED}"),
     ):
         yield css, name, [(figures(value), "mm")], note
@@ -130,33 +130,35 @@ _TARGETS = (
 
 def _cut(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, total: int) -> Table:
     """Return a table of at most MOST_ROWS of ``total`` rows."""
-    more = f"and {total - MOST_ROWS} more; the JSON document has all" if total > MOST_ROWS else ""
-    return Table(titles, rows[:MOST_ROWS], label, more)
+    hidden = f"and {total - MOST_ROWS} more; the JSON document has all" if total > MOST_ROWS else ""
+    return Table(titles, rows[:MOST_ROWS], label, hidden)
 
 
 def _pictures(document: Document) -> list[Figure]:
     chosen = thinned(len(document["targets"]), MOST_ARROWS)
-    asked, told = (_places(document, when)[chosen] for when in ("before", "after"))
+    requested, commanded = (_places(document, pose_key)[chosen] for pose_key in ("before", "after"))
     names = [document["targets"][i]["place"] for i in chosen]
     views = [("Shifts from above", [0, 1]), ("Shifts from the side", [0, 2])]
-    arrows = [_arrows(title, axes, asked[:, axes], (told - asked)[:, axes], names) for title, axes in views]
+    arrows = [
+        _arrows(title, axes, requested[:, axes], (commanded - requested)[:, axes], names) for title, axes in views
+    ]
     return [*arrows, _errors(document, chosen, names)]
 
 
-def _arrows(title: str, axes: Sequence[int], at: Floats, by: Floats, names: Sequence[str]) -> Figure:
+def _arrows(title: str, axes: Sequence[int], start: Floats, by: Floats, names: Sequence[str]) -> Figure:
     """Return positions in two axes of the file's frame [mm] with their shifts, enlarged by a round factor."""
-    span = max(float(np.ptp(at, axis=0).max()), 100.0)
+    span = max(float(np.ptp(start, axis=0).max()), 100.0)
     median = float(np.median(np.linalg.norm(by, axis=1)))
     factor = svg.round_step(ARROW * span / median) if median > 1e-6 else 1.0
-    ends = at + factor * by
-    low, high = np.minimum(at, ends).min(axis=0), np.maximum(at, ends).max(axis=0)
+    ends = start + factor * by
+    low, high = np.minimum(start, ends).min(axis=0), np.maximum(start, ends).max(axis=0)
     middle, half = 0.5 * (low + high), 0.55 * max(float((high - low).max()), 100.0)
     titles = [f"{'xyz'[axis]} [mm]" for axis in axes]
     x, y = (svg.linear_axis(name, m - half, m + half) for name, m in zip(titles, middle, strict=True))
     plot = svg.Plot(x, y, height=420.0)
-    lines = zip(plot.px(at[:, 0]), plot.py(at[:, 1]), plot.px(ends[:, 0]), plot.py(ends[:, 1]), strict=True)
+    lines = zip(plot.px(start[:, 0]), plot.py(start[:, 1]), plot.px(ends[:, 0]), plot.py(ends[:, 1]), strict=True)
     path = "".join(f"M{svg.num(a)} {svg.num(b)}L{svg.num(c)} {svg.num(d)}" for a, b, c, d in lines)
-    plot.scatter(at[:, 0], at[:, 1], "old", names, "target")
+    plot.scatter(start[:, 0], start[:, 1], "old", names, "target")
     plot.draw(f'<path class="fit" fill="none" d="{path}"/>', "fit line", f"its shift, × {factor:g}")
     caption = f"Each line runs from a target to where the command moved it, drawn {factor:g} times as long."
     return plot.figure(title, caption)
@@ -165,15 +167,15 @@ def _arrows(title: str, axes: Sequence[int], at: Floats, by: Floats, names: Sequ
 def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Sequence[str]) -> Figure:
     """Return the errors without correction and the expected errors with it, in the order of the file."""
     order = np.asarray(chosen, dtype=float) + 1.0
-    before, due = (_column(document, key)[chosen] for key in ("error_before_mm", "expected_mm"))
+    error_before, due = (_column(document, key)[chosen] for key in ("error_before_mm", "expected_mm"))
     last = max(float(len(document["targets"])), 2.0)
     plot = svg.Plot(
         svg.linear_axis("target", 1.0, last, max(svg.round_step(last / 6.0), 1.0)),
-        svg.log_axis("error [mm]", np.concatenate([before, due[np.isfinite(due)]])),
+        svg.log_axis("error [mm]", np.concatenate([error_before, due[np.isfinite(due)]])),
     )
-    for css, name, values in (("val", "without correction", before), ("fit", "expected with it, k = 2", due)):
-        at = np.flatnonzero(np.isfinite(values)).tolist()
-        plot.scatter(order[at], values[at], css, [f"{names[i]}: {figures(values[i])} mm" for i in at], name)
+    for css, name, values in (("val", "without correction", error_before), ("fit", "expected with it, k = 2", due)):
+        rows = np.flatnonzero(np.isfinite(values)).tolist()
+        plot.scatter(order[rows], values[rows], css, [f"{names[i]}: {figures(values[i])} mm" for i in rows], name)
     caption = f"Error of {document['error_point']} without the correction, and the bound expected with it (about 95 %)."
     if not np.isfinite(due).all():
         caption += f" Where it is not known ({ABSENT} in the table) there is no point."

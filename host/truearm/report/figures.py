@@ -77,10 +77,10 @@ def by_order(rows: ResidualRows) -> Figure:
     """Return residuals in the order of measurement, with sessions and mounts, to show drift or slip."""
     x, y = rows.number.astype(float), rows.residual
     plot = svg.Plot(svg.linear_axis("row", x[0], x[-1]), svg.linear_axis(rows.name, *_reach(y)), width=820.0)
-    new_session, new_mount = (x[1:][of[1:] != of[:-1]] - 0.5 for of in (rows.session, rows.mount))
+    new_session, new_mount = (x[1:][numbers[1:] != numbers[:-1]] - 0.5 for numbers in (rows.session, rows.mount))
     for css, places in (("mount", new_mount), ("session", new_session)):
-        for at in places if places.size <= MAX_MARKS else ():
-            plot.line([at, at], [plot.y.low, plot.y.high], css + " line", f"new {css}")
+        for place in places if places.size <= MAX_MARKS else ():
+            plot.line([place, place], [plot.y.low, plot.y.high], css + " line", f"new {css}")
     _draw_residuals(plot, rows, x, np.isfinite(y), "row {}", np.array_split(np.flatnonzero(rows.fitted), STRETCHES))
     n_mounts, n_sessions = new_mount.size + 1, new_session.size + 1
     caption = (
@@ -108,20 +108,20 @@ def by_longitude(rows: ResidualRows) -> Figure | None:
 
 
 def _draw_residuals(
-    plot: svg.Plot, rows: ResidualRows, x: Floats, shown: Mask, where: str, groups: Iterable[Indices]
+    plot: svg.Plot, rows: ResidualRows, x: Floats, shown: Mask, tip: str, groups: Iterable[Indices]
 ) -> None:
     """Draw the ``shown`` (n,) residuals at x (n,), and the mean of each group of enough rows with two standard errors."""
     y = rows.residual
     for css, name, chosen in _sets(rows):
-        at = _drawn(y, shown & chosen)
-        if at.size > MAX_TIPS:
-            plot.dots(x[at], y[at], css, name)
+        drawn_rows = _drawn(y, shown & chosen)
+        if drawn_rows.size > MAX_TIPS:
+            plot.dots(x[drawn_rows], y[drawn_rows], css, name)
             continue
         tips = (
-            f"{s[:60]}: {figures(v)} {rows.unit} at {where.format(number(a, 0))}"
-            for s, v, a in zip(rows.source[at], y[at], x[at], strict=True)
+            f"{s[:60]}: {figures(v)} {rows.unit} at {tip.format(number(a, 0))}"
+            for s, v, a in zip(rows.source[drawn_rows], y[drawn_rows], x[drawn_rows], strict=True)
         )
-        plot.scatter(x[at], y[at], css, tips, name)
+        plot.scatter(x[drawn_rows], y[drawn_rows], css, tips, name)
     groups = [group for group in groups if group.size >= FEWEST_IN_BIN]
     centres, means = ([float(values[group].mean()) for group in groups] for values in (x, y))
     for group, centre, mean in zip(groups, centres, means, strict=True):
@@ -159,7 +159,7 @@ def _drawn(values: Floats, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 def before_after(rows: ResidualRows) -> Figure:
     """Return the share of the rows with |residual| below a length, before and after."""
-    lines = [(css, name + ", after", rows.residual[at]) for css, name, at in _sets(rows)]
+    lines = [(css, name + ", after", rows.residual[mask]) for css, name, mask in _sets(rows)]
     lines = [("old", "all rows, before", rows.before), *lines]
     size = np.abs(np.concatenate([rows.before, rows.residual]))
     # A residual that happens to be near zero would stretch the axis by decades; the lowest rows are drawn at its end.

@@ -21,17 +21,17 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
         return
     for reason in laws["reasons"]:
         yield Finding("no-law", {"reason": reason})
-    kept = [law for law in laws["tried"] if law["kept"]]
+    kept_laws = [law for law in laws["tried"] if law["kept"]]
     dropped = [law for law in laws["tried"] if not law["kept"]]
-    if not kept:
+    if not kept_laws:
         yield Finding("no-law", {"tried": len(dropped), "none": not dropped})
         return
-    for law in kept:
+    for law in kept_laws:
         yield _kept(law)
     if dropped:
         names = [f"{law['joint']} {law['term']} {round(law['nats'], 1) + 0.0:.1f}" for law in dropped]
         yield Finding("no-law", {"dropped": ", ".join(map(one_line, names))})
-    sags = [law for law in kept if law["term"] == "sag"]
+    sags = [law for law in kept_laws if law["term"] == "sag"]
     if sags and not laws["gravity_known"]:
         yield Finding("gravity-assumed")
     shares = [(law["joint"], law.get("range_share")) for law in sags]  # earlier results do not have it
@@ -52,9 +52,9 @@ def scatter_terms(sizes: Mapping[str, float]) -> list[str]:
     words = {"shared": "shared by the rows of a pose", "turned": "of rotation shared by the rows of a pose"}
     terms = []
     for name, sigma in sizes.items():
-        what, _, unit = name.rpartition("_")
+        quantity, _, unit = name.rpartition("_")
         if sigma and unit in ("mrad", "mm"):
-            terms.append(f"{sigma:.2g} {unit} {words.get(what, f'in {one_line(what)}')}")
+            terms.append(f"{sigma:.2g} {unit} {words.get(quantity, f'in {one_line(quantity)}')}")
     return terms
 
 
@@ -88,8 +88,8 @@ def intervals_text(intervals: Sequence[Sequence[float]]) -> str:
     if not named:
         return text
     listed = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in named)
-    more = f" and {counted(len(gaps) - len(named), 'smaller gap')}" * (len(gaps) > len(named))
-    return f"{text} except {listed} deg{more}"
+    smaller_gaps = f" and {counted(len(gaps) - len(named), 'smaller gap')}" * (len(gaps) > len(named))
+    return f"{text} except {listed} deg{smaller_gaps}"
 
 
 def law_steps(document: Document, suffix: str) -> list[Table]:

@@ -69,18 +69,18 @@ def map_picture(
     )
     unit = LONGEST / max(x.high - x.low, y.high - y.low)
     across, up = unit * (x.high - x.low), unit * (y.high - y.low)
-    right = max(SCALE, LETTER * len(title) - across)
-    plot = Plot(x, y, up + TOP + BOTTOM, LEFT + across + right, LEFT, right, TOP, BOTTOM)
+    right_margin = max(SCALE, LETTER * len(title) - across)
+    plot = Plot(x, y, up + TOP + BOTTOM, LEFT + across + right_margin, LEFT, right_margin, TOP, BOTTOM)
     scale = linear_axis("error [mm]", *errors, intervals=min(6.0, up / TICK_SPACE[1]))
     marks = [f"<style>{STYLE}</style>" * styled, axes(plot), label(plot.left, 18, title, "name")]
     for i, j in zip(*np.nonzero(~np.isnan(error_mm)), strict=True):
-        left, top = plot.px(u_mm[j] - 0.5 * cell), plot.py(v_mm[i] + 0.5 * cell)
+        x_left, top = plot.px(u_mm[j] - 0.5 * cell), plot.py(v_mm[i] + 0.5 * cell)
         sure = f" ± {sigma_mm[i, j]:.3f}" if np.isfinite(sigma_mm[i, j]) else ""
         tip = f"{u_mm[j]:.0f}, {v_mm[i]:.0f}: {error_mm[i, j]:.3f}{sure} mm" + ", not covered" * bool(outside[i, j])
         side = unit * cell + 0.2  # no seams between cells
         marks.append(
             rect(
-                float(left),
+                float(x_left),
                 float(top),
                 side,
                 side,
@@ -101,20 +101,20 @@ def map_picture(
     return picture.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
 
 
-def _colours(plot: Plot, scale: Axis, left: float) -> list[str]:
+def _colours(plot: Plot, scale: Axis, x_left: float) -> list[str]:
     """Return the colours of the scale, with its ticks."""
     floor, steps = plot.height - plot.bottom, 60
     side = (floor - plot.top) / steps
     marks = [
-        rect(left, floor - (k + 1) * side, 18.0, side + 0.3, "", "", _fill(k / (steps - 1.0))) for k in range(steps)
+        rect(x_left, floor - (k + 1) * side, 18.0, side + 0.3, "", "", _fill(k / (steps - 1.0))) for k in range(steps)
     ]
     for share, text in zip(scale.fraction(scale.ticks), scale.tick_labels, strict=True):
-        marks.append(label(left + 24.0, floor - share * (floor - plot.top) + 4.0, text))
-    return [*marks, label(left, plot.top - 12.0, scale.label)]
+        marks.append(label(x_left + 24.0, floor - share * (floor - plot.top) + 4.0, text))
+    return [*marks, label(x_left, plot.top - 12.0, scale.label)]
 
 
 def _fill(share: float) -> str:
     place = float(np.clip(share, 0.0, 1.0)) * (len(COLOURS) - 1)
-    at = min(int(place), len(COLOURS) - 2)
-    red, green, blue = COLOURS[at] + (place - at) * (COLOURS[at + 1] - COLOURS[at])
+    index = min(int(place), len(COLOURS) - 2)
+    red, green, blue = COLOURS[index] + (place - index) * (COLOURS[index + 1] - COLOURS[index])
     return f' style="fill:rgb({num(round(red))},{num(round(green))},{num(round(blue))})"'

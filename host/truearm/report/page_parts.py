@@ -89,7 +89,7 @@ def finding_parts(findings: Sequence[Finding]) -> tuple[str, str, str]:
     stated = [finding for finding in findings if finding.code != "simulated"]
 
     def listed(css: str, *severities: Severity) -> str:
-        return sentences((one.text(option) for one in stated[1:] if one.severity in severities), css, 1200)
+        return sentences((finding.text(option) for finding in stated[1:] if finding.severity in severities), css, 1200)
 
     heading = "".join(f'<h2 class="verdict">{escape(first.text(option), 1200)}</h2>' for first in stated[:1])
     doubts = listed("remarks doubts", Severity.REFUSAL, Severity.WARNING) + listed("remarks", Severity.ADVICE)

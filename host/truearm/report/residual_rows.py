@@ -82,8 +82,8 @@ class Law(NamedTuple):
         z = (x - self.mean) / self.sigma
         if self.width == 1:
             return np.asarray(np.exp(-0.5 * z**2) / (math.sqrt(2.0 * math.pi) * self.sigma))
-        whole = 2.0 ** (self.width / 2.0 - 1.0) * math.gamma(self.width / 2.0) * self.sigma
-        return np.where(z > 0.0, np.maximum(z, 0.0) ** (self.width - 1) * np.exp(-0.5 * z**2) / whole, 0.0)
+        normalisation = 2.0 ** (self.width / 2.0 - 1.0) * math.gamma(self.width / 2.0) * self.sigma
+        return np.where(z > 0.0, np.maximum(z, 0.0) ** (self.width - 1) * np.exp(-0.5 * z**2) / normalisation, 0.0)
 
 
 def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[ResidualRows]:
@@ -96,13 +96,21 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
             si: (table.kind == kind) & np.isfinite(residual) & np.isfinite(estimate.residual_before[si])
             for si, residual in estimate.residual.items()
         }
-        units = [si for si, at in finite.items() if at.any()]
+        units = [si for si, mask in finite.items() if mask.any()]
         for si in units:
-            at = finite[si]
-            after, before = (shown(residual[si][at], si) for residual in (estimate.residual, estimate.residual_before))
+            mask = finite[si]
+            residual, residual_before = (
+                shown(residual[si][mask], si) for residual in (estimate.residual, estimate.residual_before)
+            )
             component = PARTS.get(si, si) if len(units) > 1 else ""
-            rest = (wrapped[at], estimate.fitted[at], source[at], *(of[at] for of in order), component)
-            sets.append(ResidualRows(str(kind), si, after, before, *rest))
+            columns = (
+                wrapped[mask],
+                estimate.fitted[mask],
+                source[mask],
+                *(numbers[mask] for numbers in order),
+                component,
+            )
+            sets.append(ResidualRows(str(kind), si, residual, residual_before, *columns))
     return sets
 
 

@@ -97,15 +97,15 @@ def verdict(document: Document) -> Finding:
     if change is not None:
         gain = change["gain"] != Gain.NONE
         return Finding("usable" if gain else "no-gain", _change(change) | (expected if gain else {}))
-    judged, before = document["held_out"], document["held_out_before"]
-    if judged is not None and before is not None:
+    judged, nominal = document["held_out"], document["held_out_before"]
+    if judged is not None and nominal is not None:
         rows = counted(judged["n"], "held-out row")
         return Finding(
-            "usable", {"rows": rows, "after": sizes(judged, "rms"), "before": sizes(before, "rms"), **expected}
+            "usable", {"rows": rows, "after": sizes(judged, "rms"), "before": sizes(nominal, "rms"), **expected}
         )
-    after, before = (sizes(document, name) for name in ("rms_after", "rms_before"))
+    error_after, nominal = (sizes(document, name) for name in ("rms_after", "rms_before"))
     return Finding(
-        "usable", {"unjudged": True, "rows": "the fitted rows", "after": after, "before": before, **expected}
+        "usable", {"unjudged": True, "rows": "the fitted rows", "after": error_after, "before": nominal, **expected}
     )
 
 
@@ -121,16 +121,16 @@ def _change(change: Document) -> dict[str, Any]:
 
 
 def _unusable(because: Unusable, document: Document) -> Finding:
-    after = sizes(document, "rms_after")
+    error_after = sizes(document, "rms_after")
     match because:
         case Unusable.NOT_CONVERGED:
             return Finding("not-converged", {"message": document["message"]})
         case Unusable.NO_FREEDOM:
             return Finding("no-freedom")
         case Unusable.WRONG_INPUTS:
-            return Finding("wrong-inputs", {"after": after, "large": False})
+            return Finding("wrong-inputs", {"after": error_after, "large": False})
         case Unusable.RESIDUALS:
-            return Finding("wrong-inputs", {"after": after, "large": True})
+            return Finding("wrong-inputs", {"after": error_after, "large": True})
         case Unusable.SCALE:
             scale = document["scale"]
             ratio = max(scale["factor"], 1.0 / scale["factor"]) if scale["factor"] > 0.0 else 1.0
@@ -281,9 +281,9 @@ def named_rows(rows: Sequence[Document]) -> str:
     return _first([f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows], MAX_ROWS, "suspect")
 
 
-def _first(texts: Sequence[str], most: int, name: str) -> str:
-    more = f" and {len(texts) - most} more ({name} in the JSON result)" if len(texts) > most else ""
-    return ", ".join(texts[:most]) + more
+def _first(texts: Sequence[str], limit: int, name: str) -> str:
+    hidden = f" and {len(texts) - limit} more ({name} in the JSON result)" if len(texts) > limit else ""
+    return ", ".join(texts[:limit]) + hidden
 
 
 # faults
@@ -329,7 +329,7 @@ def cause(name: str) -> str:
 
 def _fault(fault: Document) -> Finding:
     """Return a fault with its rivals."""
-    first, *others = fault["rivals"]
+    first, *further_rivals = fault["rivals"]
     sizes = [
         f"{UNITS[size['unit']].scale.text(size['value'], '.3g')} (σ {UNITS[size['unit']].scale.text(size['sigma'], '.1g')})"
         for size in fault["sizes"]
@@ -339,7 +339,7 @@ def _fault(fault: Document) -> Finding:
         "what": cause(first["name"]),
         "size": sizes,
         "rows": _rows(first),
-        "others": [f"{cause(rival['name'])}{', ' if rival['first'] else ''}{_rows(rival)}" for rival in others],
+        "others": [f"{cause(rival['name'])}{', ' if rival['first'] else ''}{_rows(rival)}" for rival in further_rivals],
         "aliases": [cause(name) for name in fault["aliases"]],
         "chi2_drop": fault["chi2_drop"],
         "freedom": fault["freedom"],
@@ -365,19 +365,19 @@ def _gain(rival: Document) -> str:
 def _choice(fault: Document) -> Finding:
     """Return what can be applied: what improves left-out rows, a single cause or the mean of several first."""
     rivals = fault["rivals"]
-    every = [rival["name"] for rival in rivals if rival["name"].rpartition(".")[0].endswith(EVERY)]
-    lasting = not (rivals[0]["apply"] or every)
+    names_of_all = [rival["name"] for rival in rivals if rival["name"].rpartition(".")[0].endswith(EVERY)]
+    lasting = not (rivals[0]["apply"] or names_of_all)
     offers = [fault["mean"]] if len(rivals) > 1 and all(rival["apply"] for rival in rivals) else []
     offers = [offer for offer in (*offers, *rivals) if offer["apply"] and (offer["gain"] or 0.0) > 0.0][:MAX_CHOICES]
     deciding = fault["deciding"] if len(rivals) > 1 else []
-    if not offers or every or lasting:
-        size = next((size for size in fault["sizes"] if every and size["value"] is not None), None)
+    if not offers or names_of_all or lasting:
+        size = next((size for size in fault["sizes"] if names_of_all and size["value"] is not None), None)
         numbers = math.sqrt(fault["freedom"])
         values = {
-            "few": not (every or lasting) and rivals[0]["gain"] is None,
-            "worse": not (every or lasting or rivals[0]["gain"] is None),
+            "few": not (names_of_all or lasting) and rivals[0]["gain"] is None,
+            "worse": not (names_of_all or lasting or rivals[0]["gain"] is None),
             "lasting": lasting,
-            "every": [f"{name.rpartition('.')[0].removesuffix(EVERY)}s" for name in every[:1]],
+            "every": [f"{name.rpartition('.')[0].removesuffix(EVERY)}s" for name in names_of_all[:1]],
             "sigma": size and UNITS[size["unit"]].scale.text(size["value"] / numbers, ".2g"),
             "deciding": deciding,
         }
@@ -441,8 +441,8 @@ def tool_error(document: Document) -> list[Finding]:
         if predicted is None:
             return [Finding("tool-error-unpredictable")]
         sizes = {"rms": {"mm": predicted["rms_mm"]}, "largest": {"mm": predicted["max_mm"]}}
-        where = {"n": predicted["n"], "relative": predicted["relative"], "row": predicted["at"]}
-        return [Finding("tool-error", {**sizes, **where, **decomposition})]
+        place = {"n": predicted["n"], "relative": predicted["relative"], "row": predicted["at"]}
+        return [Finding("tool-error", {**sizes, **place, **decomposition})]
     bad, tool = document["without_bad_rows"], predicted["rms_mm"] if predicted else None
     faults = "The fit has faults that it does not contain"
     values = {
@@ -554,8 +554,8 @@ def _residuals(document: Document) -> Iterator[Finding]:
     low, high = document["chi2_band"] or (None, None)
     chi2, units = document["chi2_reduced"], document["residual_units"]
     if None not in (low, high, chi2):
-        where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
-        values = {"chi2": chi2_text(chi2), "where": where, "low": low, "high": high, "less": chi2 < low}
+        position = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
+        values = {"chi2": chi2_text(chi2), "where": position, "low": low, "high": high, "less": chi2 < low}
         yield Finding("chi2", {**values, "loss": _loss(document)})
     if not has_little_freedom(document):
         by_chance = chi2 is not None and high is not None and chi2 <= high
@@ -563,10 +563,10 @@ def _residuals(document: Document) -> Iterator[Finding]:
     shared = document["pose_error"]
     if shared is not None:
         yield Finding("pose-error", {"terms": scatter_terms(shared), "n": shared["n"]})
-    before, raw = (sizes(document, name, units) for name in ("rms_before", "rms_raw"))
+    error_before, raw = (sizes(document, name, units) for name in ("rms_before", "rms_raw"))
     rig = [entry["name"] for entry in document["parameters"] if entry["of"] == "rig" and entry["free"]]
     fitted = list(dict.fromkeys(name.rpartition(".")[0] for name in rig if name.endswith(PLACES)))
-    placed = before != raw
+    placed = error_before != raw
     yield Finding("before", {"fitted": ["base and tool"] * placed + fitted, "raw": raw, "placed": placed})
 
 
@@ -579,17 +579,21 @@ def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
         sizes(document, name, document["residual_units"]) for name in ("rms_declared", "rms_unexplained")
     )
     shares = {suffix: unexplained[suffix] for suffix in declared if None not in (declared[suffix], unexplained[suffix])}
-    more = {suffix: value for suffix, value in shares.items() if value > 0.0}
-    less = {suffix: declared[suffix] for suffix in shares if suffix not in more}
+    unexplained_part = {suffix: value for suffix, value in shares.items() if value > 0.0}
+    less = {suffix: declared[suffix] for suffix in shares if suffix not in unexplained_part}
     if less:
-        units = [SUFFIXES[suffix].symbol for suffix in less] if more else None
+        units = [SUFFIXES[suffix].symbol for suffix in less] if unexplained_part else None
         yield Finding("noise-share", {"declared": less, "unexplained": None, "rest": None, "units": units})
-    if more:
+    if unexplained_part:
         weighted = (
             "" if document["loss"] == Loss.LINEAR else f" or lie in rows that the {document['loss']} loss weights down"
         )
         remainder = f"may be chance{weighted}" if by_chance else "is unexplained"
-        values = {"declared": {suffix: declared[suffix] for suffix in more}, "unexplained": more, "rest": remainder}
+        values = {
+            "declared": {suffix: declared[suffix] for suffix in unexplained_part},
+            "unexplained": unexplained_part,
+            "rest": remainder,
+        }
         yield Finding("noise-share", {**values, "units": None})
 
 
@@ -602,12 +606,12 @@ def outliers(document: Document) -> Iterator[Finding]:
         yield Finding("too-many-outliers", {"n": len(rows), "fitted": fitted})
         return
     laws = any(law["kept"] for law in (document["joint_laws"] or {}).get("tried", ()))
-    left_out, kept = ([row for row in rows if (row["weight"] == 0.0) is is_out] for is_out in (True, False))
-    values: dict[str, Any] = {"n": len(rows), "rows": named_rows(left_out or kept), "left_out": len(left_out)}
-    if left_out and kept:
+    left_out, fitted_rows = ([row for row in rows if (row["weight"] == 0.0) is is_out] for is_out in (True, False))
+    values: dict[str, Any] = {"n": len(rows), "rows": named_rows(left_out or fitted_rows), "left_out": len(left_out)}
+    if left_out and fitted_rows:
         usual = "the residuals of most rows exceed their declared noise"
         why = "they hardly change the fit" if laws else usual
-        values |= {"why": why, "kept": named_rows(kept), "first": [kept[0]["source"]]}
+        values |= {"why": why, "kept": named_rows(fitted_rows), "first": [fitted_rows[0]["source"]]}
     all_rows = document["with_outliers"]
     if all_rows is not None:
         values |= {"chi2": all_rows["chi2_reduced"], "geometry": laws}
@@ -652,8 +656,8 @@ def _advice(document: Document) -> Iterator[Finding]:
     most_useful = {addition["kind"]: addition for addition in reversed(document["additions"])}  # the first is the best
     for addition in () if wrong_first(document) else reversed(most_useful.values()):
         names = addition["parameters"]
-        more = f" and {counted(len(names) - MAX_TERMS, 'other')}" if len(names) > MAX_TERMS else ""
-        words = ", ".join(map(one_line, names[:MAX_TERMS])) + more
+        hidden = f" and {counted(len(names) - MAX_TERMS, 'other')}" if len(names) > MAX_TERMS else ""
+        words = ", ".join(map(one_line, names[:MAX_TERMS])) + hidden
         values = {"what": addition["text"], "n": len(names), "names": words}
         yield Finding("measure-next", {**values, "full_rank": full_rank, "lacking": not full_rank})
     if because not in (None, Unusable.NO_FREEDOM, Unusable.WORSE):  # which more rows mend

@@ -18,10 +18,10 @@ MAX_TERMS = 4  # of a combination that are shown
 PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units
 
 
-def direction_text(weights: Iterable[float], names: Iterable[str], most: int = MAX_TERMS) -> str:
+def direction_text(weights: Iterable[float], names: Iterable[str], limit: int = MAX_TERMS) -> str:
     """Format a combination of parameters as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
     terms = largest_terms(weights, names)
-    shown = [(weight, name) for weight, name in terms[:most] if abs(weight) >= SMALLEST_WEIGHT]
+    shown = [(weight, name) for weight, name in terms[:limit] if abs(weight) >= SMALLEST_WEIGHT]
     words = [f"{'-' if weight < 0.0 else '+'} {abs(weight):.2f} {one_line(name)}" for weight, name in shown]
     return " ".join(words).removeprefix("+ ") + f" and {len(terms) - len(shown)} smaller" * (len(terms) > len(shown))
 
@@ -47,9 +47,11 @@ def kind_name(kind: str) -> str:
 
 def residual_words(kind: str) -> str:
     """Return a sentence that defines the residual of a kind for each unit."""
-    of = kinds()[kind]
-    definitions = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
-    return f"Residual of {with_article(of.name)} observation: {'; '.join(definitions)}."
+    entry = kinds()[kind]
+    definitions = [
+        f"{PARTS.get(si, si)}: {text}" if len(entry.residual) > 1 else text for si, text in entry.residual.items()
+    ]
+    return f"Residual of {with_article(entry.name)} observation: {'; '.join(definitions)}."
 
 
 @dataclass(frozen=True)

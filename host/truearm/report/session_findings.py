@@ -118,13 +118,13 @@ def _losses(losses: Document) -> Iterator[Finding]:
     findings = [Finding(code, counts) for code, counts in values.items() if any(counts.values())]
     yield from findings
     named = {name for counts in values.values() for name in counts} | {"samples_missing", *RECEIVED}
-    others = [
+    further_counts = [
         f"{count} {name.replace('_', ' ')}"
         for name, count in counters.items()
         if name not in named and isinstance(count, int) and count
     ]
     received = {name: losses[name] for name in RECEIVED}
-    yield Finding("received", {**received, "complete": not findings, "counts": others})
+    yield Finding("received", {**received, "complete": not findings, "counts": further_counts})
 
 
 def _clock(reports: Iterable[Document]) -> Iterator[Finding]:

@@ -169,17 +169,17 @@ def label(x: float, y: float, text: str, css: str = "", extra: str = "") -> str:
 
 def axes(plot: Plot) -> str:
     """Return grid lines, tick labels and axis labels."""
-    right, floor = plot.width - plot.right, plot.height - plot.bottom
+    x_right, floor = plot.width - plot.right, plot.height - plot.bottom
     middle = (plot.top + floor) / 2
     marks = []
-    for at, text in zip(plot.px(plot.x.ticks), plot.x.tick_labels, strict=True):
-        marks.append(f'<path class="grid" d="M{num(at)} {num(plot.top)}V{num(floor)}"/>')
-        marks.append(label(at, floor + 17, text, "mid"))
-    for at, text in zip(plot.py(plot.y.ticks), plot.y.tick_labels, strict=True):
-        marks.append(f'<path class="grid" d="M{num(plot.left)} {num(at)}H{num(right)}"/>')
-        marks.append(label(plot.left - 7, at + 4, text, "end"))
-    marks.append(f'<path class="axis" d="M{num(plot.left)} {num(plot.top)}V{num(floor)}H{num(right)}"/>')
-    marks.append(label((plot.left + right) / 2, plot.height - 8, plot.x.label, "mid name"))
+    for place, text in zip(plot.px(plot.x.ticks), plot.x.tick_labels, strict=True):
+        marks.append(f'<path class="grid" d="M{num(place)} {num(plot.top)}V{num(floor)}"/>')
+        marks.append(label(place, floor + 17, text, "mid"))
+    for place, text in zip(plot.py(plot.y.ticks), plot.y.tick_labels, strict=True):
+        marks.append(f'<path class="grid" d="M{num(plot.left)} {num(place)}H{num(x_right)}"/>')
+        marks.append(label(plot.left - 7, place + 4, text, "end"))
+    marks.append(f'<path class="axis" d="M{num(plot.left)} {num(plot.top)}V{num(floor)}H{num(x_right)}"/>')
+    marks.append(label((plot.left + x_right) / 2, plot.height - 8, plot.x.label, "mid name"))
     marks.append(label(0, 0, plot.y.label, "mid name", f' transform="translate(14 {num(middle)}) rotate(-90)"'))
     return "".join(marks)
 

@@ -82,8 +82,8 @@ def _limits(document: Document) -> Iterator[Finding]:
 
 
 def _is_worse(region: Document, unit: str) -> bool:
-    before, after = region[f"rms_before_{unit}"], region[f"rms_after_{unit}"]
-    return before is not None and bool(after >= before)
+    error_before, error_after = region[f"rms_before_{unit}"], region[f"rms_after_{unit}"]
+    return error_before is not None and bool(error_after >= error_before)
 
 
 def _notes(document: Document) -> Iterator[Finding]:
@@ -95,9 +95,9 @@ def _notes(document: Document) -> Iterator[Finding]:
     raw = sizes(document, "rms_raw", document["residual_units"])
     placed = document["placed"]
     yield Finding("before", {"fitted": ["base and tool"] * placed, "raw": raw, "placed": placed})
-    for name, how in (("settled", SETTLED), ("kept", "held as identified")):
+    for name, treatment in (("settled", SETTLED), ("kept", "held as identified")):
         if document[name]:
-            yield Finding("rig-unknowns", {"n": document[name], "how": how})
+            yield Finding("rig-unknowns", {"n": document[name], "how": treatment})
     if document["left_out"]:
         yield Finding("rig-unknowns", {"left_out": document["left_out"]})
 
@@ -122,6 +122,8 @@ def _error_table(document: Document, unit: Scale) -> Table:
 
 def _error_row(words: str, numbers: Document, figure: str, unit: Scale, predicted: float | None) -> tuple[str, ...]:
     decimals = UNITS[unit.si].decimals
-    before, after = (f"{numbers[f'{figure}_{name}_{unit.suffix}']:.{decimals}f}" for name in ("before", "after"))
+    error_before, error_after = (
+        f"{numbers[f'{figure}_{name}_{unit.suffix}']:.{decimals}f}" for name in ("before", "after")
+    )
     expected = "-" if predicted is None else f"{predicted:.{decimals}f}"
-    return words, before, after, expected, str(numbers[f"n_{unit.suffix}"])
+    return words, error_before, error_after, expected, str(numbers[f"n_{unit.suffix}"])

@@ -152,10 +152,10 @@ class Calibration(Displayed):
         range of the fitted readings. Raises TypeError or InputError unless q is (n, j).
         """
         q = floats("q", q, None, len(self.chain.joints), finite=False)
-        seen = self.stored.joint_range
-        if seen is None:
+        joint_range = self.stored.joint_range
+        if joint_range is None:
             return None
-        lower, upper = np.array(seen.lower) - NEAR_OBSERVED, np.array(seen.upper) + NEAR_OBSERVED
+        lower, upper = np.array(joint_range.lower) - NEAR_OBSERVED, np.array(joint_range.upper) + NEAR_OBSERVED
         turning = np.array([joint.kind == "revolute" for joint in self.chain.joints])
         past = np.where(turning, np.mod(q - lower, 2.0 * np.pi), q - lower)
         out = np.asarray((past < 0.0) | (past > upper - lower))
@@ -272,22 +272,22 @@ def calibration_of(stored: Result, robot: Robot, called: str, result: str) -> Ca
     InputError.
     """
     robot = robot_with_laws(robot, _laws_of(stored, robot, result))
-    chain, of_robot = robot.chain, stored.column("of") == "robot"
-    names = tuple(stored.column("name")[of_robot].tolist())
+    chain, robot_rows = robot.chain, stored.column("of") == "robot"
+    names = tuple(stored.column("name")[robot_rows].tolist())
     if names != chain.parameter_names or stored.robot.joint_units != chain.joint_units:
         first, last = stored.robot.base_frame, stored.robot.end_frame
-        other = robot.is_urdf and (first, last) != (chain.base_frame, chain.end_frame)
+        other_links = robot.is_urdf and (first, last) != (chain.base_frame, chain.end_frame)
         links = ", with ", Argument("base"), f" {first[:60]} and ", Argument("tip"), f" {last[:60]}"
         raise InputError(
             f"{result}: its parameters differ from those of robot {called}; give the robot it was identified with as ",
             Argument("robot"),
-            *(links if other else ()),
+            *(links if other_links else ()),
         )
-    nominal, identified = (stored.column(name)[of_robot] for name in ("nominal", "value"))
+    nominal, identified = (stored.column(name)[robot_rows] for name in ("nominal", "value"))
     if not np.allclose(nominal, chain.params_nominal, rtol=0.0, atol=1e-9):
-        at = int(np.argmax(np.abs(nominal - chain.params_nominal)))
+        index = int(np.argmax(np.abs(nominal - chain.params_nominal)))
         raise InputError(
-            "other-robot", place=result, difference=f"another value of {names[at]} than robot {called} has"
+            "other-robot", place=result, difference=f"another value of {names[index]} than robot {called} has"
         )
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
         raise InputError(f"{result}: a parameter's value is missing or implausible; identify again")
@@ -352,10 +352,10 @@ def check_within(argument: str, q: Floats, chain: Chain, lower: Floats, upper: F
     bad = np.argwhere((q < lower - ROUNDED) | (q > upper + ROUNDED))
     for i, j in bad[:1].tolist():
         scale = UNITS[chain.joint_units[j]].scale
-        where = f"number {i}, joint {j + 1}" if len(q) > 1 else f"joint {j + 1}"
+        place = f"number {i}, joint {j + 1}" if len(q) > 1 else f"joint {j + 1}"
         raise InputError(
             Argument(argument),
-            f": {where} is {scale.text(q[i, j])}, outside its limits of {scale.of(lower[j]):g} to {scale.text(upper[j])}",
+            f": {place} is {scale.text(q[i, j])}, outside its limits of {scale.of(lower[j]):g} to {scale.text(upper[j])}",
         )
 
 
@@ -366,10 +366,10 @@ def masses_of(payloads: Sequence[Payload]) -> list[str]:
 
 def covariance_of(stored: Result, names: Sequence[str]) -> Floats:
     """Return the covariance (k, k) of some parameters, 0 for fixed ones."""
-    at = {name: i for i, name in enumerate(names)}
+    index = {name: i for i, name in enumerate(names)}
     covariance = np.zeros((len(names), len(names)))
-    rows = [i for i, name in enumerate(stored.covariance.names) if name in at]
-    to = [at[stored.covariance.names[i]] for i in rows]
+    rows = [i for i, name in enumerate(stored.covariance.names) if name in index]
+    to = [index[stored.covariance.names[i]] for i in rows]
     covariance[np.ix_(to, to)] = np.nan_to_num(stored.covariance.matrix[np.ix_(rows, rows)])
     return covariance
 
@@ -412,24 +412,24 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
 
     findings = []
     places, defaults = mounting(chain, calibration.nominal), calibration.stored.defaults
-    own = np.array(chain.parameter_names)
-    base = set(own[places.base].tolist())
+    robot_names = np.array(chain.parameter_names)
+    base = set(robot_names[places.base].tolist())
     held = moving(calibration.stored.defaults.frames)
-    for key, what, mask, outside in (
+    for key, noun, mask, outside in (
         ("base", "pose of the base", places.base, own_frames),
         ("tool", "mounting of the tool", places.tool, False),
     ):
-        names = set(getattr(defaults, key) or own[mask].tolist())
+        names = set(getattr(defaults, key) or robot_names[mask].tolist())
         directions = [direction for direction in held if names.intersection(direction.names)]
         if directions and not outside:
-            held_names = [name for name in own.tolist() if name in names]
-            values = {"what": what, "base": key == "base", **_held(held_names, directions)}
+            held_names = [name for name in robot_names.tolist() if name in names]
+            values = {"what": noun, "base": key == "base", **_held(held_names, directions)}
             findings.append(Finding("mounting-held", values))
             if key == "base":
                 findings.append(Finding("own-frames-next"))
     null = moving(calibration.stored.null_space)
     if own_frames:  # a turn of the base together with the rig moves no target relative to the robot
-        null = [direction for direction in null if set(own.tolist()).intersection(direction.names) - base]
+        null = [direction for direction in null if set(robot_names.tolist()).intersection(direction.names) - base]
     if null:
         values = {
             "terms": [direction_text(direction.weights, direction.names, TERMS) for direction in null[:SHOWN]],
@@ -451,7 +451,7 @@ def unseen_within(calibration: Calibration) -> tuple[Floats, tuple[str, ...]]:
 
 def _held(names: Sequence[str], directions: Sequence[NullDirection]) -> dict[str, object]:
     """Return the names of a choice of frame; items of the rig, such as "sphere.s1.x", tell why there was one."""
-    parts = {part for direction in directions for name in direction.names for part in name.split(".")[:-1]}
-    items = [words for item, words in ITEMS.items() if item in parts]
+    item_words = {word for direction in directions for name in direction.names for word in name.split(".")[:-1]}
+    items = [words for item, words in ITEMS.items() if item in item_words]
     moved = {name for direction in directions for name in direction.names}
     return {"names": [name for name in names if name in moved], "items": " and ".join(items)}

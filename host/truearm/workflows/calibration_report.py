@@ -72,8 +72,8 @@ def _curves(identification: Identification) -> tuple[SampledCurve, ...]:
 
 def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
     """Return label and value of the facts about the rows of each kind."""
-    every = ((kind, table.select(table.kind == name)) for name, kind in kinds().items())
-    return tuple(fact for kind, rows in every if kind.facts and len(rows) for fact in kind.facts(rows))
+    rows_of_kinds = ((kind, table.select(table.kind == name)) for name, kind in kinds().items())
+    return tuple(fact for kind, rows in rows_of_kinds if kind.facts and len(rows) for fact in kind.facts(rows))
 
 
 def _leads(predicted: PredictedError, estimate: Estimate) -> bool:
@@ -90,8 +90,8 @@ def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estim
     """
     out, params = np.full(len(table), np.nan), estimate.value[: estimate.n_robot_parameters]
     for name, kind in kinds().items():
-        for of, entries in rigs_by_name(rig).items():
-            rows = np.flatnonzero((table.kind == name) & (table.rig == of))
+        for rig_name, entries in rigs_by_name(rig).items():
+            rows = np.flatnonzero((table.kind == name) & (table.rig == rig_name))
             if kind.longitude and rows.size:
                 out[rows] = kind.longitude(chain, params, entries, table.select(rows))
     return out

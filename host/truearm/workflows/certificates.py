@@ -52,20 +52,20 @@ def calibration_certificate(
 ) -> Certificate:
     """Return page one of the report on an identification."""
     e, tool = identification.estimate, _tool_error(identification)
-    before = nominal_error(identification.chain, identification.rig, identification.table, e)
-    described = f"{size(rms(before), 'm')} RMS, {size(before.max(), 'm')} at most"
-    few = f"not determined by {counted(len(before), 'row')}"  # which the placing of base and tool fits
+    nominal = nominal_error(identification.chain, identification.rig, identification.table, e)
+    described = f"{size(rms(nominal), 'm')} RMS, {size(nominal.max(), 'm')} at most"
+    unknown = f"not determined by {counted(len(nominal), 'row')}"  # which the placing of base and tool fits
     errors = (
-        ("before: the nominal robot, base and tool placed", few if len(before) < FEWEST else described),
+        ("before: the nominal robot, base and tool placed", unknown if len(nominal) < FEWEST else described),
         (f"after: expanded uncertainty (k = {COVERAGE:g})", "not determined" if tool is None else size(tool, "m")),
         ("measured region", _region(identification, identification.table)),
     )
     rows: list[tuple[str, str]] = []
-    used, outliers = int(e.used.sum()), int(e.n_observations - e.used.sum())
+    n_fitted, outliers = int(e.used.sum()), int(e.n_observations - e.used.sum())
     if outliers:
         rows.append(("left out as outliers", str(outliers)))
-    for si, after in e.rms_after.items():
-        rows.append((f"{used} fitted, RMS", f"{size(e.rms_before[si], si)} before, {size(after, si)} after"))
+    for si, rms_after in e.rms_after.items():
+        rows.append((f"{n_fitted} fitted, RMS", f"{size(e.rms_before[si], si)} before, {size(rms_after, si)} after"))
     held_out = {} if e.held_out is None else e.held_out.figures
     for si, figures in held_out.items():
         rows.append(
@@ -96,23 +96,23 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
     """Return page one of the report on a validation."""
     calibration, rig, table, inputs, recordings = measured
     errors: list[tuple[str, str]] = []
-    for si, after in validation.after.items():
+    for si, figures in validation.after.items():
         errors += [
             ("without the calibration", _figures_text(validation.before[si], si)),
-            ("with it", _figures_text(after, si)),
+            ("with it", _figures_text(figures, si)),
         ]
         if si in validation.expected:
             errors.append(("expected from noise and calibration", f"{size(validation.expected[si], si)} RMS"))
     error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
-    used = "the identification used these measurements" if validation.document["identified_from"] else ""
+    reused = "the identification used these measurements" if validation.document["identified_from"] else ""
     rows = counted(validation.n, "row")
     return Certificate(
         f"Certificate of {'a simulated ' * bool(validation.document['simulated'])}validation",
-        _decision(issue.tolerance, error, f", twice the RMS error of {rows}", unusable_because(calibration), used),
+        _decision(issue.tolerance, error, f", twice the RMS error of {rows}", unusable_because(calibration), reused),
         (
             ("What", _what(calibration, issue, recordings, "validated result")),
             (
-                f"Errors of {counted(validation.n, 'independent ' * (not used) + 'measurement')}",
+                f"Errors of {counted(validation.n, 'independent ' * (not reused) + 'measurement')}",
                 (*errors, ("measured region", _region(calibration, table))),
             ),
             ("Reference", _reference(rig, table, recordings)),
@@ -147,7 +147,7 @@ def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording
 
 
 def _tool_error(identification: Identification) -> float | None:
-    """Return the expanded uncertainty [m] of the measured point, from covariance and unexplained error; None if undetermined."""
+    """Return the expanded uncertainty [m] of the measured point, from covariance and unexplained error; None if unknown."""
     e = identification.estimate
     if e.status != "converged" or e.unusable:
         return None
@@ -163,14 +163,14 @@ def _tool_error(identification: Identification) -> float | None:
 
 
 def _decision(
-    tolerance: float | None, error: float | None, which: str, problem: str | None, undecided: str = ""
+    tolerance: float | None, error: float | None, scope: str, problem: str | None, undecided: str = ""
 ) -> str:
     """Return the error (k = 2) and whether it is within the tolerance, in a sentence."""
     if problem:
         return f"NOT USABLE: {problem}."
     if error is None or undecided:
         return f"NOT DECIDED: {undecided or 'the observations do not determine the error of the tool'}."
-    statement = f"{size(error, 'm')}{which}"
+    statement = f"{size(error, 'm')}{scope}"
     if tolerance is None:
         return f"{statement}; no tolerance was given."
     return f"{'PASS' if error <= tolerance else 'FAIL'}: {statement}, tolerance {MM.text(tolerance)}."
@@ -195,9 +195,9 @@ def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[Recordi
         trackers = [rig.trackers[name] for name in rig.trackers if name in table.tracker]
         facts += [(f"ball-bar {bar.name}", _length(bar.zero, bar.zero_sigma)) for bar in bars]
         facts += [
-            (f"sockets {' and '.join(of.sockets)} apart", _length(of.distance, of.sigma)) for of in rig.socket_distances
+            (f"sockets {' and '.join(d.sockets)} apart", _length(d.distance, d.sigma)) for d in rig.socket_distances
         ]
-        facts += [(f"tracker {of.name}", f"σ {MM.text(math.sqrt(np.trace(of.sensor_cov)), '.3f')}") for of in trackers]
+        facts += [(f"tracker {t.name}", f"σ {MM.text(math.sqrt(np.trace(t.sensor_cov)), '.3f')}") for t in trackers]
         if (table.kind == "seat").any():
             facts.append(("seats in sockets", f"σ {MM.text(rig.seat_sigma)} along each axis"))
     return (*facts[:MOST], *more(len(facts)), *sensor_facts(recordings))

@@ -63,12 +63,12 @@ def read_controller(source: str, model: str, out: Path, force: bool = False) -> 
             kinematics = kinematics_of_conf(content, _drawn_rows(drawing)) if is_conf else kinematics_of_yaml(content)
         except RobotError as exc:
             raise exc.within(Path(source)) from exc
-    written, apart = controller_text(text, drawing, kinematics)
+    written, distances = controller_text(text, drawing, kinematics)
     write_atomic(out, written)
     checksums = as_hex(kinematics.checksums)
     values: dict[str, Any] = {"place": source, "model": drawing.chain.name, "n": N_POSES, "checksums": checksums}
-    differences = {"rms": {"mm": float(MM.of(rms(apart)))}, "largest": {"mm": float(MM.of(apart.max()))}}
-    return Finding("controller-read", {**values, **differences, "as_drawn": bool(apart.max() < EXACT)})
+    differences = {"rms": {"mm": float(MM.of(rms(distances)))}, "largest": {"mm": float(MM.of(distances.max()))}}
+    return Finding("controller-read", {**values, **differences, "as_drawn": bool(distances.max() < EXACT)})
 
 
 def as_hex(checksums: tuple[int, ...]) -> list[str]:
@@ -108,9 +108,9 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
         )
     design = chain.params_nominal if drawing.drawing is None else drawing.drawing
     ends = kinematics.forward(q)
-    apart = np.linalg.norm((ends - forward(chain, design, q))[:, :3, 3], axis=1)
-    if apart.max() > OTHER_ARM_M:
-        largest = MM.text(float(apart.max()), ".0f")
+    distances = np.linalg.norm((ends - forward(chain, design, q))[:, :3, 3], axis=1)
+    if distances.max() > OTHER_ARM_M:
+        largest = MM.text(float(distances.max()), ".0f")
         raise RobotError(
             f"the controller's arm differs from {chain.name} by up to {largest}; give its own drawing as ",
             Argument("robot"),
@@ -137,7 +137,7 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
             place=f"robot {chain.name}",
             reason="its rows cannot hold the controller's; give a robot file like the built-in ur5e: dh, with beta at parallel axes",
         )
-    return written, np.asarray(apart)
+    return written, np.asarray(distances)
 
 
 def _with_set(text: str, values: dict[str, float], checksums: tuple[int, ...]) -> str:
@@ -177,13 +177,13 @@ def controller_state(address: str | None, model: str) -> ControllerState:
     if not stored:
         return ControllerState()
     try:
-        now = _controller_kinematics(address or "").checksums
+        checksums = _controller_kinematics(address or "").checksums
     except (LinkError, RobotError) as exc:
         unread = Finding("controller-unread", {"model": model, "reason": str(exc), "stored": True})
         return ControllerState(findings=(unread,))
-    changed = [str(i + 1) for i in range(JOINTS) if now[i] != stored[i]]
+    changed = [str(i + 1) for i in range(JOINTS) if checksums[i] != stored[i]]
     differs = Finding("controller-changed", {"place": address, "model": model, "joints": changed})
-    return ControllerState(now, (differs,) * bool(changed))
+    return ControllerState(checksums, (differs,) * bool(changed))
 
 
 def controller_choice(model: str, address: str, folder: Path) -> tuple[RobotChoice | None, Finding | None]:

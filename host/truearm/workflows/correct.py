@@ -84,13 +84,13 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         check_outputs([("targets", files.out)], files.force, read)
     else:
         check_program_out(files.out, programs, read)
-    how = _how(calibration, options)
+    method = _how(calibration, options)
     check_outputs([("page", files.report)], files.force, [*read, files.out])
     if programs is None:
-        done = _correct_table(files.targets, how, options)
+        done = _correct_table(files.targets, method, options)
     else:
-        frames = _calibration_frames(files.robot, how.pair.chain, options)
-        done = correct_program(programs.contents, programs.language, how, frames, options.program)
+        frames = _calibration_frames(files.robot, method.pair.chain, options)
+        done = correct_program(programs.contents, programs.language, method, frames, options.program)
     correction = done.targets.correction
     places = tuple(place.partition(" ")[2] for place in done.targets.places)
     page = ""
@@ -103,17 +103,17 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     ]
     configurations = None
     if done.others is not None:
-        others, configurations = comparison(calibration, how.pair, done.others)
-        stated.append(others)
+        spread, configurations = comparison(calibration, method.pair, done.others)
+        stated.append(spread)
     stated = ordered(stated, calibration.simulated)
     document: Mapping[str, Any] = {}
     if options.document or files.report is not None:
         names = {"file": files.targets.name, "out": files.out.name, "result": files.result.name}
         document = document_of(
-            calibration, how.pair, done.targets, done.moves, stated, done.refused, names, configurations
+            calibration, method.pair, done.targets, done.moves, stated, done.refused, names, configurations
         )
         if files.report is not None:
-            page = render(document, correction_scene(calibration, how.pair, done.targets, document))
+            page = render(document, correction_scene(calibration, method.pair, done.targets, document))
     if programs is None:
         write_atomic(files.out, done.table)
     else:
@@ -158,7 +158,7 @@ def corrected_poses(
     places = [f"pose {i}" for i in range(len(poses))]
     done, commanded = _corrected(_how(calibration, options), poses, options, places)
     if not partial:
-        _refuse(done, places, then="")
+        _refuse(done, places, consequence="")
     refused = np.array([problem != "" for problem in done.problem])
     q, commanded = np.where(refused[:, None], np.nan, done.q), np.where(refused[:, None, None], np.nan, commanded)
     return replace(done, q=q, commanded=commanded)
@@ -172,7 +172,7 @@ def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
 
 
 def _corrected(
-    how: HowCorrected,
+    method: HowCorrected,
     poses: Floats,
     options: CorrectOptions,
     sources: Sequence[str],
@@ -182,24 +182,24 @@ def _corrected(
     """Return the correction of the tool's poses (n, 4, 4) in the work frame, and the poses to command, in it too."""
     work, tool = map(frame_of, options.frames)
     ends = work @ poses @ inverted(tool)
-    if q_start is None and how.home is None:
-        anywhere = np.full((1, len(how.pair.chain.joints)), np.nan)
-        if several_fit(how.pair.chain, how.pair.nominal, ends[:1], anywhere, oriented).any():
+    if q_start is None and method.home is None:
+        anywhere = np.full((1, len(method.pair.chain.joints)), np.nan)
+        if several_fit(method.pair.chain, method.pair.nominal, ends[:1], anywhere, oriented).any():
             raise TargetError("uncorrectable", place=sources[0], reason=UNDETERMINED, home=True)
-    done = at_tools(how.pair, how.correct(ends, Configuration(q_start, how.home), oriented), tool)
+    done = at_tools(method.pair, method.correct(ends, Configuration(q_start, method.home), oriented), tool)
     return done, inverted(work) @ done.commanded @ tool
 
 
-def _correct_table(path: Path, how: HowCorrected, options: CorrectOptions) -> Corrected:
-    units, tool = how.pair.chain.joint_units, frame_of(options.frames[1])
+def _correct_table(path: Path, method: HowCorrected, options: CorrectOptions) -> Corrected:
+    units, tool = method.pair.chain.joint_units, frame_of(options.frames[1])
     targets = read_targets(path, units)
     if not targets.oriented and not np.array_equal(tool, np.eye(4)):
         raise TargetError(
             f"{path}: positions without orientations cannot be moved by ", Argument("tool"), "; give rx, ry, rz too"
         )
-    done, commanded = _corrected(how, targets.pose, options, targets.source, targets.q_start, targets.oriented)
+    done, commanded = _corrected(method, targets.pose, options, targets.source, targets.q_start, targets.oriented)
     _refuse(done, targets.source)
-    text = format_corrected(targets, commanded, done.q, done.before, done.after, units, how.simulated)
+    text = format_corrected(targets, commanded, done.q, done.before, done.after, units, method.simulated)
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)
@@ -226,12 +226,12 @@ def tool0_in_flange(robot: RobotChoice, chain: Chain) -> Floats | None:
     return np.asarray(inverted(next(poses)) @ next(poses))
 
 
-def _refuse(done: Correction, sources: Sequence[str], then: str = "; nothing was written") -> None:
+def _refuse(done: Correction, sources: Sequence[str], consequence: str = "; nothing was written") -> None:
     """Raise TargetError for the first target that cannot be corrected."""
     bad = [i for i, problem in enumerate(done.problem) if problem]
     if bad:
-        more = f" ({len(bad)} of {len(sources)} targets cannot be corrected)" if len(bad) > 1 else ""
-        raise TargetError("uncorrectable", place=sources[bad[0]], reason=f"{done.problem[bad[0]]}{more}{then}")
+        count = f" ({len(bad)} of {len(sources)} targets cannot be corrected)" if len(bad) > 1 else ""
+        raise TargetError("uncorrectable", place=sources[bad[0]], reason=f"{done.problem[bad[0]]}{count}{consequence}")
 
 
 def _frames(calibration: Calibration, own_frames: bool) -> Finding:

@@ -153,7 +153,7 @@ class Solution:
 def correct_program(
     files: Mapping[str, bytes],
     language: ProgramLanguage,
-    how: HowCorrected,
+    method: HowCorrected,
     names: CalibrationFrames,
     options: ProgramOptions,
 ) -> Corrected:
@@ -163,15 +163,15 @@ def correct_program(
     """
     programs = read_programs(language, [Source(name, data) for name, data in files.items()], _surroundings(options))
     title = next(iter(files)) if len(files) == 1 else counted(len(files), "program file")
-    _check_moves(title, programs, how.pair, options)
+    _check_moves(title, programs, method.pair, options)
     if options.mark and language not in COMMENTS:
         raise InputError("no-effect", place=Argument("mark"), reason="such a program has no comments beside moves")
-    frames = _controller_frames(language, names, options, how.pair)
+    frames = _controller_frames(language, names, options, method.pair)
     joints_change = options.joint_moves is JointMoves.CORRECT
     censuses = [Census(program, joints_change) for program in programs]
     visits = [visit for visit in _visits(programs) if joints_change or not visit.goal.is_joints]
-    solution = _solution(sorted(visits, key=lambda visit: visit.goal.is_joints), how, frames)
-    _settle(censuses, solution, how)
+    solution = _solution(sorted(visits, key=lambda visit: visit.goal.is_joints), method, frames)
+    _settle(censuses, solution, method)
     refused = _refused(programs)
     places = _corrected_rows(censuses, solution, joints_change)
     n_moves = sum(len(program.moves) for program in programs)
@@ -183,17 +183,17 @@ def correct_program(
         error.refused = refused
         raise error
     _check_frames(programs, options)
-    written = _written(censuses, solution, language, options, how.simulated)
+    written = _written(censuses, solution, language, options, method.simulated)
     labels, rows = [_label(programs, *place) for place in places], np.array(list(places.values()))
     posed, tools = rows < solution.n_poses, solution.tools[rows]
-    correction = at_tools(how.pair, _selected(solution.correction, rows), tools)
+    correction = at_tools(method.pair, _selected(solution.correction, rows), tools)
     lines = [label.removeprefix("line ") for label, is_pose in zip(labels, posed, strict=True) if is_pose]
     columns = (solution.correction.q_nominal, solution.quarters, solution.determined)
     q, quarters, determined = (column[rows[posed]] for column in columns)
     return Corrected(
         CorrectedTargets(tuple(labels), ~posed, solution.asked[rows], solution.told[rows], tools, correction),
-        _straight_moves(how.pair, programs, solution),
-        _other_configurations(how, rows, solution),
+        _straight_moves(method.pair, programs, solution),
+        _other_configurations(method, rows, solution),
         tuple(refused),
         (*_notes(programs, names, frames, options), *configuration_notes(q, quarters, determined, lines)),
         written,
@@ -211,10 +211,10 @@ def _surroundings(options: ProgramOptions) -> Surroundings:
 
 def _check_frames(programs: Sequence[Program], options: ProgramOptions) -> None:
     """Raise InputError for tools and work objects that no move needs, and names of --unchanged that no file has."""
-    asked = {name for program in programs for name in program.asked}
+    names_asked = {name for program in programs for name in program.asked}
     for argument, names in (("tool", options.tools), ("work", options.works.keys() - {""})):
         for name in names:
-            if name.lower() not in asked:
+            if name.lower() not in names_asked:
                 reason = f"no move needs {name[:40] or 'a tool without a name'} from outside of the files"
                 raise InputError("no-effect", place=Argument(argument), reason=reason)
     texts = [source.text.lower() for program in programs for source in program.files]
@@ -254,9 +254,9 @@ def _refused(programs: Sequence[Program]) -> list[Refused]:
 def _visits(programs: Sequence[Program]) -> Iterator[Visit]:
     """Yield the goals of all moves with the goals from where the robot may come."""
     for number, program in enumerate(programs):
-        before = program.origins or preceding(program.steps, lambda move: True, MOST_ORIGINS)
+        origins_of = program.origins or preceding(program.steps, lambda move: True, MOST_ORIGINS)
         for move in program.moves:
-            origins: list[Goal | None] = list(_ends(before.get(move, ())))
+            origins: list[Goal | None] = list(_ends(origins_of.get(move, ())))
             for goal in move.goals:
                 is_fixed = goal.near or goal.quarters or goal.is_joints
                 yield from (Visit(number, move, goal, origin) for origin in (origins[:1] if is_fixed else origins))
@@ -290,44 +290,44 @@ def _rows_of(values: Sequence[Sequence[float] | Floats], *shape: int) -> Floats:
     return np.array(values, dtype=float).reshape(-1, *shape)
 
 
-def _solution(visits: Sequence[Visit], how: HowCorrected, frames: tuple[Frame, Frame]) -> Solution:
+def _solution(visits: Sequence[Visit], method: HowCorrected, frames: tuple[Frame, Frame]) -> Solution:
     """Correct all visits: poses nearest to where the robot comes from, joint readings near themselves."""
-    goals, pair = [visit.goal for visit in visits], how.pair
+    goals, pair = [visit.goal for visit in visits], method.pair
     rows: dict[Goal, int] = {}
     for row, goal in enumerate(goals):
         rows.setdefault(goal, row)
     n = sum(not goal.is_joints for goal in goals)
-    near = _rows_of([_near(goal) for goal in goals], N_JOINTS)
+    hints = _rows_of([_near(goal) for goal in goals], N_JOINTS)
     base, tools = np.tile(np.eye(4), (2, len(goals), 1, 1))
     base[:n] = frames[0].pose @ _rows_of([goal.frame for goal in goals[:n]], 4, 4)
     tools[:n] = frames[1].pose @ _rows_of([goal.tool for goal in goals[:n]], 4, 4)
-    asked = np.concatenate([target_poses(goals[:n]), believed(pair, near[n:])])
-    ends = base @ asked @ inverted(tools)
+    requested = np.concatenate([target_poses(goals[:n]), believed(pair, hints[n:])])
+    ends = base @ requested @ inverted(tools)
     quarters = np.full((len(goals), N_JOINTS), np.nan)
     quarters[:, CONFIGURED] = _rows_of([goal.quarters or (np.nan,) * 3 for goal in goals], 3)
-    direct: NDArray[np.bool_] = np.asarray(np.isfinite(near).all(axis=1))
-    q = inverse(pair.chain, pair.nominal, ends[direct], near[direct]).q
-    direct[direct] = np.abs(q - near[direct]).max(axis=1, initial=0.0) < NEAR
-    parts = [how.correct(ends[direct], Configuration(q_start=near[direct]))]
+    direct: NDArray[np.bool_] = np.asarray(np.isfinite(hints).all(axis=1))
+    q = inverse(pair.chain, pair.nominal, ends[direct], hints[direct]).q
+    direct[direct] = np.abs(q - hints[direct]).max(axis=1, initial=0.0) < NEAR
+    corrections = [method.correct(ends[direct], Configuration(q_start=hints[direct]))]
     if not direct.all():
         number = np.where(direct, -1, np.cumsum(~direct) - 1)  # of a search
         origins = [visit.origin for visit, is_direct in zip(visits, direct, strict=True) if not is_direct]
-        before = np.array([-1 if origin not in rows else number[rows[origin]] for origin in origins])
-        q_before = np.where(np.isnan(near[~direct]), _rows_of([_near(o) for o in origins], N_JOINTS), near[~direct])
-        searching = Configuration(home=how.home, quadrants=quarters[~direct], origins=Origins(before, q_before))
-        parts.append(how.correct(ends[~direct], searching))
-    correction = _selected(joined(parts), np.argsort(np.argsort(~direct, kind="stable")))
-    told = inverted(base) @ correction.commanded @ tools
-    determined = np.isfinite(near).any(axis=1) | np.array([visit.origin is not None for visit in visits], dtype=bool)
+        origin_rows = np.array([-1 if origin not in rows else number[rows[origin]] for origin in origins])
+        q_before = np.where(np.isnan(hints[~direct]), _rows_of([_near(o) for o in origins], N_JOINTS), hints[~direct])
+        searching = Configuration(home=method.home, quadrants=quarters[~direct], origins=Origins(origin_rows, q_before))
+        corrections.append(method.correct(ends[~direct], searching))
+    correction = _selected(joined(corrections), np.argsort(np.argsort(~direct, kind="stable")))
+    commanded = inverted(base) @ correction.commanded @ tools
+    determined = np.isfinite(hints).any(axis=1) | np.array([visit.origin is not None for visit in visits], dtype=bool)
     searched = np.flatnonzero(~determined)
     determined[searched] = ~several_fit(pair.chain, pair.nominal, ends[searched], quarters[searched])
-    return Solution(visits, n, rows, correction, asked, told, tools, quarters, determined)
+    return Solution(visits, n, rows, correction, requested, commanded, tools, quarters, determined)
 
 
-def _settle(censuses: Sequence[Census], solution: Solution, how: HowCorrected) -> None:
+def _settle(censuses: Sequence[Census], solution: Solution, method: HowCorrected) -> None:
     """Refuse moves to goals that cannot be corrected, and settle which numbers change."""
     for row, visit in enumerate(solution.visits):
-        reason = _reason(row, visit, censuses[visit.program].program.language, solution, how.home is not None)
+        reason = _reason(row, visit, censuses[visit.program].program.language, solution, method.home is not None)
         if reason is not None:
             censuses[visit.program].refuse(visit.move, reason)
     for census in censuses:
@@ -350,13 +350,13 @@ def _reason(row: int, visit: Visit, language: str, solution: Solution, has_home:
     return None
 
 
-def _turns_fit(visit: Visit, language: str, before: Floats, after: Floats) -> bool:
+def _turns_fit(visit: Visit, language: str, q_nominal: Floats, q: Floats) -> bool:
     """Return whether the configuration data that no search uses agree: the signs of KRL's T, the turns of Fanuc's axes."""
     if visit.goal.turns is not None and visit.move.name.endswith("ptp"):
         signs = [bool(visit.goal.turns >> axis & 1) for axis in range(N_JOINTS)]
-        return all((q < 0.0) == sign or abs(q) < 1e-3 for q, sign in zip(before, signs, strict=True))
+        return all((q < 0.0) == sign or abs(q) < 1e-3 for q, sign in zip(q_nominal, signs, strict=True))
     if language == "ls":
-        turned = np.floor((before + np.pi) / (2.0 * np.pi)) != np.floor((after + np.pi) / (2.0 * np.pi))
+        turned = np.floor((q_nominal + np.pi) / (2.0 * np.pi)) != np.floor((q + np.pi) / (2.0 * np.pi))
         return not turned[list(CONFIGURED)].any()
     return True
 
@@ -394,18 +394,20 @@ def _straight_moves(pair: ModelPair, programs: Sequence[Program], solution: Solu
     return CorrectedMoves(ends, begins, simulated, len(straight) - len(moves))
 
 
-def _other_configurations(how: HowCorrected, rows: NDArray[np.int_], solution: Solution) -> OtherConfigurations | None:
+def _other_configurations(
+    method: HowCorrected, rows: NDArray[np.int_], solution: Solution
+) -> OtherConfigurations | None:
     """Correct the first targets whose configuration only ``home`` determines in all configurations of the arm."""
-    pair = how.pair
+    pair = method.pair
     compared = rows[~solution.determined[rows]][:MOST_COMPARED]
-    if how.home is None or not compared.size:
+    if method.home is None or not compared.size:
         return None
     ends = believed(pair, solution.correction.q_nominal[compared])
     stock = solutions(pair.chain, pair.nominal, ends, oriented=True)
-    which, k = np.nonzero(stock.reached & within(pair.chain, stock.q))
-    other = how.correct(ends[which], Configuration(q_start=stock.q[which, k]))
-    shift = (other.commanded - solution.correction.commanded[compared[which]])[:, :3, 3]
-    return OtherConfigurations(len(compared), np.linalg.norm(shift, axis=1), other.q, solution.tools[compared[which]])
+    target, k = np.nonzero(stock.reached & within(pair.chain, stock.q))
+    done = method.correct(ends[target], Configuration(q_start=stock.q[target, k]))
+    shift = (done.commanded - solution.correction.commanded[compared[target]])[:, :3, 3]
+    return OtherConfigurations(len(compared), np.linalg.norm(shift, axis=1), done.q, solution.tools[compared[target]])
 
 
 def _notes(
@@ -446,9 +448,10 @@ def _written(
 
 def _selected(done: Correction, rows: NDArray[np.int_]) -> Correction:
     """Return a selection of corrected targets."""
-    arrays = (done.q_nominal, done.q, done.commanded, done.before, done.after)
-    q_nominal, q, commanded, before, after = (array[rows] for array in arrays)
-    return Correction(q_nominal, q, commanded, before, after, tuple(done.problem[row] for row in rows.tolist()))
+    problem = tuple(done.problem[row] for row in rows.tolist())
+    return Correction(
+        done.q_nominal[rows], done.q[rows], done.commanded[rows], done.before[rows], done.after[rows], problem
+    )
 
 
 # frames
@@ -464,14 +467,14 @@ def _controller_frames(
     """
     q = np.zeros((1, len(pair.chain.joints)))
     axis = believed(pair, q)[0, :3, :3].T @ joint_jacobian(pair.chain, pair.nominal, q)[0, 3:, -1]  # in the end frame
-    own = SAME if names.own and names.brought else None
+    own_frame = SAME if names.own and names.brought else None
     tool0 = None if names.tool0 is None else Frame(names.tool0, "tool0 (as in the URDF)")
-    base = _given(options.works.get("")) or base_of(language, names.base, names.brought) or own
-    flange = _given(options.flange) or tool0 or flange_of(language, names.end, names.brought, axis) or own
+    base = _given(options.works.get("")) or base_of(language, names.base, names.brought) or own_frame
+    flange = _given(options.flange) or tool0 or flange_of(language, names.end, names.brought, axis) or own_frame
     if base is not None and flange is not None:
         return base, flange
-    what, name, argument = ("base", names.base, "work") if base is None else ("flange", names.end, "flange")
-    raise InputError("frame", frame=name[:60], what=what, argument=Argument(argument), may_use_own=names.brought)
+    noun, name, argument = ("base", names.base, "work") if base is None else ("flange", names.end, "flange")
+    raise InputError("frame", frame=name[:60], what=noun, argument=Argument(argument), may_use_own=names.brought)
 
 
 def _given(six: Six | None) -> Frame | None:

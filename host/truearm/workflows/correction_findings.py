@@ -111,14 +111,14 @@ def _expected_errors(
 
 
 def comparison(
-    calibration: Calibration, pair: ModelPair, others: OtherConfigurations
+    calibration: Calibration, pair: ModelPair, configurations: OtherConfigurations
 ) -> tuple[Finding, dict[str, Any]]:
     """Compare corrections and expected errors over the arm's configurations, as a finding and as JSON."""
-    expected = _expected_errors(calibration, pair, others.q, others.tools)[0][:, 0]
-    shift = float(others.shift.max(initial=0.0))
+    expected = _expected_errors(calibration, pair, configurations.q, configurations.tools)[0][:, 0]
+    shift = float(configurations.shift.max(initial=0.0))
     low, high = (float(bound(expected, initial=start)) for bound, start in ((np.min, np.inf), (np.max, -np.inf)))
     figures = {
-        "targets": others.n_targets,
+        "targets": configurations.n_targets,
         "correction_spread_mm": float(MM.of(shift)),
         "expected_min_mm": number_or_null(MM.of(low)),
         "expected_max_mm": number_or_null(MM.of(high)),
@@ -154,11 +154,11 @@ def correction_findings(
 ) -> list[Finding]:
     """Return what was corrected, and what the operator must know before the program is run."""
     done, places = targets.correction, targets.places
-    before, after = ({"mm": float(MM.of(rms(error[:, 0])))} for error in (done.before, done.after))
-    values = {"point": targets.error_point(calibration.chain.end_frame), "before": before, "after": after}
+    rms_before, rms_after = ({"mm": float(MM.of(rms(error[:, 0])))} for error in (done.before, done.after))
+    values = {"point": targets.error_point(calibration.chain.end_frame), "before": rms_before, "after": rms_after}
     code = "partly-corrected" if refused else "corrected"
     findings = [Finding(code, {**values, "n": len(places), "refused": len(refused)})]
-    if after["mm"] > before["mm"]:
+    if rms_after["mm"] > rms_before["mm"]:
         findings.append(Finding("correction-worse", values))
     if calibration.stored.status != "converged":
         findings.append(Finding("fit-not-converged"))
@@ -168,13 +168,13 @@ def correction_findings(
     elif (rows := np.flatnonzero(outside.any(axis=1))).size:
         joints = [calibration.chain.joints[j].name for j in np.flatnonzero(outside.any(axis=0))]
         has_curves = any(isinstance(law, CurveKnots) for law in calibration.stored.laws)
-        where = {
+        values_outside = {
             "n": int(rows.size),
             "joints": joints,
             "places": _several([places[i] for i in rows]),
             "curves": has_curves,
         }
-        findings.append(Finding("targets-outside", where))
+        findings.append(Finding("targets-outside", values_outside))
     return [*findings, *_move_findings(moves)]
 
 
@@ -232,10 +232,10 @@ def _head(calibration: Calibration) -> dict[str, Any]:
     return {"format": FORMAT, "format_version": FORMAT_VERSION, **frames}
 
 
-def _target_entries(calibration: Calibration, of: CorrectedTargets, expected: Floats) -> list[dict[str, Any]]:
-    done, units = of.correction, calibration.joint_units
-    poses = [position_and_rotation(frames) for frames in (of.asked, of.told)]
-    shift = apart(of.told, of.asked)
+def _target_entries(calibration: Calibration, targets: CorrectedTargets, expected: Floats) -> list[dict[str, Any]]:
+    done, units = targets.correction, calibration.joint_units
+    poses = [position_and_rotation(frames) for frames in (targets.asked, targets.told)]
+    shift = apart(targets.told, targets.asked)
     shift[np.isnan(done.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
     limits, singular = (
         limit_margins(calibration.chain, done.q),
@@ -245,7 +245,7 @@ def _target_entries(calibration: Calibration, of: CorrectedTargets, expected: Fl
     return [
         {
             "place": place,
-            "joints": bool(of.joints[i]),
+            "joints": bool(targets.joints[i]),
             "before": _pose_entry(poses[0][i], done.q_nominal[i], units),
             "after": _pose_entry(poses[1][i], done.q[i], units),
             "shift_mm": float(MM.of(np.linalg.norm(shift[i, :3]))),
@@ -258,7 +258,7 @@ def _target_entries(calibration: Calibration, of: CorrectedTargets, expected: Fl
             "singular_value": float(singular[i]),
             "outside": None if outside is None else [int(j) + 1 for j in np.flatnonzero(outside[i])],
         }
-        for i, place in enumerate(of.places)
+        for i, place in enumerate(targets.places)
     ]
 
 

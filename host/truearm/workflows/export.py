@@ -234,8 +234,8 @@ def _anywhere(calibration: Calibration) -> Floats:
     for law in stored.laws:
         if isinstance(law, CurveKnots):
             low, high = np.array(law.covered).T
-            which = rng.choice(low.size, N_POSES, p=(high - low) / (high - low).sum())
-            q[:, law.joint] = rng.uniform(low[which], high[which])
+            interval = rng.choice(low.size, N_POSES, p=(high - low) / (high - low).sum())
+            q[:, law.joint] = rng.uniform(low[interval], high[interval])
     return np.asarray(q)
 
 

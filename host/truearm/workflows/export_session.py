@@ -30,23 +30,23 @@ SAID = "session.json"
 
 
 @step("exporting the session")
-def export_session_files(wanted: ExportSession) -> dict[str, dict[str, Any]]:
+def export_session_files(request: ExportSession) -> dict[str, dict[str, Any]]:
     """Write all tables, or none; return the rows and titles of each by name. Raises InputError, SessionError, WriteError."""
-    units = () if wanted.robot.robot is None else wanted.robot.load().chain.joint_units
-    rig = None if wanted.rig is None else read_rig(wanted.rig)
-    out = wanted.out
-    check_new_folder(out, wanted.session)
-    opened = open_finished(wanted.session, wanted.allow_damaged)
+    units = () if request.robot.robot is None else request.robot.load().chain.joint_units
+    rig = None if request.rig is None else read_rig(request.rig)
+    out = request.out
+    check_new_folder(out, request.session)
+    opened = open_finished(request.session, request.allow_damaged)
     try:
         with working_folder(out.parent) as folder:
-            whole = folder / "tables"
-            whole.mkdir()
-            document = _export(opened, whole, wanted, rig, units)
-            document["sha256"] = sha256(wanted.session)
-            (whole / SAID).write_text(strict_json(document) + "\n", encoding="utf-8")
+            tables_folder = folder / "tables"
+            tables_folder.mkdir()
+            document = _export(opened, tables_folder, request, rig, units)
+            document["sha256"] = sha256(request.session)
+            (tables_folder / SAID).write_text(strict_json(document) + "\n", encoding="utf-8")
             if out.exists():
                 out.rmdir()
-            os.replace(whole, out)
+            os.replace(tables_folder, out)
     except OSError as exc:
         raise WriteError(f"{out}: cannot be written: {system_reason(exc)}; nothing was exported") from exc
     tables: dict[str, dict[str, Any]] = document["tables"]
@@ -54,14 +54,14 @@ def export_session_files(wanted: ExportSession) -> dict[str, dict[str, Any]]:
 
 
 def _export(
-    session: Session, folder: Path, wanted: ExportSession, rig: Rig | None, units: Sequence[str]
+    session: Session, folder: Path, request: ExportSession, rig: Rig | None, units: Sequence[str]
 ) -> dict[str, Any]:
     """Write all tables; return the contents of session.json."""
     survey, not_paired = surveyed(session), ""
     tables: dict[str, tuple[ArrowTable, list[str]]] = {}
     try:
         for name, columns in _tables(session, survey, rig, units):
-            file = f"{name}.{wanted.format}"
+            file = f"{name}.{request.format}"
             if file not in tables:
                 tables[file] = ArrowTable(folder / file, columns), list(columns)
             tables[file][0].write(columns)

@@ -119,15 +119,15 @@ def _outcome(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def workers(options: FleetOptions, most: int) -> Iterator[type[Exception]]:
-    """Let joblib use the workers of the options, at most ``most``; yield the error that says that some were killed.
+def workers(options: FleetOptions, limit: int) -> Iterator[type[Exception]]:
+    """Let joblib use the workers of the options, at most ``limit``; yield the error that says that some were killed.
 
     Raises InputError if the scheduler cannot be reached.
     """
     import joblib
 
     if options.dask is None:
-        with joblib.parallel_config("loky", n_jobs=min(options.workers or joblib.cpu_count(), most)):
+        with joblib.parallel_config("loky", n_jobs=min(options.workers or joblib.cpu_count(), limit)):
             yield BrokenProcessPool
         return
     try:
@@ -136,13 +136,13 @@ def workers(options: FleetOptions, most: int) -> Iterator[type[Exception]]:
         raise InputError(
             "missing-package", place=Argument("dask"), package="distributed", install="truearm[dask]"
         ) from None
-    where: dict[str, Any] = {"address": options.dask, "timeout": 5.0}  # s, of connecting
+    cluster: dict[str, Any] = {"address": options.dask, "timeout": 5.0}  # s, of connecting
     if options.dask != LOCAL and options.workers is not None:
         raise InputError("no-effect", place=Argument("workers"), reason=f"{options.dask} has workers of its own")
     if options.dask == LOCAL:
-        where = {"n_workers": options.workers, "threads_per_worker": 1, "dashboard_address": None}
+        cluster = {"n_workers": options.workers, "threads_per_worker": 1, "dashboard_address": None}
     try:
-        client = Client(**where)
+        client = Client(**cluster)
     except (OSError, ValueError) as exc:
         raise InputError(f"{options.dask}: no Dask scheduler answers: {exc}") from exc
     with client, joblib.parallel_config("dask", n_jobs=-1):

@@ -290,11 +290,11 @@ def rejudged(
     problem = build_problem(chain, rig, table.select(estimate.fitted), effects=fitted)
     x = problem.at(dict(zip(estimate.parameter_names, estimate.value, strict=True)))
     held_out, error = judged(problem, x, rig, table, held, modelled)
-    residual = {unit: of.copy() for unit, of in estimate.residual.items()}
-    unfitted = {unit: of.copy() for unit, of in estimate.unfitted_error.items()}
-    for unit, of in error.items():
-        residual[unit][held] = of
-        unfitted[unit][held] = of
+    residual = {unit: values.copy() for unit, values in estimate.residual.items()}
+    unfitted = {unit: values.copy() for unit, values in estimate.unfitted_error.items()}
+    for unit, values in error.items():
+        residual[unit][held] = values
+        unfitted[unit][held] = values
     return replace(estimate, held_out=held_out, residual=residual, unfitted_error=unfitted)
 
 
@@ -360,7 +360,7 @@ def identified(
     check_rows(chain, table, ~unused)
     fitted = table.select(~unused)
     effects, causes = split_causes(chain, rig, table, options.apply)
-    allowed = [one.select(~unused) for one in modelled_of(chain, rig, table, effects)]
+    allowed = [effect.select(~unused) for effect in modelled_of(chain, rig, table, effects)]
     free, weak, chosen = choose_defaults(
         chain, rig, fitted, selection.free, named, prior is Prior.WHERE_NEEDED, allowed
     )

@@ -87,7 +87,7 @@ def check_files(
         raise InputError("wrong-suffix", place="-")
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
-        if any(same_file(path, other) for other in counted[:i]):
+        if any(same_file(path, earlier) for earlier in counted[:i]):
             raise InputError("given-twice", place=path)
     check_outputs(outputs, force, [*sources.files, *robot.files])
 
@@ -147,15 +147,15 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
             sources.say(
                 f"{path}: the rows are not in the order of time_s; they are used in that order, and row numbers count in it"
             )
-    counts = tuple(one.dwells for one in of_sessions)
-    recordings = tuple(one.recording for one in of_sessions)
-    if sources.line_points is not None and not any(one.lines for one in counts):
+    counts = tuple(session.dwells for session in of_sessions)
+    recordings = tuple(session.recording for session in of_sessions)
+    if sources.line_points is not None and not any(count.lines for count in counts):
         raise InputError(
             "no-effect", place=Argument("line_points"), reason="no input is a session with passes along a line"
         )
-    table = concatenate([part for part in tables if len(part)] or tables)
+    table = concatenate([rows for rows in tables if len(rows)] or tables)
     if not len(table):
-        raise SessionError("; ".join(one.nothing for one in of_sessions))
+        raise SessionError("; ".join(session.nothing for session in of_sessions))
     rigs = given_rigs | dict(of_session.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
@@ -348,14 +348,16 @@ def session_name(path: Path) -> str:
 
 
 def session_rigs(sessions: Mapping[Path, Session], given_rigs: Mapping[str, Rig]) -> dict[Path, Assigned]:
-    """Return name and rig of every session; ``given`` holds the rigs given by the user, by name.
+    """Return name and rig of every session; ``given_rigs`` holds those that the user named, by name.
 
     If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
     a name. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
     """
     if "" in given_rigs:
         return dict.fromkeys(sessions, ("", given_rigs[""]))
-    recorded = {path: attached_rig(one, path) for path, one in sessions.items() if session_name(path) not in given_rigs}
+    recorded = {
+        path: attached_rig(session, path) for path, session in sessions.items() if session_name(path) not in given_rigs
+    }
     for path, rig in recorded.items():
         if rig is None:
             name = f" {session_name(path)}=FILE" * bool(given_rigs)
@@ -375,8 +377,8 @@ def _named_apart(recorded_rigs: Mapping[Path, Rig]) -> dict[Path, Assigned]:
     """
     named: dict[Path, Assigned] = {}
     for path, rig in recorded_rigs.items():
-        same = next((name for name, other in named.values() if other == rig), session_name(path))
-        if any(name == same and other != rig for name, other in named.values()):
-            raise InputError(f"{path}: another session is also named {same} but has another rig; rename one of them")
-        named[path] = same, rig
+        label = next((name for name, named_rig in named.values() if named_rig == rig), session_name(path))
+        if any(name == label and named_rig != rig for name, named_rig in named.values()):
+            raise InputError(f"{path}: another session is also named {label} but has another rig; rename one of them")
+        named[path] = label, rig
     return named

@@ -188,8 +188,8 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
     passes |= {
         "found": len(result.passes),
         "rejected": result.pass_reasons,
-        "points": sum(len(one.xyz) for one in result.passes),
-        "table": [_pass_row(number, one) for number, one in enumerate(result.passes, start=1)],
+        "points": sum(len(line_pass.xyz) for line_pass in result.passes),
+        "table": [_pass_row(number, line_pass) for number, line_pass in enumerate(result.passes, start=1)],
     }
     return document
 

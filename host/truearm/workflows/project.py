@@ -133,7 +133,7 @@ def new_plan(path: Path) -> Path:
 
 
 @step("making the project")
-def create(folder: Path, wanted: ProjectWanted) -> Created:
+def create(folder: Path, request: ProjectWanted) -> Created:
     """Write truearm.toml, rig.toml and a first plan into a folder; for sockets also what they are made and noted with.
 
     Existing files are not overwritten. Raises InputError for a folder that is already a project, and whatever loading
@@ -148,7 +148,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
     from truearm.workflows.requests import PlanFiles
     from truearm.workflows.socket_project import SEATS, plan_sockets
 
-    project = wanted.project
+    project = request.project
     paths = {"project": folder / FILE, "rig": folder / project.rig, "plan": folder / project.plan}
     if paths["project"].exists():
         raise InputError(f"{paths['project']} already exists; edit it, or use another folder")
@@ -163,9 +163,9 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
                 raise InputError("file-exists", place=paths["robot"])
         robot = choice.load()
         plan = None
-        if wanted.sockets is not None:
-            bounded = robot if wanted.branch is None else replace(robot, branch=branch_of(robot, wanted.branch))
-            contents, plan = plan_sockets(bounded, wanted.sockets, project.name or robot.chain.name)
+        if request.sockets is not None:
+            bounded = robot if request.branch is None else replace(robot, branch=branch_of(robot, request.branch))
+            contents, plan = plan_sockets(bounded, request.sockets, project.name or robot.chain.name)
             for name, content in contents.items():
                 if (folder / name).exists():
                     raise InputError(f"{folder / name} already exists; move it, or use another folder")
@@ -177,13 +177,13 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
             rig = paths["rig"]
             if not rig.exists():
                 rig = new / project.rig
-                bounded = replace(robot, branch=branch_of(robot, wanted.branch))
-                first = _as_known(first_rig(bounded, wanted.chucks, wanted.spheres), wanted)
+                bounded = replace(robot, branch=branch_of(robot, request.branch))
+                first = _as_known(first_rig(bounded, request.chucks, request.spheres), request)
                 write_atomic(rig, _rig_text(first, project.name or robot.chain.name))
             read_rig(rig)
-            if wanted.minutes is not None and not paths["plan"].exists():
-                files = PlanFiles(choice, rig, branch=wanted.branch, out=new / project.plan)
-                plan = plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions())
+            if request.minutes is not None and not paths["plan"].exists():
+                files = PlanFiles(choice, rig, branch=request.branch, out=new / project.plan)
+                plan = plan_ball_bar_files(files, Budget(minutes=request.minutes), BallBarOptions())
         write_atomic(new / FILE, format_project(project))
         for name in (project.sessions, project.results):
             (folder / name).mkdir(parents=True, exist_ok=True)
@@ -219,23 +219,23 @@ def _move(new: Path, files: list[Path]) -> None:
         raise
 
 
-def _as_known(rig: Rig, wanted: ProjectWanted) -> Rig:
+def _as_known(rig: Rig, request: ProjectWanted) -> Rig:
     """Return a first rig with the available bars and the accuracy of its measurements.
 
     If nothing is measured, the first bar still has to be, by calliper, because lengths need a scale; the others by tape.
     """
     from truearm.plan.first_rig import bars
 
-    sigma = INSTRUMENTS.get(wanted.measured_with)
+    sigma = INSTRUMENTS.get(request.measured_with)
     chucks, spheres = (
         {name: replace(point, sigma=sigma) for name, point in points.items()} for points in (rig.chucks, rig.spheres)
     )
-    made = bars(*wanted.bars) if wanted.bars else rig.bars
-    first, others = (INSTRUMENTS["calliper"], INSTRUMENTS["tape"]) if sigma is None else (sigma, sigma)
-    sigmas = [first] + [others] * (len(made) - 1)
+    rig_bars = bars(*request.bars) if request.bars else rig.bars
+    first, other_sigma = (INSTRUMENTS["calliper"], INSTRUMENTS["tape"]) if sigma is None else (sigma, sigma)
+    sigmas = [first] + [other_sigma] * (len(rig_bars) - 1)
     bars_measured = {
         bar.name: replace(bar, zero_sigma=sigma, gain_sigma=GAIN_SIGMA)
-        for bar, sigma in zip(made.values(), sigmas, strict=True)
+        for bar, sigma in zip(rig_bars.values(), sigmas, strict=True)
     }
     return replace(rig, chucks=chucks, spheres=spheres, bars=bars_measured)
 
@@ -271,8 +271,8 @@ def state_of(path: Path) -> dict[str, Any]:
     project, home = read_project(path), path.parent
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
     own_sessions = home / project.sessions
-    others = by_time(path for folder in folders_of(home) if folder != own_sessions for path in sessions_of(folder))
-    results = [_result(path, others) for path in results_of(home / project.results)]
+    unused = by_time(path for folder in folders_of(home) if folder != own_sessions for path in sessions_of(folder))
+    results = [_result(path, unused) for path in results_of(home / project.results)]
     return {
         "format": "truearm-status",
         "project": vars(project),
@@ -283,7 +283,7 @@ def state_of(path: Path) -> dict[str, Any]:
         "seats": _seats(home, project),
         "sessions": [_session(path, project) for path in sessions_of(own_sessions)],
         "results": [result for result in results if "session" not in result],
-        "other_sessions": [_session(path, project) for path in others],
+        "other_sessions": [_session(path, project) for path in unused],
         "other_results": [result for result in results if "session" in result],
     }
 
@@ -320,8 +320,8 @@ def _session(path: Path, project: Project) -> dict[str, Any]:
     }
 
 
-def _result(path: Path, others: Sequence[Path]) -> dict[str, Any]:
-    """Return a result; ``session`` is the one of ``others``, outside the project's folder, that it was made from."""
+def _result(path: Path, other_sessions: Sequence[Path]) -> dict[str, Any]:
+    """Return a result; ``session`` is the one of ``other_sessions``, outside the project's folder, that it was made from."""
     from truearm.files.result_file import read_result
 
     document, held_out, unusable = result_document(path), None, None
@@ -333,5 +333,5 @@ def _result(path: Path, others: Sequence[Path]) -> dict[str, Any]:
         status = f"cannot be read: {exc}"
     entry = {"file": str(path), "held_out_rms_mm": held_out, "status": status, "unusable_because": unusable}
     entry["simulated"] = bool(document.get("simulated"))
-    sessions = [str(session) for session in others if was_read(session, document)]
+    sessions = [str(session) for session in other_sessions if was_read(session, document)]
     return {**entry, "session": sessions[0]} if sessions else entry

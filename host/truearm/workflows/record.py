@@ -77,8 +77,8 @@ class Recorded:
 def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], None]) -> Recorded:
     """Record until the end; the operator's display goes to ``output``, and warnings before the start to ``say``. Raises InputError, LinkError, IncompleteError."""
     work = _work(request)
-    for part in () if work.before is None else work.before.damaged:
-        say(damaged_part(part))
+    for path in () if work.before is None else work.before.damaged:
+        say(damaged_part(path))
     device = choose_box(request.box, output)
     controller = controller_state(work.robot, request.project_model)
     for finding in controller.findings:
@@ -88,9 +88,9 @@ def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], 
     return replace(_record(device, work, request, output), findings=controller.findings)
 
 
-def damaged_part(part: Path) -> str:
+def damaged_part(path: Path) -> str:
     """Return that a part of the session that is continued is damaged, and what to do."""
-    name, out = one_line(str(part)), one_line(str(recovered_name(part)))
+    name, out = one_line(str(path)), one_line(str(recovered_name(path)))
     return (
         f"{name}: is damaged or has no end, so other commands refuse it and its further parts; to avoid this, end this recording, "
         f"run truearm session recover {name}, and record with --resume {out}"
@@ -102,12 +102,12 @@ def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
     if dwells is None or not (dwells.need_decision or dwells.lost):
         return ""
     if dwells.need_decision:
-        which = (
+        count = (
             f"{counted(dwells.need_decision, 'dwell')} {'needs' if dwells.need_decision == 1 else 'need'} a decision"
         )
-        return f"{which}: decide what was mounted with truearm session relabel {session}"
-    which = counted(dwells.lost, "visited pose")
-    return f"{which} of the plan gave no observation; truearm inspect {session} says why"
+        return f"{count}: decide what was mounted with truearm session relabel {session}"
+    count = counted(dwells.lost, "visited pose")
+    return f"{count} of the plan gave no observation; truearm inspect {session} says why"
 
 
 def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
@@ -179,8 +179,8 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
             except TruearmError as exc:
                 if not writer.kept:
                     raise
-                where = "" if isinstance(exc, WriteError) else f"; everything received until then is in {writer.path}"
-                raise IncompleteError(exc, where) from exc
+                place = "" if isinstance(exc, WriteError) else f"; everything received until then is in {writer.path}"
+                raise IncompleteError(exc, place) from exc
         dwells = None
         if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
             dwells = recorded_dwells(writer.path)
@@ -209,24 +209,24 @@ def _work(request: RecordOptions) -> RecordingWork:
 
     if (request.out is None) == (request.resume is None):
         raise InputError("exclusive", first=Argument("out"), second=Argument("resume"), neither=request.out is None)
-    before = None if request.resume is None else earlier(request.resume)
-    out = request.out if before is None else before.out
+    earlier_parts = None if request.resume is None else earlier(request.resume)
+    out = request.out if earlier_parts is None else earlier_parts.out
     assert out is not None
     read = [path for path in (request.rig, request.plan) if path is not None]
     if not out.suffix:
         raise InputError("wrong-suffix", place=out, suffixes=SUFFIX)
-    check_writable(out, request.force and before is None, inputs=read, kind="session")
+    check_writable(out, request.force and earlier_parts is None, inputs=read, kind="session")
     if out.exists() and is_held(out):
         raise InputError("in-use", place=out)
     osr = USUAL_OSR if request.rate is None else nearest_osr(request.rate)
     work = _with_files(RecordingWork(out, request.address, osr), request)
-    if before is not None:
-        work = _going_on(work, request, before)
+    if earlier_parts is not None:
+        work = _going_on(work, request, earlier_parts)
     setup = {"robot": work.robot or "", "osr": str(work.osr)}
     if request.project_model:
         setup["model"] = Path(request.project_model).name
-    if before is not None:
-        setup |= {"of": before.first.name, "part": str(before.part), "begun": before.begun}
+    if earlier_parts is not None:
+        setup |= {"of": earlier_parts.first.name, "part": str(earlier_parts.part), "begun": earlier_parts.begun}
     return replace(work, setup=setup)
 
 
@@ -249,21 +249,21 @@ def _with_files(work: RecordingWork, request: RecordOptions) -> RecordingWork:
     return replace(work, rig=rig, rig_toml=read_bytes(request.rig, MAX_BYTES, RigError))
 
 
-def _going_on(work: RecordingWork, request: RecordOptions, before: Earlier) -> RecordingWork:
+def _going_on(work: RecordingWork, request: RecordOptions, earlier_parts: Earlier) -> RecordingWork:
     """Add data from the previous parts where the options do not specify it."""
     from truearm.files.rig_file import parse_rig
 
-    if request.rig is None and before.rig_toml is not None:
-        rig = parse_rig(before.rig_toml.decode(errors="replace"), f"{before.first}: rig.toml")
-        check_mounted(work.mounted, rig, f"{before.first}: rig.toml")
-        work = replace(work, rig=rig, rig_toml=before.rig_toml)
-    osr = before.setup.get("osr", "")
+    if request.rig is None and earlier_parts.rig_toml is not None:
+        rig = parse_rig(earlier_parts.rig_toml.decode(errors="replace"), f"{earlier_parts.first}: rig.toml")
+        check_mounted(work.mounted, rig, f"{earlier_parts.first}: rig.toml")
+        work = replace(work, rig=rig, rig_toml=earlier_parts.rig_toml)
+    osr = earlier_parts.setup.get("osr", "")
     return replace(
         work,
-        before=before,
-        rows=before.rows if request.plan is None else work.rows,
-        mounted=work.mounted or before.mounted,
-        robot=work.robot or before.setup.get("robot") or None,
+        before=earlier_parts,
+        rows=earlier_parts.rows if request.plan is None else work.rows,
+        mounted=work.mounted or earlier_parts.mounted,
+        robot=work.robot or earlier_parts.setup.get("robot") or None,
         osr=int(osr) if request.rate is None and osr in map(str, OSRS) else work.osr,
     )
 
@@ -336,12 +336,12 @@ def counted_dwells(result: SyncResult) -> RecordedDwells:
             if dwell.reason == "too short":
                 continue
         else:
-            away = np.max(np.abs(plan.q - dwell.q), axis=1) if plan.q.shape[1] == dwell.q.size else np.array([np.inf])
-            if away.min() > DwellRules().pose_tolerance:
+            gaps = np.max(np.abs(plan.q - dwell.q), axis=1) if plan.q.shape[1] == dwell.q.size else np.array([np.inf])
+            if gaps.min() > DwellRules().pose_tolerance:
                 continue
-            visited.add(int(away.argmin()))
+            visited.add(int(gaps.argmin()))
             if not dwell.reason:
-                measured.add(int(away.argmin()))
+                measured.add(int(gaps.argmin()))
         total += 1
         counts[dwell.reason] = counts.get(dwell.reason, 0) + 1
     usable = counts.pop("", 0)

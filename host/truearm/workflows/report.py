@@ -53,7 +53,7 @@ def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) ->
     choice = files.robot
     check_files(sources, choice, [("page", out)], files.force)
     inputs = hashed_inputs(sources, choice)
-    _check_inputs(result, stored, {one.sha256 for one in inputs})
+    _check_inputs(result, stored, {file.sha256 for file in inputs})
     name = choice.robot or stored.robot.name
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
     rig, table, counts, recordings = read_sources(sources, robot.chain.joint_units, robot)
@@ -97,16 +97,16 @@ def validation_page(robot: str, certificate: Certificate, document: Mapping[str,
     return html_page("truearm validate", title, "", blocks, findings_of(document), certificate=first)
 
 
-def _options(path: Path, made: Mapping[str, Any] | None) -> tuple[IdentifyOptions, tuple[str, ...]]:
+def _options(path: Path, made_with: Mapping[str, Any] | None) -> tuple[IdentifyOptions, tuple[str, ...]]:
     """Return the options recorded in the result. Raises InputError."""
-    if made is None:
+    if made_with is None:
         raise InputError(
             f"{path}: does not say how it was made (truearm demo or an earlier truearm wrote it); identify again with truearm identify"
         )
-    names = {one.name for one in fields(IdentifyOptions)}
-    values = {key: value for key, value in made.items() if key in names}
-    hold_out = made.get("hold_out", ())
-    if set(made) - names - {"hold_out"} or not isinstance(hold_out, tuple):
+    names = {option.name for option in fields(IdentifyOptions)}
+    values = {key: value for key, value in made_with.items() if key in names}
+    hold_out = made_with.get("hold_out", ())
+    if set(made_with) - names - {"hold_out"} or not isinstance(hold_out, tuple):
         raise InputError(
             f"{path}: made_with is damaged or comes from a later truearm; update truearm, or identify again"
         )
@@ -129,12 +129,12 @@ def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], identi
     """Raise InputError if the fit differs from the stored one."""
     e = identification.estimate
     again = e.value[: len(value)]
-    apart = np.abs(again - value[: len(again)]) > SAME * np.where(
+    differs = np.abs(again - value[: len(again)]) > SAME * np.where(
         np.isfinite(e.sigma[: len(again)]), e.sigma[: len(again)], np.inf
     )
     determined = e.free[: len(again)] & e.identifiable[: len(again)]
-    if (apart & determined).any() or len(e.value) != len(value):
-        name = e.parameter_names[int(np.argmax(apart & determined))]
+    if (differs & determined).any() or len(e.value) != len(value):
+        name = e.parameter_names[int(np.argmax(differs & determined))]
         raise InputError(
             f"{path}: the files given lead to another result (first difference: {name}); give only the files that it was made "
             "with, and the same ",

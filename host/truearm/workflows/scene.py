@@ -95,11 +95,11 @@ def correction_scene(
     done, all_rows = targets.correction, np.flatnonzero(np.isfinite(targets.correction.q).all(axis=1))
     rows = all_rows[thinned(all_rows.size, MOST_POINTS)]
     q, tools = done.q[rows], targets.tools[rows]
-    there, gap = (reached(pair, q) @ tools)[:, :3, 3], (believed(pair, q) @ tools)[:, :3, 3]
+    reached_points, gap = (reached(pair, q) @ tools)[:, :3, 3], (believed(pair, q) @ tools)[:, :3, 3]
     expected = np.array([row["expected_mm"] for row in document["targets"]], dtype=float)[rows]
     values = {BEFORE: done.before[rows, 0], EXPECTED: MM.to_si(expected)}
     labels = [targets.places[row] for row in rows]
-    points = Points("targets", there, q, labels, values, {BEFORE: there - gap})
+    points = Points("targets", reached_points, q, labels, values, {BEFORE: reached_points - gap})
     return _scene(
         calibration, "Error before: where the arm would go without the correction, from the target.", [points]
     )

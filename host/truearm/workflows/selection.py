@@ -34,47 +34,47 @@ HOLD_OUT, FIT_ONLY, APPLY, LEAVE_OUT = (Argument(name) for name in ("hold_out", 
 
 
 def held_out_rows(
-    table: ObservationTable, wanted: Sequence[str], seed: int, fit_only: Sequence[str] = ()
+    table: ObservationTable, groups: Sequence[str], seed: int, fit_only: Sequence[str] = ()
 ) -> Mask | None:
     """Return a mask (n,) of the rows to hold out, None if none are named.
 
-    ``wanted``: groups ("shell=s61", "place=front"), or one fraction such as "0.2": that share of the poses, drawn by
+    ``groups``: such as "shell=s61", "place=front", or one fraction such as "0.2": that share of the poses, drawn by
     ``seed`` equally from every group. ``fit_only``: groups to fit; all others are held out. Raises InputError for an
     unknown group, or if nothing would be left to fit.
     """
     if fit_only:
         not_fitted: Mask = ~np.any([_group_rows(table, group, FIT_ONLY) for group in fit_only], axis=0)
-        also = held_out_rows(table, wanted, seed)
+        also = held_out_rows(table, groups, seed)
         held = not_fitted if also is None else not_fitted | also
         if held.all():
             raise InputError("nothing-left", what="observations", place=FIT_ONLY)
         return held if held.any() else None
-    if not wanted:
+    if not groups:
         return None
-    fractions = [value for value in map(held_out_fraction, wanted) if value is not None]
+    fractions = [value for value in map(held_out_fraction, groups) if value is not None]
     if not fractions:
-        mask: Mask = np.any([_group_rows(table, group, HOLD_OUT) for group in wanted], axis=0)
-    elif len(wanted) == 1:
+        mask: Mask = np.any([_group_rows(table, group, HOLD_OUT) for group in groups], axis=0)
+    elif len(groups) == 1:
         mask = _random_rows(table, fractions[0], seed)
     else:
         raise InputError(HOLD_OUT, " takes one fraction or any number of groups, not both")
     if mask.all():
         raise InputError("nothing-left", what="observations", place=HOLD_OUT)
     if not mask.any():
-        raise InputError(HOLD_OUT, f" {wanted[0]} is less than one row of {len(table)}; take a larger fraction")
+        raise InputError(HOLD_OUT, f" {groups[0]} is less than one row of {len(table)}; take a larger fraction")
     return mask
 
 
-def folds_of(table: ObservationTable, wanted: Sequence[str], seed: int) -> list[tuple[str, Mask]]:
-    """Return the rows (n,) to hold out in turn, with what the folds are called; [] unless ``wanted`` asks for folds.
+def folds_of(table: ObservationTable, groups: Sequence[str], seed: int) -> list[tuple[str, Mask]]:
+    """Return the rows (n,) to hold out in turn, with what the folds are called; [] unless ``groups`` ask for folds.
 
     ``folds=5``: the poses in five shares, drawn by ``seed``. ``place=*``: the rows of each place. Raises InputError.
     """
-    column, _, value = wanted[0].partition("=") if wanted else ("", "", "")
+    column, _, value = groups[0].partition("=") if groups else ("", "", "")
     if column != FOLDS and value != "*":
         return []
-    if len(wanted) > 1:
-        raise InputError(HOLD_OUT, f" {wanted[0]}: folds cannot be combined with other rows to hold out")
+    if len(groups) > 1:
+        raise InputError(HOLD_OUT, f" {groups[0]}: folds cannot be combined with other rows to hold out")
     if value == "*":
         names = [name for name in np.unique(table[column]) if name] if _has_names(column) else []
         masks = [(f"{column}={name}", _group_rows(table, f"{column}={name}", HOLD_OUT)) for name in names]
@@ -84,8 +84,8 @@ def folds_of(table: ObservationTable, wanted: Sequence[str], seed: int) -> list[
         numbers = (rank * count / (rank.max() + 1)).astype(np.intp)
         masks = [(f"fold {number + 1}", numbers == number) for number in np.unique(numbers).tolist()]
     if not 2 <= len(masks) <= MOST_FOLDS:
-        few = f"gives {len(masks)} folds, and 2 to {MOST_FOLDS} are needed; write {FOLDS}=5, or place=* for each place"
-        raise InputError(HOLD_OUT, f" {wanted[0]}: {few}")
+        advice = f"2 to {MOST_FOLDS} are needed; write {FOLDS}=5, or place=* for each place"
+        raise InputError(HOLD_OUT, f" {groups[0]}: gives {len(masks)} folds, and {advice}")
     return masks
 
 
@@ -133,16 +133,16 @@ def _rows_between(numbers: Floats, span: str, group: str, argument: Argument) ->
         low, high = (float(end) for end in (span.split(":") * 2)[:2])
     except ValueError:
         raise InputError(argument, f" {group}: is not COLUMN=VALUE or COLUMN=LOW:HIGH") from None
-    near = 1e-9 * max(abs(low), abs(high), 1.0)
-    rows: Mask = (numbers >= low - near) & (numbers <= high + near)
+    tolerance = 1e-9 * max(abs(low), abs(high), 1.0)
+    rows: Mask = (numbers >= low - tolerance) & (numbers <= high + tolerance)
     if not rows.any():
         shown = f"{np.nanmin(numbers):g} to {np.nanmax(numbers):g}" if np.isfinite(numbers).any() else "none"
         raise InputError(argument, f" {group}: no row has such a value; the column has {shown}")
     return rows
 
 
-def _listed(noun: str, names: Sequence[str], where: str = "it") -> str:
-    return f"{where} has {listed(names)}" if names else f"the observations have no {noun} column"
+def _listed(noun: str, names: Sequence[str], owner: str = "it") -> str:
+    return f"{owner} has {listed(names)}" if names else f"the observations have no {noun} column"
 
 
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
@@ -321,12 +321,12 @@ def named_columns(table: ObservationTable) -> list[str]:
 
 def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
     """Return the names without any row left in the fit: ``sphere=s1``."""
-    gone_names = []
+    lost_names = []
     for column in named_columns(table):
         names = table[column]
-        gone = np.setdiff1d(names[held], names[~held])
-        gone_names += [f"{column}={name}" for name in gone.tolist() if name]
-    return gone_names
+        lost = np.setdiff1d(names[held], names[~held])
+        lost_names += [f"{column}={name}" for name in lost.tolist() if name]
+    return lost_names
 
 
 def _combinations(table: ObservationTable) -> NDArray[np.intp]:
@@ -345,8 +345,8 @@ def check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
     A single coordinate of a point may stay the same while the end moves in a plane, but not while it moves in space.
     """
     if rows.sum() == 1:
-        more = "measure more poses" if len(table) == 1 else f"hold out or leave out fewer of the {len(table)}"
-        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; {more}")
+        advice = "measure more poses" if len(table) == 1 else f"hold out or leave out fewer of the {len(table)}"
+        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; {advice}")
     for name, kind in kinds().items():
         kind_rows = table.select(rows & (table.kind == name))
         if len(kind_rows) < LEAST_ROWS or not np.ptp(kind_rows.q, axis=0).max() > 0.0:
@@ -357,11 +357,12 @@ def check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
                 are = "are" if " and " in quantity.words else "is"
                 text = f"{quantity.words} {are} the same in all {len(kind_rows)} {name} rows though the joints move"
                 raise ProblemError(f"{kind_rows.source[0]}: {text}; check that the sensor was read")
-            same = [one for one, span in zip(quantity.columns, np.ptp(values, axis=0), strict=False) if not span]
-            if quantity == POINT and same and _moves_in_space(chain, kind_rows.q):
-                are = "are" if len(same) > 1 else "is"
-                text = f"{' and '.join(same)} {are} the same in all {len(kind_rows)} {name} rows though the joints move the end in space"
-                column = f"column{'s' if len(same) > 1 else ''} of {' and '.join(same)}"
+            spans = zip(quantity.columns, np.ptp(values, axis=0), strict=False)
+            constant = [title for title, span in spans if not span]
+            if quantity == POINT and constant and _moves_in_space(chain, kind_rows.q):
+                are = "are" if len(constant) > 1 else "is"
+                text = f"{' and '.join(constant)} {are} the same in all {len(kind_rows)} {name} rows though the joints move the end in space"
+                column = f"column{'s' if len(constant) > 1 else ''} of {' and '.join(constant)}"
                 raise ProblemError(f"{kind_rows.source[0]}: {text}; check what the device wrote to the {column}")
 
 

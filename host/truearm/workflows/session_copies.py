@@ -39,12 +39,12 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
     return _write(session, opened, out, {"source": session.name, "sha256": sha256(session)})
 
 
-def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Recovered:
+def _write(path: Path, opened: Session, out: Path, provenance: dict[str, str]) -> Recovered:
     """Write next to ``out`` and rename, so that ``out`` is always complete."""
     try:
         with working_folder(out.parent) as folder:
             partial = folder / "session.mcap"
-            recovered = recover_session(opened, partial, said)
+            recovered = recover_session(opened, partial, provenance)
             if not recovered.topics and not opened.metadata:
                 raise SessionError(f"{path}: contains nothing that can be recovered; record again")
             os.replace(partial, out)
@@ -72,29 +72,29 @@ class AddJoints:
 
 
 @step("adding the readings")
-def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
+def add_joints_file(request: AddJoints, force: bool = False) -> int:
     """Write the session with the readings, completely or not at all; return their number. Raises InputError,
     SessionError.
     """
-    inputs = [wanted.session, wanted.source]
-    check_writable(wanted.out, force, inputs=inputs, kind="session")
-    zero = wanted.zero
+    inputs = [request.session, request.source]
+    check_writable(request.out, force, inputs=inputs, kind="session")
+    zero = request.zero
     if zero is not None and not abs(zero) < 1e9:
         raise InputError(Argument("zero"), f" {zero:g} is not a time; give seconds")
-    opened = open_finished(wanted.session, wanted.options.allow_damaged)
-    readings = readings_of_file(wanted.source, wanted.options)
-    said = {
-        "source": wanted.source.name,
-        "session": wanted.session.name,
-        "session_sha256": sha256(wanted.session),
+    opened = open_finished(request.session, request.options.allow_damaged)
+    readings = readings_of_file(request.source, request.options)
+    provenance = {
+        "source": request.source.name,
+        "session": request.session.name,
+        "session_sha256": sha256(request.session),
         "time": "utc" if zero is None else f"0 at {zero!r} s of the session",
     }
     if opened.damage or opened.truncated:
-        said["damaged"] = "the damaged part of the session is left out"
-    with working_folder(wanted.out.parent) as folder:
+        provenance["damaged"] = "the damaged part of the session is left out"
+    with working_folder(request.out.parent) as folder:
         partial = folder / "session.mcap"
-        count = add_readings(opened, readings, partial, zero, said, wanted.replace)
-        os.replace(partial, wanted.out)
+        count = add_readings(opened, readings, partial, zero, provenance, request.replace)
+        os.replace(partial, request.out)
     return count
 
 

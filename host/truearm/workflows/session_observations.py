@@ -68,8 +68,12 @@ def nothing_observed(path: Path, dwells: Mapping[str, int], passes: Mapping[str,
 
     name = shlex.quote(one_line(str(path)))
     kinds = (("dwell", "dwells", dwells), ("motion along a line", "motions along a line", passes))
-    parts = [f"{counted(sum(of.values()), one, many)} ({reasons_text(of)})" for one, many, of in kinds if of]
-    if not parts:
+    rejections = [
+        f"{counted(sum(reasons.values()), singular, many)} ({reasons_text(reasons)})"
+        for singular, many, reasons in kinds
+        if reasons
+    ]
+    if not rejections:
         return f"{path}: no dwell and no motion along a line was found; see truearm inspect {name}"
     settled = sum(n for reason, n in dwells.items() if needs_decision(reason, planned))
     helps = [f"decide what was mounted with truearm session relabel {name}"] * bool(settled)
@@ -77,7 +81,7 @@ def nothing_observed(path: Path, dwells: Mapping[str, int], passes: Mapping[str,
         helps.append(f"truearm inspect {name} shows why{' the others were rejected' * bool(settled)}")
     # One wrong label is a slip of the operator. If no reading fits its label, the prediction is wrong.
     wrong = "check that robot and rig are those that were measured; if so, " * (set(dwells) == {DOUBTFUL})
-    return f"{path}: no observation from {' and '.join(parts)}; {wrong}{'; '.join(helps)}"
+    return f"{path}: no observation from {' and '.join(rejections)}; {wrong}{'; '.join(helps)}"
 
 
 def is_session(path: Path) -> bool:
@@ -134,9 +138,9 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
 
     path = session.path
     if session.damage:
-        said = " ".join(damage_finding(vars(damage)).text() for damage in session.damage[:SAID])
-        more = f" And in {counted(len(session.damage) - SAID, 'place')} more." if len(session.damage) > SAID else ""
-        options.say(one_line(f"{path}: {said}{more}"))
+        damage_text = " ".join(damage_finding(vars(damage)).text() for damage in session.damage[:SAID])
+        count = f" And in {counted(len(session.damage) - SAID, 'place')} more." if len(session.damage) > SAID else ""
+        options.say(one_line(f"{path}: {damage_text}{count}"))
     rig = rig or recorded_rig(session, path)
     rules = LineRules(points=options.line_points)
     labels = read_labels(path)
@@ -160,7 +164,7 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
 COUNTS = "_counts"
 
 
-def channel_samples(parts: Sequence[Path], channel: str, allow_damaged: bool = False) -> tuple[Floats, Floats]:
+def channel_samples(paths: Sequence[Path], channel: str, allow_damaged: bool = False) -> tuple[Floats, Floats]:
     """Return the host times (n,) [s] and the values (n,) of a channel of the box.
 
     A value is a length [m] or in the channel's calibrated unit, or without a calibration what the converter measured,
@@ -168,7 +172,7 @@ def channel_samples(parts: Sequence[Path], channel: str, allow_damaged: bool = F
     """
     channels: dict[str, None] = {}
     times, values = [np.zeros(0)], [np.zeros(0)]
-    for table, columns in _batches(parts, allow_damaged):
+    for table, columns in _batches(paths, allow_damaged):
         if table.startswith("box_"):
             channels |= dict.fromkeys(title.removesuffix(COUNTS) for title in columns if title.endswith(COUNTS))
             if channel + COUNTS in columns:
@@ -181,22 +185,22 @@ def channel_samples(parts: Sequence[Path], channel: str, allow_damaged: bool = F
     return np.concatenate(times), np.concatenate(values)
 
 
-def joint_readings(parts: Sequence[Path], allow_damaged: bool = False) -> tuple[Floats, Floats]:
+def joint_readings(paths: Sequence[Path], allow_damaged: bool = False) -> tuple[Floats, Floats]:
     """Return the host times (n,) [s] and the joint readings (n, j) [rad, m] of a session."""
     times, readings = [], []
-    for table, columns in _batches(parts, allow_damaged):
+    for table, columns in _batches(paths, allow_damaged):
         if table.startswith("joints"):
             q = [column for title, column in columns.items() if title[:1] == "q" and title[1:2].isdigit()]
             times.append(_host_seconds(columns))
             readings.append(np.column_stack(q))
     if not times:
-        raise InputError("no-joint-readings", place=parts[0])
+        raise InputError("no-joint-readings", place=paths[0])
     return np.concatenate(times), np.concatenate(readings)
 
 
-def _batches(parts: Sequence[Path], allow_damaged: bool) -> Iterator[Batch]:
-    for part in parts:
-        yield from tabulate(surveyed(open_finished(part, allow_damaged)))
+def _batches(paths: Sequence[Path], allow_damaged: bool) -> Iterator[Batch]:
+    for path in paths:
+        yield from tabulate(surveyed(open_finished(path, allow_damaged)))
 
 
 def _rank(title: str) -> int:
@@ -218,25 +222,25 @@ def temperature_warning(result: SyncResult, rig: Rig) -> str:
     """
     table = result.table.select(result.table.kind == "ball_bar")
     noted = [
-        one.calibrated_degc
+        channel.calibrated_degc
         for ident in result.survey.idents.values()
         for stream in ident.streams.values()
-        for one in stream.channels
-        if one.name == LVDT and math.isfinite(one.calibrated_degc)
+        for channel in stream.channels
+        if channel.name == LVDT and math.isfinite(channel.calibrated_degc)
     ]
     unread = ~np.isfinite(table.bar_temperature)
     warmer = table.temperature[unread] - (noted[0] if noted else np.nan)
     if not np.isfinite(warmer).any():
         return ""
-    most = float(warmer[np.nanargmax(np.abs(warmer))])
-    if abs(most) < FAR:
+    largest = float(warmer[np.nanargmax(np.abs(warmer))])
+    if abs(largest) < FAR:
         return ""
-    used = [rig.bars[name] for name in np.unique(table.bar[unread]).tolist() if name in rig.bars]
-    bar = max(used, key=lambda one: possible_error(one, most))
+    bars = [rig.bars[name] for name in np.unique(table.bar[unread]).tolist() if name in rig.bars]
+    bar = max(bars, key=lambda bar: possible_error(bar, largest))
     expansion, drift = coefficients(bar)
     return (
-        f"the box was up to {DEGC.text(abs(most), '.1f')} {'warmer' if most > 0.0 else 'colder'} than when {LVDT} was calibrated, "
-        f"and no thermometer was read on the bar: lengths may be off by {MM.text(possible_error(bar, most), '.3f')} "
+        f"the box was up to {DEGC.text(abs(largest), '.1f')} {'warmer' if largest > 0.0 else 'colder'} than when {LVDT} was calibrated, "
+        f"and no thermometer was read on the bar: lengths may be off by {MM.text(possible_error(bar, largest), '.3f')} "
         f"({PPM_PER_K.text(expansion)} of {MM.text(bar.zero, '.0f')}, {PPM_PER_K.text(drift)} of {MM.text(0.5 * bar.travel, '.1f')}); "
         f"put a thermometer on the bar ({page('Build and measure the rig')}), or calibrate the box at this temperature"
     )

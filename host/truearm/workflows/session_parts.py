@@ -47,20 +47,22 @@ class Earlier:
 
 def session_parts(path: Path) -> list[Path]:
     """Return a session's file and its continuations in order; for a later part, only that part. Raises SessionError."""
-    parts = [path.with_name(f"{path.stem}.{number}{SUFFIX}") for number in _numbers(path)]
-    first = _opened(path) if parts else None
-    return [path, *(part for part in parts if first is not None and _goes_on(_opened(part), first))]
+    paths = [path.with_name(f"{path.stem}.{number}{SUFFIX}") for number in _numbers(path)]
+    first = _opened(path) if paths else None
+    return [path, *(path for path in paths if first is not None and _goes_on(_opened(path), first))]
 
 
 def _numbers(path: Path) -> list[int]:
     """Return the numbers of the files that are further parts by name, in order."""
-    found = [int(m[2]) for p in path.parent.glob(f"*{SUFFIX}") if (m := _PART.fullmatch(p.stem)) and m[1] == path.stem]
-    return sorted(number for number in found if number > 1)
+    numbers = [
+        int(m[2]) for p in path.parent.glob(f"*{SUFFIX}") if (m := _PART.fullmatch(p.stem)) and m[1] == path.stem
+    ]
+    return sorted(number for number in numbers if number > 1)
 
 
-def _goes_on(part: Session, first: Session) -> bool:
+def _goes_on(session: Session, first: Session) -> bool:
     """Return whether a part belongs to this session and not to an overwritten one of the same name."""
-    setup = part.metadata.get(SETUP, {})
+    setup = session.metadata.get(SETUP, {})
     return setup.get("of") == first.path.name and setup.get("begun") in (None, _begun(first))
 
 
@@ -86,24 +88,24 @@ def recorded_model(path: Path) -> str:
 
 def first_stem(path: Path) -> str:
     """Return the name of a session's first file without its suffix."""
-    found = _PART.fullmatch(path.stem)
-    return found[1] if found and path.with_name(found[1] + SUFFIX).exists() else path.stem
+    match = _PART.fullmatch(path.stem)
+    return match[1] if match and path.with_name(match[1] + SUFFIX).exists() else path.stem
 
 
 def with_parts(inputs: list[Path]) -> list[Path]:
     """Return inputs with the further parts of each session after it; parts also given keep their place. Raises
     SessionError.
     """
-    found: list[Path] = []
+    paths: list[Path] = []
     for path in inputs:
-        parts = session_parts(path)[1:] if path.suffix.lower() == SUFFIX else []
-        found += [path, *(part for part in parts if not any(same_file(part, other) for other in inputs))]
-    return found
+        files = session_parts(path)[1:] if path.suffix.lower() == SUFFIX else []
+        paths += [path, *(file for file in files if not any(same_file(file, named) for named in inputs))]
+    return paths
 
 
 def is_part(path: Path, inputs: list[Path]) -> bool:
     """Return whether a file continues another of the inputs, or another of them continues it."""
-    firsts = {other: other.with_name(f"{m[1]}{SUFFIX}") for other in inputs if (m := _PART.fullmatch(other.stem))}
+    firsts = {file: file.with_name(f"{m[1]}{SUFFIX}") for file in inputs if (m := _PART.fullmatch(file.stem))}
     return firsts.get(path) in inputs or path in firsts.values()
 
 
@@ -114,11 +116,11 @@ def earlier(path: Path) -> Earlier:
     for a session that is still being written, because two recorders would take box and robot from each other.
     """
     first = _first(path)
-    sessions = [open_finished(part, allow_damaged=True) for part in session_parts(first)]
+    sessions = [open_finished(session_path, allow_damaged=True) for session_path in session_parts(first)]
     setup = dict(sessions[0].metadata.get(SETUP, {}))
     rows: list[dict[str, Any]] = []
     mounted: dict[str, str] = {}
-    taken: list[tuple[str, int | None]] = []
+    stops: list[tuple[str, int | None]] = []
     for number, session in enumerate(sessions):
         setup |= session.metadata.get(SETUP, {})
         for message in sorted(session.messages(["/plan", "/events"]), key=attrgetter("t_host_ns")):
@@ -128,26 +130,26 @@ def earlier(path: Path) -> Earlier:
             elif row.get("kind") == "mounted":
                 mounted = {k: v for k, v in row.items() if k != "kind" and isinstance(v, str)}
             elif (kind := row.get("kind")) in (Move.DWELL, Move.LINE):
-                taken.append((kind, row.get("pose")))
-    part = max([1, *_numbers(first)]) + 1
-    out = first.with_name(f"{first.stem}.{part}{SUFFIX}")
+                stops.append((kind, row.get("pose")))
+    number = max([1, *_numbers(first)]) + 1
+    out = first.with_name(f"{first.stem}.{number}{SUFFIX}")
     return Earlier(
         first,
         out,
-        part,
+        number,
         _begun(sessions[0]),
         setup,
         rows,
         sessions[0].attachments.get("rig.toml"),
         mounted,
-        tuple(taken),
-        tuple(one.path for one in sessions if one.truncated or one.damage),
+        tuple(stops),
+        tuple(session.path for session in sessions if session.truncated or session.damage),
     )
 
 
-def gone_on(progress: SessionProgress, before: Earlier) -> None:
+def gone_on(progress: SessionProgress, earlier_parts: Earlier) -> None:
     """Count what was taken before."""
-    for move, pose in before.taken:
+    for move, pose in earlier_parts.taken:
         progress.note(move, pose if type(pose) is int and 0 <= pose < len(progress.rows) else None)
 
 
@@ -173,10 +175,10 @@ def open_finished(path: Path, allow_damaged: bool = False) -> Session:
 def _first(path: Path) -> Path:
     if not path.is_file():
         raise InputError(Argument("resume"), f" {path}: no such file; record a new session with ", Argument("out"))
-    part = _opened(path)
-    of = Path(part.metadata.get(SETUP, {}).get("of", "")).name
-    first = path.with_name(of) if of else path
-    return first if first.is_file() and _goes_on(part, _opened(first)) else path
+    session = _opened(path)
+    first_name = Path(session.metadata.get(SETUP, {}).get("of", "")).name
+    first = path.with_name(first_name) if first_name else path
+    return first if first.is_file() and _goes_on(session, _opened(first)) else path
 
 
 def _opened(path: Path) -> Session:

@@ -205,14 +205,14 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
 
 
 def _listening(
-    options: SimulateOptions, box: SimulatedBox, other: int, remedy: tuple[str | Argument, ...]
+    options: SimulateOptions, box: SimulatedBox, other_number: int, remedy: tuple[str | Argument, ...]
 ) -> tuple[Port | Terminal, str, Port]:
     """Return the box's port and its name, and another port. Raises LinkError, and then closes the box."""
     from truearm_sim.ports import Port, Terminal
 
     try:
         box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
-        other_port = Port.listen("127.0.0.1", other)
+        other_port = Port.listen("127.0.0.1", other_number)
     except OSError as exc:
         box.close()
         raise LinkError(f"cannot listen: {exc.strerror}; choose ", *remedy) from exc
@@ -269,10 +269,10 @@ def _visits_of(world: World) -> str:
     """Return the robot, its visits, and their duration."""
     plan = world.controller.plan
     dwells, driven = int(plan.dwells.sum()), int(plan.lines.sum())
-    what = " and ".join(
+    visited = " and ".join(
         [f"{counted(dwells, 'pose')}"] * (dwells > 0) + [f"{counted(driven, 'drive')} along lines"] * (driven > 0)
     )
-    return f"{world.chain.name}: {what}, {counted(round(world.duration / 60), 'minute')} of robot time"
+    return f"{world.chain.name}: {visited}, {counted(round(world.duration / 60), 'minute')} of robot time"
 
 
 @step("preparing the poses")

@@ -120,13 +120,16 @@ class Validation(Displayed):
 
     def _columns(self) -> Mapping[str, Any]:
         rows = [
-            (of.name, unit, of.n, of.before[unit].rms, of.after[unit].rms) for of in self.regions for unit in of.after
+            (region.name, unit, region.n, region.before[unit].rms, region.after[unit].rms)
+            for region in self.regions
+            for unit in region.after
         ]
         return dict(zip(("region", "unit", "n", "rms_before", "rms_after"), zip(*rows, strict=True)))
 
     def summary(self) -> str:
         """Return errors, what is expected, and the verdict, as ``truearm validate`` prints them."""
-        return "\n".join([*(one.text() for one in findings_of(self.document)), *map(str, error_tables(self.document))])
+        texts = (finding.text() for finding in findings_of(self.document))
+        return "\n".join([*texts, *map(str, error_tables(self.document))])
 
 
 class Measured(NamedTuple):
@@ -168,49 +171,49 @@ def validated(
     table = table.select(copied < 0)
     rig_values = _identified_rig(calibration) if keep_rig else {}
     allowed = _allowed(calibration) if keep_rig else ()
-    raw, after = (
+    raw, judged = (
         judge(chain, rig, table, p, rig_values, None, allowed) for p in (calibration.nominal, calibration.identified)
     )
-    n_settled, n_kept = int(after.settled.sum()), len(after.identified) - len(calibration.nominal)
+    n_settled, n_kept = int(judged.settled.sum()), len(judged.identified) - len(calibration.nominal)
     if keep_rig and n_settled and not n_kept:
-        names = [name for name, settled in zip(after.problem.names, after.settled, strict=True) if settled]
+        names = [name for name, settled in zip(judged.problem.names, judged.settled, strict=True) if settled]
         text = f": the result identified no unknown of this rig, such as {names[0]}; use the names of the rig that it was identified with"
         raise InputError(Argument("keep_rig"), text)
-    before, drawing = _placed(calibration, rig, table, raw, rig_values, allowed), calibration.robot.drawing
+    nominal, drawing = _placed(calibration, rig, table, raw, rig_values, allowed), calibration.robot.drawing
     drawn = None
     if drawing is not None:
         drawn = judge(chain, rig, table, drawing, rig_values, None, allowed)
         drawn = _placed(replace(calibration, nominal=drawing), rig, table, drawn, rig_values, allowed)
-    judging = before.judging & after.judging
+    judging = nominal.judging & judged.judging
     if not judging.any():
         raise InputError(
             "no row can judge the calibration: unknowns of the rig fit each of them exactly; measure more rows there"
         )
-    covariance, unseen = (of(stored, after.identified) for of in (covariance_of, unseen_of))
-    due = expected(after, covariance, unseen)
+    covariance, unseen = (function(stored, judged.identified) for function in (covariance_of, unseen_of))
+    due = expected(judged, covariance, unseen)
     elsewhere = moved(chain, stored.defaults.still, table.q)
     if elsewhere.any():  # these rows depend on what their joints did not show in the identification
-        lost = np.array([[name == one for one in stored.defaults.lost] for name in after.identified], dtype=float)
+        lost = np.array([[name == held for held in stored.defaults.lost] for name in judged.identified], dtype=float)
         unseen = np.concatenate([unseen, lost], axis=1)
-    test = consistency(after, covariance, unseen)
+    test = consistency(judged, covariance, unseen)
     with step("testing for faults"):
-        faults = () if test is None else faults_beside(after, test.ways, table)
+        faults = () if test is None else faults_beside(judged, test.ways, table)
     errors: dict[str, RowErrors] = {}
-    for si, error in after.error.items():
+    for si, error in judged.error.items():
         rows = judging & np.isfinite(error)
         if rows.any():
             observed = rows & ~(due[si].unseen | elsewhere)
-            errors[si] = RowErrors(before.error[si], error, due[si], rows, observed)
+            errors[si] = RowErrors(nominal.error[si], error, due[si], rows, observed)
     fitted = {entry.sha256 for entry in stored.inputs}
     hashes = [entry for entry in inputs if entry.role == "observations"]
-    figures, expected_parts = _figures(errors, judging), {si: of.expected() for si, of in errors.items()}
+    figures, expected_parts = _figures(errors, judging), {si: e.expected() for si, e in errors.items()}
     regions = _regions(calibration, table, errors, judging)
     expected_rms = {si: expected_parts[si]["rms"] for si in expected_parts if not math.isnan(expected_parts[si]["rms"])}
     parts_shown = {
         key(name, si): shown(value, si) for si in expected_parts for name, value in expected_parts[si].items()
     }
     n_judging = int(judging.sum())
-    n_unseen = int(np.any([of.rows & ~of.seen for of in errors.values()], axis=0).sum())
+    n_unseen = int(np.any([e.rows & ~e.seen for e in errors.values()], axis=0).sum())
     document: dict[str, Any] = {
         "simulated": all_rows.simulated or calibration.simulated,
         "rows": n_judging,
@@ -223,13 +226,13 @@ def validated(
         "residual_units": [UNITS[si].scale.suffix for si in errors],
         **{key("reference", si): _reference(calibration.document, si) for si in errors},
         **_figure_entries(*figures),
-        "placed": before is not raw,
-        **{key("rms_drawing", si): drawn and shown(rms(drawn.error[si][of.rows]), si) for si, of in errors.items()},
-        **{key("rms_raw", si): shown(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
+        "placed": nominal is not raw,
+        **{key("rms_drawing", si): drawn and shown(rms(drawn.error[si][e.rows]), si) for si, e in errors.items()},
+        **{key("rms_raw", si): shown(rms(raw.error[si][e.rows]), si) for si, e in errors.items()},
         "unseen": n_unseen,
         "expected": parts_shown if expected_rms else None,
-        **{key("unexplained", si): shown(of.unexplained, si) for si, of in errors.items()},
-        "better": {UNITS[si].scale.suffix: of.is_better for si, of in errors.items()},
+        **{key("unexplained", si): shown(e.unexplained, si) for si, e in errors.items()},
+        "better": {UNITS[si].scale.suffix: e.is_better for si, e in errors.items()},
         "consistent": test and test.chi2 <= test.limit and not faults,
         "chi2_reduced": test and test.chi2 / test.freedom,
         "chi2_limit": test and test.limit / test.freedom,
@@ -254,7 +257,7 @@ def _missing_rig(inputs_then: Sequence[Input], rig: Rigs) -> str | None:
 
 def _identified_rig(calibration: Calibration) -> dict[str, float]:
     """Return the identified values of the rig, by name."""
-    return {name: of.value for name, of in calibration.parameters.items() if of.of == "rig" and math.isfinite(of.value)}
+    return {name: p.value for name, p in calibration.parameters.items() if p.of == "rig" and math.isfinite(p.value)}
 
 
 def _allowed(calibration: Calibration) -> tuple[Effect, ...]:
@@ -274,7 +277,7 @@ def _placed(
     rig: Rigs,
     table: ObservationTable,
     raw: Judgement,
-    kept: Mapping[str, float],
+    rig_values: Mapping[str, float],
     allowed: Sequence[Effect],
 ) -> Judgement:
     """Return the robot as described, with base and tool fitted to the rows.
@@ -285,7 +288,7 @@ def _placed(
     place = mounting(chain, calibration.nominal).either & stored.column("free")[stored.column("of") == "robot"]
     if not place.any():
         return raw
-    placed = judge(chain, rig, table, calibration.nominal, kept, place, allowed)
+    placed = judge(chain, rig, table, calibration.nominal, rig_values, place, allowed)
     if (raw.judging & ~placed.judging).any():
         return raw
     equal = (
@@ -314,8 +317,8 @@ class RowErrors(NamedTuple):
     @property
     def unexplained(self) -> float:
         """Return the RMS of the errors that is not expected; NaN if no row has an expected error."""
-        left = (self.after**2 - self.explained)[self.seen]
-        return math.sqrt(max(float(left.mean()), 0.0)) if left.size else math.nan
+        unexplained = (self.after**2 - self.explained)[self.seen]
+        return math.sqrt(max(float(unexplained.mean()), 0.0)) if unexplained.size else math.nan
 
     def expected(self) -> dict[str, float]:
         """Return the expected RMS, its parts and the RMS, of the rows that have all; NaN if there are none."""
@@ -333,10 +336,10 @@ class RowErrors(NamedTuple):
 def _worst_region(errors: Mapping[str, RowErrors], regions: Sequence[tuple[str, Mask]]) -> str | None:
     """Return the region where the errors exceed the expected ones most, if by more than elsewhere, beyond chance."""
     worst: tuple[float, str] | None = None
-    for of in errors.values():
-        ratio = of.after**2 / np.maximum(of.explained, 1e-300)
+    for e in errors.values():
+        ratio = e.after**2 / np.maximum(e.explained, 1e-300)
         for name, inside in regions:
-            region, elsewhere = ratio[of.seen & inside], ratio[of.seen & ~inside]
+            region, elsewhere = ratio[e.seen & inside], ratio[e.seen & ~inside]
             if min(region.size, elsewhere.size) < LEAST_ROWS:
                 continue
             excess = region.mean() - elsewhere.mean()
@@ -348,19 +351,19 @@ def _worst_region(errors: Mapping[str, RowErrors], regions: Sequence[tuple[str, 
 
 def _figures(errors: Mapping[str, RowErrors], rows: Mask) -> tuple[ByUnit, ByUnit]:
     """Return figures of some rows in each unit, without and with the calibration."""
-    before = {si: Figures.of(of.before[rows & of.rows]) for si, of in errors.items()}
-    return before, {si: Figures.of(of.after[rows & of.rows]) for si, of in errors.items()}
+    nominal = {si: Figures.of(e.before[rows & e.rows]) for si, e in errors.items()}
+    return nominal, {si: Figures.of(e.after[rows & e.rows]) for si, e in errors.items()}
 
 
-def _figure_entries(before: ByUnit, after: ByUnit) -> dict[str, float]:
+def _figure_entries(nominal: ByUnit, identified: ByUnit) -> dict[str, float]:
     """Return figures for display; NaN if no row has such an error."""
     entries = {
         key(f"{figure}_{when}", si): shown(getattr(errors[si], figure), si)
-        for when, errors in (("before", before), ("after", after))
-        for si in after
+        for when, errors in (("before", nominal), ("after", identified))
+        for si in identified
         for figure in ("rms", "mean", "max")
     }
-    return entries | {key("n", si): figures.n for si, figures in after.items()}
+    return entries | {key("n", si): figures.n for si, figures in identified.items()}
 
 
 def _region_entry(region: ValidationRegion) -> dict[str, Any]:
@@ -387,7 +390,7 @@ def _regions(
     for name, inside in _named_regions(calibration, table):
         rows = inside & judging
         if rows.sum() >= LEAST_ROWS:
-            due = {si: _root_mean(of.explained[rows & of.rows]) for si, of in errors.items()}
+            due = {si: _root_mean(e.explained[rows & e.rows]) for si, e in errors.items()}
             regions.append(ValidationRegion(name, int(rows.sum()), *_figures(errors, rows), due))
     return tuple(regions)
 
@@ -407,12 +410,12 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
     """
     p = forward(calibration.chain, calibration.identified, table.q)[:, :3, 3]
     reach = np.hypot(p[:, 0], p[:, 1])
-    far, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])
+    outer, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])
     split = MM.text(np.median(reach), ".0f"), MM.text(np.median(p[:, 2]), ".0f")
     return [
         (
             f"{BY_PLACE}{'>' if is_far else '≤'} {split[0]}, z {'>' if is_high else '≤'} {split[1]}",
-            (far == is_far) & (high == is_high),
+            (outer == is_far) & (high == is_high),
         )
         for is_far in (False, True)
         for is_high in (False, True)
