@@ -647,7 +647,6 @@ def error_map(
     joints: tuple[int, int] = (2, 3),
     *,
     at: Joints | None = None,
-    elbow_up: bool | None = None,
     cell: Annotated[float, CELL] = 0.025,
     own_frames: bool = False,
 ) -> ErrorMap:
@@ -660,10 +659,8 @@ def error_map(
     joints : pair of int
         The two joints that span the section, counted from 1. Their axes must be parallel.
     at : sequence of float, optional
-        Joint readings (j,) [rad, m] at which the other joints are held. Default: the middle of the fitted readings; the map
-        then ends where these end.
-    elbow_up : bool, optional
-        Use the elbow-up configuration of the arm rather than elbow-down. Default: the configuration at ``at``.
+        Joint readings (j,) [rad, m] at which the other joints are held; the two have the configuration of the elbow there.
+        Default: the middle of the fitted readings; the map then ends where these end.
     cell : float
         Size of a cell [m].
     own_frames : bool
@@ -688,7 +685,7 @@ def error_map(
     True
     """
     a, b = joints
-    section = maps.Section((a, b), _joints("at", at, result), elbow_up, cell, own_frames)
+    section = maps.Section((a, b), _joints("at", at, result), cell, own_frames)
     return maps.mapped(result, section)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from enum import StrEnum
 from typing import Annotated
 
 from truearm.bounds import CELL
@@ -15,20 +14,12 @@ from truearm.units import MM
 from truearm.workflows.requests import MapFiles
 
 
-class Elbow(StrEnum):
-    """Configuration of the arm in the section."""
-
-    up = "up"
-    down = "down"
-
-
 @command()
 def map_(
     files: MapFiles,
     *,
     vary: str = "2,3",
     at: str | None = None,
-    elbow: Elbow | None = None,
     cell_mm: Annotated[float, CELL, MM] = 25.0,
     task: str | None = None,
     within: str | None = None,
@@ -52,8 +43,8 @@ def map_(
     vary : I,J
         The two joints that span the section; their axes must be parallel.
     at : Q1,Q2,...
-        Values of all joints [deg, mm]; those of --vary do not matter. Default: the middle of the measured readings, and the
-        map ends where these end.
+        Values of all joints [deg, mm]; of those of --vary, only the configuration of the elbow matters. Default: the middle of the
+        measured readings, and the map ends where these end.
     cell_mm : MM
         Size of a cell.
     task : WxH
@@ -61,8 +52,6 @@ def map_(
 
     Expert options
     --------------
-    elbow
-        Configuration of the elbow. Default: as measured.
     within : U0:U1,V0:V1
         Range of the search for --task, along the section's axes [mm]. Default: the whole section.
     """
@@ -75,7 +64,7 @@ def map_(
     map_task = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)
-    section = Section(varied, stand, None if elbow is None else elbow is Elbow.up, MM.to_si(cell_mm), own_frames)
+    section = Section(varied, stand, MM.to_si(cell_mm), own_frames)
     mapped = map_files(calibration, files, section, map_task)
     findings = map_findings(mapped, section.cell, task, calibration.simulated)
     if files.report is not None:

@@ -96,20 +96,20 @@ def error_map(
     cell: float,
     covariance: Floats,
     unseen: Floats,
-    elbow_up: bool | None = None,
 ) -> ErrorMap:
     """Return the map over the section that two joints (indices) span while the others stay at q (j,).
 
-    cell : m. covariance : (p, p). unseen : (p, d) null directions, each with a largest weight of 1. elbow_up : None for
-    the configuration at q; up if the arm is stretched there.
+    The elbow is as at q; up if the arm is stretched there.
+
+    cell : m. covariance : (p, p). unseen : (p, d) null directions, each with a largest weight of 1.
 
     Raises RobotError unless the two joints turn about parallel axes and the end lies off them.
     """
     axes = _plane(pair, q, joints)
     samples = _samples(pair, q, joints)
     determinant = float(_plane_determinant(pair, q[None], joints, axes)[0])
-    as_here = elbow_up is None and abs(determinant) > STRETCHED
-    side = float(np.sign(determinant)) if as_here else _elbow(pair, samples, joints, axes, elbow_up is not False)
+    is_bent = abs(determinant) > STRETCHED
+    side = float(np.sign(determinant)) if is_bent else _elbow_up(pair, samples, joints, axes)
     samples = samples[side * _plane_determinant(pair, samples, joints, axes) > STRETCHED]
     flat = believed(pair, samples)[:, :3, 3] @ axes.T
     low = np.floor(flat.min(axis=0) / cell) * cell
@@ -210,8 +210,8 @@ def _plane_determinant(pair: ModelPair, q: Floats, joints: tuple[int, int], axes
     return np.asarray(np.linalg.det(jac))
 
 
-def _elbow(pair: ModelPair, samples: Floats, joints: tuple[int, int], axes: Floats, up: bool) -> float:
-    """Return the sign of the determinant where the elbow is mostly higher (lower); the only sign if there is one."""
+def _elbow_up(pair: ModelPair, samples: Floats, joints: tuple[int, int], axes: Floats) -> float:
+    """Return the sign of the determinant where the elbow is mostly higher; the only sign if there is one."""
     determinant = _plane_determinant(pair, samples, joints, axes)
     frames = joint_frames(pair.chain, pair.nominal, samples)
     middle = 0.5 * (frames[:, joints[0], :3, 3] + believed(pair, samples)[:, :3, 3])
@@ -225,7 +225,7 @@ def _elbow(pair: ModelPair, samples: Floats, joints: tuple[int, int], axes: Floa
         raise RobotError(
             f"joints {joints[0] + 1} and {joints[1] + 1} do not span a section at these joint readings; choose other readings of the other joints"
         )
-    return (max if up else min)(heights, key=lambda sign: heights[sign])
+    return max(heights, key=lambda sign: heights[sign])
 
 
 def _sigma(pair: ModelPair, q: Floats, covariance: Floats, unseen: Floats) -> Floats:

@@ -41,13 +41,12 @@ class Section(NamedTuple):
     """The section of the workspace to map.
 
     ``joints``: the two that span it, counted from 1. ``at``: position of the joints (j,) [rad, m]; None for the middle
-    of the fitted readings, and then only cells within these. ``elbow_up``: which of the arm's two configurations; None
-    for the one at that position. ``cell`` [m]: size of a cell. ``own_frames``: leave out how base and tool were mounted.
+    of the fitted readings, and then only cells within these. The elbow is
+    as there. ``cell`` [m]: size of a cell. ``own_frames``: leave out how base and tool were mounted.
     """
 
     joints: tuple[int, int] = (2, 3)
     at: tuple[float, ...] | None = None
-    elbow_up: bool | None = None
     cell: float = 0.025
     own_frames: bool = False
 
@@ -130,7 +129,7 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
             raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits; give a reading within them")
     unseen = unseen_within(calibration)[0]
-    grid = error_map(pair, q, varied, section.cell, calibration.covariance, unseen, section.elbow_up)
+    grid = error_map(pair, q, varied, section.cell, calibration.covariance, unseen)
     outside = calibration.outside(grid.q.reshape(-1, q.size))
     if outside is None:
         return grid
