@@ -21,7 +21,6 @@ from truearm.model.robot import Robot, builtin_robot
 from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import bars, circle, first_rig
 from truearm.plan.forecast import Known
-from truearm.plan.shells import plan_shells
 from truearm.types import REFERENCE_DEGC, Floats, Plan, Rig
 from truearm_sim import sensors
 from truearm_sim.arm import Arm
@@ -29,6 +28,7 @@ from truearm_sim.clocks import Clock, Clocks, draw_clocks
 from truearm_sim.line_device import REACH, Flaws, LineDevices, Placement, place_devices, written_down
 from truearm_sim.paths import line_paths
 from truearm_sim.robot import Controller, Inputs, States, new_pairing
+from truearm_sim.shells import plan_shells
 from truearm_sim.thermal import Thermal
 from truearm_sim.true_robot import PAPER, moving, true_params
 

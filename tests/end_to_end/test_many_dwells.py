@@ -42,7 +42,7 @@ from pathlib import Path
 from truearm.workflows.simulate import write_setup
 from truearm.model.robot import builtin_robot
 from truearm.plan.forecast import Known
-from truearm.plan.shells import plan_shells
+from truearm_sim.shells import plan_shells
 from truearm_sim.arm import PUMA_SPEED
 from truearm_sim.world import World, standard_rig
 

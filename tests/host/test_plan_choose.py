@@ -13,7 +13,8 @@ from truearm.plan.criteria import Criterion
 from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
 from truearm.plan.measurement_limits import Pairing
 from truearm.plan.region import around, poses_in
-from truearm.plan.shells import candidates, plan_shells
+from truearm.plan.shells import candidates
+from truearm_sim.shells import plan_shells
 
 
 def problem(n=12, width=1, k=3, seed=0):

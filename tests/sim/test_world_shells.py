@@ -8,11 +8,11 @@ import pytest
 from truearm.errors import PlanError
 from truearm.model.chain import along, forward, joint_jacobian, trace_point
 from truearm.model.robot import builtin_robot
-from truearm.plan import shells
 from truearm.plan import visit_order as tour
 from truearm.plan.branch_inverse import inverse, make_arm
 from truearm.plan.forecast import Known
 from truearm.types import Point, Rig
+from truearm_sim import shells
 from truearm_sim.world import World, standard_plan, standard_rig
 
 ROBOT = builtin_robot("puma560")
@@ -207,5 +207,5 @@ def test_reversing_mends_what_the_nearest_neighbour_left_behind():
 
 def test_the_dearest_visit_is_left_out():
     x = np.array([0.0, 1.0, 50.0, 2.0, 3.0])
-    order = tour.without_dearest(np.arange(5), np.abs(x[:, None] - x) ** 2, 4)
+    order = shells.without_dearest(np.arange(5), np.abs(x[:, None] - x) ** 2, 4)
     assert x[order].tolist() == [0.0, 1.0, 2.0, 3.0]

@@ -37,12 +37,3 @@ def untangled(order: NDArray[np.int64], cost: Floats) -> NDArray[np.int64]:
                 order[i + 1 : end] = order[i + 1 : end][::-1]
                 improved = True
     return order
-
-
-def without_dearest(order: NDArray[np.int64], cost: Floats, count: int) -> NDArray[np.int64]:
-    """Return the tour with the most expensive points removed one by one until ``count`` are left."""
-    while len(order) > count:
-        moves = np.concatenate([[0.0], cost[order[:-1], order[1:]], [0.0]])
-        shortcuts = np.concatenate([[0.0], cost[order[:-2], order[2:]], [0.0]])
-        order = np.delete(order, int(np.argmax(moves[:-1] + moves[1:] - shortcuts)))
-    return order
