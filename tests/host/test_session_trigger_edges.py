@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+from truearm.clocks import fit
 from truearm.session.clock import RobotClock, fit_clock
 from truearm.session.frames import Exchange
 from truearm.session.joint_format import NO_INPUTS, parse_lines
@@ -62,13 +63,13 @@ def errors(seed, n, controller, between=(0.3, 1.3), delays=(0.0, 0.0)):
     tick = np.floor(controller.reading(t + np.where(rising, *delays)) / CYCLE_S)
     edges = np.zeros(n, EDGE)
     edges["host_ns"], edges["rising"] = 1000 * np.floor(1e6 * t), rising
-    arrivals = RobotClock(100.0, 0, np.array([100.0]), np.zeros(1), np.zeros(1))
+    arrivals = RobotClock(100.0, fit(np.array([0, 10**11]), np.array([0, 10**11])), np.array([100.0]), np.zeros(1))
     span_s = tuple(controller.reading(t[[0, -1]]))
-    fit = fit_edges(arrivals, edges, tick * CYCLE_S, (tick + 1) * CYCLE_S, span_s)
-    assert fit.rejected == 0
-    assert fit.falling_later_ns[0] <= 1e9 * (delays[1] - delays[0]) <= fit.falling_later_ns[1]
+    found = fit_edges(arrivals, edges, tick * CYCLE_S, (tick + 1) * CYCLE_S, span_s)
+    assert found.rejected == 0
+    assert found.falling_later_ns[0] <= 1e9 * (delays[1] - delays[0]) <= found.falling_later_ns[1]
     at = np.linspace(*span_s, 500)
-    return 1e-3 * (fit.clock.to_host_ns(at) - 1e9 * controller.true(at)), 1e-3 * fit.clock.bound_at(at)
+    return 1e-3 * (found.clock.to_host_ns(at) - 1e9 * controller.true(at)), 1e-3 * found.clock.bound_at(at)
 
 
 @pytest.mark.parametrize("seeds", [20, pytest.param(100, marks=pytest.mark.soak)])

@@ -183,12 +183,11 @@ DRIFT = 1e-6 / 60.0  # 1/s: a rate changes by no more than 1 ppm a minute
 
 @dataclass(frozen=True)
 class RobotClock:
-    """host = host_ref_ns + dt + offset with dt = 1e9 · (t − t_ref_s); offset and bound at k nodes, straight in between."""
+    """The clock of one segment of controller time: a ``Clock`` of ns since ``t_ref_s``, and bounds at k nodes."""
 
     t_ref_s: float
-    host_ref_ns: int
+    clock: Clock
     node_s: Floats  # (k,) ascending
-    offset_ns: Floats  # (k,)
     bound_ns: Floats  # (k,) of the error; for "arrivals" excluding the link's shortest latency, which is unknown
     source: str = "arrivals"  # or "edges", of a trigger wire
 
@@ -202,26 +201,12 @@ class RobotClock:
         return np.asarray(np.maximum(self.bound_ns[np.maximum(node - 1, 0)], self.bound_ns[node]))
 
     def to_robot_s(self, t_host_ns: Ints) -> Floats:
-        """Return controller times (n,) [s] of host times: the inverse of ``to_host_ns``, to the nanosecond."""
-        host = np.asarray(t_host_ns, dtype=np.int64)
-        t = self.t_ref_s + 1e-9 * (host - self.host_ref_ns).astype(np.float64)
-        for _ in range(6):  # rates are below 1 %: each step gains two digits
-            t = t - 1e-9 * (self.to_host_ns(t) - host).astype(np.float64)
-        return np.asarray(t)
+        """Return controller times (n,) [s] of host times."""
+        return np.asarray(self.t_ref_s + 1e-9 * self.clock.to_stamp(t_host_ns))
 
     def to_host_ns(self, t_robot_s: Floats) -> Ints:
         """Return host times [ns] of controller times (n,) [s], late by the shortest latency of the link."""
-        t = np.asarray(t_robot_s, dtype=np.float64)
-        rates = self.rates
-        beyond = rates[0] * np.minimum(t - self.node_s[0], 0.0) + rates[-1] * np.maximum(t - self.node_s[-1], 0.0)
-        offset = np.interp(t, self.node_s, self.offset_ns) + 1e9 * beyond
-        return np.asarray(self.host_ref_ns + self.stamps(t) + np.rint(offset).astype(np.int64))
-
-    @property
-    def rates(self) -> Floats:
-        """How much faster the host counts than the controller, from each node to the next; [0] for a single node."""
-        dt = np.diff(self.node_s)
-        return np.diff(self.offset_ns) / (1e9 * dt) if len(dt) and dt.min() > 0.0 else np.zeros(1)
+        return self.clock.to_time(self.stamps(t_robot_s))[0]
 
 
 @dataclass(frozen=True)
@@ -316,12 +301,13 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
     """Return the clock of one segment of controller time and its report. ``arrivals`` must hold a reading."""
     second, dt, latency, n, dt_sum, latency_sum = arrivals.seconds()
     stamps = np.rint(1e9 * dt).astype(np.int64)
-    fitted = clocks.fit(stamps, stamps + latency.astype(np.int64), wander=SLEWED_WANDER)
+    host_ns = arrivals.host_ref_ns + stamps + latency.astype(np.int64)
+    fitted = clocks.fit(stamps, host_ns, wander=SLEWED_WANDER)
     assert fitted is not None  # there is a row
 
     def offset_at(dt_s: Floats) -> Floats:
         t_ns = np.rint(1e9 * dt_s).astype(np.int64)
-        return (fitted.to_time(t_ns)[0] - t_ns).astype(np.float64)
+        return (fitted.to_time(t_ns)[0] - t_ns - arrivals.host_ref_ns).astype(np.float64)
 
     height, mean_height = latency - offset_at(dt), latency_sum / n - offset_at(dt_sum / n)
     nodes = arrivals.t_ref_s + dt[np.flatnonzero(np.diff(np.floor(dt / NODE_S), prepend=-np.inf))]
@@ -331,18 +317,18 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
     around = np.searchsorted(dt, nodes[:, None] - arrivals.t_ref_s + [-AROUND_S, AROUND_S])
     around = np.stack([np.minimum(around[:, 0], around[:, 1] - 1), around[:, 1] + (around[:, 0] >= around[:, 1])], 1)
     bound = np.array([_bound(height[max(a, 0) : b], mean_height[max(a, 0) : b]) for a, b in around])
-    clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, nodes, offset_at(nodes - arrivals.t_ref_s), bound)
+    rates = np.diff(offset_at(nodes - arrivals.t_ref_s)) / np.maximum(1e9 * np.diff(nodes), 1.0)
     half = np.flatnonzero(np.diff(np.floor(second / AROUND_S), prepend=-np.inf))
     report = RobotClockReport(
         segment=segment,
         readings=arrivals.readings,
         t_robot_s=(arrivals.first_s, arrivals.last_s),
-        rate_ppm=float(PPM.of(np.mean(clock.rates))),
-        rate_range_ppm=float(PPM.of(np.ptp(clock.rates))),
+        rate_ppm=float(PPM.of(fitted.rate)),
+        rate_range_ppm=float(PPM.of(np.ptp(rates) if rates.size else 0.0)),
         jitter_ns=float(np.median(np.add.reduceat(mean_height * n, half) / np.add.reduceat(n, half))),
         bound_ns=float(np.max(bound)),
     )
-    return clock, report
+    return RobotClock(arrivals.t_ref_s, fitted, nodes, bound), report
 
 
 def _bound(height: Floats, mean_height: Floats) -> float:

@@ -106,7 +106,9 @@ def fit_edges(
     """
     course_wander = COURSE_WANDER if wander == WANDER else None
     stamps, until_ns = arrivals.stamps(after_s), arrivals.to_host_ns(after_s) - arrivals.to_host_ns(before_s)
-    rows = np.stack([stamps, edges["host_ns"] + until_ns + STAMP_NS, edges["host_ns"] - STAMP_NS])
+    # No delay is negative, and the shorter one is at most SHORTEST_DELAY_NS: half of it is added, and half of it is a bound.
+    host_ns = edges["host_ns"] + round(0.5 * SHORTEST_DELAY_NS)
+    rows = np.stack([stamps, host_ns + until_ns + STAMP_NS, host_ns - STAMP_NS])
 
     def clock_of(rows: Ints) -> Clock | None:
         return fit(*rows, wander=wander, course_wander=course_wander)
@@ -126,16 +128,12 @@ def fit_edges(
         clock = clock_of(rows + _delayed(rising, least, most)) or clock
         likely = clock_of(rows + _delayed(rising, 0.5 * (least + most), 0.5 * (least + most))) or clock
     nodes = np.linspace(*span_s, max(2, round((span_s[1] - span_s[0]) / NODE_S) + 1))
-    middle, reach = clock.to_time(arrivals.stamps(nodes))
-    aside = np.clip(likely.to_time(arrivals.stamps(nodes))[0] - middle, -reach, reach)
-    # No delay is negative, and the shorter one is at most SHORTEST_DELAY_NS.
-    host_ns = np.rint(middle + aside + 0.5 * SHORTEST_DELAY_NS).astype(np.int64)
-    to_box_ns = reach + np.abs(aside) + 0.5 * SHORTEST_DELAY_NS
+    (middle, reach), (host_ns, _) = (fitted.to_time(arrivals.stamps(nodes)) for fitted in (clock, likely))
+    to_box_ns = reach + np.abs(host_ns - middle) + 0.5 * SHORTEST_DELAY_NS
     nearest = np.clip(np.searchsorted(edges["host_ns"], host_ns), 1, len(edges) - 1)
     box_ns = np.maximum(edges["bound_ns"][nearest - 1], edges["bound_ns"][nearest])
-    offset_ns = (host_ns - arrivals.host_ref_ns - arrivals.stamps(nodes)).astype(np.float64)
     return EdgeFit(
-        RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, nodes, offset_ns, to_box_ns + box_ns, source="edges"),
+        RobotClock(arrivals.t_ref_s, likely, nodes, to_box_ns + box_ns, source="edges"),
         to_box_ns,
         len(edges) - rising.size + clock.wrong.size,
         later,
