@@ -29,7 +29,7 @@ from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.plan_matching import (
     Marks,
     PlannedPoses,
-    check_in_rig,
+    check_rig,
     contradict,
     distances,
     labelled,
@@ -262,16 +262,15 @@ def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
         for i, words in zip(good, said, strict=True):
             dwells[i] = _mounted(dwells[i], None, words, rig)
         return dwells
-    found_poses = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, said)
-    for k, (i, pose) in enumerate(zip(good, found_poses.poses, strict=True)):
-        if k in found_poses.ambiguous:
-            dwells[i] = replace(dwells[i], reason="ambiguous", detail=" or ".join(found_poses.ambiguous[k]))
+    matches = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, said)
+    for k, (i, pose) in enumerate(zip(good, matches.poses, strict=True)):
+        if k in matches.ambiguous:
+            dwells[i] = replace(dwells[i], reason="ambiguous", detail=" or ".join(matches.ambiguous[k]))
+        elif pose is None:
+            reason, detail = _unmatched(dwells[i], plan, rows, rules, said[k])
+            dwells[i] = replace(dwells[i], reason=reason, detail=detail)
         else:
-            row = None if pose is None else rows[pose]
-            dwells[i] = _mounted(dwells[i], row, {} if pose is None else plan.mounted[pose], rig)
-            if pose is None:
-                reason, detail = _unmatched(dwells[i], plan, rows, rules, said[k])
-                dwells[i] = replace(dwells[i], reason=reason, detail=detail)
+            dwells[i] = _mounted(dwells[i], rows[pose], plan.mounted[pose], rig)
     return dwells
 
 
@@ -279,7 +278,7 @@ def _settled(found: Survey, rig: Rig, labels: Sequence[DwellLabel]) -> list[Dwel
     dwells = labelled(found.dwells, labels)
     for dwell in dwells:
         if not dwell.reason:
-            _check_rig(dwell.mounted, rig)
+            check_rig(dwell.mounted, rig)
     return dwells
 
 
@@ -303,13 +302,8 @@ def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) 
     """Return the dwell with its fittings, or with the reason why some are missing."""
     if any(key not in mounted for key in BAR_MOUNTED):
         return replace(dwell, pose=pose, mounted=mounted, reason="no plan match")
-    _check_rig(mounted, rig)
+    check_rig(mounted, rig)
     return replace(dwell, pose=pose, mounted=mounted)
-
-
-def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
-    for key in BAR_MOUNTED:
-        check_in_rig(key, mounted[key], rig.mounted()[key])
 
 
 def table_of(

@@ -245,7 +245,7 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     else:
         passes = _matched(legs, plan, rows, tolerance, said)
     for k, line_pass in enumerate(passes):
-        _check_rig(line_pass.mounted, rig)
+        check_rig(line_pass.mounted, rig)
         if line_pass.leg.end_s - line_pass.leg.start_s > LONGEST_S:
             passes[k] = replace(line_pass, reason="too long")
     return passes
@@ -282,21 +282,16 @@ def _mounted(marks: Marks, leg: Leg) -> dict[str, str]:
     return first if first == last else {}
 
 
-def _check_rig(mounted: Mapping[str, str], rig: Rig) -> None:
-    for key, names in (("line", rig.lines), ("target", rig.targets)):
-        as_they_come = key == "line" and not names  # a rig that lists no lines accepts any
-        if mounted.get(key) and not as_they_come:
-            check_in_rig(key, mounted[key], names)
-
-
-def check_in_rig(key: str, name: str, names: Mapping[str, Any]) -> None:
-    """Raise RigError if the rig does not have what a session names."""
-    if name not in names:
-        have = ", ".join(sorted(names)) or "none"
-        raise RigError(
-            f"the session names {key} {name!r}, which the rig does not have (it has {have}); add it to the rig, or give the right rig as ",
-            Argument("rig"),
-        )
+def check_rig(mounted: Mapping[str, str], rig: Rig) -> None:
+    """Raise RigError if the rig does not have what a session names; a rig that lists no lines accepts any."""
+    for key, names in rig.mounted().items():
+        name = mounted.get(key)
+        if name and name not in names and (names or key != "line"):
+            have = ", ".join(sorted(names)) or "none"
+            raise RigError(
+                f"the session names {key} {name!r}, which the rig does not have (it has {have}); add it to the rig, or give the right rig as ",
+                Argument("rig"),
+            )
 
 
 Pairing = tuple[str, str, str]  # bar, chuck, sphere

@@ -207,10 +207,6 @@ class Messages:
         data = self.data
         return [data[a:b] for a, b in zip(self.begin[rows].tolist(), self.end[rows].tolist(), strict=True)]
 
-    def without(self, is_dropped: Callable[[str], bool]) -> Messages:
-        """Return the messages except those of some topics."""
-        return self.take(self.rows(lambda topic: not is_dropped(topic)))
-
     def take(self, rows: NDArray[np.intp]) -> Messages:
         """Return a selection of the messages as columns."""
         columns = ("topic", "t_host_ns", "begin", "end", "sequence", "log_ns")
