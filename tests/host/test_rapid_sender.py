@@ -8,7 +8,7 @@ import pytest
 import rapid_machine
 
 from truearm.record.robots.text_lines import LineDialect
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import parse_line
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "abb.md"
 MAX_STRING = 80  # characters of a RAPID string
@@ -82,7 +82,7 @@ def test_truearm_reads_the_joints_that_it_sends(source, monkeypatch):
     assert tuple(controller.calls) == STARTS
     lines = "".join(controller.parts).split("\n")[:-1]
     dialect = LineDialect({})
-    found = [parse_reading(dialect.line(line.encode())) for line in lines]
+    found = [parse_line(dialect.line(line.encode())) for line in lines]
     readings = [reading for reading in found if reading is not None]
     assert len(readings) >= (SENT - 1) // 2 - 1
     sent = controller.read[: len(readings)]

@@ -12,7 +12,7 @@ from ros_bags import STORAGES, joint_state, write_bag
 from truearm.errors import InputError
 from truearm.record.robots.bags import readings
 from truearm.record.robots.sources import FileOptions
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import parse_line
 
 TOPIC = "/joint_states"
 # As Universal Robots' driver publishes them: the elbow first.
@@ -50,7 +50,7 @@ def test_exactly_and_in_the_order_of_the_joints(tmp_path, storage, compress):
         for k, (t, line) in enumerate(found):
             # a double has 52 bits: 2.4e-7 s at this time of the world
             assert t == pytest.approx(1e-9 * (T0 + 2_000_000 * k), abs=2.4e-7)
-            reading = parse_reading(line)
+            reading = parse_line(line)
             assert reading.t == t
             assert reading.q == [k + i / 7 for i in (2, 1, 0, 3, 4, 5)]
     row = json.loads(line)
@@ -71,7 +71,7 @@ def test_chunks_of_lz4(tmp_path):
         for received_ns, data in states(100):
             writer.add_message(channel, received_ns, data, received_ns)
         writer.finish()
-    assert [parse_reading(reading.line).q[2] for reading in read(path)] == list(range(100))
+    assert [parse_line(reading.line).q[2] for reading in read(path)] == list(range(100))
 
 
 WRONG = {

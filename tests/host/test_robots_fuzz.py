@@ -20,7 +20,7 @@ from truearm.record.joint_lines import MAX_LINE, JointLines
 from truearm.record.robots import rtde
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.robots.text_lines import LineDialect, LinesLink
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import parse_line
 
 rounds = pytest.mark.parametrize("n", [500, pytest.param(10_000, marks=pytest.mark.soak)])
 NUMBERS = [0, 1, 2, 3, 4, 0x7F, 0x80, 0xFF, 0x100, 0x7FFF, 0x8000, 0xFFFF]
@@ -156,7 +156,7 @@ def test_rtde_streams(monkeypatch, n):
         rng = random.Random(seed)
         data = b"".join(mutated(rng, stream(rng)))
         lines = play(monkeypatch, [*ANSWERS, *cut(rng, data)], rng.random() < 0.5)
-        found = [reading for line in lines if (reading := parse_reading(line)) is not None]
+        found = [reading for line in lines if (reading := parse_line(line)) is not None]
         known = [row for row in reference(data) if all(abs(q) < 1e9 for q in row[1:]) and 0 <= row[0] < 4e9]
         assert [(reading.t, *reading.q) for reading in found] == known
         assert sum(map(len, lines)) <= 8 * len(data) + 200 * (len(lines) + 1)  # 8 bytes of a double are up to 25 digits
@@ -267,7 +267,7 @@ def test_tables(tmp_path, n):
         except InputError as exc:
             is_clear(exc, str(path))
         else:
-            assert all(parse_reading(reading.line).t == reading.t for reading in found)
+            assert all(parse_line(reading.line).t == reading.t for reading in found)
 
 
 @pytest.fixture(scope="module", params=["mcap", "sqlite3"])

@@ -22,7 +22,7 @@ from truearm.record.links import HostClock
 from truearm.record.robots.joint_table import read_columns, readings
 from truearm.record.robots.sources import FileOptions, open_source
 from truearm.record.robots.text_lines import LineDialect, LinesLink
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import parse_line
 from truearm.session.session_file import open_session
 
 PATIENCE_S = 5.0  # only a broken link waits so long
@@ -192,7 +192,7 @@ class TestTcp:
         peer = Peer(b"t_s,q1_deg\n1,90\n2,180\nhello\n3,2")
         got, end = all_of(open_source(f"lines+tcp://{peer.address}", HostClock()))
         *lines, rest = got.split(b"\n")
-        assert [parse_reading(line) and parse_reading(line).q for line in lines] == [
+        assert [parse_line(line) and parse_line(line).q for line in lines] == [
             None,
             [90 * DEG],
             [180 * DEG],
@@ -210,7 +210,7 @@ class TestTcp:
         reading = b'{"t":1,"q":[1]}'
         peer = Peer(b"x" * MAX_LINE + reading + b"\n" + reading + b"\n")
         got, _ = all_of(open_source(f"lines+tcp://{peer.address}", HostClock()))
-        assert [parse_reading(line) is not None for line in got.splitlines()] == [False, False, True]
+        assert [parse_line(line) is not None for line in got.splitlines()] == [False, False, True]
         assert got.replace(b"of a line that is too long: ", b"").replace(b"\n", b"") == b"x" * MAX_LINE + reading * 2
 
     def test_a_header_counts_for_the_connections_behind_it_too(self):
@@ -231,7 +231,7 @@ class TestTcp:
             with suppress(LinkClosed):
                 while True:
                     got += b"".join(data for _, data in link.read(0.1))
-            lines.append([parse_reading(line) and parse_reading(line).t for line in got.splitlines()])
+            lines.append([parse_line(line) and parse_line(line).t for line in got.splitlines()])
         link.close()
         listener.close()
         assert lines == [[None, 1.0], [None, 13.0]]
@@ -295,7 +295,7 @@ class TestUdp:
             while b'"t":5.0' not in arrivals[-1][1]:
                 arrivals += link.read(0.1)
         link.close()
-        found = [parse_reading(line) for _, data in arrivals for line in data.splitlines()]
+        found = [parse_line(line) for _, data in arrivals for line in data.splitlines()]
         assert [reading.q[0] for reading in found if reading] == [0.5, 0.7, 0.8, 0.9]
         stamps = [t for t, _ in arrivals]
         assert before <= stamps[0]
@@ -312,7 +312,7 @@ class TestUdp:
                 arrivals += arrivals_of(link, 200)
         assert link.backlog.foreign == 0
         link.close()
-        assert [parse_reading(line).t for _, line in arrivals] == list(range(400))
+        assert [parse_line(line).t for _, line in arrivals] == list(range(400))
 
     def test_the_robot_is_who_sends_readings(self, free):
         """A stranger whose datagrams were no readings once was the robot: the real one was locked out as long as it sent.
@@ -336,7 +336,7 @@ class TestUdp:
                 arrivals_of(link, 2)
         link.close()
         assert [line for _, line in arrivals[:3]] == [b"who is there\n", b"t_s,q1_rad\n", b"who is there\n"]
-        assert [parse_reading(line).t for _, line in arrivals[3:]] == [0.0, 1.0, 2.0, 3.0, 4.0]
+        assert [parse_line(line).t for _, line in arrivals[3:]] == [0.0, 1.0, 2.0, 3.0, 4.0]
 
     def test_another_address_takes_over_after_three_seconds_without_a_reading(self, free):
         clock = SetClock()
@@ -363,7 +363,7 @@ class TestUdp:
             while not link.reopen(0.1):
                 pass
             second.sendto(b"6,0.5", ("127.0.0.1", free))
-            assert parse_reading(arrivals_of(link, 1)[0][1]).t == 6.0
+            assert parse_line(arrivals_of(link, 1)[0][1]).t == 6.0
         assert link.backlog.foreign == 5  # of the first link
         link.close()
 
@@ -450,7 +450,7 @@ def test_how_the_stream_is_cut_does_not_matter(size):
     pieces = [sent[i : i + size] for i in range(0, len(sent), size)]
     link = LinesLink(Played(*pieces), HostClock(), LineDialect({}))
     got = b"".join(data for _ in range(len(pieces)) for _, data in link.read(0.0))
-    assert [parse_reading(line).q for line in got.splitlines() if parse_reading(line)] == [[90 * DEG], [2.0], [math.pi]]
+    assert [parse_line(line).q for line in got.splitlines() if parse_line(line)] == [[90 * DEG], [2.0], [math.pi]]
 
 
 class TestTable:

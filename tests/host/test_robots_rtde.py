@@ -21,7 +21,7 @@ from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.links import HostClock
 from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import RtdeLink
-from truearm.session.joint_format import parse_reading, unpack
+from truearm.session.joint_format import parse_line, unpack
 
 PATIENCE_S = 5.0  # only a broken client waits so long
 
@@ -229,7 +229,7 @@ class TestClient:
             "runtime_state": 2,
         }  # bit by bit: each double came through text and back
         assert (second["t"], second["seq"]) == (12.002, 1)
-        assert all(parse_reading(line) for line in lines)
+        assert all(parse_line(line) for line in lines)
 
     def test_what_the_controller_left_out_is_a_gap_in_seq(self):
         ticks = [0, 1, 2, 5, 6]
@@ -292,7 +292,7 @@ class TestClient:
         assert [bytes.fromhex(row["hex"]) for row in strangers] == [unknown[3:], short[3:], other[3:]]
         assert [row["rtde"] for row in strangers] == [2, 85, 85]
         assert reading["t"] == 5.0
-        assert not any(parse_reading(line) for line in lines[:-1])
+        assert not any(parse_line(line) for line in lines[:-1])
 
     def test_what_comes_with_the_answers_is_not_lost(self):
         script = [*WHOLE[:-1], (START, TEXT + STARTED + data(1.0))]
@@ -302,7 +302,7 @@ class TestClient:
     @pytest.mark.parametrize("t", [float("nan"), float("inf"), -1.0, 1e300])
     def test_an_impossible_time_is_no_reading(self, t):
         lines = readings(WHOLE, data(1.0) + data(t) + data(1.002), 3)
-        assert [parse_reading(line) is not None for line in lines] == [True, False, True]
+        assert [parse_line(line) is not None for line in lines] == [True, False, True]
 
     def test_the_stamp_is_that_of_the_last_byte(self):
         clock = HostClock()

@@ -14,7 +14,7 @@ from session_stream import ident_document, metres_of
 from truearm.errors import ProtocolError, SessionError
 from truearm.session.box_ident import Channel, decimal, decode_ident, find_channel, parse_ident, parse_ident_json
 from truearm.session.frames import Pages
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import JointLine, parse_line
 from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, volts
 
 
@@ -246,9 +246,9 @@ class TestReading:
     @pytest.mark.parametrize(
         ("line", "found"),
         [
-            (b'{"t": 1.5, "seq": 3, "q": [0.1, -2]}', (1.5, 3, [0.1, -2.0])),
-            (b'{"t": 1.5, "q": [0.1, -2]}\r', (1.5, None, [0.1, -2.0])),
-            (b'{"t": 2, "q": [1], "q_cmd": "x", "more": {"y": 1}}', (2.0, None, [1.0])),
+            (b'{"t": 1.5, "seq": 3, "q": [0.1, -2]}', JointLine(1.5, [0.1, -2.0], 3)),
+            (b'{"t": 1.5, "q": [0.1, -2]}\r', JointLine(1.5, [0.1, -2.0])),
+            (b'{"t": 2, "q": [1], "q_cmd": "x", "more": {"y": 1}}', JointLine(2.0, [1.0])),
             (b'{"t": 2, "seq": null, "q": [1]}', None),
             (b'{"t": 2, "seq": true, "q": [1]}', None),
             (b'{"t": 2, "seq": 4611686018427387904, "q": [1]}', None),
@@ -256,9 +256,9 @@ class TestReading:
         ],
     )
     def test_lines(self, line, found):
-        assert parse_reading(line) == found
+        assert parse_line(line) == found
 
     @given(st.binary(max_size=40), st.binary(max_size=40))
     def test_any_bytes(self, before, after):
-        found = parse_reading(b'{"t":' + before + b', "q": [' + after + b"]}")
+        found = parse_line(b'{"t":' + before + b', "q": [' + after + b"]}")
         assert found is None or (math.isfinite(found.t) and all(map(math.isfinite, found.q)))

@@ -14,7 +14,7 @@ from tests.recipes.recipes import ALL_IN_ONE, PAGE, Said, findings, new_files
 from tests.recipes.test_kind import ZERO, write_inputs
 from tests.recipes.test_source import OPEN, SENT
 from tests.recipes.test_term import SPRUNG
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import parse_line
 
 ROBOT = """
 import truearm
@@ -111,4 +111,4 @@ def test_term_and_robot_are_loaded(python):
 
 def test_the_source_is_opened(python):
     lines = bytes.fromhex(python("-c", OPEN, f"semicolons://{Peer(SENT).address}")).split(b"\n")
-    assert parse_reading(lines[1]).q == pytest.approx([math.pi / 2, math.radians(-45.5)], rel=1e-15)
+    assert parse_line(lines[1]).q == pytest.approx([math.pi / 2, math.radians(-45.5)], rel=1e-15)

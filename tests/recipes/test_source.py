@@ -7,7 +7,7 @@ import pytest
 
 from tests.host.tcp_peer import Peer
 from tests.recipes.recipes import Copy
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import parse_line
 
 SENT = b"0;89.0\n1500;90.0;-45.5\nhello\n\xff\n1502;nan;0\n1502\n;;\n1504;90.0;-45.0\n1506;9"
 OPEN = """
@@ -46,11 +46,11 @@ def test_readings_come_out(copy):
         b"1506;9",
     )  # the first of a connection may have lost its head, the last its tail
     assert others == [b"hello", b"\xff", b"1502;nan;0", b"1502", b";;"]
-    found = [parse_reading(line) for line in (reading, last)]
+    found = [parse_line(line) for line in (reading, last)]
     assert [each.t for each in found] == pytest.approx([1.5, 1.504], rel=1e-15)
     assert found[0].q == pytest.approx([math.pi / 2, math.radians(-45.5)], rel=1e-15)
     assert json.loads(reading)["line"] == "1500;90.0;-45.5"
-    assert not any(map(parse_reading, others))
+    assert not any(map(parse_line, others))
 
 
 def test_help_and_errors_name_it(copy):

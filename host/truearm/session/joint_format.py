@@ -10,12 +10,11 @@ alone (``/robot/readings``).
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from operator import attrgetter
-from typing import Annotated, Any, NamedTuple, TypeGuard
+from typing import Annotated, Any, TypeGuard
 
 import cbor2
 import msgspec
@@ -35,14 +34,6 @@ UNNUMBERED = -MAX_SEQ  # seq of a reading without a number
 Joints = Annotated[
     list[Annotated[float, msgspec.Meta(gt=-MAX_Q, lt=MAX_Q)]], msgspec.Meta(min_length=1, max_length=MAX_JOINTS)
 ]
-
-
-class Reading(NamedTuple):
-    """Controller time [s], the reading's number if the robot counts them, joints [rad or m]."""
-
-    t: float
-    seq: int | None
-    q: list[float]
 
 
 class JointLine(msgspec.Struct, gc=False):
@@ -85,12 +76,6 @@ def parse_line(line: bytes) -> JointLine | None:
     return row
 
 
-def parse_reading(line: bytes) -> Reading | None:
-    """Return time, number and joints of a line; None if it is not a reading (see ``parse_line``)."""
-    row = parse_line(line)
-    return None if row is None else Reading(row.t, None if row.seq == UNNUMBERED else row.seq, row.q)
-
-
 def _unusual_line(line: bytes) -> JointLine | None:
     """Parse a line with invalid values such as NaN, a word or null.
 
@@ -110,11 +95,10 @@ def _unusual_line(line: bytes) -> JointLine | None:
 
 def are_joints(value: object) -> TypeGuard[list[float]]:
     """Return whether a value is a list of 1 to MAX_JOINTS numbers below MAX_Q."""
-    return (
-        isinstance(value, list)
-        and 1 <= len(value) <= MAX_JOINTS
-        and all(_finite(number) and abs(number) < MAX_Q for number in value)
-    )
+    try:
+        return msgspec.convert(value, Joints) is not None
+    except msgspec.ValidationError:
+        return False
 
 
 def format_reading(t: float, seq: int | None, q: Sequence[float], **optional: object) -> bytes:
@@ -124,10 +108,6 @@ def format_reading(t: float, seq: int | None, q: Sequence[float], **optional: ob
     """
     row = {"t": t, "seq": seq, "q": list(q), **optional}
     return json.dumps({key: value for key, value in row.items() if value is not None}, separators=(",", ":")).encode()
-
-
-def _finite(value: object) -> bool:
-    return (type(value) is float and math.isfinite(value)) or (type(value) is int and abs(value) < 2**53)
 
 
 JOINTS = "/robot/joints"

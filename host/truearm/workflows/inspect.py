@@ -13,7 +13,7 @@ from truearm.files.strict_json import without_nan
 from truearm.findings import entries
 from truearm.progress import step
 from truearm.report.session_findings import session_findings
-from truearm.session.joint_format import parse_reading
+from truearm.session.joint_format import parse_line
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM
@@ -59,7 +59,7 @@ class Contents:
         self.last_ns = int(messages.t_host_ns.max(initial=self.last_ns))
         robot = messages.payloads(messages.rows("/robot/console".__eq__))
         self.robot_bytes += sum(map(len, robot))
-        self.other_joints += sum(parse_reading(line) is not None for line in robot)
+        self.other_joints += sum(parse_line(line) is not None for line in robot)
         rows = messages.rows("/box/console".__eq__)[: CONSOLE_RUNS - len(self.console)]
         self.console += [data[:CONSOLE_BYTES] for data in messages.payloads(rows)]
 

@@ -23,7 +23,7 @@ from truearm.files.csv_cells import MAX_COLUMNS, NUMBER, Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted
-from truearm.session.joint_format import MAX_JOINTS, format_reading, parse_reading
+from truearm.session.joint_format import MAX_JOINTS, format_reading, parse_line
 from truearm.units import SUFFIXES
 
 # to divide by: 1e-9 is not exact in binary
@@ -229,7 +229,7 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
         last = -1.0
         for number, cells in rows:
             line = columns.line(cells if separator == "," else [with_point(cell) for cell in cells], **NO_ARRIVAL)
-            reading = None if line is None else parse_reading(line)
+            reading = None if line is None else parse_line(line)
             if line is None or reading is None:
                 raise TableError(
                     f"{path} row {number}: is not a reading: it needs {columns.width} numbers, with t not negative"

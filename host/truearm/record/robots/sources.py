@@ -61,7 +61,7 @@ class FileOptions(NamedTuple):
 
 RTDE = "rtde"
 OWN: Mapping[str, SourceEntry] = {
-    "tcp": SourceEntry(".session_lines", "127.0.0.1:7008", "JSON lines"),
+    "tcp": SourceEntry(".text_lines", "127.0.0.1:7008", "JSON lines"),
     RTDE: SourceEntry(".rtde", "192.168.0.2", "Universal Robots"),
     "lines+tcp": SourceEntry(".text_lines", "192.168.0.2:7008", "CSV, or JSON with names and units of its own"),
     "lines+udp": SourceEntry(".text_lines", "0.0.0.0:7008", "the same in datagrams, sent to this computer"),

@@ -40,7 +40,7 @@ from truearm.record.links import (
 )
 from truearm.record.robots.joint_table import PER_SECOND, Columns, read_columns
 from truearm.schema import quoted
-from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_reading
+from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_line
 from truearm.units import SUFFIXES
 
 MAX_DATAGRAM = 8192  # bytes; a longer one is truncated, and the rest is not a reading
@@ -199,7 +199,7 @@ class LineDialect:
         return line if self._columns is None else self._columns.line(cells, line=text) or line
 
     def _json(self, text: str, line: bytes) -> bytes:
-        if self._names.ours and parse_reading(line) is not None:
+        if self._names.ours and parse_line(line) is not None:
             return line
         if ('unit"' in text or '"names"' in text) and (declaration := _declaration(text)) is not None:
             self._names = read_names(declaration, self._names)
@@ -311,7 +311,7 @@ class DatagramLines(LinesLink):
         lines = super()._lines(t_host_ns, data)
         if self._robot != data.sender:
             self._end = end
-        if any(map(parse_reading, lines)):
+        if any(map(parse_line, lines)):
             if is_foreign:
                 raise LinkError(
                     f"{self.name}: {self._robot} sent no reading for {SILENCE_S:g} s, and {data.sender} sends instead"
@@ -321,7 +321,12 @@ class DatagramLines(LinesLink):
 
 
 def connect(url: str, clock: Clock, last: Link | None) -> Link:
-    """Return a link that still uses the header of the ``last`` one. Raises as ``open_lines`` does."""
+    """Return a link that still uses the header of the ``last`` one. Raises as ``open_lines`` does.
+
+    Lines from ``tcp://HOST:PORT`` are in the session format already, and stored as received.
+    """
+    if url.startswith("tcp:"):
+        return TcpLink(url, clock)
     return open_lines(url, clock, last.dialect if isinstance(last, LinesLink) else None)
 
 
