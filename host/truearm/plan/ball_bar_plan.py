@@ -138,40 +138,40 @@ def _planned(
 ) -> BallBarPlan:
     looked, linked = LOOKING if wanted.n_poses is None else LOOKING_ONCE
     with part_of(advance, 0.0, looked):
-        found = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
+        candidate_poses = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
     with part_of(advance, looked, linked):
-        found, graphs = roadmaps(site, found)
-    if (wanted.n_poses or 0) > len(found):
+        candidate_poses, graphs = roadmaps(site, candidate_poses)
+    if (wanted.n_poses or 0) > len(candidate_poses):
         raise PlanError(
-            f"only {len(found)} of {wanted.n_candidates} candidates are within reach with the bar attached, too few for "
+            f"only {len(candidate_poses)} of {wanted.n_candidates} candidates are within reach with the bar attached, too few for "
             f"{counted(wanted.n_poses or 0, 'pose')}; ask for fewer ",
             *(Argument("poses"), " or more ", Argument("candidates"), ", lower ", Argument("reserve"), ", widen "),
             *(Argument("branch"), ", or move the chucks"),
         )
-    aim = _aim(site, found, region, wanted.seed)
-    table = bar_table(known, found)
+    aim = _aim(site, candidate_poses, region, wanted.seed)
+    table = bar_table(known, candidate_poses)
     poses = wanted.n_poses if wanted.n_poses is not None else int(60.0 * (wanted.minutes or 0.0) / (pace.dwell + MOVE))
     doubted = with_doubted_bars(known) if poses >= DOUBTED_FROM * int(known.free.sum()) else known
     rows, information = candidate_rows(doubted, table)
     blocks, root = as_blocks(rows), region_root(doubted, table, aim)
 
-    pairing = np.unique(pairing_names(found), axis=0, return_inverse=True)[1].reshape(-1)
+    pairing = np.unique(pairing_names(candidate_poses), axis=0, return_inverse=True)[1].reshape(-1)
     setup = 0.0 if wanted.minutes is None else pace.mount / (pace.dwell + MOVE)
 
     def chosen(n: int) -> Plan:
         """Return the n best, the most important first."""
-        stock = np.arange(len(found))
+        stock = np.arange(len(candidate_poses))
         while True:
             order = choose(blocks[stock], information, n, wanted.criterion, root, wanted.passes, pairing[stock], setup)
-            best = found.select(stock[order])
-            told = _told(known, found.select(stock), best)
-            if told.all() or told.sum() < n:
+            best = candidate_poses.select(stock[order])
+            is_worth = _worth_mounting(known, candidate_poses.select(stock), best)
+            if is_worth.all() or is_worth.sum() < n:
                 return best
-            stock = stock[told]
+            stock = stock[is_worth]
 
     if wanted.n_poses is not None:
         best = _with_room(site, chosen, wanted.n_poses, wanted.visits)
-        way = route(site, best, pace, graphs, wanted.visits)
+        planned_route = route(site, best, pace, graphs, wanted.visits)
     else:
         trials = (linked + (1.0 - linked) * k / TRIALS for k in count(1))
         longest: list[Plan] = []
@@ -179,37 +179,37 @@ def _planned(
         def tried(n: int) -> Route:
             if longest and TRIMMED * len(longest[0]) < n < len(longest[0]):
                 best = longest[0].select(np.arange(n))  # the same mounts, without the least important poses
-                best = best.select(_told(known, best, best))
+                best = best.select(_worth_mounting(known, best, best))
             else:
                 best = chosen(n)
                 longest[:] = [best]
-            way = route(site, best, pace, graphs, wanted.visits)
+            planned_route = route(site, best, pace, graphs, wanted.visits)
             advance(min(next(trials), 1.0))
-            return way
+            return planned_route
 
-        most = min(len(found), int(60.0 * (wanted.minutes or 0.0) / pace.dwell))
-        way = _within(tried, max(1, int(FIRST * poses)), most, wanted.minutes or 0.0, pace)
-    return BallBarPlan(way, forecast(known, bar_table(known, way.plan), aim))
+        most = min(len(candidate_poses), int(60.0 * (wanted.minutes or 0.0) / pace.dwell))
+        planned_route = _within(tried, max(1, int(FIRST * poses)), most, wanted.minutes or 0.0, pace)
+    return BallBarPlan(planned_route, forecast(known, bar_table(known, planned_route.plan), aim))
 
 
-def _told(known: Known, found: Plan, best: Plan) -> NDArray[np.bool_]:
+def _worth_mounting(known: Known, candidate_poses: Plan, best: Plan) -> NDArray[np.bool_]:
     """Return a mask (n,) of the candidates whose chuck and sphere are worth mounting.
 
     These have none of the ``best`` poses, or enough of them to determine more than their own position. A chuck that was
     not measured has three unknown coordinates: three readings or fewer carry no information on the arm, and cost a
     mount.
     """
-    told = np.ones(len(found), dtype=bool)
+    is_worth = np.ones(len(candidate_poses), dtype=bool)
     for column, points in (("chuck", known.rig.chucks), ("sphere", known.rig.spheres)):
         names, poses = np.unique(getattr(best, column), return_counts=True)
-        before = () if known.measured is None else known.measured[column]
+        measured = () if known.measured is None else known.measured[column]
         idle = [
             name
             for name, count in zip(names.tolist(), poses.tolist(), strict=True)
-            if count <= COORDINATES and points[name].sigma is None and name not in before
+            if count <= COORDINATES and points[name].sigma is None and name not in measured
         ]
-        told &= ~np.isin(getattr(found, column), idle)
-    return told
+        is_worth &= ~np.isin(getattr(candidate_poses, column), idle)
+    return is_worth
 
 
 def with_doubted_bars(known: Known) -> Known:
@@ -246,28 +246,28 @@ def pairing_names(plan: Plan) -> NDArray[np.str_]:
     return np.stack([plan.bar, plan.chuck, plan.sphere], axis=1)
 
 
-def _within(planned: Callable[[int], Route], first: int, most: int, minutes: float, pace: Pace) -> Route:
-    """Return as many poses as the minutes allow, at most ``most``; ``first``: the number to begin with.
+def _within(planned: Callable[[int], Route], first: int, n_most: int, minutes: float, pace: Pace) -> Route:
+    """Return as many poses as the minutes allow, at most ``n_most``; ``first``: the number to begin with.
 
     The next number lies between one that is too long and one that is not, by their minutes. Without the one or the
     other, it follows from what a further pose of this route would take: a dwell, and a share of a move because moves
     become shorter.
     """
-    n, best, short, long = min(first, most), None, (0, 0.0), (most + 1, np.inf)
+    n, best, short, long = min(first, n_most), None, (0, 0.0), (n_most + 1, np.inf)
     for _ in range(TRIALS):
         if not short[0] < n < long[0]:
             break
-        way = planned(n)
-        if way.minutes <= minutes:
-            short, best = (n, way.minutes), way
-            if way.minutes >= MEETS * minutes:
+        trial = planned(n)
+        if trial.minutes <= minutes:
+            short, best = (n, trial.minutes), trial
+            if trial.minutes >= MEETS * minutes:
                 break
         else:
-            long = (n, way.minutes)
-        further = (pace.dwell + SHORTER * float(way.seconds.sum()) / len(way.plan)) / 60.0
+            long = (n, trial.minutes)
+        further = (pace.dwell + SHORTER * float(trial.seconds.sum()) / len(trial.plan)) / 60.0
         if best is not None and np.isfinite(long[1]):
             further = (long[1] - short[1]) / (long[0] - short[0])
-        n = int(np.clip(n + (AIM * minutes - way.minutes) / further, max(short[0] + 1, n // 2), max(long[0] - 1, 1)))
+        n = int(np.clip(n + (AIM * minutes - trial.minutes) / further, max(short[0] + 1, n // 2), max(long[0] - 1, 1)))
     if best is None:
         raise PlanError(
             f"{minutes:g} min are too few, mounting one pairing takes {pace.mount:g} s; give more ", Argument("minutes")
@@ -275,11 +275,11 @@ def _within(planned: Callable[[int], Route], first: int, most: int, minutes: flo
     return best
 
 
-def _aim(site: Site, found: Plan, region: Region | None, seed: int) -> Aim:
+def _aim(site: Site, candidate_poses: Plan, region: Region | None, seed: int) -> Aim:
     """Return poses of the region that contain the centre of the spheres; all spheres count."""
     middle = np.mean([sphere.xyz for sphere in site.rig.spheres.values()], axis=0)
     if region is None:
-        region = around(sphere_places(site, found))
+        region = around(sphere_places(site, candidate_poses))
     return Aim(poses_in(site, region, middle, seed=seed), tuple(site.rig.spheres))
 
 

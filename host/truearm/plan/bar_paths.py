@@ -58,8 +58,8 @@ def moves_allowed(
     q, move = samples(start, end)
     good, limits = np.ones(len(start), dtype=bool), limits or site.limits.tightened()
     for allows in (device_allows, arm_allows):  # the cheap check first
-        left = good[move]
-        good[move[left][~allows(site, q[left], pairing, limits)]] = False
+        unchecked = good[move]
+        good[move[unchecked][~allows(site, q[unchecked], pairing, limits)]] = False
     return good
 
 
@@ -92,17 +92,17 @@ def ways_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing) -> l
             break
         middle = onto_shell(site, 0.5 * (moves.start + moves.end), pairing)
         lost[moves.way[~allowed(site, middle, pairing, site.limits.tightened())]] = True
-        kept = ~lost[moves.way]
-        moves, middle = moves.select(kept), middle[kept]
-        way, low, high, start, end = moves
+        possible = ~lost[moves.way]
+        moves, middle = moves.select(possible), middle[possible]
+        path, low, high, start, end = moves
         share = 0.5 * (low + high)
-        vias.append((way, share, middle))
+        vias.append((path, share, middle))
         halves = (low, share), (share, high), (start, middle), (middle, end)
-        moves = _Moves(np.tile(way, 2), *map(np.concatenate, halves))
-    way, share, q = (np.concatenate([via[k] for via in vias]) for k in range(3))
-    order = np.lexsort((share, way))
-    parts = np.split(q[order], np.searchsorted(way[order], np.arange(1, n)))
-    return [None if failed else part for failed, part in zip(lost.tolist(), parts, strict=True)]
+        moves = _Moves(np.tile(path, 2), *map(np.concatenate, halves))
+    path, share, q = (np.concatenate([via[k] for via in vias]) for k in range(3))
+    order = np.lexsort((share, path))
+    vias_of_paths = np.split(q[order], np.searchsorted(path[order], np.arange(1, n)))
+    return [None if failed else via for failed, via in zip(lost.tolist(), vias_of_paths, strict=True)]
 
 
 def onto_shell(site: Site, q: Floats, pairing: Pairing) -> Floats:

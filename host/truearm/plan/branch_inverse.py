@@ -71,15 +71,15 @@ def _possible(arm: Arm, poses: Floats) -> NDArray[np.bool_]:
 
 def _solved(arm: Arm, poses: Floats) -> Floats:
     q = arm.q_seeds[arm.seeds.query(_features(poses), eps=NEARLY)[1]]
-    left = np.arange(len(q))
+    unsolved = np.arange(len(q))
     for _ in range(ITERATIONS):
-        error, jacobian = pose_error(arm, poses[left], q[left])
+        error, jacobian = pose_error(arm, poses[unsolved], q[unsolved])
         normal = jacobian @ jacobian.swapaxes(-1, -2) + DAMPING**2 * np.eye(6)
         step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(normal, error[..., None]))[..., 0]
-        q[left] += np.clip(step, -0.4, 0.4)
-        left = left[np.abs(error).max(axis=-1) > TOLERANCE]
+        q[unsolved] += np.clip(step, -0.4, 0.4)
+        unsolved = unsolved[np.abs(error).max(axis=-1) > TOLERANCE]
     good = np.all((q > arm.branch.lower) & (q < arm.branch.upper), axis=-1)
-    good[left] = False
+    good[unsolved] = False
     jacobian = pose_error(arm, poses[good], q[good])[1]
     good[good] = np.linalg.svd(jacobian, compute_uv=False)[:, -1] > MIN_SINGULAR_VALUE
     return np.where(good[:, None], q, np.nan)
@@ -92,8 +92,8 @@ def _features(poses: Floats) -> Floats:
 
 def pose_error(arm: Arm, poses: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Return the error (m, 6) and the Jacobian (m, 6, j), positions in LEVERs."""
-    here, jacobian = end_and_jacobian(arm.chain, arm.params, q)
-    turn = Rotation.from_matrix(poses[:, :3, :3] @ here[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
+    reached, jacobian = end_and_jacobian(arm.chain, arm.params, q)
+    turn = Rotation.from_matrix(poses[:, :3, :3] @ reached[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
     scale = np.array([1 / LEVER] * 3 + [1.0] * 3)
-    error = np.concatenate([poses[:, :3, 3] - here[:, :3, 3], turn], axis=-1) * scale
+    error = np.concatenate([poses[:, :3, 3] - reached[:, :3, 3], turn], axis=-1) * scale
     return error, jacobian * scale[:, None]

@@ -33,7 +33,7 @@ def _check_kinds(chain: Chain) -> None:
         )
 
 
-def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
+def branch_of(robot: Robot, branch: Branch | None = None) -> Branch:
     """Return the branch of a robot file, or the given one.
 
     Raises PlanError if there is none, if it does not have two bounds per joint within the joint's limits, or if a joint
@@ -41,22 +41,22 @@ def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
     """
     chain = robot.chain
     _check_kinds(chain)
-    if given is None:
+    if branch is None:
         if robot.branch is None:
             check_joints(chain)  # no bounds would help
-            known = ", ".join(names_with_branch())
+            with_branch = ", ".join(names_with_branch())
             text = (
-                f"robot {chain.name} has no [branch] in its file (the built-in robots {known} have one, a URDF never); give "
+                f"robot {chain.name} has no [branch] in its file (the built-in robots {with_branch} have one, a URDF never); give "
                 f"LOW:HIGH of its {len(chain.joints)} joints in degrees, with commas between them, as "
             )
             raise PlanError(text, Argument("branch"))
         return robot.branch
     lower, upper = chain.limits
-    if len(given.lower) != len(lower):
-        raise PlanError(Argument("branch"), f": needs bounds of {len(lower)} joints, has {len(given.lower)}")
-    outside = np.flatnonzero((given.lower < lower) | (given.upper > upper))
+    if len(branch.lower) != len(lower):
+        raise PlanError(Argument("branch"), f": needs bounds of {len(lower)} joints, has {len(branch.lower)}")
+    outside = np.flatnonzero((branch.lower < lower) | (branch.upper > upper))
     if outside.size:
         joint = chain.joints[outside[0]]
         limits_text = f"{DEG.of(joint.lower):.6g} to {DEG.text(joint.upper, '.6g')}"
         raise PlanError(Argument("branch"), f": the bounds of {joint.name} must lie within its limits, {limits_text}")
-    return given
+    return branch

@@ -51,19 +51,19 @@ def choose(
     """
     state = Gains.start(rows, known, _checked(rows, n, criterion, region), region)
     chosen = list[int]()
-    left = np.ones(len(rows), dtype=bool)
+    available = np.ones(len(rows), dtype=bool)
     group = np.zeros(len(rows), dtype=np.intp) if group is None else group
     begun = np.zeros(len(rows), dtype=bool)  # of a group already begun
     for _ in steps_of(range(n), f"choosing {n} of {len(rows)} poses"):
-        best = state.best(left / np.where(begun, 1.0, 1.0 + setup))
+        best = state.best(available / np.where(begun, 1.0, 1.0 + setup))
         state.change(best, 1.0)
         chosen.append(best)
-        left[best] = False
+        available[best] = False
         begun |= group == group[best]
     if setup > 0.0:
-        left &= begun
+        available &= begun
     for _ in range(passes):
-        if not _exchange(state, chosen, left):
+        if not _exchange(state, chosen, available):
             break
     return np.array(chosen, dtype=np.intp)
 
@@ -142,10 +142,10 @@ class Gains:
         step = np.linalg.solve(np.linalg.cholesky(scale), through).T  # K (k, w)
         aimed = self._aim() @ step
         shares = self._times(np.concatenate([step, self.covariance @ aimed], axis=1))
-        own, across = shares[..., : len(block)], shares[..., len(block) :]
+        direct, across = shares[..., : len(block)], shares[..., len(block) :]
         self.covariance -= sign * step @ step.T
-        self.total -= sign * _products(own, own)
-        both = _products(own, across - 0.5 * sign * own @ (step.T @ aimed))
+        self.total -= sign * _products(direct, direct)
+        both = _products(direct, across - 0.5 * sign * direct @ (step.T @ aimed))
         self.reduced -= sign * (both + both.swapaxes(1, 2))
 
     def best(self, worth: Floats) -> int:
@@ -171,21 +171,21 @@ def _products(first: Floats, second: Floats) -> Floats:
     return np.asarray(np.einsum("nwk,nvk->nwv", first, second))
 
 
-def _exchange(state: Gains, chosen: list[int], left: NDArray[np.bool_]) -> bool:
+def _exchange(state: Gains, chosen: list[int], available: NDArray[np.bool_]) -> bool:
     """Try once to exchange each chosen one; return whether any was. Updates all arguments."""
     changed = False
-    now = value(state.information, state.criterion, state.region)
+    current = value(state.information, state.criterion, state.region)
     for place, old in steps_of(list(enumerate(chosen)), "exchanging chosen poses for better ones"):
         state.change(old, -1.0)
-        left[old] = True
-        best = state.best(left.astype(float))
+        available[old] = True
+        best = state.best(available.astype(float))
         if best != old:
             block = state.rows[best]
-            then = value(state.information + block.T @ block, state.criterion, state.region)
-            if then < now - GAIN * abs(now):
-                now, chosen[place], changed = then, best, True
+            exchanged = value(state.information + block.T @ block, state.criterion, state.region)
+            if exchanged < current - GAIN * abs(current):
+                current, chosen[place], changed = exchanged, best, True
         state.change(chosen[place], 1.0)
-        left[chosen[place]] = False
+        available[chosen[place]] = False
     return changed
 
 
@@ -208,19 +208,19 @@ def _checked(rows: Floats, n: int, criterion: str, region: Floats | None) -> Cri
     return Criterion(criterion)
 
 
-def condensed(jacobian: Floats, own: Floats | None = None) -> Floats:
-    """Return rows (at most k, k) with the information of jacobian (m, k) after fitting their ``own`` (m, u)."""
-    if own is not None:
-        basis, singular, _ = np.linalg.svd(own, full_matrices=False)
+def condensed(jacobian: Floats, own_jacobian: Floats | None = None) -> Floats:
+    """Return rows (at most k, k) with the information of jacobian (m, k) after fitting the unknowns of ``own_jacobian`` (m, u)."""
+    if own_jacobian is not None:
+        basis, singular, _ = np.linalg.svd(own_jacobian, full_matrices=False)
         basis = basis[:, singular > 1e-10 * singular.max(initial=0.0)]
         jacobian = jacobian - basis @ (basis.T @ jacobian)
     return np.asarray(np.linalg.qr(jacobian, mode="r")) if len(jacobian) > jacobian.shape[1] else jacobian
 
 
-def as_blocks(parts: Sequence[Floats]) -> Floats:
+def as_blocks(rows: Sequence[Floats]) -> Floats:
     """Return (N, w, k) from parts with different numbers of rows, padded with zeros, which carry no information."""
-    width = max(len(part) for part in parts)
-    out = np.zeros((len(parts), width, parts[0].shape[1]))
-    for i, part in enumerate(parts):
-        out[i, : len(part)] = part
+    width = max(len(row) for row in rows)
+    out = np.zeros((len(rows), width, rows[0].shape[1]))
+    for i, row in enumerate(rows):
+        out[i, : len(row)] = row
     return out

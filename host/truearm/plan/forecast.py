@@ -161,8 +161,8 @@ def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats
             continue
         old = block.row < n_measured
         information += np.einsum("nwk,nwl->kl", jac[old], jac[old])
-        for row, part in zip(block.row[~old], jac[~old], strict=True):
-            rows[row - n_measured] = part
+        for row, block_of_row in zip(block.row[~old], jac[~old], strict=True):
+            rows[row - n_measured] = block_of_row
     return rows, information
 
 
@@ -259,25 +259,25 @@ def _cartesian(
 
 def _aim_jacobian(known: Known, problem: Problem, x: Floats, aim: Aim) -> tuple[Floats, Floats]:
     """Return the positions (n, 3) of all points at all poses and their derivatives (3n, P)."""
-    parts = [_point_jacobian(known, problem, x, aim.q, name) for name in aim.points or ("",)]
-    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+    jacobians = [_point_jacobian(known, problem, x, aim.q, name) for name in aim.points or ("",)]
+    return np.concatenate([pair[0] for pair in jacobians]), np.concatenate([pair[1] for pair in jacobians])
 
 
 def _point_jacobian(known: Known, problem: Problem, x: Floats, q: Floats, name: str) -> tuple[Floats, Floats]:
     """Return the same for one point, including derivatives by its own unknown coordinates. "": the end's origin."""
-    point, at = np.zeros(3), [-1, -1, -1]
-    for what, some in end_points(known.rig).items():
-        if name in some:
-            names = [f"{what}.{name}.{k}" for k in "xyz"]
-            at = [problem.names.index(own) if own in problem.names else -1 for own in names]
-            point = np.array([x[i] if i >= 0 else v for i, v in zip(at, some[name].xyz, strict=True)])
+    point, columns = np.zeros(3), [-1, -1, -1]
+    for kind, points_of_kind in end_points(known.rig).items():
+        if name in points_of_kind:
+            names = [f"{kind}.{name}.{k}" for k in "xyz"]
+            columns = [problem.names.index(unknown) if unknown in problem.names else -1 for unknown in names]
+            point = np.array([x[i] if i >= 0 else v for i, v in zip(columns, points_of_kind[name].xyz, strict=True)])
     p_base, jac, _ = point_jacobians(known.chain, x[: problem.n_robot], q, point)
     out = np.zeros((jac.shape[0], 3, x.size))
     out[:, :, : problem.n_robot] = jac
-    if at[0] >= 0:
+    if columns[0] >= 0:
         # ∂p/∂point is the end's rotation, so differences along its axes are exact.
         shifted = [point_forward(known.chain, x[: problem.n_robot], q, point + e) for e in np.eye(3)]
-        out[:, :, at] = np.stack(shifted, axis=2) - p_base[:, :, None]
+        out[:, :, columns] = np.stack(shifted, axis=2) - p_base[:, :, None]
     return p_base, out.reshape(-1, x.size)
 
 

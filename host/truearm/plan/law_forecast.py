@@ -65,25 +65,26 @@ def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForec
     laws, _ = candidates(chain, table.q, LawMode.CURVE, gravity_of(table, None))
     if not laws:
         return ()
-    whole = with_laws(chain, laws)
-    problem = build_problem(whole, known.rig, table)
-    added = len(whole.parameters) - n
+    with_curves = with_laws(chain, laws)
+    problem = build_problem(with_curves, known.rig, table)
+    added = len(with_curves.parameters) - n
     columns = np.ones(problem.start.size, dtype=bool)
     columns[:n] = known.free[:n]
     start = problem.start.copy()
     start[:n] = known.params[:n]
-    of = law_problem(problem, columns, start, laws, poses(table))
+    laws_problem = law_problem(problem, columns, start, laws, poses(table))
     prior = np.where(np.isin(LENGTHS, TYPICAL_LENGTHS), TYPICAL**2, 0.0)
-    found = posterior(
-        of,
-        Learned(dict.fromkeys(laws, prior), PoseNoise.of(1.0, len(chain.joints)), {}, math.nan, of.start),
+    learned = posterior(
+        laws_problem,
+        Learned(dict.fromkeys(laws, prior), PoseNoise.of(1.0, len(chain.joints)), {}, math.nan, laws_problem.start),
     )
     covariance = np.zeros((n + added, n + added))
     free = np.flatnonzero(columns[: n + added])
-    covariance[np.ix_(free, free)] = found.covariance[: free.size, : free.size]
+    covariance[np.ix_(free, free)] = learned.covariance[: free.size, : free.size]
     whole_size = math.sqrt(prior.sum())
     return tuple(
-        _forecast(curve, UNSEEN * whole_size) for curve in sampled_curves(whole, laws, np.zeros(n + added), covariance)
+        _forecast(curve, UNSEEN * whole_size)
+        for curve in sampled_curves(with_curves, laws, np.zeros(n + added), covariance)
     )
 
 
@@ -92,7 +93,8 @@ def _forecast(curve: SampledCurve, unseen: float) -> CurveForecast:
     readings, sigma = curve.readings, curve.sigma
     between = (readings >= curve.intervals[0][0]) & (readings <= curve.intervals[-1][1])
     ranges = tuple(
-        RangeSigma(float(readings[part][0]), float(readings[part][-1]), rms(sigma[part])) for part in _parts(curve)
+        RangeSigma(float(readings[samples][0]), float(readings[samples][-1]), rms(sigma[samples]))
+        for samples in _parts(curve)
     )
     spans = _spans(readings, between & (~curve.covered | (sigma > unseen)))
     return CurveForecast(curve.joint, ranges, rms(sigma[curve.covered]), spans)
@@ -102,15 +104,15 @@ def _parts(curve: SampledCurve) -> Iterator[slice]:
     """Yield each covered run of samples in equal parts of at most PART."""
     for start, stop in _runs(curve.covered):
         count = math.ceil(float(curve.readings[stop - 1] - curve.readings[start]) / PART) or 1
-        for part in np.array_split(np.arange(start, stop), count):
-            yield slice(int(part[0]), int(part[-1]) + 1)
+        for samples in np.array_split(np.arange(start, stop), count):
+            yield slice(int(samples[0]), int(samples[-1]) + 1)
 
 
 def _geometry(known: Known) -> tuple[Chain, int]:
     """Return the chain without the laws that an earlier result added, and its number of parameters."""
     learned = {term.name for term in terms() if term.learned}
-    own = tuple(p for p in known.chain.parameters if p.term not in learned)
-    return replace(known.chain, parameters=own), len(own)
+    geometric = tuple(p for p in known.chain.parameters if p.term not in learned)
+    return replace(known.chain, parameters=geometric), len(geometric)
 
 
 def _spans(readings: Floats, flags: np.ndarray) -> tuple[tuple[float, float], ...]:

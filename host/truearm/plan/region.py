@@ -59,14 +59,14 @@ def poses_in(site: Site, region: Region, p_end_point: Floats, seed: int = 0) -> 
     Raises PlanError if none of 200,000 random poses is.
     """
     rng, arm = np.random.default_rng([seed, 0x4E610]), site.arm
-    kept = np.zeros((0, len(arm.chain.joints)))
+    poses = np.zeros((0, len(arm.chain.joints)))
     for _ in range(10):
         q = rng.uniform(arm.branch.lower, arm.branch.upper, (20_000, len(arm.branch.lower)))
-        at = point_forward(arm.chain, arm.params, q, p_end_point)
-        q = q[((at >= region.lower) & (at <= region.upper)).all(axis=1)]
-        kept = np.concatenate([kept, q[allowed(site, q, None)]])
-        if len(kept) >= N_POSES:
-            return kept[:N_POSES]
-    if not len(kept):
+        points = point_forward(arm.chain, arm.params, q, p_end_point)
+        q = q[((points >= region.lower) & (points <= region.upper)).all(axis=1)]
+        poses = np.concatenate([poses, q[allowed(site, q, None)]])
+        if len(poses) >= N_POSES:
+            return poses[:N_POSES]
+    if not len(poses):
         raise PlanError("the arm cannot reach the region; ask for another ", Argument("region"))
-    return kept
+    return poses

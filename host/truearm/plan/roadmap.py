@@ -46,8 +46,8 @@ class Roadmap:
         new = [move for move in dict.fromkeys(moves) if move not in self.legs]
         if new:
             start, end = np.array(new).T
-            ways = ways_with_bar(self.site, self.stock[start], self.stock[end], self.pairing)
-            self.legs.update(zip(new, ways, strict=True))
+            vias = ways_with_bar(self.site, self.stock[start], self.stock[end], self.pairing)
+            self.legs.update(zip(new, vias, strict=True))
 
     def way(self, start: int, end: int) -> Floats | None:
         """Return via points (v, j) of a path with the bar on, straight or over candidates; None if there is none."""
@@ -61,12 +61,14 @@ class Roadmap:
                 return np.concatenate([q for stop in stops for q in stop if q is not None])[:-1]
             for a, b in failed:
                 self.edges[a, b] = self.edges[b, a] = 0.0
-            length, before = dijkstra(csr_array(self.edges), directed=False, indices=start, return_predecessors=True)
+            length, predecessor = dijkstra(
+                csr_array(self.edges), directed=False, indices=start, return_predecessors=True
+            )
             if not np.isfinite(length[end]):
                 return None
             chain = [end]
             while chain[0] != start:
-                chain.insert(0, int(before[chain[0]]))
+                chain.insert(0, int(predecessor[chain[0]]))
         return None
 
     @property
@@ -80,17 +82,17 @@ def make_roadmap(site: Site, pairing: Pairing, stock: Floats) -> Roadmap:
     return Roadmap(site, pairing, stock, _edges(site, pairing, stock))
 
 
-def roadmaps(site: Site, found: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
+def roadmaps(site: Site, poses: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
     """Return the candidates reachable from most others of their pairing with the bar on, and their graphs."""
-    kept, graphs = [], {}
-    pairings = list(dict.fromkeys(pairing_at(found, i) for i in range(len(found))))
-    for pairing in steps_of(pairings, f"looking for paths between {len(found)} poses"):
-        rows = np.flatnonzero(of_pairing(found, pairing))
-        graph = make_roadmap(site, pairing, found.q[rows])
+    reachable, graphs = [], {}
+    pairings = list(dict.fromkeys(pairing_at(poses, i) for i in range(len(poses))))
+    for pairing in steps_of(pairings, f"looking for paths between {len(poses)} poses"):
+        rows = np.flatnonzero(of_pairing(poses, pairing))
+        graph = make_roadmap(site, pairing, poses.q[rows])
         main = graph.main
-        kept.append(rows[main])
+        reachable.append(rows[main])
         graphs[pairing] = Roadmap(site, pairing, graph.stock[main], graph.edges[np.ix_(main, main)])
-    return found.select(np.concatenate(kept)), graphs
+    return poses.select(np.concatenate(reachable)), graphs
 
 
 def _edges(site: Site, pairing: Pairing, q: Floats) -> Floats:
@@ -98,8 +100,8 @@ def _edges(site: Site, pairing: Pairing, q: Floats) -> Floats:
     edges = np.zeros((len(q), len(q)))
     if len(q) < 2:
         return edges
-    _, near = KDTree(q).query(q, min(NEIGHBOURS + 1, len(q)), p=np.inf)
-    first, second = np.repeat(np.arange(len(q)), near.shape[1] - 1), near[:, 1:].ravel()
+    _, neighbours = KDTree(q).query(q, min(NEIGHBOURS + 1, len(q)), p=np.inf)
+    first, second = np.repeat(np.arange(len(q)), neighbours.shape[1] - 1), neighbours[:, 1:].ravel()
     first, second = np.unique(np.sort(np.stack([first, second]), axis=0), axis=1)
     good = passable(site, q[first], q[second], pairing)
     first, second = first[good], second[good]

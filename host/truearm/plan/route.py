@@ -55,8 +55,8 @@ class Route(NamedTuple):
     @property
     def minutes(self) -> float:
         """Return the minutes, with an operator present."""
-        rest = len(self.plan) * self.pace.dwell + self.n_mounts * self.pace.mount
-        return float(self.seconds.sum() + rest) / 60.0
+        still = len(self.plan) * self.pace.dwell + self.n_mounts * self.pace.mount
+        return float(self.seconds.sum() + still) / 60.0
 
     @property
     def visits(self) -> Plan:
@@ -77,18 +77,18 @@ class Route(NamedTuple):
         At the first stop no bar is mounted, unless an earlier run was broken off: the operator makes sure.
         """
         out: list[Stop] = []
-        left = 0  # the first stop on the way to the next pose
+        departure = 0  # the first stop on the way to the next pose
         for i, (q, seconds, pose) in enumerate(zip(self.q, self.seconds.tolist(), self.pose.tolist(), strict=True)):
             out.append(Stop(q, seconds, Move.DWELL if pose >= 0 else Move.VIA))
             if pose < 0:
                 continue
             if self.mount[i]:
-                at = pairing_at(self.plan, pose)
-                what = f"bar {at.bar} from {at.chuck} to {at.sphere}"
+                pairing = pairing_at(self.plan, pose)
+                mounted = f"bar {pairing.bar} from {pairing.chuck} to {pairing.sphere}"
                 remove = "Remove the bar" if i else "Check that no bar is mounted"
-                out[left] = out[left]._replace(before=plain(f"{remove}. Next: {what}"))
-                out[i] = out[i]._replace(there=plain(f"Mount {what}"))
-            left = i + 1
+                out[departure] = out[departure]._replace(before=plain(f"{remove}. Next: {mounted}"))
+                out[i] = out[i]._replace(there=plain(f"Mount {mounted}"))
+            departure = i + 1
         return out
 
 
@@ -130,8 +130,8 @@ def route(
 
 def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
     """Return the poses in the order of visits, by pairing; successive pairings share a chuck or a sphere."""
-    here = 0.5 * (site.arm.branch.lower + site.arm.branch.upper)
-    parts: list[NDArray[np.intp]] = []
+    start = 0.5 * (site.arm.branch.lower + site.arm.branch.upper)
+    visited: list[NDArray[np.intp]] = []
     pairings = _pairings_in_order(site, plan)
     for visit, pairing in ((visit, pairing) for visit in range(visits.times) for pairing in pairings):
         rows = np.flatnonzero(of_pairing(plan, pairing))[visit :: visits.times]
@@ -144,37 +144,37 @@ def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
             site.arm, q, weights, rig.bars[pairing.bar], rig.chucks[pairing.chuck], rig.spheres[pairing.sphere]
         )
         cost = cost + pace.mount**2 * ~_passable(site, q, cost, pairing)
-        order = short_tour(np.abs((q - here) * weights).max(axis=1), cost)
-        parts.append(rows[order])
-        here = q[order[-1]]
-    return plan.select(np.concatenate(_with_checks(parts, pairings, visits.check_poses)))
+        order = short_tour(np.abs((q - start) * weights).max(axis=1), cost)
+        visited.append(rows[order])
+        start = q[order[-1]]
+    return plan.select(np.concatenate(_with_checks(visited, pairings, visits.check_poses)))
 
 
 def n_checks(site: Site, plan: Plan, visits: Visits) -> int:
     """Return the number of visits of check poses that ``route`` adds to a plan."""
     pairings = _pairings_in_order(site, plan)
-    parts = [np.flatnonzero(of_pairing(plan, pairing)) for pairing in pairings]
-    return sum(part.size for part in _with_checks(parts, pairings, visits.check_poses)) - len(plan)
+    mounts = [np.flatnonzero(of_pairing(plan, pairing)) for pairing in pairings]
+    return sum(mount.size for mount in _with_checks(mounts, pairings, visits.check_poses)) - len(plan)
 
 
 def _with_checks(
-    parts: Sequence[NDArray[np.intp]], pairings: Sequence[Pairing], check_poses: int
+    mounts: Sequence[NDArray[np.intp]], pairings: Sequence[Pairing], check_poses: int
 ) -> list[NDArray[np.intp]]:
     """Return the poses of the mounts, with some of the first repeated in the middle and at the end.
 
     At the end, so are some of the first mount with another chuck, if any: one chuck alone does not show every tilt of
     the table.
     """
-    if check_poses == 0 or len(parts) < 2:
-        return list(parts)
+    if check_poses == 0 or len(mounts) < 2:
+        return list(mounts)
     elsewhere = [i for i, pairing in enumerate(pairings) if pairing.chuck != pairings[0].chuck]
-    first, other = (
-        part[np.unique(np.linspace(0, part.size - 1, check_poses).astype(np.intp))]
-        for part in (parts[0], parts[elsewhere[0] if elsewhere else 1])
+    first, last = (
+        mount[np.unique(np.linspace(0, mount.size - 1, check_poses).astype(np.intp))]
+        for mount in (mounts[0], mounts[elsewhere[0] if elsewhere else 1])
     )
-    middle = (len(parts) + 1) // 2
+    middle = (len(mounts) + 1) // 2
     between = [first] if middle > 1 else []  # next to the first mount it would be one long visit
-    return [*parts[:middle], *between, *parts[middle:], first, other]
+    return [*mounts[:middle], *between, *mounts[middle:], first, last]
 
 
 def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[np.bool_]:
@@ -183,10 +183,10 @@ def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[
 
     Each pose is checked against its NEAR nearest; other moves count as not free.
     """
-    near = np.zeros(cost.shape, dtype=bool)
+    is_near = np.zeros(cost.shape, dtype=bool)
     nearest = np.argsort(cost, axis=1, kind="stable")[:, : NEAR + 1]
-    np.put_along_axis(near, nearest, True, axis=1)
-    first, second = np.nonzero(np.triu(near | near.T, 1))
+    np.put_along_axis(is_near, nearest, True, axis=1)
+    first, second = np.nonzero(np.triu(is_near | is_near.T, 1))
     good = passable(site, q[first], q[second], pairing)
     out = np.eye(len(q), dtype=bool)
     out[first, second] = out[second, first] = good
@@ -195,15 +195,15 @@ def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[
 
 def _pairings_in_order(site: Site, plan: Plan) -> list[Pairing]:
     """Order pairings by bar, then chuck, with spheres in alternating order, so that one end of the bar stays."""
-    there = {pairing_at(plan, i) for i in range(len(plan))}
-    out, forth = [], True
+    pairings = {pairing_at(plan, i) for i in range(len(plan))}
+    order, forth = [], True
     for bar in site.rig.bars:
         for chuck in site.rig.chucks:
             spheres = list(site.rig.spheres)
             row = [Pairing(bar, chuck, sphere) for sphere in (spheres if forth else spheres[::-1])]
-            out += [pairing for pairing in row if pairing in there]
+            order += [pairing for pairing in row if pairing in pairings]
             forth = not forth
-    return out
+    return order
 
 
 def _without_bar(site: Site, plan: Plan, i: int) -> Floats:
@@ -225,5 +225,5 @@ def _durations(site: Site, plan: Plan, q: Floats, pose: NDArray[np.intp], pace: 
 
 def _next_pose(pose: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the pose (m,) to which each stop leads; the last stop is one."""
-    where = np.flatnonzero(pose >= 0)
-    return np.asarray(pose[where[np.searchsorted(where, np.arange(len(pose)))]])
+    poses = np.flatnonzero(pose >= 0)
+    return np.asarray(pose[poses[np.searchsorted(poses, np.arange(len(pose)))]])

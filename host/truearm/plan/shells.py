@@ -42,19 +42,22 @@ def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, s
         if _out_of_reach(site, pairing):
             raise PlanError(*_unreached(pairing))
     seeking = steps_of(pairings, f"looking for poses in reach of {len(pairings)} pairings")
-    parts = [_of_pairing(site, pairing, count, spread, rng) for pairing in seeking]
-    sizes = [len(q) for q in parts]
+    joints = [_of_pairing(site, pairing, count, spread, rng) for pairing in seeking]
+    sizes = [len(q) for q in joints]
     if min(sizes) == 0:
         raise PlanError(*_unreached(pairings[sizes.index(0)]))
     names = [(f"{p.bar}-{p.chuck}", p.bar, p.chuck, p.sphere) for p in pairings]
-    return Plan(np.concatenate(parts), *np.repeat(names, sizes, axis=0).T)
+    return Plan(np.concatenate(joints), *np.repeat(names, sizes, axis=0).T)
 
 
 def _out_of_reach(site: Site, pairing: Pairing) -> bool:
     """Return whether a chuck is beyond the stretched arm with sphere and bar; checked before any search."""
     bar, mounted = pairing.of(site.rig)
-    far = float(np.linalg.norm(mounted.p_chuck - site.arm.base))
-    return far > site.arm.reach + float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
+    distance = float(np.linalg.norm(mounted.p_chuck - site.arm.base))
+    return (
+        distance
+        > site.arm.reach + float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
+    )
 
 
 def _unreached(pairing: Pairing) -> tuple[str, ...]:
@@ -74,14 +77,14 @@ def _of_pairing(site: Site, pairing: Pairing, count: int, spread: float, rng: np
         directions = grid_directions(n_places, max(LOWEST, 0.5 * np.pi - site.limits.chuck_angle + 0.02))
         q = np.full((len(directions), len(site.arm.chain.joints)), np.nan)
         for _ in range(TRIES):
-            left = np.flatnonzero(np.isnan(q[:, 0]))
-            length = bar.zero + spread * rng.uniform(-1.0, 1.0, (len(left), 1))
-            found = inverse(
-                site.arm, tool_poses(directions[left], length, mounted.p_chuck, mounted.p_sphere, rng, tilt)
+            missing = np.flatnonzero(np.isnan(q[:, 0]))
+            length = bar.zero + spread * rng.uniform(-1.0, 1.0, (len(missing), 1))
+            joints = inverse(
+                site.arm, tool_poses(directions[missing], length, mounted.p_chuck, mounted.p_sphere, rng, tilt)
             )
-            good = ~np.isnan(found[:, 0])
-            good[good] = allowed(site, found[good], pairing, site.limits.tightened())
-            q[left[good]] = found[good]
+            good = ~np.isnan(joints[:, 0])
+            good[good] = allowed(site, joints[good], pairing, site.limits.tightened())
+            q[missing[good]] = joints[good]
         q = q[~np.isnan(q[:, 0])]
         if len(q) >= count:
             return np.asarray(q[np.linspace(0, len(q) - 1, count).round().astype(int)])
