@@ -1,7 +1,6 @@
 """The firmware on the emulated chip: boot, time, flash, exits, a host that disappears."""
 
 import itertools
-import random
 
 import cbor2
 import numpy as np
@@ -12,24 +11,14 @@ from tests.protocol import test_foreign_client as client
 from tests.wire_frames import command
 from truearm_sim.box import COMMAND, WATCHDOG
 from truearm_sim.chip import STORE, make_flash, read_flash
-from truearm_sim.hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL
+from truearm_sim.hardware import CRASH, STALL
 from truearm_wire import frame
 from truearm_wire.messages import (
     BOOT_LOADER,
     CONFIGURE,
     DATA,
-    ERROR,
-    ERROR_MALFORMED,
-    ERROR_RANGE,
-    ERROR_STORAGE,
-    ERROR_STREAMING,
-    ERROR_UNKNOWN,
-    EVENT,
-    FLAG_CONVERTER,
-    FLAG_OVERRUN,
     HEARTBEAT,
     IDENT,
-    REPLY,
     RESET,
     RESTART,
     SELF_TEST,
@@ -46,7 +35,6 @@ from .conftest import MS, Chip, Counting, document, ident
 S = 1_000_000
 PERIOD_NS = 983_040
 BLOCK = 13  # samples of the converter in a frame
-FULL = 1_430_832  # bytes of the largest file that the file system takes
 
 
 def heartbeats(found):
@@ -120,39 +108,6 @@ def test_a_box_without_an_lvdt_passes_its_self_test(power_on):
     assert cbor2.loads(document(chip.ask(SELF_TEST, ms=1500), 64))["excitation"]["ok"] == 0
 
 
-def test_it_streams_both_sources_without_a_gap(switched_on):
-    chip, _ = switched_on
-    chip.ask(START, ms=10)
-    found = chip.hear(1500 * MS)
-    found += chip.ask(STOP, ms=500)
-    for stream in (0, 1):
-        k = indices(found, stream)
-        assert k[0] == (0, 12_500)[stream]  # sample 0 of the stream is sample 0 of the signals
-        assert len(k) > 1400
-        assert (np.diff(k) == (4 if stream == 0 else 1)).all()
-        t0 = np.array([f[4] for f in blocks(found, stream)])
-        n0 = np.array([f[3] for f in blocks(found, stream)])
-        late = t0 - t0[0] - n0 * PERIOD_NS / 1000
-        assert np.ptp(late) <= 1.0 + 1e-9  # stamps are whole microseconds
-    assert heartbeats(found)[-1]["overruns"] == 0
-
-
-def test_a_damaged_frame_and_a_reset_of_the_converter_are_counted_and_survived(switched_on):
-    chip, _ = switched_on
-    chip.ask(START, ms=10)
-    chip.hear(300 * MS)
-    found = chip.hear(400 * MS, flags=BAD_CRC)
-    found += chip.hear(1500 * MS, flags=CONVERTER_RESET)
-    assert FLAG_CONVERTER in {f[7] & FLAG_CONVERTER for f in blocks(found, 0)}
-    beat = heartbeats(found)[-1]
-    assert beat["converter_resets"] == 1
-    assert beat["crc_errors"] >= 1
-    lost = int((np.diff([f[3] for f in blocks(found, 0)]) - BLOCK).clip(0).sum())
-    assert 0 < lost < 100
-    assert len(blocks(found, 0)) > 120
-    chip.ask(STOP, ms=500)
-
-
 def test_a_configuration_outlives_a_restart(power_on):
     chip = power_on()
     chip.boot()
@@ -188,23 +143,6 @@ def test_power_that_fails_while_it_writes_leaves_the_old_or_the_new_configuratio
         config["osr"] = after["osr"]
         assert after == config
     assert "config.json" in read_flash(tmp_path / STORE)
-
-
-def test_a_full_flash_refuses_a_configuration_and_keeps_the_old_one(power_on, tmp_path):
-    make_flash(tmp_path / STORE, {"fill": bytes(FULL)})
-    chip = power_on()
-    chip.boot()
-    config = chip.config()
-    changed = {**config, "osr": 1024}
-    (error,) = [f for f in chip.put_config(changed) if f[0] == ERROR]
-    assert error[3] == ERROR_STORAGE
-    assert chip.config() == config
-    chip.ask(START, ms=10)
-    chip.hear(500 * MS, flags=CRASH)  # its traceback has no place either
-    assert chip.end == "reset"
-    assert read_flash(tmp_path / STORE)["fill"] == bytes(FULL)
-    chip = power_on(cause=COMMAND)
-    assert ident(chip.boot())["board"] == "rp2040"
 
 
 def test_a_firmware_that_hangs_or_fails_is_reset_and_tells_it_at_the_next_boot(power_on):
@@ -312,81 +250,6 @@ def test_a_host_that_stalls_or_leaves_costs_what_the_ring_does_not_hold_and_it_i
     assert heartbeats(back)[-1]["reset_cause"] == 1
     assert heartbeats(back)[-1]["overruns"] > lost
     assert len(blocks(back, 0)) > 200
-
-
-@pytest.mark.soak
-def test_a_minute_without_a_host(power_on):
-    """It keeps time, counts every sample and every edge that it drops once, and resumes.
-
-    The ring of blocks and the queue of trigger edges are full when the host is back. The edges are sent first; meanwhile
-    the ring may be full once more: a second jump of the index, of less than 0.1 s.
-    """
-    chip = power_on()
-    chip.boot()
-    chip.ask(START, ms=10)
-    before = chip.hear(S)
-    chip.hardware.host_gone = True
-    chip.give(60 * S)
-    assert chip.end == ""
-    chip.hardware.host_gone = False
-    after = chip.hear(4 * S)
-    lost = 0
-    for stream, sample in ((0, 16), (1, 4)):
-        sent = blocks(before + after, stream)
-        found = [(f[3], f[3] + len(f[6].data) // sample, f[4]) for f in sent]
-        jumps = [b[0] - a[1] for a, b in itertools.pairwise(found)]
-        assert [f[7] & FLAG_OVERRUN != 0 for f in sent[1:]] == [jump != 0 for jump in jumps]
-        outage, *later = [jump for jump in jumps if jump]
-        assert outage > 50_000
-        assert later == [] or (len(later) == 1 and later[0] < 100)
-        lost += outage + sum(later)
-        late = [t0 - n0 * PERIOD_NS / 1000 for n0, _, t0 in found]
-        assert np.ptp(late) <= 1.0 + 1e-9
-    k = indices(before + after, 0) // 4
-    assert (np.diff(k) - 1).sum() == sum(b[3] - a[3] - 13 for a, b in itertools.pairwise(blocks(before + after, 0)))
-    beat = heartbeats(after)[-1]
-    assert beat["overruns"] == lost
-    assert beat["reset_cause"] == 1
-    edges = [f for f in before + after + chip.ask(STOP) if isinstance(f, list) and f[0] == EVENT]
-    # the last edge is the end of toggling
-    assert len(edges) + beat["dropped"] == chip.toggles > 400
-
-
-def test_rubbish_and_wrong_commands_are_answered_or_counted(power_on):
-    """Random bytes, random frames, commands with wrong arguments, frames too long; while it streams, so that none may stop it."""
-    chip = power_on()
-    chip.boot()
-    chip.ask(START, ms=20)
-    rng = random.Random(4)
-    found, asked = [], set()
-    for _ in range(200):
-        data, req_id = rubbish(rng)
-        asked |= {req_id} - {None}
-        found += chip.hear(10 * MS, rx=data)
-    answer = chip.hear(10 * MS, rx=b"\0" + command(SYNC_REQUEST, 9))
-    while not any(isinstance(f, list) and f[0] == SYNC_REPLY for f in answer) and len(answer) < 1000:
-        answer += chip.hear(100 * MS)
-    found += answer
-    assert chip.end == ""
-    assert all(isinstance(f, list) for f in found), "no traceback, no prompt"
-    assert [f[2] for f in found if f[0] == SYNC_REPLY] == [9], "all has been read"
-    assert len(asked) > 40
-    assert asked <= {f[2] for f in found if f[0] in (ERROR, REPLY, IDENT)}
-    codes = {f[3] for f in found if f[0] == ERROR}
-    assert codes <= {ERROR_UNKNOWN, ERROR_MALFORMED, ERROR_RANGE, ERROR_STREAMING}
-    found += chip.hear(S)  # the ring is sent
-    quiet = chip.hear(1200 * MS)
-    assert (np.diff(indices(quiet, 0)) == 4).all()
-    assert len(indices(quiet, 0)) > 1100
-    beat = heartbeats(quiet)[-1]
-    assert beat["bad_frames"] > 50
-    assert (beat["reset_cause"], beat["streaming"]) == (1, 1)
-    # a hundred answers a second go before samples; what that costs is counted
-    found += quiet
-    gaps = np.diff(indices(found, 0)) // 4 - 1, np.diff(indices(found, 1)) - 1
-    assert beat["overruns"] == sum(int(gap.sum()) for gap in gaps)
-    (reply,) = [f for f in chip.ask(STOP, ms=500) if f[0] == REPLY]
-    assert reply[2] == chip.req_id
 
 
 def rubbish(rng) -> tuple[bytes, int | None]:

@@ -125,14 +125,6 @@ def test_the_box_that_is_plugged_in_is_tested(monkeypatch, capsys):
     assert "passed" in out
 
 
-@pytest.mark.parametrize(
-    "name", ["list", "flash", "info", "test", "reset", "gauge", "monitor", "config get", "config set"]
-)
-def test_every_subcommand_has_help_with_an_example(name, capsys):
-    assert box(*name.split(), "--help") == 0
-    assert f"truearm box {name}" in capsys.readouterr().out.split("Example", 1)[1]
-
-
 def test_a_box_that_streams_is_left_alone_until_stop(capsys):
     from truearm_wire.messages import START
 

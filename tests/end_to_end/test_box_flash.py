@@ -8,8 +8,6 @@ from truearm import __version__
 from truearm.box.boot_drive import find_drives
 from truearm_sim.chip import make_flash, read_flash
 
-HUNG_S = 1800  # of the wall clock's time: nothing is measured by it
-
 
 def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
     """The box shows its drive, the image is written, and the box answers after another boot."""

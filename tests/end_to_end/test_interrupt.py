@@ -94,13 +94,6 @@ def test_closed_standard_output():
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("fault", ["-3:reboot", "nan:reboot", "3:fire", "reboot"])
-def test_faults_that_are_none(tmp_path, fault):
-    done = truearm("simulate", "--out", tmp_path / "new", f"--fault={fault}")
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
-
-
 def test_simulate_into_a_file(tmp_path):
     (tmp_path / "rig.toml").write_text("mine")
     done = truearm("simulate", "--out", tmp_path / "rig.toml")

@@ -8,7 +8,7 @@ import functools
 
 import numpy as np
 import pytest
-from tests.end_to_end.levels import LEVELS, MAG_PERIOD_NS, lab_of, record_lab, samples
+from tests.end_to_end.levels import LEVELS, lab_of, record_lab, samples
 
 from truearm.session.box_ident import find_channel
 from truearm_sim import sensors
@@ -45,33 +45,6 @@ def session(request, recorded):
 def others(request, session, recorded):
     """Return the worlds of the other levels."""
     return [other.world for level in LEVELS if (other := recorded(level)) is not session]
-
-
-def test_every_sample_is_that_of_the_other_levels_world(session, others):
-    counts, _, index = samples(session.blocks(0), 4)
-    ticks, _, shot = samples(session.blocks(1), 1)
-    assert len(others) == len(LEVELS) - 1 > 0
-    assert min(len(index), len(shot)) > 0.98 * SECONDS * 1e9 / ADC_PERIOD_NS
-    assert np.array_equal(index, np.arange(len(index)))
-    assert np.array_equal(shot, np.arange(len(shot)))
-    for world in others:
-        expected, _ = world.samples(0, len(index), session.box.first_ns[0], ADC_PERIOD_NS)
-        assert np.array_equal(counts, expected)
-        flights = world.flight_times(0, len(shot), session.box.first_ns[1], MAG_PERIOD_NS)
-        assert np.array_equal(ticks[:, 0], (np.maximum(flights, 0) + sensors.TICK_PS // 2) // sensors.TICK_PS)
-    assert 0 < (ticks == 0).sum() < 0.03 * len(shot)
-
-
-def test_where_the_magnet_rests_all_levels_have_the_same_bits(recorded):
-    sessions = [recorded(level) for level in LEVELS]
-    for stream, channels in ((0, 4), (1, 1)):
-        values = [samples(session.blocks(stream), channels)[0] for session in sessions]
-        n = min(map(len, values))
-        resting = np.logical_and.reduce([rests(session, stream, n) for session in sessions])
-        assert resting.sum() > 60, "before the drive and between there and back"
-        assert (~resting).sum() > 1500
-        for other in values[1:]:
-            assert np.array_equal(values[0][:n][resting], other[:n][resting])
 
 
 def rests(session, stream, n):
@@ -114,10 +87,3 @@ def test_a_position_belongs_to_its_interrogation_and_a_voltage_to_its_group_dela
     delay_ns = places[0][0].group_delay_ns
     assert delay_ns == sensors.group_delay_ns(ADC_PERIOD_NS // sensors.MODULATOR_NS) > 700_000
     assert abs(lateness(aside, stamps, session, world.transverse, delay_ns)) < 5e-6
-
-
-def test_all_levels_say_the_same_of_themselves(recorded):
-    first, *others = [
-        {k: v for k, v in recorded(level).ident().document.items() if k not in ("board", "boot_id")} for level in LEVELS
-    ]
-    assert others == [first] * len(others)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from tests.end_to_end.conftest import truearm
 from tests.end_to_end.levels import LEVELS, wait_until_ready
-from tests.end_to_end.test_identify_levels import one_shell
 
 from truearm.estimate.identify import identify
 from truearm.files.rig_file import format_rig, read_rig
@@ -20,12 +19,19 @@ from truearm_sim.lab import Lab
 from truearm_sim.robot import STEP as ENCODER_STEP
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.thermal import STEEL, Thermal
-from truearm_sim.world import Setup, World, standard_plan
+from truearm_sim.world import Setup, World, standard_plan, standard_rig
 
 OSR = 16384
 GAIN_DRIFT = 1e-4
 SIGMA = 1e-6  # m, repeatability of this bar: a usual one's would hide what 2 K do
 POSES = 14
+
+
+def one_shell():
+    """Return a rig with one chuck, one sphere and one bar."""
+    rig = standard_rig()
+    first = {kind: dict([next(iter(getattr(rig, kind).items()))]) for kind in ("chucks", "spheres", "bars")}
+    return replace(rig, **first)
 
 
 def session(path, thermal, level="vm", seed=3):

@@ -5,8 +5,6 @@ import json
 import numpy as np
 import pytest
 from scipy import stats
-from tests.end_to_end.conftest import truearm_process
-from tests.end_to_end.test_real_time import Simulator
 
 from truearm.cli.main import main
 from truearm.files.noise_file import read_noise
@@ -75,24 +73,6 @@ def test_a_worn_arm_from_a_plan_to_a_calibration_that_knows_its_noise(tmp_path, 
     def session(name, *options):
         virtual_time.folder = tmp_path / name
         said("simulate", "--out", tmp_path / name, "--port", 0, "--robot-port", 0, *options)
-        return tmp_path / name / "session.mcap"
-
-    walk(tmp_path, said, session)
-
-
-@pytest.mark.soak
-def test_the_same_in_real_time_with_every_command_a_process(tmp_path):
-    def said(*arguments):
-        done = truearm_process(*arguments, timeout_s=1200)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    def session(name, *options):
-        simulator = Simulator(tmp_path / name, *map(str, options))
-        try:
-            said(*simulator.record)
-        finally:
-            simulator.stop()
         return tmp_path / name / "session.mcap"
 
     walk(tmp_path, said, session)

@@ -13,7 +13,7 @@ from puma_bench import CHAIN, FREE, SIGMA, TRUTH
 
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import forward, point_forward
+from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
@@ -37,10 +37,6 @@ def plan(times=1, check_poses=10):
     # The planner's default of 5000 candidates gains little and takes three times as long.
     wanted = Wanted(n_poses=360, n_candidates=2000, visits=Visits(times, check_poses if times == 1 else 0))
     return plan_ballbar(site, known, all_pairings(RIG), wanted, Pace()).route.plan
-
-
-def plan_of_two_visits():
-    return plan(2)
 
 
 def lengths(plan, chuck_off=0.0, q_off=0.0, sphere=None):
@@ -119,12 +115,6 @@ def tool_error(estimate, plan, true_tool=TOOL):
     params = estimate.value[: estimate.n_robot_parameters]
     apart = point_forward(CHAIN, params, plan.q, TOOL) - point_forward(CHAIN, TRUTH, plan.q, true_tool)
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
-
-
-def tool_shift(one, other):
-    """Return the RMS distance [m] of the end's origin between two estimates over the planned poses."""
-    at = [forward(CHAIN, of.value[: of.n_robot_parameters], plan().q)[:, :3, 3] for of in (one, other)]
-    return float(np.sqrt(((at[0] - at[1]) ** 2).sum(axis=1).mean()))
 
 
 def chucks_off(plan, rng, size=0.2e-3):

@@ -40,8 +40,3 @@ def rank_and_gap(matrix):
     rank = int((singular > SEEN * singular[0]).sum())
     dropped = singular[rank] if rank < singular.size else 0.0
     return rank, float(singular[rank - 1] / max(dropped, 1e-300))
-
-
-def rank_beside(matrix, wanted, unwanted):
-    """Return the rank of the columns ``wanted`` after removing the span of the columns ``unwanted``."""
-    return rank_and_gap(matrix[:, [*wanted, *unwanted]])[0] - rank_and_gap(matrix[:, unwanted])[0]

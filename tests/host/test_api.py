@@ -6,7 +6,7 @@ import inspect
 import re
 import subprocess
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import get_type_hints
@@ -336,14 +336,6 @@ def test_public_objects_are_displayed_in_one_line_and_a_small_table(shown, monke
     assert displayed == set(results)
 
 
-def test_every_public_object_has_a_short_repr(robot, rig, table, result):
-    point = truearm.Point("s1", (0.0, 0.0, 0.1))
-    held_out = truearm.identify(robot, table, rig, hold_out="shell=outer").estimate.held_out
-    for thing in (point, *rig.bars.values(), truearm.IdentifyOptions(), truearm.BallBarOptions(), held_out):
-        assert repr(thing).count("\n") < 5
-        assert len(repr(thing)) < 500
-
-
 def test_columns_become_a_data_frame(table, result, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
     frame = table.to_pandas()
@@ -520,30 +512,6 @@ def test_a_message_begins_with_the_argument_that_is_wrong(name, error, call, giv
     assert len(str(caught.value)) < 200
 
 
-def test_no_argument_and_no_option_takes_anything(folder, robot, table, rig, result):
-    """Each of every function, and each field of the options."""
-    right = {
-        **{"robot": robot, "path": folder / "poses.csv", "table": table, "rig": rig, "result": result},
-        **{"format": "dh", "poses": np.eye(4)},
-    }
-    tried = 0
-    for function in (getattr(truearm, name) for name in NAMES if inspect.isfunction(getattr(truearm, name))):
-        parameters = inspect.signature(function).parameters
-        needed = {name: right[name] for name, one in parameters.items() if one.default is one.empty}
-        if function is truearm.load_robot:
-            needed = {"robot": "puma560"}
-        for name in parameters:
-            with pytest.raises(TypeError, match=f"^{name}: must be "):
-                function(**{**needed, name: object()})
-            tried += 1
-    for record in (truearm.IdentifyOptions, truearm.BallBarOptions):
-        for name in (field.name for field in fields(record)):
-            with pytest.raises(TypeError, match=f"^{name}: must be "):
-                record(**{name: object()})
-            tried += 1
-    assert tried > 60
-
-
 ODD = (
     *(None, "", "x", "missing.mcap", "missing.csv", "a\0b", "x" * 5000, b"x", 0, -1, 10**400, True, 1 + 2j, object()),
     *([], [1.0], [[1.0, 2.0], [3.0]], [""], [None], (), {}, {"a": 1}, float("nan"), float("inf"), np.float64(3.0)),
@@ -601,6 +569,7 @@ def test_odd_values_of_every_argument_are_refused_with_a_text(folder, robot, tab
     for call, given, name in calls:
         texts = refusals(call, name, given)
         assert len(texts) > len(ODD) / 3, (call, name)
+        assert name == "named" or any(text.startswith(f"{name}: must be ") for text in texts), (call, name)
         assert not any("\n" in text for text in texts)
 
 

@@ -239,21 +239,6 @@ def test_own_frames_leave_the_mountings_out(bench, capsys):
     assert np.mean(own) < 15.0  # the base stands some 15 mm from where the design has it
 
 
-def test_a_singular_target_is_refused_with_its_line(bench, tmp_path, capsys):
-    q = bench.q[:4].copy()
-    q[2, 4] = 0.001
-    targets = correct_bench.nominal_poses(q)
-    (tmp_path / "t.csv").write_text(table(targets, q))
-    (tmp_path / "p.mod").write_bytes(rapid(targets, q))
-    for name, line in (("t.csv", "row 4"), ("p.mod", "line 7")):
-        frames = FRAMES[:4] if name.endswith("mod") else ()
-        given = (bench.folder / "result.json", tmp_path / name, "--out", tmp_path / f"out-{name}", *frames)
-        code, _, err = run(capsys, "correct", *given)
-        assert code == 2
-        assert re.search(rf"{line}: .*singularity", err)
-        assert not (tmp_path / f"out-{name}").exists()
-
-
 def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, capsys):
     """With line, statement and reason; with --partial the rest is corrected, and a comment stands there."""
     text = (bench.folder / "program.script").read_bytes().decode("latin-1")

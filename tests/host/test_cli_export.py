@@ -82,25 +82,6 @@ def test_only_what_the_user_may_adjust_changes(result, tmp_path, run):
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(before**2))
 
 
-@pytest.mark.parametrize("form", ["dh-hayati", "sheth-uicker"])
-def test_tables_hold_everything(result, tmp_path, run, form):
-    out = tmp_path / "table.toml"
-    code, said, _ = run("export", result, "--format", form, "--out", out)
-    assert code == 0
-    assert "holds everything that was identified" in said
-    chain = load_robot(str(out)).chain
-    stored = read_result(result)
-    q = correct_bench.good_poses(20)
-    expected = forward(CHAIN, stored.column("value")[stored.column("of") == "robot"], q)
-    np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-12)
-    assert run("export", result, "--format", form, "--out", out)[0] == 2
-    code, said, err = run("export", result, "--format", form, "--out", out, "--force", "--json")
-    assert code == 0, "what export wrote it may replace: " + err
-    document = json.loads(said)
-    assert (document["format"], document["written"]) == (form, [str(out)])
-    assert document["findings"][0]["values"] == {"exact": True}
-
-
 def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
     """The arm of tests/data/mukca: three places identify it; the exported URDF, as it stands, predicts the other three as well."""
     held = [a for place in ("frontcenter", "frontleft", "frontright") for a in ("--hold-out", f"place={place}")]
@@ -129,17 +110,6 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
         forward(chain, chain.params_nominal, q),
         forward(before, stored.column("value")[stored.column("of") == "robot"], q),
         atol=1e-12,
-    )
-
-
-@pytest.mark.parametrize("form", ["dh", "mdh"])
-def test_rows_of_an_arm_with_parallel_axes_hold_everything(result, tmp_path, run, form):
-    out = tmp_path / "rows.toml"
-    assert run("export", result, "--format", form, "--out", out, "--json")[0] == 0
-    calibration, again = truearm.read_result(result), load_robot(str(out)).chain
-    q = np.random.default_rng(3).uniform(-2.0, 2.0, (50, 6))
-    np.testing.assert_allclose(
-        forward(again, again.params_nominal, q), forward(calibration.chain, calibration.identified, q), atol=1e-9
     )
 
 

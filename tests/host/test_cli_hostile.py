@@ -25,7 +25,6 @@ VALIDATE = "validate result.json rows.csv --rig rig.toml"
 REPLAN = PLAN.replace("irb120", "puma560").replace("puma560.toml", "rig.toml").replace("bar25", "short")
 HEAD = "x_mm,y_mm,z_mm"
 JOINTS = ",".join(f"q{i}_rad" for i in range(1, 7))
-ROBTARGET = "[[500,0,500],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
 URDF = """<robot name="puma560"><link name="chuck_fixture"/><link name="m"/><link name="sphere_fixture"/>
 <joint name="a" type="revolute"><parent link="chuck_fixture"/><child link="m"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
 <joint name="b" type="fixed"><parent link="m"/><child link="sphere_fixture"/></joint></robot>"""

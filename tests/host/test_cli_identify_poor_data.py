@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from puma_bench import (
     CHAIN,
-    DESIGN,
     RIG,
     SIGMA,
     TRUTH,
@@ -20,12 +19,10 @@ from puma_bench import (
     random_poses,
     random_table,
     table,
-    vertical_tool_poses,
 )
 from tests.host.findings_bench import stated
 from tests.refusals import ended
 
-from truearm.checks import inputs
 from truearm.cli import main as cli
 from truearm.estimate.solvers import SOLVERS
 from truearm.files.observation_table import write_table
@@ -105,20 +102,6 @@ def test_a_contradictory_rig(identified):
     assert "doubtful-residuals" in stated(result)
 
 
-@pytest.mark.parametrize("searched", [False, pytest.param(True, marks=pytest.mark.soak)])
-def test_all_chucks_at_one_place(identified, monkeypatch, searched):
-    """The lengths contradict this rig, which also leaves the base free to rotate about the chucks, as one chuck does.
-
-    The search for wrong inputs finds nothing; that of a contradictory rig is made above.
-    """
-    if not searched:
-        monkeypatch.setattr(inputs, "explanations_of", lambda *_: ((), 1))
-    result, text = identified(random_table(100, np.random.default_rng(1), SIGMA), with_chucks([(0.4, 0.0, 0.2)] * 3))
-    held_as_a_choice_of_frame(result, text, 3, 33)
-    assert result["explanations"] == []
-    assert result["chi2_reduced"] > 100 * result["chi2_band"][1]
-
-
 def test_collinear_chucks(identified):
     rig = with_chucks([(0.4, 0.0, 0.2), (0.5, 0.05, 0.25), (0.6, 0.1, 0.3)])
     q, pairs = random_poses(200, np.random.default_rng(2)), all_pairs(200)
@@ -154,38 +137,6 @@ def test_a_robot_outside_its_prior_is_told(identified, prior, outside):
     assert (found is not None) == outside
     if found:
         assert 8.0 < found.values["times"] < 13.0
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_all_poses_alike(identified, solver):
-    """Six numbers place the end; nothing else can be identified, however often it is measured."""
-    rows = random_table(90, np.random.default_rng(5), SIGMA)
-    alike = replace(rows, q=np.tile(rows.q[0], (90, 1)))
-    length = lengths(TRUTH, alike.q, all_pairs(90)) + SIGMA * np.random.default_rng(6).normal(size=90)
-    options = ("--solver", solver, "--max-iterations", 20, "--prior", "none")
-    result, text = identified(replace(alike, value=length), RIG, *options)
-    unseen_and_advised(result, text, 6, POSES)
-
-
-def test_a_constant_tool_orientation(identified):
-    """docs/decisions/0007: three parameters lost.
-
-    The robot is as described and the lengths are exact, so that its orientation is constant to the last digit.
-    """
-    q, pairs = constant_orientation_poses(200, np.random.default_rng(7)), all_pairs(200)
-    result, text = identified(table(q, lengths(DESIGN, q, pairs), pairs))
-    unseen_and_advised(result, text, 33, POSES)
-
-
-def test_a_wrist_that_stays_in_the_arms_plane(identified):
-    """Nine parameters lost (docs/decisions/0007), some of them since joint 4 stands still: these are held."""
-    q, pairs = vertical_tool_poses(200, np.random.default_rng(7)), all_pairs(200)
-    result, _ = identified(table(q, lengths(DESIGN, q, pairs), pairs))
-    lost = result["defaults"]["lost"]
-    assert stated(result)["still"].values == {"joint": "joint4", "spread": "0.00 deg", "held": lost}
-    assert result["rank"] == 27
-    assert result["n_free"] == 36 - len(lost)
-    assert len(result["null_space"]) == 9 - len(lost)
 
 
 @pytest.mark.parametrize("n", [200, 800])
@@ -229,12 +180,6 @@ def refused(tmp_path, capsys, rows, rig, *options):
     out, err = capsys.readouterr()
     assert (code, out, err.count("\n")) == (2, "", 1)
     return err
-
-
-def test_one_row(tmp_path, capsys):
-    assert "t.csv row 2: 1 row cannot identify" in refused(
-        tmp_path, capsys, random_table(1, np.random.default_rng(4), SIGMA), RIG
-    )
 
 
 def test_a_reading_that_never_changes(tmp_path, capsys):

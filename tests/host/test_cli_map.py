@@ -189,21 +189,6 @@ def test_a_section_of_an_arm_whose_controller_has_its_own_calibration():
     assert np.median(off) < 1e-6
 
 
-def test_a_robot_without_errors_has_an_empty_map():
-    chain = builtin_robot("ur5e").chain
-    n = len(chain.parameters)
-    found = error_map(
-        ModelPair(chain, chain.params_nominal, chain.params_nominal),
-        np.zeros(6),
-        (1, 2),
-        0.1,
-        np.zeros((n, n)),
-        np.zeros((n, 0)),
-    )
-    np.testing.assert_allclose(np.abs(found.axes), [[1, 0, 0], [0, 0, 1]], atol=1e-12)
-    assert np.nanmax(found.error) == 0.0
-
-
 @pytest.mark.parametrize("cell", [0.012, 0.05])
 def test_a_map_has_no_holes_and_its_cells_are_at_their_middles(cell):
     """An empty cell between four full ones would be one that the search has missed."""

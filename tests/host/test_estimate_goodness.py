@@ -69,31 +69,6 @@ def test_degrees_of_freedom_are_what_the_influence_leaves(case):
     assert judged(jac, sigma, 0.0).freedom == pytest.approx(left, abs=1e-9)
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_a_true_prior_leaves_a_mean_of_one(case):
-    jac, sigma = CASES[case]
-    chi2 = draws(jac, sigma, 1.0, 10)
-    left = 1.0 - np.linalg.eigvalsh(influence(jac, sigma))  # H is symmetric: rows are whitened
-    freedom = judged(jac, sigma, 0.0).freedom
-    # Σwz² has the variance 2Σw² and an excess kurtosis of at most 12 (that of one square); a sample's variance strays by
-    # sqrt((κ + 2)/N), 2.6 % at most.
-    variance = 2.0 * float((left**2).sum())
-    assert abs(chi2.mean() - freedom) < 4 * np.sqrt(variance / DRAWS)
-    assert chi2.var() == pytest.approx(variance, rel=4 * np.sqrt(14 / DRAWS))
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_a_prior_too_wide_lowers_the_mean_by_what_both_decide(case):
-    jac, sigma = CASES[case]
-    chi2 = draws(jac, sigma, 0.0, 11)
-    left = 1.0 - np.linalg.eigvalsh(influence(jac, sigma))
-    freedom = judged(jac, sigma, 0.0).freedom
-    expected = freedom - float((left * (1.0 - left)).sum())
-    variance = 2.0 * float((left**4).sum())
-    assert abs(chi2.mean() - expected) < 4 * np.sqrt(variance / DRAWS)
-    assert chi2.var() == pytest.approx(variance, rel=4 * np.sqrt(14 / DRAWS))
-
-
 @pytest.mark.parametrize("c", [0.0, 0.1, 0.5, 1.0])
 @pytest.mark.parametrize("case", CASES)
 def test_the_band_holds_for_every_prior_that_is_true_or_too_wide(case, c):
@@ -106,12 +81,6 @@ def test_the_band_holds_for_every_prior_that_is_true_or_too_wide(case, c):
     assert inside > 0.95 - error
     if not np.isfinite(sigma).any():
         assert inside < 0.95 + error  # exact without a prior
-
-
-def test_a_prior_too_tight_is_seen():
-    jac, sigma = CASES["prior as strong as the data"]
-    found = judged(jac, sigma, 0.0)
-    assert draws(jac, sigma, 10.0, 13).mean() > 2 * found.band[1] * found.freedom
 
 
 def test_without_spare_data_nothing_is_judged():

@@ -35,19 +35,6 @@ def shells():
     return shell_table(400, 0.46, np.random.default_rng(0), SIGMA)
 
 
-@pytest.mark.parametrize("solver", sorted(SOLVERS))
-def test_every_solver_arrives_at_the_noise(shells, solver):
-    e = identify(CHAIN, RIG, shells, free=FREE, options=SolverOptions(solver=solver))
-    assert e.status == "converged"
-    assert e.solver == solver
-    assert e.rms_before["m"] > 2e-3
-    assert e.rms_after["m"] == pytest.approx(SIGMA, rel=0.15)
-    assert len(e.rms_history["m"]) == e.iterations + 1
-    assert e.rank == 36
-    assert e.suggested_free.sum() == 36
-    assert e.additions == ()
-
-
 def test_distances_are_chi_and_bands_hold(shells):
     e = identify(CHAIN, RIG, shells, free=FREE)
     assert e.chi2_band[0] < e.chi2_reduced < e.chi2_band[1]
@@ -146,7 +133,7 @@ def test_poor_data_still_give_an_answer(solver, case):
     )
     assert e.status in ("converged", "max_iterations", "stalled")
     assert np.isfinite(e.value).all()
-    assert e.rank <= n
+    assert e.rank == {"alike": 6, "few": 12, "one": 1}[case]  # one pose, nine pairings: six numbers place the end
     assert len(e.null_space) == 36 - e.rank
     assert e.additions
     assert np.isnan(e.sigma[FREE]).any()

@@ -101,7 +101,7 @@ def test_an_error_of_one_joint_is_told_from_one_of_the_pose():
     assert np.delete(rms, 4).max() < 2e-4
 
 
-@pytest.mark.parametrize("shared", [0.7, 3.0])
+@pytest.mark.parametrize("shared", [pytest.param(0.7, marks=pytest.mark.soak), 3.0])
 def test_points_of_a_pose_do_not_count_as_poses(shared):
     """k = 2 coverage of a point elsewhere on the tool, at other poses: 60 worlds of 40 poses with three targets each.
 

@@ -75,7 +75,7 @@ def test_a_place_that_is_millimetres_off_is_named_and_once_applied_nothing_is_le
     assert after.chi2_reduced < after.chi2_band[1]
 
 
-@pytest.mark.parametrize(("shift", "turn"), [(20e-3, 0.0), (20e-3, 0.02)])
+@pytest.mark.parametrize(("shift", "turn"), [pytest.param(20e-3, 0.0, marks=pytest.mark.soak), (20e-3, 0.02)])
 def test_a_place_that_is_centimetres_off_is_named_as_a_whole(shift, turn):
     rows, rig = session(940031, shift, turn)
     estimate = checked_inputs(fitted(rows, rig), CHAIN, rig, rows, FREE, FREE, dict)

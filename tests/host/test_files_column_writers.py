@@ -4,7 +4,7 @@ import csv
 import io
 
 import numpy as np
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -25,6 +25,7 @@ def written(path, *batches):
     return list(zip(*rows, strict=True))
 
 
+@settings(max_examples=30)
 @example(x=np.array([0.0, -0.0, -0.0, 0.0, -0.0]), n=np.zeros(5, dtype=np.int64), text=[""] * 5)
 @given(x=floats, n=whole, text=st.lists(st.text('a,"é\n ', max_size=5), min_size=5, max_size=5))
 def test_bit_for_bit(tmp_path_factory, x, n, text):

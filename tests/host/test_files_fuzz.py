@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from mutations import ODD_CELLS, bounded, is_clear, text_changed
+from mutations import bounded, is_clear, text_changed
 from test_files_plan import MOVING
 from test_files_rig import FULL
 
@@ -79,18 +77,3 @@ def test_damaged(tmp_path, kind, n):
         with bounded():
             outcomes[judge(kind, tmp_path, data)] += 1
     assert min(outcomes["read"], outcomes["refused"]) > n / 50
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=40, deadline=None)
-@given(
-    edits=st.lists(
-        st.tuples(st.floats(0, 1), st.integers(0, 40), st.sampled_from(ODD_CELLS) | st.text(max_size=6)), max_size=3
-    )
-)
-def test_by_hypothesis(tmp_path_factory, kind, edits):
-    text = KINDS[kind][1]
-    for share, n, instead in edits:
-        at = int(share * len(text))
-        text = text[:at] + instead + text[at + n :]
-    judge(kind, tmp_path_factory.getbasetemp(), text.encode("utf-8", "surrogateescape"))

@@ -181,7 +181,7 @@ rigs = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(rigs)
 def test_a_written_rig_comes_back_bit_for_bit(rig: Rig) -> None:
     assert parse_rig(format_rig(rig), "rig.toml") == rig
@@ -197,22 +197,9 @@ BAR = '[[bar]]\nname="b"\nzero_m=0.4\ntravel_m=0.1\nsigma_m=1e-4\n'
 LINE = '[[line]]\nname="l"\nsigma_mm=[0.1, 0.1, 0.1]\n'
 SOCKET = '[[socket]]\nplace = "p"\nname = "0"\nxyz_m = [0, 0, 0]\n'
 WRONG = {
-    "no TOML": ("chuck = [", "TOML"),
-    "deep": ("a = " + "[" * 100_000, "nested too deeply"),
     "long integer": ("seat_sigma_m = 1" + "0" * 5000, "rig.toml"),
-    "long hexadecimal": ("seat_sigma_m = 0x" + "f" * 5000, "seat_sigma_m:"),
-    "list of long": ("seat_sigma_m = [0x" + "f" * 5000 + "]", "seat_sigma_m:"),
-    "unknown table": ("[[chucks]]\n", "unknown key 'chucks'"),
-    "one table": ('[chuck]\nname = "c"\n', "[[chuck]] entries"),
+    "deep": ("a = " + "[" * 100_000, "nested too deeply"),
     "unknown key": (BAR + "scale = 1.0\n", "[[bar]] 1: unknown key 'scale'"),
-    "no name": ("[[chuck]]\nxyz_m = [0, 0, 0]\n", "[[chuck]] 1: needs name"),
-    "odd name": ('[[chuck]]\nname = "a b"\nxyz_m = [0, 0, 0]\n', "[[chuck]] 1: name: 'a b'"),
-    "twice": (BAR + BAR, "[[bar]] 2: 'b'"),
-    "no length": ('[[bar]]\nname = "b"\n', "needs zero_m (or zero_mm)"),
-    "both units": (BAR + "zero_mm = 400\n", "both zero_m and zero_mm"),
-    "text": (BAR.replace("0.4", '"0.4"'), "[[bar]] 1: zero_m: '0.4'"),
-    "truth": (BAR.replace("0.4", "true"), "zero_m: true"),
-    "NaN": (BAR.replace("0.4", "nan"), "zero_m:"),
     "mm called m": (BAR.replace("0.4", "400"), "zero_m: 400 m"),
     "no travel": (BAR.replace("0.1", "0"), "travel_m: 0 m"),
     "a bar in metres": (
@@ -224,36 +211,16 @@ WRONG = {
         '[[chuck]]\nname = "c"\nxyz_m = [0, 0, 0]\nsigma_m = -1\n',
         "sigma_m: -1 m",
     ),
-    "unknown word": (
-        '[[chuck]]\nname = "c"\nxyz_m = [0, 0, 0]\nsigma_m = "unkown"\n',
-        "sigma_m: 'unkown'",
-    ),
-    "two coordinates": ('[[sphere]]\nname = "s"\nxyz_m = [0, 0]\n', "xyz_m: needs"),
-    "one socket": ('[[socket_distance]]\nsockets = ["0"]\n', "sockets: needs"),
     "line known nowhere": (LINE + "position_sigma_m = 0\n", "[[line]] 1: an exactly known pose (sigma 0) needs xyz_m"),
-    "one sigma of three": (LINE.replace("[0.1, 0.1, 0.1]", "0.1"), "sigma_mm: needs"),
     "exact sensor": (LINE.replace("[0.1,", "[0.0,"), "sigma_mm: item 1: 0 mm"),
     "sigma twice": (
         LINE + "covariance_m2 = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n",
         "both covariance_m2 and sigma_mm",
     ),
-    "two rows": (
-        '[[line]]\nname="l"\ncovariance_m2 = [[1, 0], [0, 1]]\n',
-        "covariance_m2: needs",
-    ),
     "skewed": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [0, 1, 0], [0, 0, 1]]\n', "must be symmetric"),
-    "not a covariance": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]\n', "eigenvalue"),
     "singular sensor": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [1, 1, 0], [0, 0, 1]]\n', "covariance"),
-    "ragged joints": ("joint_cov_si = [[1, 0], [0]]\n", "square: 2 rows need 2 values each"),
-    "wild joints": ("joint_cov_si = [[-1.0]]\n", "eigenvalue"),
     "joints twice": ("joint_cov_si = [[1.0]]\njoint_sigma_rad = [1.0]\n", "both joint_cov_si and joint_sigma_rad"),
-    "unknown placement": (
-        'line_placement = "by eye"\n',
-        "line_placement: 'by eye'",
-    ),
     "no line travel": ("line_travel_mm = 0\n", "line_travel_mm: 0 mm"),
-    "travel twice": ("line_travel_mm = 15\nline_travel_m = 0.015\n", "keep one"),
-    "listed placement": ("line_placement = [1]\n", "line_placement:"),
     "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal: must"),
     "socket twice": (SOCKET + SOCKET, "[[socket]] 2: 'p/0'"),
     "odd place": (SOCKET.replace('"p"', '"a b"'), "[[socket]] 1: place: 'a b'"),

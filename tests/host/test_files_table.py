@@ -233,7 +233,7 @@ def tables(draw: st.DrawFn) -> ObservationTable:
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(tables())
 def test_a_written_table_comes_back_bit_for_bit(table: ObservationTable) -> None:
     units = ("rad",) * table.q.shape[1]

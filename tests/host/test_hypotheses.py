@@ -388,21 +388,6 @@ def test_a_last_move_is_judged_beside_the_pose(slipped):
     assert by.values[0] == pytest.approx((left**2).sum(axis=0), rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    "fault", ["partly mislabelled", *(pytest.param(name, marks=pytest.mark.soak) for name in ("mislabelled", "clean"))]
-)
-def test_wrong_labels_come_back(fault):
-    """A mount, or the second half of one, was measured with another part; right labels stay."""
-    world = worlds.world("puma560", fault, 3)
-    of, wrong = world.site, (world.table.chuck != world.site.chuck) | (world.table.sphere != world.site.sphere)
-    given = Alternative(of.chain, of.rig, world.table, of.free, np.arange(len(wrong)))
-    restored, runs = relabelled(given)
-    assert (restored.table.chuck == of.chuck).all()
-    assert (restored.table.sphere == of.sphere).all()
-    changed = np.concatenate([np.arange(0), *(np.arange(one.first, one.last) for one in runs)])
-    assert np.array_equal(changed, np.flatnonzero(wrong))
-
-
 @pytest.mark.soak
 @pytest.mark.usefixtures("recipe")
 @pytest.mark.parametrize("robot", ["puma560", "ur5e", "irb120", "panda", "urdf"])

@@ -9,17 +9,14 @@ from truearm.errors import RobotError
 from truearm.model import joint_law
 from truearm.model.chain import (
     Parameter,
-    along,
     forward,
     joint_jacobian,
     point_forward,
     point_jacobians,
-    trace_point,
 )
 from truearm.model.joint_terms.term import Term
 from truearm.model.robot import builtin_robot, parse_robot
 from truearm.model.robot_mounting import mountings, own_law
-from truearm.model.urdf import chain_from_urdf
 
 H = 1e-30  # of a complex step: no cancellation
 
@@ -144,30 +141,6 @@ def test_a_points_derivatives_go_through_the_law(further_terms):
             np.testing.assert_allclose(jac_end[:, 3:, k], spin[:, (2, 0, 1), (1, 2, 0)], atol=1e-12)
 
 
-@pytest.mark.parametrize("lead", [(), (0,), (1,), (2, 3)])
-def test_any_batch_of_poses(further_terms, lead):
-    """None at all too, as a search that has no more poses to improve asks for."""
-    rng = np.random.default_rng(5)
-    for chain, params in cases(rng):
-        j = len(chain.joints)
-        q = rng.uniform(-2.0, 2.0, (*lead, j))
-        jac = joint_jacobian(chain, params, q)
-        assert (jac.shape, forward(chain, params, q).shape) == ((*lead, 6, j), (*lead, 4, 4))
-        assert chain.law.by_joints(params, q).shape == (*lead, j, j)
-        one_by_one = [joint_jacobian(chain, params, each) for each in q.reshape(-1, j)]
-        np.testing.assert_allclose(jac.reshape(-1, 6, j), np.reshape(one_by_one, (-1, 6, j)), atol=1e-13)
-
-
-def test_every_varying_parameter_is_one_more_wrench(further_terms):
-    """Offsets are none: what the joint feels is a combination of what the links have made."""
-    chain = builtin_robot("puma560").chain
-    more = with_terms(chain, *COUPLED)
-    q, up = np.random.default_rng(3).uniform(-2, 2, (9, 6)), np.array([0.0, 0.0, 1.0])
-    few, many = (along(trace_point(c, c.params_nominal, q, np.ones(3)), up) for c in (chain, more))
-    assert many.wrenches.shape[-1] == few.wrenches.shape[-1] + len(COUPLED)
-    np.testing.assert_allclose(many.jac_params[:, : len(chain.parameters)], few.jac_params, atol=1e-14)
-
-
 def test_the_inverse_comes_back(further_terms):
     rng = np.random.default_rng(4)
     for chain, params in cases(rng):
@@ -255,17 +228,6 @@ def test_a_robot_file_names_a_further_term(further_terms):
     assert robot.chain.parameter_names[at - 1] == "joint1.gain"
     with pytest.raises(RobotError, match="transform: item 1: sway_deg: must be"):
         parse_robot(PLANAR.replace("gain = { design = -2.0 }", "gain = { design = -2.0 }\nsway_deg = 0.0"))
-
-
-def test_a_urdf_has_offsets_and_gains():
-    chain = chain_from_urdf(
-        '<robot name="r"><link name="a"/><link name="b"/><joint name="lift" type="prismatic"><parent link="a"/>'
-        '<child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="1"/></joint></robot>'
-    )
-    assert chain.parameters[-2:] == (
-        Parameter("lift.offset", "m", 0.0, "offset", 0),
-        Parameter("lift.gain", "1", 1.0, "gain", 0),
-    )
 
 
 PLANAR = """

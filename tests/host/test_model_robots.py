@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rank_bench import bar_sensitivity, random_joints, rank_and_gap, rank_beside, sensitivity
+from rank_bench import bar_sensitivity, random_joints, rank_and_gap, sensitivity
 
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
-from truearm.model.robot import builtin_robot, parse_robot
+from truearm.model.robot import builtin_robot
 from truearm.model.urdf import chain_from_urdf
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
@@ -266,19 +266,3 @@ def test_every_robot_says_where_it_is_from(name):
     assert robot.chain.name == name
     assert len(robot.source) > 20
     assert all(joint.upper - joint.lower > 1.0 for joint in robot.chain.joints)
-
-
-@pytest.mark.parametrize(("a6", "deficient", "left"), [(0.0, 7, 3), (0.05, 4, 0)])
-def test_what_renders_freezes(a6, deficient, left):
-    """One point of the flange, a device anywhere: θ1, d1, α6 and d2 ≡ d3 are unseen, with a6 = 0 three more."""
-    text = (FILES / "ulb.toml").read_text("utf-8")
-    chain = parse_robot(text.replace("\nd_mm = 0.0\n", "\nd_mm = { design = 0.0 }\n", 1)).chain
-    q = random_joints(chain, 100, np.random.default_rng(15))
-    jac = sensitivity(chain, with_values(chain, joint6_a=a6), q, np.zeros((1, 3)))
-    names = chain.parameter_names
-    rows = [i for i, n in enumerate(names) if n.startswith("joint") and not n.endswith("gain")]
-    device = [i for i, n in enumerate(names) if n.startswith("base.")]
-    frozen = {names.index(n) for n in ("joint1.offset", "joint1.d", "joint2.d", "joint6.alpha")}
-    kept = [i for i in rows if i not in frozen]
-    assert len(rows) - rank_beside(jac, rows, device) == deficient
-    assert len(kept) - rank_beside(jac, kept, device) == left

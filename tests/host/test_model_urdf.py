@@ -4,11 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from truearm.errors import RobotError
-from truearm.model.chain import forward, joint_frames, point_jacobians
+from truearm.model.chain import forward, joint_frames
 from truearm.model.urdf import MAX_TEXT, capsules_from_urdf, chain_from_urdf
 
 LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
@@ -65,28 +63,6 @@ def test_names_units_limits_and_frames():
         ("j3", "prismatic", -2.0, 2.0),
     ]
     assert (chain.name, chain.base_frame, chain.end_frame) == ("r", "a", "e")
-
-
-@settings(max_examples=25, deadline=None, derandomize=True)
-@given(
-    axis=st.tuples(*[st.sampled_from([-1.0, 0.0, 0.3, 1.0])] * 3).filter(any),
-    kind=st.sampled_from(["revolute", "prismatic"]),
-    seed=st.integers(0, 1000),
-)
-def test_jacobian_against_central_differences(axis, kind, seed):
-    rng = np.random.default_rng(seed)
-    words = [" ".join(f"{v:.3f}" for v in rng.uniform(-1, 1, 3)) for _ in range(4)]
-    first = joint("j1", kind, "a", "b", " ".join(map(str, axis)), words[0], words[1])
-    chain = chain_from_urdf(robot(first, joint("j2", "revolute", "b", "c", "0 1 0", words[2], words[3])), "a", "c")
-    q, p_end, params = rng.uniform(-2, 2, (3, 2)), rng.uniform(-1, 1, 3), chain.params_nominal
-    _, jac_params, jac_joints = point_jacobians(chain, params, q, p_end)
-    h = 1e-5  # error h²/6 · 5 m = 1e-10, rounding eps · 5 m/h = 1e-10
-    for i, unit in enumerate(np.eye(params.size)):
-        up, down = (point_jacobians(chain, params + s * h * unit, q, p_end)[0] for s in (1, -1))
-        np.testing.assert_allclose(jac_params[..., i], (up - down) / (2 * h), atol=1e-8)
-    for i, unit in enumerate(np.eye(2)):
-        up, down = (point_jacobians(chain, params, q + s * h * unit, p_end)[0] for s in (1, -1))
-        np.testing.assert_allclose(jac_joints[..., i], (up - down) / (2 * h), atol=1e-8)
 
 
 def test_base_and_tip_choose_a_path_and_ignore_the_rest():

@@ -268,17 +268,6 @@ def test_points_out_of_reach_are_not_a_number():
     assert np.isnan(far).all()
 
 
-def test_the_tool_turns_evenly():
-    site, known = bench.site(NAME), bench.known(NAME)
-    q = np.array([[0.1, 0.2, 0.1, 0.3, 0.8, 0.1]])
-    turn = np.array([[0.2, -0.3, 0.1]])
-    (line,) = driven_lines(site, q, np.array([[0.0, 0.1, 0.0]]), turn, 5, POINT)
-    rot = forward(known.chain, known.params, line)[:, :3, :3]
-    for before, after in pairwise(rot):
-        step = after @ before.T
-        assert np.arccos((np.trace(step) - 1) / 2) == pytest.approx(np.linalg.norm(turn) / 4, abs=1e-7)
-
-
 def test_a_workspace_too_small_is_said():
     nowhere = Region(np.array([0.3, 0.0, 0.3]), np.array([0.3001, 0.0001, 0.3001]))
     with pytest.raises(PlanError, match="350 mm fit"):

@@ -437,14 +437,6 @@ def test_a_recording_that_is_resumed_takes_no_plan_or_file_from_the_project(proj
     assert err.splitlines()[0] == "from truearm.toml: --box /dev/none"
 
 
-def test_a_rehearsal_needs_no_options(project, run):
-    """The whole way by commands without options, in virtual time."""
-    assert run("plan", "ballbar", "--poses", 27, "--candidates", 400).code == 0
-    code, _, err = run("simulate", "--fast", "--out", project / "rehearsal", "--rate", 254)
-    assert code == 0, err
-    assert err.startswith("from truearm.toml: --model puma560 --plan plan.csv --rig rig.toml")
-
-
 @pytest.mark.parametrize("options", [["--poses", 9], ["--lines", 2], []])
 def test_a_rehearsal_without_the_plan_does_not_take_its_rig(project, run, options):
     """Without a plan.csv there is nothing that its rig could belong to."""

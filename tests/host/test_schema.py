@@ -115,7 +115,7 @@ def parsed(text: str) -> Document:
     return read(DOCUMENT, tomllib.loads(text), "d.toml", RigError)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(documents)
 def test_what_is_written_comes_back_bit_for_bit(document: Document) -> None:
     text = DOCUMENT.format(document)

@@ -19,9 +19,8 @@ from puma_bench import (
     table,
 )
 
-from truearm.checks.inputs import explanations_of
 from truearm.checks.labels import APART, PRICE, best_labels, likelihood, relabelled
-from truearm.checks.trial import LEVEL, Alternative, fitted
+from truearm.checks.trial import LEVEL, Alternative
 from truearm.kinds.table import ObservationTable
 from truearm.types import Rig
 
@@ -107,26 +106,12 @@ def test_shells_with_a_wrong_label_come_back(shells, case):
 
 
 @pytest.mark.soak
-def test_two_chucks_exchanged_everywhere_are_named(shells):
-    wrong = with_names(shells, chuck=[(shells.chuck == "c0", "c2"), (shells.chuck == "c2", "c0")])
-    (found, *_), _ = explanations_of(fitted(Alternative(CHAIN, RIG, wrong, FREE, np.arange(400))), FREE, {})
-    assert (found.code, found.values["names"]) == ("names-exchanged", ["chuck c0 is c2", "chuck c2 is c0"])
-
-
-@pytest.mark.soak
 def test_held_out_rows_are_not_relabelled_and_noise_is_no_label(shells):
     rows = of(shells, "c0", "s1")
     wrong = with_names(shells, chuck=[(rows, "c2")])
     assert labels(wrong, rows=np.flatnonzero(~rows))[1] == ()
     loud = replace(shells, value=shells.value + 5e-4 * np.random.default_rng(5).normal(size=400))
     assert labels(loud)[1] == ()
-
-
-@pytest.mark.soak
-def test_when_nothing_fits_nothing_is_named(shells):
-    """Lengths of another world: the residuals are large, but no label explains them."""
-    wild = replace(shells, value=np.random.default_rng(6).uniform(0.3, 0.8, len(shells)))
-    assert explanations_of(fitted(Alternative(CHAIN, RIG, wild, FREE, np.arange(400))), FREE, {})[0] == ()
 
 
 def on(day, t):
@@ -154,15 +139,6 @@ def test_chucks_exchanged_on_one_day_only_are_named(shells):
     swapped = with_names(later, chuck=[(later.chuck == "c0", "c2"), (later.chuck == "c2", "c0")])
     right, wrong = (ObservationTable.joined([on("mon", shells), on("tue", other)]) for other in (later, swapped))
     assert restored(wrong, right, {"mon": RIG, "tue": RIG})
-
-
-@pytest.mark.soak
-def test_one_of_twenty_seven_shells_is_named():
-    """Three radii about each of three chucks, with three spheres."""
-    rng = np.random.default_rng(9)
-    shells = [replace(shell_table(135, r, rng, SIGMA), shell=np.full(135, f"r{r}")) for r in (0.42, 0.46, 0.50)]
-    t = ObservationTable.joined(shells)
-    assert restored(with_names(t, chuck=[(of(t, "c0", "s1") & (t.shell == "r0.46"), "c2")]), t)
 
 
 def test_a_name_left_empty_is_the_only_one_there_is(shells):

@@ -131,30 +131,6 @@ def test_it_is_proposed_where_it_would_show_more(copy):
     assert "end to identify 1 more parameter: joint6.offset." in " ".join(said.split())
 
 
-def test_a_saved_table_gives_the_same_result(copy):
-    said = copy.run_each(
-        ("identify", "poses.csv", *COMMAND, "--table-out", "again.csv", "--out", "first.json"),
-        ("identify", "again.csv", *COMMAND, "--out", "second.json"),
-    )
-    assert [one.code for one in said] == [0, 0]
-    assert {"inclination_rad", "sigma_rad"} <= set(
-        (copy.folder / "again.csv").read_text().partition("\n")[0].split(",")
-    )
-    first, second = (json.loads((copy.folder / name).read_text()) for name in ("first.json", "second.json"))
-    assert first["parameters"] == second["parameters"]
-    assert first["chi2_reduced"] == second["chi2_reduced"]
-
-
-def test_it_judges_a_calibration(copy):
-    _, judged = copy.run_each(
-        ("identify", "poses.csv", *COMMAND, "--hold-out", "inclinometer=i2", "--out", "judged.json"),
-        ("validate", "judged.json", "poses.csv", "--rig", "rig.toml", "--details"),
-    )
-    assert judged.code == 0, judged.err
-    assert "error [deg]" in judged.out
-    assert "inclinometer=i1" in judged.out
-
-
 WRONG = {
     "no reading": ("inclinometer,i1,\n", RIG, "malformed-file", ["row 2", "inclination_deg", "inclination_rad"]),
     "unknown": ("inclinometer,i7,3\n", RIG, "not-in-rig", ["row 2", "inclinometer", "i7", "i1", "i2"]),

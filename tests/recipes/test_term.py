@@ -7,19 +7,14 @@ import csv
 import json
 import math
 import re
-import runpy
 import tomllib
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.recipes.recipes import ROOT, Copy, findings
+from tests.recipes.recipes import ROOT, Copy
 from tests.recipes.tracked import RIG, tracked
-from truearm.export.formats import FORMATS
-from truearm.model.chain import forward
-from truearm.model.robot import parse_robot
-from truearm.model.urdf import chain_from_urdf
 
 SPRING = math.radians(0.12)
 N = 400
@@ -110,37 +105,11 @@ def copy(tmp_path_factory):
 @pytest.fixture(scope="module")
 def said(copy):
     """Return what the commands print, by name."""
-    exported = {
-        name: (
-            "export",
-            "exact.json",
-            "--model",
-            "sprung.toml",
-            "--format",
-            name,
-            "--out",
-            name,
-            "--over",
-            "exact.csv",
-            "--json",
-        )
-        for name in FORMATS
-    }
+    correct = ("correct", "exact.json", "targets.csv", "--model", "sprung.toml", "--out", "corrected.csv")
     commands = {
         "noisy": ("identify", "noisy.csv", *COMMAND, "--details", "--out", "noisy.json"),
         "exact": ("identify", "exact.csv", *COMMAND, "--out", "exact.json"),
-        "correct": (
-            "correct",
-            "exact.json",
-            "targets.csv",
-            "--model",
-            "sprung.toml",
-            "--out",
-            "corrected.csv",
-            "--margin",
-            "0.01",
-        ),
-        **exported,
+        "correct": (*correct, "--margin", "0.01"),
     }
     found = dict(zip(commands, copy.run_each(*commands.values()), strict=True))
     assert [found[name].err for name in ("noisy", "exact", "correct")] == [""] * 3
@@ -165,66 +134,3 @@ def test_corrected_targets_are_where_the_true_arm_goes(copy, said):
     before, after = (np.abs(true_end(joints) - wanted).max() for joints in (q, told))
     assert before > 5e-3
     assert after < 1e-9
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_a_format_refuses_or_says_what_its_file_costs(copy, said, name):
-    code, out, err = said[name]
-    stated = findings(out)
-    if code:
-        assert (code, list(stated), err.count("\n")) == (2, ["unsuited-robot"], 1)
-        assert not (copy.folder / name).exists()
-        return
-    assert "joint2.spring" in stated["format-lacks"]["names"]
-    if name in ("mjcf", "evaluator-c"):  # which truearm does not read; tests/host/test_evaluator.py compiles the latter
-        return
-    text = (copy.folder / name).read_text(encoding="utf-8")
-    rng = np.random.default_rng(3)
-    q = rng.uniform(-2.0, 2.0, (N, 6))
-    if name == "evaluator-python":
-        arm = runpy.run_path(str(copy.folder / name))
-        ends = np.array([arm["forward"](reading) for reading in q.tolist()])
-    else:
-        chain = chain_from_urdf(text) if name == "urdf" else parse_robot(text).chain
-        ends = forward(chain, chain.params_nominal, q)
-    wrong = 1e3 * np.linalg.norm(ends[:, :3, 3] - true_end(q)[:, :3, 3], axis=1)
-    rms, largest = (stated["exported"][name]["mm"] for name in ("left", "largest"))
-    assert rms == pytest.approx(np.sqrt(np.mean(wrong**2)), rel=1e-6)
-    assert largest == pytest.approx(wrong.max(), rel=1e-6)
-    assert rms > 0.01
-
-
-def test_some_formats_are_written(said):
-    assert {name for name in FORMATS if said[name].code == 0} >= {"urdf", "dh-hayati", "sheth-uicker"}
-
-
-EXPORTED = """
-import json, numpy as np
-from truearm.model.chain import forward
-from truearm.model.robot import parse_robot
-chain = parse_robot(open("held.toml", encoding="utf-8").read()).chain
-q = np.random.default_rng(3).uniform(-2.0, 2.0, (400, 6))
-spring = {p.name: p.nominal for p in chain.parameters}["joint2.spring"]
-print(json.dumps([spring, forward(chain, chain.params_nominal, q)[:, :3, 3].tolist()]))
-"""
-
-
-def test_a_format_that_declares_the_term_holds_it(copy, said):
-    """The file's spring works on the file's own geometry, off the design's by 5 mm: 2 mrad by 5 mm make 10 µm on a metre."""
-    copy.replace(
-        "host/truearm/export/formats.py",
-        f'{FORMATS["sheth-uicker"].summary}", ("offset", "gain")',
-        f'{FORMATS["sheth-uicker"].summary}", ("offset", "gain", "spring")',
-    )
-    command = ("export", "exact.json", "--model", "sprung.toml", "--over", "exact.csv", "--json", "--format")
-    held, refused = copy.run_each(
-        (*command, "sheth-uicker", "--out", "held.toml"),
-        (*command, "urdf", "--out", "held.urdf"),
-    )
-    assert (held.code, held.err) == (0, "")
-    assert findings(held.out)["exported"] == {"exact": True}
-    assert "joint2.spring" in findings(refused.out)["format-lacks"]["names"]
-    spring, points = json.loads(copy.python("-c", EXPORTED).out)
-    assert spring == pytest.approx(SPRING, rel=1e-6)
-    q = np.random.default_rng(3).uniform(-2.0, 2.0, (N, 6))
-    assert np.linalg.norm(np.array(points) - true_end(q)[:, :3, 3], axis=1).max() < 1e-5

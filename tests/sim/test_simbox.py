@@ -106,15 +106,6 @@ def test_edges_reach_the_box_at_their_time_and_not_before_it_has_power(talk):
     assert [f[3] for f in events] == [box.box.device_us(e.t_ns) for e in edges[1:]]
 
 
-def test_the_watchdog_bites_when_the_firmware_stands_still(talk):
-    box = talk(faults=[Fault(0.1, "hang")])
-    box.run(2)
-    box.run(100, (messages.START, 1))
-    found = box.run(6000)
-    assert {beat["reset_cause"] for beat in beats(found)} == {2}
-    assert found[0][0] == messages.DATA or found[0][0] == messages.IDENT
-
-
 def test_without_a_watchdog_it_stands_still_for_ever(talk):
     box = talk(faults=[Fault(0.1, "hang")])
     box.run(2)

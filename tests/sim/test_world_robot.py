@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from truearm.types import Plan
 from truearm_sim import robot
-from truearm_sim.arm import PUMA_ACCELERATION, PUMA_SPEED, Arm
-from truearm_sim.clocks import Clock, draw_clocks
-from truearm_sim.robot import Controller, quintic
+from truearm_sim.arm import PUMA_ACCELERATION, PUMA_SPEED
+from truearm_sim.clocks import Clock
+from truearm_sim.robot import Controller
 
 CLOCKS = st.builds(Clock, st.floats(-1e4, 1e4), st.floats(-500.0, 500.0), st.floats(-1e-3, 1e-3), st.floats(60.0, 1e4))
 
@@ -43,13 +43,6 @@ def test_a_clock_by_hand():
     assert clock.reading(np.array([1000.0]))[0] == pytest.approx(1005.1, abs=1e-12)
 
 
-def test_drawn_clocks_belong_to_the_seed():
-    assert draw_clocks(1) == draw_clocks(1)
-    assert draw_clocks(1) != draw_clocks(2)
-    for seed in range(20):
-        assert abs(draw_clocks(seed).device.ppm) <= 30.0
-
-
 def test_speeds_and_accelerations_are_kept_and_used():
     controller = Controller.from_plan(small_plan())
     step = 1e-3
@@ -62,20 +55,6 @@ def test_speeds_and_accelerations_are_kept_and_used():
     for i in range(1, len(controller.pose)):
         way = slice(int(controller.move_start[i] / step), int(controller.arrive[i] / step) + 2)
         assert max(speed[way].max(), acceleration[way].max()) > 0.98  # some joint is at its limit, but for the sampling
-
-
-def test_durations_by_hand():
-    # 1 rad of joint 1: 15/8 / 1.43 rad/s = 1.31 s by speed, √(5.774/4) = 1.20 s by acceleration.
-    assert Arm().durations(np.array([[1.0, 0, 0, 0, 0, 0]]))[0] == pytest.approx(15 / 8 / np.deg2rad(82.0))
-    assert Arm().durations(np.array([[0.1, 0, 0, 0, 0, 0]]))[0] == pytest.approx(np.sqrt(0.1 * 10 / np.sqrt(3.0) / 4.0))
-    assert Arm().durations(np.zeros((1, 6)))[0] == 0.0
-
-
-def test_the_quintic_starts_and_ends_at_rest():
-    assert quintic(np.array([0.0, 0.5, 1.0])).tolist() == [0.0, 0.5, 1.0]
-    h = 1e-4
-    for end in (0.0, 1.0):
-        assert abs(quintic(np.array([end + h]))[0] - quintic(np.array([end - h]))[0]) / (2 * h) < 1e-6
 
 
 def test_dwells_last_two_seconds_from_the_end_of_the_commanded_motion():
