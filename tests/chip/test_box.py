@@ -125,6 +125,7 @@ def test_a_configuration_outlives_a_restart(power_on):
     assert heartbeats(chip.hear(S))[0]["reset_cause"] == COMMAND
 
 
+@pytest.mark.soak  # tests/firmware/test_power.py cuts a littlefs in MicroPython a thousand times
 def test_power_that_fails_while_it_writes_leaves_the_old_or_the_new_configuration(power_on, tmp_path):
     chip = power_on()
     chip.boot()

@@ -49,7 +49,7 @@ lock = Lock()
 reference = weakref.ref(lock, lambda _: signal.raise_signal(signal.SIGINT))
 try:
     del lock
-    time.sleep(5)
+    time.sleep(1)
     print("lost")
 except KeyboardInterrupt:
     print("kept")

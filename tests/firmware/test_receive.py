@@ -18,6 +18,12 @@ BYTE_US = 50  # a Pico reads one byte at a time
 STEP_US = 300
 
 
+@pytest.fixture(autouse=True)
+def no_collections(monkeypatch):
+    """The box collects its own small heap; here it would be that of the whole test run."""
+    monkeypatch.setattr(gc, "collect", lambda: 0)
+
+
 class Source:
     channels = 4
     crc_errors = resets = missing = 0

@@ -64,6 +64,7 @@ def test_a_chuck_that_slips_is_found_beside_the_laws_and_a_law_is_no_systematic_
     assert estimate.claim.chi2_reduced < 0.8 * estimate.chi2_reduced
 
 
+@pytest.mark.soak
 def test_a_chuck_that_slips_by_a_millimetre_is_named_beside_laws_and_bad_rows(monkeypatch):
     """The rows are chosen again with fewer laws beside the slip, which has columns of its own."""
     monkeypatch.setitem(world.__globals__, "SLIP", 10.0 * SLIP)

@@ -132,8 +132,8 @@ class Terminal(io.StringIO):
     [
         (["puma560", "tcp://127.0.0.1:7008", "tape"], Project("puma560", address="tcp://127.0.0.1:7008"), {1e-3}, ()),
         (  # one wrong answer to each question that can be wrong: each is named, and the answers after them hold
-            ["ur55", "puma560", "192.168.0.2", "rtde://192.168.0.2", "ruler", "calliper"],
-            Project("puma560", address="rtde://192.168.0.2"),
+            ["ur55", "puma560", "127.0.0.1", "rtde://127.0.0.1:9", "ruler", "calliper"],
+            Project("puma560", address="rtde://127.0.0.1:9"),
             {1e-4},
             ("ur55", "address", "nothing, tape, calliper, machine"),
         ),
