@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from truearm.model.chain import along, point_jacobians, trace_point
+from truearm.model.chain import point_jacobians
 
 SEEN = 1e-10  # of the largest singular value, columns scaled to 1; analytic Jacobians leave 1e-15 for null directions
 THREE_POINTS = 0.1 * np.eye(3)  # m, in the end frame: three points not on one line are a full pose
@@ -15,16 +15,6 @@ def random_joints(chain, n, rng):
 def sensitivity(chain, params, q, p_end_points=THREE_POINTS):
     """Return derivatives (3·points·n, p) of the points; columns have length 1, or 0 if the parameter moves nothing."""
     rows = [point_jacobians(chain, params, q, p)[1].reshape(-1, len(chain.parameters)) for p in p_end_points]
-    return scaled(np.concatenate(rows))
-
-
-def bar_sensitivity(chain, params, q, pairs):
-    """Return derivatives (n, p) of ball-bar lengths, poses assigned to the pairs (chuck, sphere) in turn; also scaled."""
-    rows = []
-    for i, (p_base_chuck, p_end_sphere) in enumerate(pairs):
-        trace = trace_point(chain, params, q[i :: len(pairs)], np.array(p_end_sphere))
-        bar = trace.p_base - p_base_chuck
-        rows.append(along(trace, bar / np.linalg.norm(bar, axis=1, keepdims=True)).jac_params)
     return scaled(np.concatenate(rows))
 
 

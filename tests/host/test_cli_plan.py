@@ -172,6 +172,7 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
             ["--poses", "60", "--branch=-10:10,-60:60,-60:60,-60:60,10:60,-60:60"],
             "bar attached, too few for 60 poses",
         ),
+        (["--program-out", "x.txt"], "programs cannot be written as '.txt'"),
         (["--criterion", "Q"], "'Q'"),
     ],
 )

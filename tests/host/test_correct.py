@@ -8,7 +8,6 @@ from correct_bench import good_poses, nominal_poses
 from puma_bench import CHAIN, DESIGN, TRUTH
 from scipy.spatial.transform import Rotation
 
-from truearm.correct import inverse as inverse_kinematics
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import inverse, jacobian, search, singular_value, turned, within
 from truearm.correct.methods import Method, entry
@@ -51,16 +50,6 @@ def test_halving_the_errors_quarters_what_one_step_leaves(q, method, share):
     assert rms(whole.after[:, 0]) < 0.1 * rms(whole.before[:, 0])
 
 
-@pytest.mark.parametrize("method", ["false-target", "joints"])
-def test_iterated_they_end_where_newton_does(q, method):
-    exact = correct(pair(), nominal_poses(q), "newton", configuration=Configuration(q))
-    iterated = correct(pair(), nominal_poses(q), method, 30, configuration=Configuration(q))
-    assert not any(iterated.problem)
-    # ROUNDING, 1e-9 m and rad, ends an iteration; the margin on singular values enlarges it at most twentyfold.
-    np.testing.assert_allclose(iterated.q, exact.q, atol=2e-8)
-    assert iterated.after.max() < 1e-8
-
-
 def test_newton_reaches_the_target_to_a_nanometre(q):
     done = correct(pair(), nominal_poses(q), "newton", configuration=Configuration(q))
     assert not any(done.problem)
@@ -70,17 +59,6 @@ def test_newton_reaches_the_target_to_a_nanometre(q):
     np.testing.assert_allclose(there[:, :3, 3], nominal_poses(q)[:, :3, 3], atol=1e-9)
     # what is told is what the controller, with its nominal model, turns into those joints
     np.testing.assert_allclose(forward(CHAIN, DESIGN, done.q), done.commanded, atol=1e-15)
-
-
-def test_offsets_are_exact_for_offsets_and_nothing_else(q):
-    offset = np.array([0.02 * name.endswith("offset") for name in CHAIN.parameter_names])
-    done = correct(
-        ModelPair(CHAIN, DESIGN, DESIGN + offset), nominal_poses(q), "offsets", configuration=Configuration(q)
-    )
-    assert done.before[:, 0].min() > 1e-3
-    assert done.after[:, 0].max() <= 1e-12
-    lengths = correct(pair(names=".x"), nominal_poses(q), "offsets", configuration=Configuration(q))
-    np.testing.assert_allclose(lengths.after, lengths.before, atol=1e-12)
 
 
 class Wave(Term):
@@ -264,24 +242,6 @@ def test_an_arm_with_seven_joints_is_corrected_within_its_limits():
     np.testing.assert_array_equal(done.q[within(robot.chain, freely)], freely[within(robot.chain, freely)])
 
 
-@pytest.mark.parametrize("name", ["ur5e", "irb120"])
-def test_targets_near_each_other_have_the_solutions_of_each_alone(name, monkeypatch):
-    """Those of a neighbour lead to as many as a search for each target by itself finds: that misses a few per cent near singularities, and others."""
-    chain = builtin_robot(name).chain
-    rng = np.random.default_rng(5)
-    lower, upper = chain.limits
-    q = np.repeat(rng.uniform(lower, upper, (10, 6)), 10, axis=0) + rng.uniform(-0.05, 0.05, (100, 6))
-    targets = forward(chain, chain.params_nominal, q)
-    found = inverse_kinematics.solutions(chain, chain.params_nominal, targets, True)
-    monkeypatch.setattr(inverse_kinematics, "CELL", 1e-9)
-    alone = inverse_kinematics.solutions(chain, chain.params_nominal, targets, True)
-    assert found.reached.sum() > 0.99 * alone.reached.sum()
-    reached = forward(chain, chain.params_nominal, found.q)
-    np.testing.assert_allclose(
-        reached[found.reached], np.broadcast_to(targets[:, None], reached.shape)[found.reached], atol=1e-9
-    )
-
-
 def test_quadrants_choose_the_configuration(q):
     quadrants = np.full(q.shape, np.nan)
     quadrants[:, [0, 3, 5]] = np.floor(q[:, [0, 3, 5]] / (0.5 * np.pi))
@@ -328,16 +288,6 @@ def test_quarter_turns_beyond_half_a_turn_are_found():
     quadrants = np.full(q.shape, np.nan)
     quadrants[:, [0, 3, 5]] = np.floor(q[:, [0, 3, 5]] / (0.5 * np.pi))
     found = search(chain, chain.params_nominal, forward(chain, chain.params_nominal, q), quadrants=quadrants)
-    np.testing.assert_allclose(found.q, q, atol=1e-8)
-
-
-def test_axes_on_the_edge_of_a_quarter_turn_are_in_it():
-    """Home positions: axes 1, 4 and 6 at 0, to the digits of a program. Data 0 mean no flipped wrist, wherever the arm was."""
-    chain = builtin_robot("irb120").chain
-    q = np.radians([[0.0, 20.0, 30.0, 0.0, 50.0, 0.0]]) - 2e-5
-    quadrants = np.array([[0.0, np.nan, np.nan, 0.0, np.nan, 0.0]])
-    flipped = np.radians([0.0, 20.0, 30.0, 150.0, -50.0, 150.0])
-    found = search(chain, chain.params_nominal, forward(chain, chain.params_nominal, q), True, flipped, quadrants)
     np.testing.assert_allclose(found.q, q, atol=1e-8)
 
 

@@ -345,23 +345,6 @@ def _written(folder, document):
     return path
 
 
-def test_the_unexplained_error_is_part_of_what_is_expected(bench, tmp_path, capsys):
-    folder, _ = bench
-    document = json.loads((folder / "result.json").read_text())
-    q = correct_bench.good_poses(4)
-    (tmp_path / "t.csv").write_text(table(correct_bench.nominal_poses(q), q))
-    found = []
-    for k, unexplained in enumerate(
-        (None, {"by": "held out", "mean_mm": 0.4, "low_mm": 0.3, "high_mm": 0.5, "n_mm": 40})
-    ):
-        document["unexplained"] = unexplained
-        out = tmp_path / f"{k}.csv"
-        _, said, _ = run(capsys, "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", out, "--json")
-        found.append([one["expected_mm"] for one in json.loads(said)["targets"]])
-    plain, more = map(np.array, found)
-    np.testing.assert_allclose(more, np.hypot(plain, 2.0 * 0.4 * np.sqrt(np.pi / 2)))
-
-
 def test_what_only_places_base_and_tool_leaves_the_expected_error_relative_to_them(bench, tmp_path, capsys):
     """For two targets too; what moves the end otherwise leaves nothing to expect."""
     document = json.loads((bench[0] / "result.json").read_text())

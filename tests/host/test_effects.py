@@ -12,8 +12,8 @@ from truearm.errors import InputError
 from truearm.estimate.circumstances import last_directions, last_moves
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import predicted_point_error
-from truearm.estimate.problem import build_problem, modelled_of
-from truearm.estimate.systematic_effects import error_columns, with_effects
+from truearm.estimate.problem import build_problem
+from truearm.estimate.systematic_effects import error_columns
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
@@ -75,50 +75,6 @@ def test_rows_are_judged_again_with_the_effects_of_the_fit():
     again = rejudged(CHAIN, RIG, rows, estimate, effects)
     assert again.held_out.figures["m"].rms == pytest.approx(estimate.held_out.figures["m"].rms, rel=1e-6)
     assert rejudged(CHAIN, RIG, rows, estimate, ()).held_out.figures["m"].rms > 2.0 * again.held_out.figures["m"].rms
-
-
-def test_held_effects_have_the_derivatives_that_the_fit_uses():
-    """A fit compares χ² at two points with the effects' derivatives held. Otherwise its last steps would not reduce χ²."""
-    rng = np.random.default_rng(3)
-    rows = table(random_poses(5, rng), np.full(5, 0.5), [PAIRS[0]] * 5)
-    problem = build_problem(CHAIN, RIG, rows)
-    which = problem.errors.indices(["joint2", "joint3"])
-    (group,) = with_effects(problem.groups, problem.errors.bodies, which, np.ones((5, 2)), np.zeros(2, dtype=bool))
-    x, h = np.append(problem.start, [3e-3, -2e-3]), 1e-6
-
-    def derivatives(of):
-        steps = h * np.eye(x.size)
-        away = [of.evaluate(CHAIN, x + step).residual - of.evaluate(CHAIN, x - step).residual for step in steps]
-        return -np.array(away).T / (2.0 * h)
-
-    used = group.evaluate(CHAIN, x).jac_params
-    held = group.hold(CHAIN, x)
-    assert np.array_equal(held.evaluate(CHAIN, x).residual, group.evaluate(CHAIN, x).residual)
-    assert np.array_equal(held.take(slice(1, 3)).evaluate(CHAIN, x).residual, held.evaluate(CHAIN, x).residual[1:3])
-    # Central differences: see above. Without holding, 3 mrad times the derivatives' own change are missing.
-    assert derivatives(held) == pytest.approx(used, abs=1e-8)
-    assert np.abs(derivatives(group) - used).max() > 1e-4
-
-
-def test_items_that_are_centimetres_off_predict_the_lengths_of_a_world_with_them_there():
-    """A chuck, a sphere and the base, each from its own row on, 20 mm and 40 mrad off: lengths and derivatives are exact."""
-    rng = np.random.default_rng(4)
-    rows = table(random_poses(20, rng), np.full(20, 0.5), [PAIRS[0]] * 20)
-    effects = [Effect("chuck.c0", 5), Effect("sphere.s0", 10), Effect("base", 2, 15)]
-    problem = build_problem(CHAIN, RIG, rows, None, modelled_of(CHAIN, RIG, rows, effects))
-    x = problem.start.copy()
-    chuck, sphere, base = np.split(np.concatenate([rng.normal(0.0, 0.02, 6), rng.normal(0.0, 0.04, 6)]), [3, 6])
-    x[-12:] = np.concatenate([chuck, sphere, base])
-    (group,) = problem.groups
-    later = [np.arange(20) >= row for row in (5, 10)] + [(np.arange(20) >= 2) & (np.arange(20) < 15)]
-    ball = point_forward(CHAIN, DESIGN, rows.q, RIG.spheres["s0"].xyz + later[1][:, None] * sphere)
-    ball = np.where(later[2][:, None], ball @ rotation(base[1::2]).T + base[::2], ball)
-    true = np.linalg.norm(ball - CHUCKS["c0"].xyz - later[0][:, None] * chuck, axis=1)
-    lin = group.evaluate(CHAIN, x)
-    assert rows.value - lin.residual == pytest.approx(true, abs=1e-12)
-    steps = 1e-6 * np.eye(x.size)
-    away = [group.evaluate(CHAIN, x + step).residual - group.evaluate(CHAIN, x - step).residual for step in steps]
-    assert lin.jac_params == pytest.approx(-np.array(away).T / 2e-6, abs=1e-8)
 
 
 def test_a_move_of_20_mm_that_is_applied_leaves_nothing():

@@ -13,10 +13,6 @@ from truearm.estimate.levenberg_marquardt import (
     minimise,
 )
 
-# NIST StRD, nonlinear regression, Misra1a (lower difficulty) and its certified values.
-MISRA_Y = [10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78]
-MISRA_X = [77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 536.8, 593.1, 689.1, 760.0]
-
 
 def linearised(residual, jacobian):
     """Return a problem for ``minimise`` from f(x) = measured − predicted and ∂predicted/∂x."""
@@ -28,22 +24,6 @@ def linearised(residual, jacobian):
         return Information(triangle[:k, :k], triangle[:k, k], float(f @ f), f.size, f)
 
     return at
-
-
-@pytest.mark.parametrize("start", [(500.0, 1e-4), (250.0, 5e-4)])
-def test_misra1a(start):
-    x, y = np.array(MISRA_X), np.array(MISRA_Y)
-
-    def jacobian(b):
-        return np.column_stack([1 - np.exp(-b[1] * x), b[0] * x * np.exp(-b[1] * x)])
-
-    found = minimise(linearised(lambda b: y - b[0] * (1 - np.exp(-b[1] * x)), jacobian), np.array(start), 100)
-    assert found.status == "converged"
-    np.testing.assert_allclose(found.x, [2.3894212918e02, 5.5015643181e-04], rtol=1e-7)
-    assert found.information.chi2 == pytest.approx(1.2455138894e-01, rel=1e-10)
-    variance = found.information.chi2 / (14 - 2)
-    sigma = np.sqrt(np.diag(covariance(spectrum(found.information.root))) * variance)
-    np.testing.assert_allclose(sigma, [2.7070075241, 7.2668688436e-06], rtol=1e-6)
 
 
 def test_rosenbrock():
@@ -109,21 +89,6 @@ def test_the_ways_to_end():
     lying = linearised(lambda x: np.array([1.0 + x[0] ** 2]), lambda x: np.array([[1.0]]))
     assert minimise(lying, np.array([0.0]), 50).status == "stalled"
     assert minimise(hard, np.log([2.0]), 50).iterations == 0
-
-
-def test_what_is_lost_in_rounding_is_the_minimum():
-    """Residuals that are differences of large numbers: χ² cannot show the last steps; far from the minimum it must."""
-    y = 1e-6 * np.array([1.0, -2.0, 0.5])
-
-    def residual(x):
-        return ((1e8 + y) - 1e8) - ((1e8 + x) - 1e8)  # in steps of 1.5e-8
-
-    found = minimise(linearised(residual, lambda x: np.ones((3, 1))), np.array([0.1]), 100)
-    assert found.status == "converged"
-    assert abs(found.x[0] - y.mean()) < 1e-7  # some steps
-    assert found.iterations <= 3
-    wrong = minimise(linearised(residual, lambda x: -np.ones((3, 1))), np.array([0.1]), 100)  # uphill, 0.17 σ away
-    assert wrong.status == "stalled"
 
 
 def test_a_gain_below_the_rounding_of_chi2_is_the_minimum():

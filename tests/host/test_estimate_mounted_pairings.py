@@ -58,16 +58,6 @@ def test_transitions_are_probabilities(wanted, asked):
         assert (step[3, wanted].sum() > 0.85).all()
 
 
-def test_mistakes_are_mostly_of_one_part():
-    pairings = list(product(RIG.bars, RIG.chucks, RIG.spheres))
-    wrong = mistakes(pairings)
-    np.testing.assert_allclose(wrong.sum(axis=1), 1.0)
-    np.testing.assert_array_equal(wrong.diagonal(), 0.0)
-    one = [sum(a != b for a, b in zip(pairings[0], other, strict=True)) == 1 for other in pairings]
-    assert wrong[0][one].sum() > 0.8
-    np.testing.assert_array_equal(mistakes([PAIRING]), [[0.0]])  # nothing else can be mounted
-
-
 def test_runs():
     assert runs(np.array([4, 4, 1, 4])) == [slice(0, 2), slice(2, 3), slice(3, 4)]
 
@@ -156,16 +146,6 @@ def test_a_session_without_a_plan_follows_what_was_typed(plan):
     of_reading = [(label, v.mounted) for label, v, e in zip(sure(found), right, extension, strict=True) if e == e]
     assert all(label in (None, mounted) for label, mounted in of_reading)
     assert sum(label is not None for label, _ in of_reading) > 0.9 * len(of_reading)
-
-
-def test_a_wrong_run_is_not_borne_out_and_all_others_are(plan):
-    visits = [Visit(row, pairing_at(plan, row)) for row in range(len(plan))]
-    extension = lengths(visits, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], 4)
-    labels = [visit.mounted for visit in visits]
-    labels[8:11] = [("bar46", "c2", "s3")] * 3  # bar46 c2 s2
-    words = Words([(label,) for label in labels], [()] * len(labels))
-    found = mountings(ROBOT.chain, RIG, readings(extension, plan.q), words, ROBOT.free)
-    assert [i for i, label in enumerate(labels) if not found.supports(i, label)] == [8, 9, 10]
 
 
 @pytest.mark.parametrize("whole_rig", [True, False])

@@ -22,8 +22,7 @@ from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import predicted_error
 from truearm.files.robot_file import load_robot
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
-from truearm.model.robot import builtin_robot
+from truearm.model.chain import joint_frames, point_forward
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.results import weights_of
 from truearm.types import BallBar, Device, Plane, Point, Rig, rms
@@ -193,27 +192,6 @@ def test_rows_without_an_orientation_have_no_angle(bars):
     assert estimate.residual.keys() == estimate.rms_after.keys() == {"m"}
 
 
-def test_identified_spheres_are_where_the_fit_found_them(bars):
-    table, _ = bars
-    rig = replace(RIG, spheres={name: replace(p, sigma=1e-3) for name, p in SPHERES.items()})
-    at = CHAIN.parameter_names.index("link3.beta")
-    estimate = identify(CHAIN, rig, table, free=np.arange(54) == at)
-    of_spheres = [name.startswith("sphere.") for name in estimate.parameter_names]
-    far = replace(estimate, value=np.where(of_spheres, 0.3, estimate.value), scatter=None)
-    _, jac, _ = point_jacobians(CHAIN, far.value[:54], table.q, np.full(3, 0.3))
-    expected = []
-    for sphere in SPHERES:
-        mine = table.sphere == sphere
-        columns = [at, *(estimate.parameter_names.index(f"sphere.{sphere}.{k}") for k in "xyz")]
-        axes = forward(CHAIN, far.value[:54], table.q[mine])[
-            :, :3, :3
-        ]  # the sphere's place errs too, and with the link
-        moves = np.concatenate([jac[mine][:, :, [at]], axes], axis=2)
-        expected.append(np.einsum("nip,pr,nir->n", moves, estimate.covariance[np.ix_(columns, columns)], moves))
-    rms = np.sqrt(np.concatenate(expected).mean())
-    assert predicted_point_error(CHAIN, rig, table, far).rms == pytest.approx(rms, rel=1e-6)
-
-
 def coverage(worlds, kind):
     """Return the share of coordinates within two predicted standard deviations of the truth, over noisy worlds."""
     inside, unknown = [], {name: replace(p, sigma=None) for name, p in TARGETS.items()}
@@ -304,14 +282,3 @@ def test_scatter_that_the_rows_of_a_pose_share_counts():
 def test_noise_of_the_tracker_is_not_scatter_of_the_arm(n, rows):
     result, _ = sagging(n, sensor=5e-5, declared=5e-5, rows=rows)
     assert result.predicted.scatter == 0.0
-
-
-def test_the_parts_of_the_tools_error_add_up_with_rows_held_out():
-    """Over the same poses, those held out too."""
-    table = random_table(120, np.random.default_rng(8), SIGMA)
-    held = np.linalg.norm(table.q, axis=1) > np.quantile(np.linalg.norm(table.q, axis=1), 0.7)
-    robot = replace(builtin_robot("puma560"), chain=CHAIN)
-    result = identified(robot, RIG, table, Selection(FREE, held))
-    claim, predicted = result.estimate.claim, result.predicted
-    parts = claim.parameters, claim.unnamed, claim.rivals, claim.shift, predicted.scatter
-    assert predicted.rms == pytest.approx(np.linalg.norm(parts), rel=1e-6)

@@ -8,13 +8,10 @@ from ulb_bench import AT, OFFSETS, free, lines, rig
 from ulb_bench import CHAIN as ULB
 from ulb_bench import NOMINAL as ULB_NOMINAL
 
-from truearm.estimate.fit import fit
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.information import covariance, observe, spectrum, with_prior
+from truearm.estimate.information import observe, with_prior
 from truearm.estimate.problem import build_problem
 from truearm.estimate.recursive import Filter, Rows, rows_of, run, start, update
-from truearm.estimate.recursive import minimise as pass_after_pass
-from truearm.estimate.solution import Options
 from truearm.estimate.whitened_rows import deleted_distance, gate
 
 PRIOR = {ULB.parameter_names[i]: 0.052 for i in OFFSETS}
@@ -160,22 +157,6 @@ def test_one_fault_is_named_wherever_it_stands(shells, solver, at):
         assert np.argmin(e.weight) == at
 
 
-def test_live_the_first_rows_look_faulty_and_in_the_end_none_is(shells):
-    """What the re-evaluation is for: poor at first, the linearisation makes clean rows look faulty."""
-    t = noisy(shells, 0)
-    problem = build_problem(CHAIN, RIG, t, np.where([p.unit == "m" for p in CHAIN.parameters], 1e-2, 2e-2))
-    columns = FREE
-
-    def linearise(part):
-        x = problem.start.copy()
-        x[columns] = part
-        return rows_of(problem, x, columns)
-
-    end = pass_after_pass(linearise, problem.start[columns], problem.start[columns], problem.prior_sigma[columns], 50)
-    assert (end.first.distance > gate(1)).sum() > 3
-    assert end.used.all()
-
-
 @pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.soak)])
 def test_no_clean_row_is_left_out(shells, seeds):
     """20 seeds of 800 rows: 0.016 rows beyond 1e-6 are to be expected in all of them together."""
@@ -227,22 +208,6 @@ def test_an_empty_set_of_free_parameters():
     t = random_table(20, np.random.default_rng(7), SIGMA)
     e = identify(CHAIN, RIG, t, free=np.zeros(54, bool), options=SolverOptions(solver="recursive"))
     assert e.rms_after["m"] == e.rms_before["m"]
-
-
-def test_p_is_the_inverse_of_the_information(shells):
-    problem = build_problem(CHAIN, RIG, noisy(shells, 2), np.full(54, 0.05))
-    found = fit(problem, FREE, problem.start, Options(), 0.0)
-
-    def linearise(part):
-        x = problem.start.copy()
-        x[FREE] = part
-        return rows_of(problem, x, FREE)
-
-    end = pass_after_pass(linearise, found.x[FREE], problem.start[FREE], problem.prior_sigma[FREE], 5)
-    expected = covariance(spectrum(found.information.root))
-    scale = np.sqrt(np.diag(expected))
-    # Linearised at points 1e-6 σ apart.
-    np.testing.assert_allclose(end.covariance / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-8)
 
 
 def test_joint_offset_names(ulb):

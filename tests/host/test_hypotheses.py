@@ -13,11 +13,10 @@ from tests.recipes.recipes import LINE, PAGE, ROOT
 
 from truearm.checks.averaging import averaged
 from truearm.checks.catalogue import TYPICAL, Hypothesis, catalogue, spans_of
-from truearm.checks.evidence import SCALES, WIDEST, build_design, moments, sums_of, weigh
+from truearm.checks.evidence import SCALES, WIDEST, build_design, moments, weigh
 from truearm.checks.examination import examined, tool_gram
 from truearm.checks.held_out import gain, left_out
 from truearm.checks.labels import relabelled
-from truearm.checks.noise import kernel_of
 from truearm.checks.search import searched
 from truearm.checks.trial import Alternative
 from truearm.checks.whitened import DECLARED, whitened_fit
@@ -122,22 +121,6 @@ def test_the_drop_is_that_of_a_refit(slipped):
             for jac in (rows[:, :-1], np.column_stack([rows[:, :-1], by]))
         ]
         assert weighed.drop == pytest.approx(squares[0] - squares[1], rel=1e-6, abs=1e-6), one.name
-
-
-def test_spans_have_the_moments_of_their_columns(slipped):
-    """The sums over rows, with noise of their own and with shared noise, against each span by itself."""
-    fit, _ = fitted(slipped)
-    for kernel in (DECLARED, kernel_of(fit, np.arange(fit.n), "order", 8.0, 0.5)):
-        of = build_design(fit, kernel, fit.wide_prior)
-        for name in ("chuck.c1.step", "joint2.run"):
-            one = hypothesis_of(fit, name)
-            square, score, _ = sums_of(one, of)
-            for number in (0, 5, len(one.candidates.spans) - 1):
-                by = one.candidate(number)
-                left = of.without(by)
-                tolerance = 1e-9 * float((by**2).sum())
-                assert square[number] == pytest.approx(left.T @ left, abs=tolerance)
-                assert score[number] == pytest.approx(left.T @ of.remainder, abs=tolerance)
 
 
 def test_the_evidence_is_that_of_two_normal_distributions(slipped):

@@ -76,18 +76,6 @@ def test_derivatives_of_curves_and_sag_are_those_of_a_complex_step():
         np.testing.assert_allclose(by_joints[..., k], point_forward(chain, x, there, end).imag / H, atol=1e-13)
 
 
-def test_a_whole_turn_is_the_same_place_and_an_open_curve_ends():
-    chain, rng = arm_with_laws(), np.random.default_rng(3)
-    x = chain.params_nominal + rng.normal(0.0, 1e-3, len(chain.parameters))
-    curve = next(term for term in chain.law.terms if term.name == "curve")
-    q = rng.uniform(-1.5, 1.5, (6, 20))
-    for joint in (0, 2):
-        turned = q.copy()
-        turned[joint] += 2.0 * np.pi
-        np.testing.assert_allclose(curve.value(x, q)[joint], curve.value(x, turned)[joint], atol=1e-12)
-    assert curve.value(x, np.full((6, 1), 2.5))[2] == 0.0
-
-
 def random_marginal(rng, n=200, k=30):
     jac = rng.normal(size=(n, k))
     y = rng.normal(size=n) + jac[:, :10] @ rng.normal(0.0, 0.3, 10)
@@ -132,26 +120,6 @@ def test_learned_variances_are_a_maximum_of_the_evidence_with_its_hyperprior():
     best = cost(1.0, 1.0)
     assert all(cost(*f) < best for f in ((1.05, 1.0), (0.95, 1.0)))
     assert cost(1.0, 1.5) <= best + 1e-9
-
-
-def test_twenty_steps_reach_the_maximum_that_plain_steps_approach_slowly():
-    """Kernels that overlap: after 20 plain steps, 0.2 nats are missing."""
-    rng = np.random.default_rng(14)
-    at = np.sort(rng.uniform(0.0, 3.0, 300))
-    centres = np.arange(0.0, 3.01, 0.05)
-    jac = np.exp(-0.5 * ((at[:, None] - centres) / 0.05) ** 2)
-    apart = np.abs(centres[:, None] - centres)
-    kernels = np.array([np.exp(-apart / length) for length in (0.1, 0.2, 0.4, 0.8)])
-    block = PriorBlock(slice(0, centres.size), kernels, 10.0)
-    y = jac @ np.sin(5.0 * centres) + rng.normal(0.0, 1.0, at.size)
-    seen = seen_by(Marginal(jac, y), [block])
-    start = [np.full(4, 1e-2)]
-
-    def value(variances):
-        return weigh(seen, [block], variances).nats - sum(float(v.sum()) for v in variances) / (2.0 * block.cap**2)
-
-    best = value(learned(seen, [block], start, 2000, 1e-9))
-    assert value(learned(seen, [block], start, 20)) > best - 0.1
 
 
 def world(rng, n, curves=True, masses=True, gravity=DOWN):

@@ -20,12 +20,12 @@ from device_bench import (
     tracked,
     values,
 )
-from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, RIG, SPHERES, TRUTH, random_table
+from puma_bench import CHAIN, CHUCKS, FREE, RIG, SPHERES, TRUTH, random_table
 
 from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
-from truearm.estimate.information import observe, seen, spectrum, weighed
+from truearm.estimate.information import seen, spectrum, weighed
 from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import build_problem
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov, whiten
@@ -57,18 +57,6 @@ def solve(problem, x):
 def clean_lines():
     rng = np.random.default_rng(0)
     return [line_rows(f"l{i}", 12, rng) for i in range(8)]
-
-
-def test_points_exactly_on_a_line_lose_its_roll():
-    rng = np.random.default_rng(1)
-    t = join(*(line_rows(f"l{i}", 12, rng, transverse=0.0)[0] for i in range(8)))
-    e = identify(CHAIN, Rig(targets=TARGETS), t, free=FREE)
-    assert e.rank == 27
-    assert e.rms_after["m"] < 1e-10
-    rolls = [d for d in e.null_space if all(name.startswith("line.") for name in d.names)]
-    assert len(e.null_space) == 9 + 8
-    assert [{name.split(".")[1] for name in d.names} for d in rolls] == [{f"l{i}"} for i in range(8)]
-    assert all(name.rpartition(".")[2] in ("rx", "ry", "rz") for d in rolls for name in d.names)
 
 
 def everything(rng, n_lines=3):
@@ -270,18 +258,6 @@ def test_exact_joints_cost_nothing(tracker_bench):
     assert residual_cov(group.sensor_cov, np.zeros((297, 6)), None) is group.sensor_cov
 
 
-def test_weights_are_renewed_and_then_stand_still(tracker_bench):
-    rig, t = tracker_bench
-    problem = build_problem(CHAIN, rig, noisy(t, rig, np.random.default_rng(6)))
-    columns = np.ones(54, bool)
-    for x in (DESIGN, TRUTH):
-        here, there = weighed(problem, x), weighed(problem, DESIGN)
-        assert observe(problem, x, columns).chi2 == pytest.approx(observe(here, x, columns).chi2, rel=1e-12)
-        assert (observe(there, x, columns).chi2 == pytest.approx(observe(here, x, columns).chi2, rel=1e-9)) == (
-            x is DESIGN
-        )
-
-
 def distances(problem, x):
     """Return the norm (n_rows,) of each row's whitened residual."""
     out = np.full(problem.n_rows, np.nan)
@@ -303,26 +279,6 @@ def test_whitened_residuals_are_in_their_own_sigma():
     np.testing.assert_allclose(kinds["seat"], 0.0, atol=1e-6)
     half = weighed(replace(problem, joint_cov=np.diag(S_Q)), problem.start)
     assert (distances(half, values(problem, truth))[t.kind == "line"] < kinds["line"]).all()
-
-
-@pytest.mark.parametrize("free", [FREE, np.ones(54, bool), np.arange(54) == 7, np.zeros(54, bool)])
-def test_folded_wrenches_say_what_the_jacobian_says(free):
-    """``observe`` folds wrenches and multiplies by twists in the end; here the Jacobian's own rows are multiplied out."""
-    rig, t, _ = everything(np.random.default_rng(9))
-    problem = replace(build_problem(CHAIN, rig, t), joint_cov=np.diag(S_Q))
-    columns = np.concatenate([free, np.arange(len(problem.names) - 54) % 3 > 0])
-    found, k = observe(problem, problem.start, columns), int(columns.sum())
-    gram = np.zeros((k + 1, k + 1))
-    for block in whitened_blocks(problem, problem.start, columns):
-        rows = np.concatenate([block.jac, block.residual[..., None]], axis=2).reshape(-1, k + 1)
-        gram += rows.T @ rows
-    # Both are sums of some 200 products; their rounding is in proportion to the columns' lengths.
-    length = np.maximum(np.sqrt(np.diag(gram)), 1e-300)
-    cosine = gram / length / length[:, None]
-    root, rhs = found.root / length[:k], found.rhs / length[k]
-    np.testing.assert_allclose(root.T @ root, cosine[:k, :k], atol=1e-12)
-    np.testing.assert_allclose(root.T @ rhs, cosine[k, :k], atol=1e-12)
-    np.testing.assert_allclose(found.chi2, gram[k, k], rtol=1e-12)
 
 
 def test_two_rigs_of_one_robot_share_the_robot():

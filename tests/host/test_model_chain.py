@@ -130,52 +130,6 @@ def test_along_is_the_point_jacobian_read_along_a_direction(chain, seed):
     np.testing.assert_allclose(rows.jac_point, np.einsum("nc,nck->nk", u, rot), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["puma560", "ur10e", "ulb"])
-def test_wrenches_are_as_many_as_parameters_can_be_seen(name):
-    chain, rng = builtin_robot(name).chain, np.random.default_rng(3)
-    n_r, n_p = (sum(m.motion[0] == kind for m in chain.movers) for kind in "rt")
-    q, u = rng.uniform(-2, 2, (200, len(chain.joints))), rng.normal(size=(200, 3))
-    p_end = rng.normal(size=(200, 3))
-    rows = along(trace_point(chain, chain.params_nominal, q, p_end), u)
-    n = 6 + 4 * n_r + 2 * n_p + sum(p.term == "gain" for p in chain.parameters)
-    assert rows.wrenches.shape == (200, n)
-    assert np.linalg.matrix_rank(rows.wrenches, tol=1e-9 * np.linalg.norm(rows.wrenches)) == n
-
-
-def with_all_constants(kinds, rng):
-    """Joints about or along z, "r" or "t", each with a gain, and six constants before, between and after them."""
-    elements, parameters, joints = [], [], []
-
-    def parameter(unit, nominal, *law):
-        parameters.append(Parameter(f"p{len(parameters)}", unit, nominal, *law))
-        return len(parameters) - 1
-
-    def link():
-        for motion in MOTIONS:
-            elements.append(Element(motion, parameter=parameter("m" if motion[0] == "t" else "rad", rng.normal())))
-
-    link()
-    for i, kind in enumerate(kinds):
-        joints.append(Joint(f"q{i}", {"r": "revolute", "t": "prismatic"}[kind], -3.0, 3.0))
-        parameter("1", 1.0, "gain", i)
-        elements.append(Element(f"{kind}z", joint=i))
-        link()
-    return Chain(kinds, tuple(elements), tuple(parameters), tuple(joints))
-
-
-@pytest.mark.parametrize("kinds", ["r", "t", "rtr", "ttt", "trrt"])
-def test_n_parameters_are_seen_of_sliding_joints_too(kinds):
-    """N = 5·n_r + 3·n_p + 6 (Goswami et al., (1)) of points and directions, and as many wrenches."""
-    rng = np.random.default_rng(5)
-    chain = with_all_constants(kinds, rng)
-    q, p_end, u = (rng.normal(size=(200, c)) for c in (len(kinds), 3, 3))
-    rows = along(trace_point(chain, chain.params_nominal, q, p_end), u)
-    n = 5 * kinds.count("r") + 3 * kinds.count("t") + 6
-    assert rows.wrenches.shape == (200, n)
-    for matrix in (rows.wrenches, rows.jac_params):
-        assert np.linalg.matrix_rank(matrix, tol=1e-9 * np.linalg.norm(matrix)) == n
-
-
 def test_cosine_and_sine_by_the_half_angle():
     rng = np.random.default_rng(4)
     turns = np.pi * np.arange(-6, 7) / 2
@@ -221,19 +175,6 @@ def test_a_scara_by_hand():
     pose = forward(scara(), scara().params_nominal, np.array([np.pi / 2, -np.pi / 2, 0.05]))
     np.testing.assert_allclose(pose[:3, 3], [0.3, 0.4, -0.15], atol=1e-15)
     np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=1e-15)
-
-
-def test_joint_jacobian_is_the_motion_of_the_end():
-    chain = scara()
-    q = np.array([0.3, -0.8, 0.05])
-    jac = joint_jacobian(chain, chain.params_nominal, q)
-    for i in range(3):
-        step = q.astype(complex)
-        step[i] += 1e-30j
-        rate = forward(chain, chain.params_nominal, step).imag / 1e-30
-        spin = rate[:3, :3] @ forward(chain, chain.params_nominal, q)[:3, :3].T
-        np.testing.assert_allclose(jac[:3, i], rate[:3, 3], atol=1e-14)
-        np.testing.assert_allclose(jac[3:, i], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["scara", "ur5e", "panda"])

@@ -114,36 +114,6 @@ def test_parallel_axes_lose_a_parameter_each_without_beta(build, rows, pairs):
     assert len(twisted.parameters) == len(plain.parameters)  # β has taken the place of d
 
 
-def test_nearly_parallel_axes_are_counted_but_not_determined():
-    """Without β the smallest singular value that counts falls with the square of the angle α between the axes.
-
-    Sliding the common normal along them by δ moves the next axis by α·δ sideways, which θ_i and θ_{i+1} undo turning by
-    α·δ/a; what is left, and all there is to tell a tilt about y by, is that axis tilted by α times this turn: α²·δ/a.
-    """
-    rows, smallest = UR.copy(), {}
-    rows[2, 3] = 0.7  # one pair, axes 2 and 3
-    for alpha in (1e-2, 1e-3, 1e-4):
-        rows[1, 3] = alpha
-        for twisted in ((), (1,)):
-            chain = chain_from_dh("r", joints("RRRRRR"), rows, twisted=twisted)
-            q = random_joints(chain, 60, np.random.default_rng(6))
-            smallest[alpha, len(twisted)] = np.linalg.svd(sensitivity(chain, chain.params_nominal, q))[1][35]
-    for alpha in (1e-2, 1e-3):  # up to the next order in the angle
-        assert smallest[alpha / 10, 0] == pytest.approx(smallest[alpha, 0] / 100, rel=alpha)
-        assert smallest[alpha / 10, 1] == pytest.approx(smallest[alpha, 1], rel=alpha)
-
-
-def test_the_last_row_and_the_tool_stand_for_each_other():
-    """d6, a6, α6 and θ6 move the end as tool.z, .x, .gamma and .alpha do, so one of each pair has to be held."""
-    chain = chain_from_dh("r", joints("RRRRRR"), UR, twisted=(1, 2))
-    q = random_joints(chain, 60, np.random.default_rng(8))
-    jac = dict(zip(chain.parameter_names, sensitivity(chain, chain.params_nominal, q).T, strict=True))
-    for row, tool in (("d", "z"), ("a", "x"), ("alpha", "gamma"), ("offset", "alpha")):
-        np.testing.assert_allclose(jac[f"joint6.{row}"], jac[f"tool.{tool}"], atol=1e-14)
-    for row, base in (("d", "z"), ("offset", "alpha")):
-        np.testing.assert_allclose(jac[f"joint1.{row}"], jac[f"base.{base}"], atol=1e-14)
-
-
 @BOTH
 @pytest.mark.parametrize(
     ("rows", "more", "says"),

@@ -13,7 +13,6 @@ from truearm.estimate.law_rows import law_rows
 from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_noise import PoseNoise, RowsByPose
 from truearm.estimate.problem import build_problem
-from truearm.estimate.row_errors import left_out_errors
 from truearm.estimate.solvers import LawMode
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
@@ -101,22 +100,3 @@ def test_each_joint_has_the_error_that_it_has():
     np.testing.assert_allclose(np.sqrt(noise.joint), error, rtol=0.2, atol=3e-5)
     assert np.sqrt(noise.shared) < 2e-5  # of 5e-5 m of a row
     assert np.sqrt(noise.turned) < 3e-5
-
-
-def test_errors_without_a_pose_of_many_rows_are_those_of_the_full_matrix():
-    """More residuals than parameters: (I − H)⁻¹e by the smaller matrix."""
-    table = repeated(repeats=30, n_poses=6)
-    problem = build_problem(CHAIN, TARGETS, table)
-    columns = problem.columns(np.isin(np.arange(CHAIN.params_nominal.size), np.flatnonzero(ROBOT.free)[:4]))
-    root = 1e-6 * np.random.default_rng(1).normal(size=(int(columns.sum()), 3))
-    errors = left_out_errors(problem, problem.start, columns, root, poses(table))["m"]
-    (group,) = (group for group in problem.groups if group.row is not None)
-    lin = group.evaluate(CHAIN, problem.start)
-    expected = np.zeros(len(table))
-    for pose in range(6):
-        rows = np.flatnonzero(poses(table)[group.row] == pose)
-        own = np.ravel(3 * rows[:, None] + np.arange(3))
-        jac = lin.jac_params[own][:, columns] @ root / 5e-5
-        left = np.linalg.solve(np.eye(own.size) - jac @ jac.T, lin.residual.ravel()[own])
-        expected[group.row[rows]] = np.linalg.norm(left.reshape(-1, 3), axis=1)
-    np.testing.assert_allclose(errors, expected, rtol=1e-9)
