@@ -13,7 +13,6 @@ import pytest
 import ulb_bench
 from command_line import Run, told
 from identify_bench import MUKCA, SIGMA, exact_lengths, identified
-from result_schema import check_schema
 from tests.host.findings_bench import stated
 from tests.refusals import shown
 
@@ -21,21 +20,6 @@ from truearm.files.observation_table import concatenate, read_table, write_table
 from truearm.files.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
 from truearm.types import Device, Rig
-
-
-def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) -> None:
-    outcome = run(*good, "--free", "*", "--hold-out", "shell=outer", "--prior", "none", "--json")
-    assert (outcome.code, outcome.err) == (0, "")
-    result = json.loads(outcome.out)
-    assert (result["status"], result["rank"], result["n_free"]) == ("converged", 36, 54)
-    assert len(result["null_space"]) == 18
-    assert result["iterations"] <= 8
-    assert result["rms_before_mm"] > 1.0
-    # 1e-10 of the parameters over lengths of about 1 m.
-    assert result["rms_after_mm"] < 1e-7
-    assert result["held_out"]["n"] == 20
-    assert result["held_out"]["max_mm"] < 1e-7
-    assert result["held_out_before"]["mean_mm"] > 1.0
 
 
 def test_a_person_reads_parameters_errors_and_what_is_not_seen(run: Run, good: list[object]) -> None:
@@ -85,23 +69,6 @@ def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> No
     assert stated({**document, "prior": "none", "hardly_seen": hardly})["meaningless"].values["weak"]
 
 
-@pytest.mark.parametrize(
-    ("solver", "prior"),
-    [("lm", "none"), ("map", "wide"), ("recursive", "none"), ("renders-1991", "none"), ("ls", "none")],
-)
-def test_every_solver_can_be_asked_for(
-    run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig], solver: str, prior: str
-) -> None:
-    result, text = identified(run, tmp_path, *noisy, "--solver", solver)
-    assert (result["solver"], result["loss"], result["prior"]) == (solver, "linear", prior)
-    check_schema(result)
-    assert (
-        ("solver-recipe" in stated(result))
-        == ("valid covariance" in " ".join(text.split()))
-        == (solver == "renders-1991")
-    )
-
-
 @pytest.mark.parametrize("options", [("--loss", "huber"), ("--loss", "cauchy"), ("--solver", "recursive")])
 def test_a_faulty_row_is_named(
     run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig], options: tuple[str, str]
@@ -137,21 +104,6 @@ def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: 
     assert remedy is not None
     result, _ = identified(run, tmp_path, replace(table, sphere=sphere), rig, *shlex.split(remedy[1]))
     assert (result["usable"], result["explanations"]) == (True, [])
-
-
-def test_chi2_is_shown_with_its_band(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
-    result, _ = identified(run, tmp_path, *noisy)
-    low, high = result["chi2_band"]
-    assert low < result["chi2_reduced"] < high
-    shown = stated(result)["chi2"].values
-    assert (shown["where"], shown["low"], shown["high"]) == ("within", low, high)
-
-
-def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None:
-    result = json.loads(run(*good, "--free", "joint*", "--freeze", "*.gain", "--json").out)
-    assert result["free"] == [f"joint{i}.offset" for i in range(1, 7)]
-    held = [p for p in result["parameters"] if not p["free"]]
-    assert all(p["value"] == p["nominal"] and p["sigma"] is None for p in held)
 
 
 def test_parameters_are_freed_beside_the_robot_files_own(run: Run, good: list[object], good_text: str) -> None:
@@ -252,13 +204,6 @@ def test_real_data_gives_the_documented_figures(run: Run, row: list[str]) -> Non
     assert result["held_out"]["mean_mm"] == pytest.approx(float(after), abs=6e-4)
     assert gains_too["held_out"]["mean_mm"] == pytest.approx(float(with_gains), abs=6e-4)
     assert by_default["held_out"]["mean_mm"] == pytest.approx(float(with_laws), abs=1e-3)
-
-
-def test_real_data_reaches_what_was_asked(run: Run) -> None:
-    assert len(documented_figures()) == 4
-    panda_3 = documented_figures()[0]
-    assert float(panda_3[3]) == pytest.approx(2.65, abs=0.005)
-    assert float(panda_3[4]) <= 0.22
 
 
 def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:

@@ -94,17 +94,6 @@ def test_a_wrong_group_to_fit_is_told_by_its_own_option(wanted: str) -> None:
     assert "fraction" not in str(told.value)
 
 
-def test_a_line_is_a_group() -> None:
-    rows = "".join(f"line,0.{i},{line},1,2,3\n" for line in ("left", "right") for i in range(5))
-    table = parse_table("kind,q1_rad,line,x_mm,y_mm,z_mm\n" + rows, "t.csv")
-    mask = held_out_rows(table, ["line=left"], 0)
-    assert mask is not None
-    assert mask.tolist() == [True] * 5 + [False] * 5
-    share = held_out_rows(table, ["0.4"], 0)
-    assert share is not None
-    assert (share[:5].sum(), share[5:].sum()) == (2, 2)
-
-
 def test_patterns_choose_the_free_parameters() -> None:
     default = np.array([True, False, True, True])
     for free, freeze, expected in (

@@ -18,7 +18,7 @@ from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import render
 from truearm.report.page_text import figures
 from truearm.report.residual_rows import law_of, rows_by_kind
-from truearm.results import Figures, HeldOut, NullDirection, PredictedError
+from truearm.results import Figures, HeldOut, NullDirection
 
 # --- the page
 
@@ -46,13 +46,6 @@ def test_a_seat_is_a_norm_and_has_no_gaussian():
     assert "Maxwell" in text
     assert "residual [mm]" in text
     assert "Residual against longitude" not in titles(text)
-
-
-def test_kinds_have_pictures_of_their_own():
-    page = both(make_page(100), make_page(60, "seat"))
-    names = titles(render(page))
-    assert "Residuals after calibration · ball-bar" in names
-    assert "Residuals after calibration · ball-in-socket" in names
 
 
 @pytest.mark.parametrize("kind", NAMES)
@@ -168,20 +161,6 @@ def test_a_fit_of_few_degrees_of_freedom_has_no_error_after():
     assert "RMS after</p>" not in render(few)
 
 
-def test_the_predicted_error_of_the_tool():
-    page = make_page(20, predicted=PredictedError(6.4e-5, 1.12e-4, "/x/y.csv row 7", 20, False))
-    text = render(page)
-    assert re.findall(r'<p class="figure">(.*?)<span>', text)[-1] == "0.0640"
-    assert "RMS of the tool, predicted" in text
-
-
-def test_solver_loss_and_prior_are_facts():
-    page = make_page(20, prior="weak")
-    text = render(replace(page, estimate=replace(page.estimate, solver="map", loss="huber")))
-    assert "<dt>loss</dt><dd>huber: rows far from all others count less</dd>" in text
-    assert "<dd>weak: nominal ± 1 mm, 5 mrad, 0.001 " in text
-
-
 def test_a_page_is_known_by_its_head():
     assert KINDS["page"].fits(render(make_page(20)).encode()[:1024])
     assert not KINDS["page"].fits(b"<!DOCTYPE html><html><body>diary")
@@ -215,29 +194,6 @@ def test_what_is_not_seen_is_marked_and_said():
     assert text.count("<td>unidentifiable</td>") == 1
     assert "determine 35 of 36 combinations" in text
     assert f"<li>1.00 {name}</li>" in text
-
-
-def test_what_is_hardly_seen_is_said():
-    page = make_page(50)
-    weak = (NullDirection(("link2.z", "link3.z"), (1.0, -1.0)), NullDirection(("link6.z",), (1.0,)))
-    text = render(replace(page, estimate=replace(page.estimate, hardly_seen=weak)))
-    listed = "<li>1.00 link2.z - 1.00 link3.z</li><li>1.00 link6.z</li>"
-    assert listed in text
-    assert listed not in render(page)
-
-
-def test_parameters_of_the_rig_stand_apart():
-    page = make_page(50)
-    text = render(replace(page, estimate=replace(page.estimate, n_robot_parameters=48)))
-    robot, rig = re.findall(r"<tbody>(.*?)</tbody>", text.split("<h2>Parameters</h2>")[1])[:2]
-    assert (robot.count("<tr"), rig.count("<tr")) == (48, 6)
-    assert "<summary>6 parameters" in text
-
-
-def test_facts_and_the_command_are_shown():
-    text = render(make_page(50))
-    assert "<dt>dwells</dt><dd>50</dd>" in text
-    assert "<code>truearm identify session.mcap</code>" in text
 
 
 def test_tiles_are_of_this_estimate():
