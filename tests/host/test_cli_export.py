@@ -113,6 +113,17 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
     )
 
 
+@pytest.mark.parametrize("form", ["dh", "mdh"])
+def test_rows_of_an_arm_with_parallel_axes_hold_everything(result, tmp_path, run, form):
+    out = tmp_path / "rows.toml"
+    assert run("export", result, "--format", form, "--out", out, "--json")[0] == 0
+    calibration, again = truearm.read_result(result), load_robot(str(out)).chain
+    q = np.random.default_rng(3).uniform(-2.0, 2.0, (50, 6))
+    np.testing.assert_allclose(
+        forward(again, again.params_nominal, q), forward(calibration.chain, calibration.identified, q), atol=1e-9
+    )
+
+
 def test_an_evaluator_of_a_result_holds_its_gains_too(result, tmp_path, run):
     code, out, _ = run("export", result, "--format", "evaluator-python", "--out", tmp_path / "arm.py")
     assert code == 0

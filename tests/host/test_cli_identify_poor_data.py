@@ -23,6 +23,7 @@ from puma_bench import (
 from tests.host.findings_bench import stated
 from tests.refusals import ended
 
+from truearm.checks import inputs
 from truearm.cli import main as cli
 from truearm.estimate.solvers import SOLVERS
 from truearm.files.observation_table import write_table
@@ -100,6 +101,20 @@ def test_a_contradictory_rig(identified):
     assert result["chi2_reduced"] > 100 * result["chi2_band"][1]
     assert stated(result)["chi2"].values["where"] == "above"
     assert "doubtful-residuals" in stated(result)
+
+
+@pytest.mark.parametrize("searched", [False, pytest.param(True, marks=pytest.mark.soak)])
+def test_all_chucks_at_one_place(identified, monkeypatch, searched):
+    """The lengths contradict this rig, which also leaves the base free to rotate about the chucks, as one chuck does.
+
+    The search for wrong inputs finds nothing; that of a contradictory rig is made above.
+    """
+    if not searched:
+        monkeypatch.setattr(inputs, "explanations_of", lambda *_: ((), 1))
+    result, text = identified(random_table(100, np.random.default_rng(1), SIGMA), with_chucks([(0.4, 0.0, 0.2)] * 3))
+    held_as_a_choice_of_frame(result, text, 3, 33)
+    assert result["explanations"] == []
+    assert result["chi2_reduced"] > 100 * result["chi2_band"][1]
 
 
 def test_collinear_chucks(identified):
@@ -180,6 +195,12 @@ def refused(tmp_path, capsys, rows, rig, *options):
     out, err = capsys.readouterr()
     assert (code, out, err.count("\n")) == (2, "", 1)
     return err
+
+
+def test_one_row(tmp_path, capsys):
+    assert "t.csv row 2: 1 row cannot identify" in refused(
+        tmp_path, capsys, random_table(1, np.random.default_rng(4), SIGMA), RIG
+    )
 
 
 def test_a_reading_that_never_changes(tmp_path, capsys):

@@ -86,6 +86,18 @@ def test_identify_says_how_late_the_readings_are(folder, solver, said):
     assert 0.0 < offset["sigma"] < 0.2e-3
 
 
+def test_identify_in_words_and_on_its_page(folder, said):
+    command = ("identify", folder / "both.mcap", "--model", "puma560", "--solver", "map", "--line-points", "8")
+    text = said(*command, "--details", "--hold-out", "shell=l2-down", "--report", folder / "page.html")
+    assert "24 line rows fitted, 8 held out" in " ".join(text.split())
+    late, sigma = (shown["time-offset"][name]["ms"] for name in ("offset", "sigma"))
+    assert abs(late - 8.4) < 3.0 * sigma < 1.0
+    page = (folder / "page.html").read_text()
+    assert "l1, l2; 2 of 2 there and back" in page
+    assert "32 in motion" in page
+    assert f" {late:.3f} ms late" in page
+
+
 def test_one_way_is_said_not_to_show_the_delay(folder, said):
     text = said("identify", folder / "one.mcap", "--model", "puma560", "--solver", "map", "--details")
     assert shown["time-offset-unidentifiable"] == {"name": "time_offset"}

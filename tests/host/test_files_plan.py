@@ -170,6 +170,11 @@ def test_a_header_alone_and_a_missing_file(tmp_path):
         read_plan(tmp_path / "plan.csv")
 
 
+def test_shapes_that_disagree():
+    with pytest.raises(PlanError, match=r"\(2, 6\)"):
+        Plan(np.zeros((2, 6)), *(np.array(["a"]) for _ in range(4)))
+
+
 def test_names_that_the_rig_does_not_have():
     with refused("not-in-rig", place="plan.csv pose 0", what="bar", name="bar46"):
         check_against_rig(parse_plan(GOOD, "plan.csv"), Rig(), "plan.csv")

@@ -9,6 +9,7 @@ from tests.host import plan_bench as bench
 from truearm.errors import PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.choose import as_blocks, choose, condensed, value
+from truearm.plan.criteria import Criterion
 from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
 from truearm.plan.measurement_limits import Pairing
 from truearm.plan.region import around, poses_in
@@ -49,6 +50,15 @@ def test_after_the_exchange_no_single_swap_helps(criterion):
         for old, new in product(chosen, set(range(len(rows))) - set(chosen)):
             swapped = [new if i == old else i for i in chosen]
             assert value(information(rows, swapped), criterion, region) >= best - 1e-8 * abs(best)
+
+
+@pytest.mark.parametrize("criterion", Criterion)
+def test_exchange_never_makes_it_worse_and_nothing_is_taken_twice(criterion):
+    rows, region = problem(n=60)
+    greedy = choose(rows, np.eye(3), 20, criterion, region, passes=0)
+    better = choose(rows, np.eye(3), 20, criterion, region, passes=3)
+    assert len(set(better.tolist())) == 20
+    assert value(information(rows, better), criterion, region) <= value(information(rows, greedy), criterion, region)
 
 
 def test_a_setup_is_paid_where_it_brings_enough_and_not_again():
