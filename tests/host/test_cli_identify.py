@@ -1,13 +1,11 @@
 """``truearm identify`` from the user's point of view: results and messages."""
 
 import json
-import math
 import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
 
-import device_bench
 import numpy as np
 import pytest
 import ulb_bench
@@ -16,10 +14,10 @@ from identify_bench import MUKCA, SIGMA, exact_lengths, identified
 from tests.host.findings_bench import stated
 from tests.refusals import shown
 
-from truearm.files.observation_table import concatenate, read_table, write_table
+from truearm.files.observation_table import read_table, write_table
 from truearm.files.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
-from truearm.types import Device, Rig
+from truearm.types import Rig
 
 
 def test_a_person_reads_parameters_errors_and_what_is_not_seen(run: Run, good: list[object]) -> None:
@@ -67,23 +65,6 @@ def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> No
     assert stated(document)["meaningless"].values["line"]
     hardly = [{"names": ["joint2.d"], "weights": [1.0]}]
     assert stated({**document, "prior": "none", "hardly_seen": hardly})["meaningless"].values["weak"]
-
-
-@pytest.mark.parametrize("options", [("--loss", "huber"), ("--loss", "cauchy"), ("--solver", "recursive")])
-def test_a_faulty_row_is_named(
-    run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig], options: tuple[str, str]
-) -> None:
-    table, rig = noisy
-    value = table.value.copy()
-    value[70] += 20 * SIGMA
-    result, _ = identified(run, tmp_path, replace(table, value=value), rig, *options)
-    # Row 1 is the header.
-    assert [entry["source"] for entry in result["suspect"]] == ["t.csv row 72"]
-    assert result["suspect"][0]["weight"] < 0.5
-    outliers = stated(result)["outliers"].values
-    assert "t.csv row 72 (" in outliers["rows"]
-    assert outliers["left_out"] == (options[1] == "recursive")
-    assert identified(run, tmp_path, *noisy, *options)[0]["suspect"] == []
 
 
 def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
@@ -221,39 +202,3 @@ def test_an_error_of_the_tool_that_is_not_determined_is_no_number(good_text: str
     document = json.loads(good_text)
     assert "tool-error" in stated(document)
     assert "tool-error-unpredictable" in stated({**document, "predicted_error": None})
-
-
-def test_kinds_and_rigs_are_told_apart(run: Run, tmp_path: Path) -> None:
-    """Poses by a tracker of unknown place, and bars on another day: a line each, and what a pose's rotation is left with."""
-    bars, rig = exact_lengths(90)
-    rng = np.random.default_rng(8)
-    poses = device_bench.tracked("pose", 60, np.array([1.5, 0.2, 0.5, 0.1, 0.2, 0.3]), rng)
-    sensor = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))
-    tracker = Device("t", sensor, rotation_sigma=2e-4)
-    rotation = poses.rotation + 2e-4 * rng.normal(size=poses.rotation.shape)
-    poses = replace(poses, rotation=rotation, rig=np.full(60, "tue"))
-    table = concatenate([replace(bars, rig=np.full(90, "mon")), poses])
-    write_table(tmp_path / "t.csv", table, ("rad",) * 6)
-    write_rig(tmp_path / "mon.toml", rig)
-    write_rig(tmp_path / "tue.toml", Rig(targets=device_bench.TARGETS, trackers={"t": tracker}))
-    arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--report", tmp_path / "r.html"]
-    arguments += ["--rig", f"mon={tmp_path / 'mon.toml'}", "--rig", f"tue={tmp_path / 'tue.toml'}"]
-    result, text = json.loads(run(*arguments, "--json").out), run(*arguments, "--force", "--details").out
-    assert [(e["rig"], e["kind"], e["fitted"]) for e in result["observations"]] == [
-        ("mon", "ball_bar", 90),
-        ("tue", "pose", 60),
-    ]
-    assert stated(result)["identified"].values["rows"] == "90 ball-bar rows, 60 tracked pose rows"
-    assert re.search(r"^  mon: ball-bar +\d+\.\d{4} +\d+\.\d{4} +90$", text, re.M)
-    assert re.search(r"^  tue: tracked pose +\d+\.\d{4} +\d+\.\d{4} +60$", text, re.M)
-    # 2e-4 rad about three axes is 0.0198 deg; 180 of these angles, 6 % of which the fit takes up: 5.3 % each σ, four of them
-    assert result["residual_units"] == ["mm", "deg"]
-    assert result["observations"][0]["rms_after_deg"] is None
-    found = result["observations"][1]["rms_after_deg"]
-    assert found == pytest.approx(math.degrees(2e-4 * math.sqrt(3)), rel=0.22)
-    assert re.search(r"^error \[deg\] +before +after +rows$", text, re.M)
-    assert re.search(rf"^  tue: tracked pose +\d+\.\d{{5}} +{found:.5f} +60$", text, re.M)
-    assert len(re.findall("mon: ball-bar", text)) == 1  # not among the angles
-    page = (tmp_path / "r.html").read_text()
-    assert "tracked pose, rotation" in page
-    assert "RMS after [deg]" in page

@@ -18,7 +18,7 @@ from truearm.export.link_frames import link_frames
 from truearm.export.toml_tables import dh_table, modified_dh_table, sheth_uicker_table
 from truearm.export.ur import KEYS, SEGMENTS, ur_segments, ur_yaml
 from truearm.export.urdf import edited, joint_origins, new_urdf
-from truearm.export.writing import RobotToWrite, fit_to, refit, writer, written
+from truearm.export.writing import RobotToWrite, fit_to, writer, written
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Parameter, forward
@@ -263,17 +263,6 @@ def test_refitting_makes_up_for_most_of_the_gains():
 def cost(params, q):
     marks = 0.1 * np.array([[0, 0, 0, 10], [1, 0, 0, 10], [0, 1, 0, 10], [0, 0, 1, 10.0]]).T
     return float(np.sum(((forward(CHAIN, params, q) - forward(CHAIN, TRUTH, q)) @ marks) ** 2))
-
-
-def test_nothing_lost_is_nothing_refitted():
-    gains = np.array([p.term == "gain" for p in CHAIN.parameters])
-    target = np.where(gains, 1.0, TRUTH)
-    q = some_poses(CHAIN)
-    np.testing.assert_array_equal(refit(CHAIN, target, target, ~gains, q), target)
-    found = fit_to("urdf", CHAIN, DESIGN, target, np.ones(gains.size, dtype=bool), q)
-    assert (found.refitted, found.exact, found.missing) == (False, True, ())
-    np.testing.assert_array_equal(found.params, target)
-    assert found.left.max() < ROUNDING
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -58,20 +58,6 @@ def test_a_folder_of_others_is_not_written_into(tmp_path):
     own_folder(tmp_path / "a" / "new", ".mark")
 
 
-def test_a_link_in_a_circle_is_told(tmp_path):
-    circle = tmp_path / "circle"
-    circle.symlink_to("circle")
-    for act in (lambda: check_writable(circle), lambda: write_atomic(circle, "text")):
-        with pytest.raises(InputError, match="symbolic link loop"):
-            act()
-    assert not same_file(circle, tmp_path / "other")
-    link = tmp_path / "link"
-    link.symlink_to("target")  # that is not there yet: it becomes the file
-    check_writable(link)
-    write_atomic(link, "text")
-    assert (tmp_path / "target").read_text() == "text"
-
-
 def test_a_name_that_is_too_long_is_told(tmp_path):
     with pytest.raises(InputError, match="cannot be written: File name too long"):
         check_writable(tmp_path / ("a" * 300))

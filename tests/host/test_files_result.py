@@ -122,18 +122,6 @@ def test_any_estimate_is_strict_json_and_comes_back(estimate: Estimate) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(estimates())
-def test_rows_are_named_by_their_source(estimate: Estimate) -> None:
-    document = result_of(estimate, TABLE, ROBOT).document
-    addition = {"kind": "pairing", "names": ["c0", "s1"], "rank": 2, "parameters": ["link0.x"], "text": "measure both"}
-    assert document["additions"] == [addition]
-    named = {f"t.csv row {row + 2}" for row in np.flatnonzero(estimate.suspect)}
-    assert {entry["source"] for entry in document["suspect"]} == named
-    far = [entry["distance"] for entry in document["suspect"]]
-    assert None in far or far == sorted(far, reverse=True)
-
-
-@settings(max_examples=20, deadline=None)
-@given(estimates())
 def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
     estimate = replace(
         estimate,

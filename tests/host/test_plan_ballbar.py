@@ -202,17 +202,6 @@ def test_what_cannot_be_seen_is_named_before_it_is_measured():
     assert np.isnan(told.sigma[told.free]).any()
 
 
-def test_what_was_measured_counts():
-    """Half a plan measured and half of it planned predict what the whole would."""
-    known, plan = bench.known("irb120"), bench.planned("irb120").route.plan
-    table = bar_table(known, plan)
-    first = np.arange(len(plan)) % 2 == 0
-    whole = forecast(known, table)
-    rest = forecast(replace(known, measured=table.select(first)), table.select(~first))
-    assert rest.n_rows == whole.n_rows
-    np.testing.assert_allclose(rest.sigma, whole.sigma, rtol=1e-6, equal_nan=True)
-
-
 def test_a_region_that_is_measured_has_the_smaller_error():
     known, plan = bench.known("irb120"), bench.planned("irb120").route.plan
     table, aim = bar_table(known, plan), Aim(plan.q, tuple(known.rig.spheres))

@@ -13,7 +13,6 @@ from scipy import stats
 from truearm.estimate.kind_errors import errors_by_kind
 from truearm.files.file_kind import KINDS
 from truearm.findings import Finding
-from truearm.kinds.plane import PlaneRows
 from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import render
 from truearm.report.page_text import figures
@@ -86,23 +85,6 @@ def test_a_pose_has_a_position_and_a_rotation():
     assert row[head.index("RMS after [deg]")] == figures(math.degrees(rms(angle[page.estimate.fitted])))
 
 
-def test_rows_in_radians_alone_are_shown_in_degrees(monkeypatch):
-    monkeypatch.setattr(PlaneRows, "COMPONENTS", ("rad",))
-    page = make_page(300, "plane")
-    e = page.estimate
-    changed = {name: {"rad": 10.0 * getattr(e, name)["m"]} for name in ("residual", "residual_before")}
-    rms_of = {name: {"rad": 10.0 * getattr(e, name)["m"]} for name in ("rms_before", "rms_after")}
-    held_out = HeldOut({"rad": Figures.of(changed["residual"]["rad"][~e.fitted])}, 150)
-    page = replace(page, estimate=replace(e, **changed, **rms_of, held_out=held_out))
-    text = render(page)
-    assert "<span> deg</span>" in text
-    shown = re.sub(r"<table.*?</table>", "", text.partition("<h2>Parameters</h2>")[0], flags=re.S)
-    assert not re.search(r"\bmm\b", shown)
-    assert "residuals mm" not in text
-    (rows,) = rows_by_kind(page.estimate, page.table, page.longitude)
-    assert rows.name == "residual [deg]"
-
-
 def test_residuals_of_each_rig_and_kind():
     page = both(make_page(90), make_page(60, "line", seed=1))
     rig = np.where(np.arange(150) % 2 == 0, "monday", "tuesday")
@@ -118,26 +100,6 @@ def test_residuals_of_each_rig_and_kind():
     assert found.before["m"].rms == pytest.approx(100 * found.after["m"].rms)
     assert found.judged["m"].rms == pytest.approx(rms(e.residual["m"][mine & ~e.fitted]))
     assert rows[3][4] == figures(1e3 * found.after["m"].rms)
-
-
-def test_suspects_are_named_the_farthest_first():
-    n = 60
-    suspect = np.isin(np.arange(n), (3, 11))
-    page = make_page(n)
-    distance = np.where(np.arange(n) == 11, 9.25, 5.5)
-    weight = np.where(np.arange(n) == 11, 0.0, 0.31)
-    source = np.array([f"/home/anyone/s.csv row {i}" for i in range(n)])
-    estimate = replace(page.estimate, suspect=suspect, distance=distance, weight=weight)
-    text = render(replace(page, estimate=estimate, table=replace(page.table, source=source)))
-    head, *rows = cells_of(text, "rows far from the others")
-    assert head == [
-        *("row", "observation", "distance from the others [σ]", "residual [mm]", "weight in the fit [1]"),
-    ]
-    assert [row[0] for row in rows] == ["s.csv row 11", "s.csv row 3"]  # without the folder
-    assert (rows[0][2], rows[0][4], rows[1][4]) == ("9.2", "0", "0.31")
-    assert "anyone" not in text
-    none = replace(page.estimate, suspect=np.zeros(n, dtype=bool))
-    assert "rows far from the others" not in render(replace(page, estimate=none))
 
 
 def test_the_verdict_is_the_headline_then_doubts_and_advice_then_notes():
