@@ -363,11 +363,6 @@ def test_a_urdf_with_two_ends(made, tmp_path, capsys):
     assert "q1_rad" in tables["joints"]
 
 
-def test_help_has_an_example(capsys):
-    assert main(["session", "export", "--help"]) == 0
-    assert "truearm session export session.mcap" in capsys.readouterr().out
-
-
 def test_samples_are_those_that_inspect_counts(made, tmp_path, capsys):
     _, said = export(made[1], tmp_path / "x")
     printed = capsys.readouterr().out
