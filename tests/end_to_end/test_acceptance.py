@@ -131,6 +131,13 @@ def test_nothing_is_lost(session):
     assert session.summary.counters.lost_frames == 0
 
 
+def test_the_rings_cover_the_longest_loop_four_times(session, level):
+    """What is sampled while the loop stands still waits in the board. The first loop after a start takes the longest."""
+    longest_us = max(beat["loop_max_us"] for beat in session.heartbeats())
+    for held, period_ns in zip(HELD[level], (ADC_PERIOD_NS, MAG_PERIOD_NS), strict=True):
+        assert longest_us * 4 < held * period_ns / 1000
+
+
 def test_all_levels_tell_the_same(recorded, seconds):
     """Where the robot stands and the bar is on, a sample depends on its index alone: bit for bit the same."""
     sessions = [recorded(level, seconds) for level in LEVELS]
