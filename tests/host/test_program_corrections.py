@@ -249,11 +249,13 @@ def test_a_configuration_that_nothing_determines_needs_home(program_kind):
     assert [move.reason.name for move in caught.value.refused] == ["configuration"]
     done = outcome(text, home=Q[1])
     assert "home-decides" in [note.code for note in done.notes]
-    assert done.others.n_targets == 1
-    assert done.others.shift.min() < 1e-9  # its own configuration
-    assert done.others.shift.max() > 1e-4
+    assert done.configurations.n_targets == 1
+    assert done.configurations.shift.min() < 1e-9  # its own configuration
+    assert done.configurations.shift.max() > 1e-4
     np.testing.assert_allclose(
-        forward(CHAIN, TRUTH, done.others.q), done.targets.asked[[0] * len(done.others.q)], atol=1e-6
+        forward(CHAIN, TRUTH, done.configurations.q),
+        done.targets.requested[[0] * len(done.configurations.q)],
+        atol=1e-6,
     )
 
 
@@ -285,8 +287,8 @@ def test_hundreds_of_straight_moves_are_driven(monkeypatch):
     text = program(*lines, f"movel({six(POSES[5])})")
     moves = outcome(text).moves
     assert (len(moves.places), moves.unchecked) == (601, 0)
-    assert moves.places[int(np.argmax(moves.found.deviation))] == "line 605"
-    assert moves.found.deviation[:-1].max() < moves.found.deviation[-1]
+    assert moves.places[int(np.argmax(moves.straight.deviation))] == "line 605"
+    assert moves.straight.deviation[:-1].max() < moves.straight.deviation[-1]
     monkeypatch.setattr(correct_program_module, "MOST_MOVES", 600)
     assert outcome(text).moves.unchecked == 601
 

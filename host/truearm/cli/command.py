@@ -150,18 +150,18 @@ def command(**texts: str) -> Callable[[F], F]:
             field = [(name, kind, parameter.default, is_option)]
             fields = _fields(kind, described_names, parameter.default) if is_record(kind) else field
             for option, hint, default, is_option in fields:
-                shared, own_entry = (table.pop((is_option, option), Entry()) for table in (dict(SHARED), entries))
-                entry = Entry(*(field or theirs for field, theirs in zip(own_entry, shared, strict=True)))
+                shared, command_entry = (table.pop((is_option, option), Entry()) for table in (dict(SHARED), entries))
+                entry = Entry(*(field or theirs for field, theirs in zip(command_entry, shared, strict=True)))
                 hint = hint if hint is typer.Context else _declared(option, hint, is_option, entry)
                 parameters.append(parameter.replace(name=option, annotation=hint, default=default))
         if entries:
             raise TypeError(f"{function.__name__}() has no parameter {[name for _, name in entries]}")
 
-        def run(**given: Any) -> Any:
-            records = {name: fill(hint, given) for name, hint in hints.items() if is_record(hint)}
-            answer = function(**{name: value for name, value in given.items() if name in hints}, **records)
+        def run(**arguments: Any) -> Any:
+            records = {name: fill(hint, arguments) for name, hint in hints.items() if is_record(hint)}
+            answer = function(**{name: value for name, value in arguments.items() if name in hints}, **records)
             if answers:
-                answer.show(given["json"], given.get("details"))
+                answer.show(arguments["json"], arguments.get("details"))
             return answer
 
         run.__name__, run.__doc__ = function.__name__, EXAMPLE.sub("\b\n", page)
@@ -177,21 +177,21 @@ def is_record(hint: Any) -> bool:
     return is_dataclass(hint) or hasattr(hint, "_fields")
 
 
-def _fields(record: Any, known: Collection[tuple[bool, str]], usual: Any) -> Iterator[tuple[str, Any, Any, bool]]:
+def _fields(record: Any, documented: Collection[tuple[bool, str]], usual: Any) -> Iterator[tuple[str, Any, Any, bool]]:
     """Yield name, type, default and whether it is an option of each described field, in the unit of the option.
 
     ``usual`` has the defaults. Without it, the record's are used, and a named tuple needs its first field.
     """
-    is_given = usual is not inspect.Parameter.empty
-    names = {stem_of(name): name for _, name in known} | {name: name for _, name in known}
+    has_defaults = usual is not inspect.Parameter.empty
+    names = {stem_of(name): name for _, name in documented} | {name: name for _, name in documented}
     hints = hints_of(record)
     for position, (field, parameter) in enumerate(inspect.signature(record).parameters.items()):
-        hint, default = hints[field], getattr(usual, field) if is_given else parameter.default
+        hint, default = hints[field], getattr(usual, field) if has_defaults else parameter.default
         if is_record(hint):
-            yield from _fields(hint, known, default)
+            yield from _fields(hint, documented, default)
         elif (name := names.get(OPTIONS.get(field, field))) is not None:
-            is_needed = default is parameter.empty or not (is_given or position or is_dataclass(record))
-            is_option = (True, name) in known and not ((False, name) in known and is_needed)
+            is_needed = default is parameter.empty or not (has_defaults or position or is_dataclass(record))
+            is_option = (True, name) in documented and not ((False, name) in documented and is_needed)
             if field in options.READERS:
                 hint = list[str] | None if field in options.REPEATED else str | None
             elif get_origin(hint) is tuple:
@@ -245,14 +245,14 @@ def completed(names: Collection[str]) -> Callable[[str], list[str]]:
     return lambda incomplete: [name for name in names if name.startswith(incomplete)]  # typer requires this name
 
 
-def fill(kind: Callable[..., R], given: Mapping[str, Any], **values: Any) -> R:
+def fill(kind: Callable[..., R], arguments: Mapping[str, Any], **values: Any) -> R:
     """Return a record of options in SI, from ``values`` and a command's parameters by the names of its fields.
 
     A parameter's name may end in its unit: ``dwell_s`` gives ``dwell``. None leaves the field's default. A field that is
     a record is filled in the same way.
     """
     fields, hints = inspect.signature(kind).parameters, hints_of(kind)
-    for name, value in given.items():
+    for name, value in arguments.items():
         field = next((field_name for field_name in (name, FIELDS.get(name), stem_of(name)) if field_name in fields), "")
         if value is not None and field and field not in values and (field == name or not is_record(hints[field])):
             if isinstance(value, str | list) and field in options.READERS:
@@ -264,7 +264,7 @@ def fill(kind: Callable[..., R], given: Mapping[str, Any], **values: Any) -> R:
             values[field] = value
     for name in fields:
         if name not in values and is_record(hints[name]):
-            values[name] = fill(hints[name], given)
+            values[name] = fill(hints[name], arguments)
     return kind(**values)
 
 

@@ -93,9 +93,9 @@ def correct(
         raise InputError("needs-option", place="--mark", needed="--partial")
     shown = numbers_of("--home", home)
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
-    near_joints = joints_of("--home", shown, calibration.joint_units)
+    home_joints = joints_of("--home", shown, calibration.joint_units)
     try:
-        done = correct_file(calibration, files, replace(options, near=near_joints, document=json))
+        done = correct_file(calibration, files, replace(options, near=home_joints, document=json))
     except ProgramRefused as exc:
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)

@@ -110,10 +110,10 @@ def init(
     from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
 
     sockets = None
-    for other_method, names in OWN_OPTIONS.items():
-        for name in names if other_method != method else ():
+    for method_name, names in OWN_OPTIONS.items():
+        for name in names if method_name != method else ():
             if typed(context, name) is not None:
-                raise InputError("no-effect", place=Argument(name), reason=f"it is for --method {other_method}")
+                raise InputError("no-effect", place=Argument(name), reason=f"it is for --method {method_name}")
     if method == "sockets":
         x, y, z = numbers_of("--ball-xyz-mm", ball_xyz_mm, 3) or (0.0, 0.0, 0.0)
         ball = MM.to_si(x), MM.to_si(y), MM.to_si(z)

@@ -35,7 +35,7 @@ def inspect(
     from truearm.workflows.inspect import describe
     from truearm.workflows.session_parts import session_parts
 
-    first, *further = [describe(open_session(part, allow_damaged)) for part in session_parts(session)]
+    first, *further = [describe(open_session(path, allow_damaged)) for path in session_parts(session)]
     if json:
         print_json({**first, "parts": further})
         return

@@ -76,8 +76,8 @@ _PLAINER = (
 _COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-completion writes
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"truearm {VERSION}")
         raise typer.Exit
 

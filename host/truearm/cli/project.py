@@ -87,17 +87,17 @@ class ProjectCommand(TyperCommand):
                     raise InputError(f"{parameter.opts[0]} must be a finite number, is {value}")
                 if parameter.name in TAKES and isinstance(value, str | Path):
                     _check_kind(parameter.name, value, self.params)
-        words_taken = [
+        project_words = [
             word
             for parameter in self.params
             if _source(ctx, parameter.name or "") == "DEFAULT_MAP" and ctx.params[parameter.name or ""] is not None
             for word in _words(parameter, ctx.params[parameter.name or ""])
         ]
-        result_taken = ctx.meta.get(RESULT_TAKEN, [])
-        if result_taken or words_taken:
-            typer.echo(f"from truearm.toml: {shlex.join([*result_taken, *words_taken])}", err=True)
+        project_result = ctx.meta.get(RESULT_TAKEN, [])
+        if project_result or project_words:
+            typer.echo(f"from truearm.toml: {shlex.join([*project_result, *project_words])}", err=True)
             if ctx.obj is not None:  # the command line, as results and reports quote it
-                ctx.obj.extend(words_taken)
+                ctx.obj.extend(project_words)
         return super().invoke(ctx)
 
 
@@ -275,8 +275,11 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
 
 def missing_file(parameter: str, command: str, folder: Path) -> str | None:
     """Return the message for a command without its argument ``parameter``, a result or sessions; None outside a project."""
-    is_of_project = parameter in ("result", "inputs", "session") and (parameter, command) != ("inputs", "validate")
-    project_and_home = project_of(folder) if is_of_project else None
+    has_default = parameter in ("result", "inputs", "session") and (parameter, command) != (
+        "inputs",
+        "validate",
+    )
+    project_and_home = project_of(folder) if has_default else None
     if project_and_home is None:
         return None
     project, home = project_and_home

@@ -20,10 +20,10 @@ class SimulateCommand(ProjectCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
-        asks_for_own = any(typed(ctx, name) is not None for name in ("poses", "lines", "model", "stage"))
-        if asks_for_own:
+        is_own_arm = any(typed(ctx, name) is not None for name in ("poses", "lines", "model", "stage"))
+        if is_own_arm:
             ctx.params["plan"] = typed(ctx, "plan")
-        if asks_for_own or ctx.params.get("plan") is None:
+        if is_own_arm or ctx.params.get("plan") is None:
             ctx.params["rig"] = typed(ctx, "rig")
         return super().invoke(ctx)
 

@@ -67,8 +67,8 @@ class SessionProgress:
 
     def visit(self, q: Floats | None) -> int | None:
         """Note a dwell at joints ``q`` (None: unknown); return its row of the plan, None if it is not in the plan."""
-        near_rows = None if q is None else self._near(q)
-        rows = [k for k in self.planned[Move.DWELL] if near_rows is None or k in near_rows]
+        rows_in_reach = None if q is None else self._near(q)
+        rows = [k for k in self.planned[Move.DWELL] if rows_in_reach is None or k in rows_in_reach]
         row = next((k for k in rows if k >= self.next), rows[-1] if rows and q is not None else None)
         self.note(Move.DWELL, row)
         return row
@@ -83,11 +83,11 @@ class SessionProgress:
 
     def arrive(self, q: Floats) -> int | None:
         """Note joints ``q``; return the line of the plan that ends there, if the arm came from its beginning."""
-        near_rows = self._near(q) if self.planned[Move.LINE] else set()
-        if not near_rows or near_rows == self._place:
+        rows_in_reach = self._near(q) if self.planned[Move.LINE] else set()
+        if not rows_in_reach or rows_in_reach == self._place:
             return None
-        row = next((k for k in self.planned[Move.LINE] if k in near_rows and k - 1 in self._place), None)
-        self._place = near_rows
+        row = next((k for k in self.planned[Move.LINE] if k in rows_in_reach and k - 1 in self._place), None)
+        self._place = rows_in_reach
         if row is not None:
             self.note(Move.LINE, row)
         return row

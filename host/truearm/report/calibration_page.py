@@ -100,14 +100,14 @@ def render(page: CalibrationPage) -> str:
 
 def _tiles(page: CalibrationPage) -> Iterator[tuple[str, str, list[tuple[str, str]], str]]:
     e, judged = page.estimate, page.estimate.held_out
-    n_used = counted(int(e.used.sum()), "fitted observation")
-    yield "old", "RMS before", _sizes(e.rms_before), f"{n_used}, the nominal robot{before_words(e)}"
+    fitted_rows = counted(int(e.used.sum()), "fitted observation")
+    yield "old", "RMS before", _sizes(e.rms_before), f"{fitted_rows}, the nominal robot{before_words(e)}"
     if not e.has_little_freedom:
         yield "fit", "RMS after", _sizes(e.rms_after), "the same observations, identified parameters"
     if judged:
-        of_units = judged.figures.items()
-        remark = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in of_units)
-        held_out = _sizes({si: error.rms for si, error in of_units})
+        by_unit = judged.figures.items()
+        remark = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in by_unit)
+        held_out = _sizes({si: error.rms for si, error in by_unit})
         yield "val", "RMS held out", held_out, f"{counted(judged.n, 'observation')} not used to fit; {remark}"
     if page.predicted:
         over = f"over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
@@ -126,9 +126,9 @@ def _residuals(page: CalibrationPage) -> Iterator[str]:
     if e.suspect.any():
         yield table(suspect_table(e, rows))
     figures = [
-        figure._replace(title=f"{figure.title} · {of_kind.title}") if len(by_kind) > 1 else figure
-        for of_kind in by_kind
-        for figure in figures_of(of_kind)
+        figure._replace(title=f"{figure.title} · {rows_of_kind.title}") if len(by_kind) > 1 else figure
+        for rows_of_kind in by_kind
+        for figure in figures_of(rows_of_kind)
     ]
     yield pictures(figures)
 

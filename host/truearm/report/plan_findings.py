@@ -11,9 +11,9 @@ from truearm.findings import Finding, ordered
 Document = Mapping[str, Any]
 
 
-def forecast_findings(document: Document, asked_checks: int = 0) -> list[Finding]:
-    """Return the verdict, then what limits the plan. ``asked_checks``: the check poses that were asked for."""
-    return ordered([_planned(document), *_limits(document, asked_checks)])
+def forecast_findings(document: Document, n_checks: int = 0) -> list[Finding]:
+    """Return the verdict, then what limits the plan. ``n_checks``: of the check poses that were asked for."""
+    return ordered([_planned(document), *_limits(document, n_checks)])
 
 
 def _planned(document: Document) -> Finding:
@@ -31,7 +31,7 @@ def _planned(document: Document) -> Finding:
     return Finding("planned", values)
 
 
-def _limits(document: Document, asked_checks: int) -> Iterator[Finding]:
+def _limits(document: Document, n_checks: int) -> Iterator[Finding]:
     unseen, weak, defaults = document["null_space"], document["hardly_seen"], document["defaults"]
     yield Finding(
         "planned-rank",
@@ -45,8 +45,8 @@ def _limits(document: Document, asked_checks: int) -> Iterator[Finding]:
     if defaults["lost"] or defaults["believed"]:
         yield Finding("planned-held", {name: defaults[name] for name in ("lost", "believed")})
     checks = document.get("check_poses", 0)
-    if asked_checks not in (option_defaults.CHECK_POSES, checks):
-        yield Finding("fewer-checks", {"asked": asked_checks, "planned": checks, "visits": document["visits"] > 1})
+    if n_checks not in (option_defaults.CHECK_POSES, checks):
+        yield Finding("fewer-checks", {"asked": n_checks, "planned": checks, "visits": document["visits"] > 1})
 
 
 def approach_findings(document: Document) -> list[Finding]:

@@ -163,14 +163,14 @@ def inputs(document: Document) -> Iterator[Finding]:
         for joint in document["defaults"]["still"]:
             yield Finding("still-joint", {"joint": joint["joint"], "reading": _size(joint["at"], joint["unit"])})
     for number, explanation in enumerate(explanations):
-        with_change, as_given = (sizes(explanation, name) for name in ("rms", "rms_given"))
-        smaller = any(with_change.get(unit, 0.0) < 0.5 * size for unit, size in as_given.items())
+        with_change, without_change = (sizes(explanation, name) for name in ("rms", "rms_given"))
+        smaller = any(with_change.get(unit, 0.0) < 0.5 * size for unit, size in without_change.items())
         values = {
             "lead": "This explains them too" if number else "This explains the observations",
             "with_change": with_change,
-            "as_given": as_given if smaller else None,
-            "place": not smaller and as_given != with_change,
-            "noise": as_given == with_change,
+            "as_given": without_change if smaller else None,
+            "place": not smaller and without_change != with_change,
+            "noise": without_change == with_change,
         }
         yield Finding(explanation["code"], explanation["values"] | values)
     if document["status"] != "converged" and not SOLVERS[document["solver"]].ends_by_recipe and not explanations:
@@ -365,19 +365,19 @@ def _gain(rival: Document) -> str:
 def _choice(fault: Document) -> Finding:
     """Return what can be applied: what improves left-out rows, a single cause or the mean of several first."""
     rivals = fault["rivals"]
-    names_of_all = [rival["name"] for rival in rivals if rival["name"].rpartition(".")[0].endswith(EVERY)]
-    lasting = not (rivals[0]["apply"] or names_of_all)
+    collective_names = [rival["name"] for rival in rivals if rival["name"].rpartition(".")[0].endswith(EVERY)]
+    lasting = not (rivals[0]["apply"] or collective_names)
     offers = [fault["mean"]] if len(rivals) > 1 and all(rival["apply"] for rival in rivals) else []
     offers = [offer for offer in (*offers, *rivals) if offer["apply"] and (offer["gain"] or 0.0) > 0.0][:MAX_CHOICES]
     deciding = fault["deciding"] if len(rivals) > 1 else []
-    if not offers or names_of_all or lasting:
-        size = next((size for size in fault["sizes"] if names_of_all and size["value"] is not None), None)
+    if not offers or collective_names or lasting:
+        size = next((size for size in fault["sizes"] if collective_names and size["value"] is not None), None)
         numbers = math.sqrt(fault["freedom"])
         values = {
-            "few": not (names_of_all or lasting) and rivals[0]["gain"] is None,
-            "worse": not (names_of_all or lasting or rivals[0]["gain"] is None),
+            "few": not (collective_names or lasting) and rivals[0]["gain"] is None,
+            "worse": not (collective_names or lasting or rivals[0]["gain"] is None),
             "lasting": lasting,
-            "every": [f"{name.rpartition('.')[0].removesuffix(EVERY)}s" for name in names_of_all[:1]],
+            "every": [f"{name.rpartition('.')[0].removesuffix(EVERY)}s" for name in collective_names[:1]],
             "sigma": size and UNITS[size["unit"]].scale.text(size["value"] / numbers, ".2g"),
             "deciding": deciding,
         }
@@ -475,13 +475,13 @@ def _parts(document: Document) -> dict[str, Any]:
     claim = document.get("claim")
     if claim is None or document["predicted_error"] is None:
         return dict.fromkeys(("parameters", "unnamed", "scatter", "faults", "names"))
-    of_faults = math.hypot(claim["rivals_mm"], claim["shift_mm"])
+    fault_error = math.hypot(claim["rivals_mm"], claim["shift_mm"])
     scatter = document["predicted_error"].get("scatter_mm")
     return {
         "parameters": {"mm": claim["parameters_mm"]},
         "unnamed": {"mm": claim["unnamed_mm"]},
         "scatter": {"mm": scatter} if scatter else None,  # earlier results do not have it
-        "faults": {"mm": of_faults} if of_faults else None,
+        "faults": {"mm": fault_error} if fault_error else None,
         "names": [cause(rival["name"]) for fault in document["faults"] for rival in fault["rivals"]],
     }
 
@@ -579,19 +579,19 @@ def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
         sizes(document, name, document["residual_units"]) for name in ("rms_declared", "rms_unexplained")
     )
     shares = {suffix: unexplained[suffix] for suffix in declared if None not in (declared[suffix], unexplained[suffix])}
-    unexplained_part = {suffix: value for suffix, value in shares.items() if value > 0.0}
-    less = {suffix: declared[suffix] for suffix in shares if suffix not in unexplained_part}
+    positive = {suffix: value for suffix, value in shares.items() if value > 0.0}
+    less = {suffix: declared[suffix] for suffix in shares if suffix not in positive}
     if less:
-        units = [SUFFIXES[suffix].symbol for suffix in less] if unexplained_part else None
+        units = [SUFFIXES[suffix].symbol for suffix in less] if positive else None
         yield Finding("noise-share", {"declared": less, "unexplained": None, "rest": None, "units": units})
-    if unexplained_part:
+    if positive:
         weighted = (
             "" if document["loss"] == Loss.LINEAR else f" or lie in rows that the {document['loss']} loss weights down"
         )
         remainder = f"may be chance{weighted}" if by_chance else "is unexplained"
         values = {
-            "declared": {suffix: declared[suffix] for suffix in unexplained_part},
-            "unexplained": unexplained_part,
+            "declared": {suffix: declared[suffix] for suffix in positive},
+            "unexplained": positive,
             "rest": remainder,
         }
         yield Finding("noise-share", {**values, "units": None})

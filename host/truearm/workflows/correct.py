@@ -102,8 +102,8 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         *done.notes,
     ]
     configurations = None
-    if done.others is not None:
-        spread, configurations = comparison(calibration, method.pair, done.others)
+    if done.configurations is not None:
+        spread, configurations = comparison(calibration, method.pair, done.configurations)
         stated.append(spread)
     stated = ordered(stated, calibration.simulated)
     document: Mapping[str, Any] = {}
@@ -133,7 +133,7 @@ def _refuse_steps(options: CorrectOptions) -> None:
 
 def _refuse_for_table(targets: Path, options: ProgramOptions) -> None:
     """Raise InputError for an option that would have no effect on a table."""
-    of_programs = {
+    program_options = {
         "joint_moves": options.joint_moves is not None,
         "strict": options.strict,
         "partial": options.partial,
@@ -141,7 +141,7 @@ def _refuse_for_table(targets: Path, options: ProgramOptions) -> None:
         "flange": options.flange is not None,
     }
     named = {"tool": options.tools, "work": options.works}
-    for option in (name for name, is_given in of_programs.items() if is_given):
+    for option in (name for name, has_value in program_options.items() if has_value):
         raise InputError(f"{targets}: is a table, and ", Argument(option), " is for programs; leave it out")
     for option in (name for name, poses in named.items() if any(poses)):
         raise InputError(f"{targets}: is a table, which names none; give ", Argument(option), " without a name")
@@ -165,8 +165,8 @@ def corrected_poses(
 
 
 def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
-    taken_out = chosen_mountings(calibration, options.own_frames)
-    pair = ModelPair(calibration.chain, calibration.nominal, calibration.identified, taken_out)
+    removed = chosen_mountings(calibration, options.own_frames)
+    pair = ModelPair(calibration.chain, calibration.nominal, calibration.identified, removed)
     home = check_joints("home", options.near, calibration.chain)
     return HowCorrected(pair, options.method, options.steps, home, options.margin, calibration.simulated)
 

@@ -97,13 +97,13 @@ class HowCorrected(NamedTuple):
 class Corrected(NamedTuple):
     """Corrected targets and straight moves, with the text of a table or the program files by name.
 
-    ``refused``: what was left unchanged; ``notes``: remarks. ``others``: targets in the arm's other configurations, if
+    ``refused``: what was left unchanged; ``notes``: remarks. ``configurations``: targets in the arm's other configurations, if
     only ``home`` determines theirs.
     """
 
     targets: CorrectedTargets
     moves: CorrectedMoves = CorrectedMoves()
-    others: OtherConfigurations | None = None
+    configurations: OtherConfigurations | None = None
     refused: tuple[Refused, ...] = ()
     notes: tuple[Finding, ...] = ()
     programs: Mapping[str, bytes] = {}
@@ -123,7 +123,7 @@ class Visit(NamedTuple):
 class Solution:
     """The correction of n visits, the first ``n_poses`` of poses, the others of joint readings.
 
-    ``rows``: the first visit of each goal. ``asked`` and ``told`` (n, 4, 4): the tools' poses in the goals' frames; for
+    ``rows``: the first visit of each goal. ``requested`` and ``commanded`` (n, 4, 4): the tools' poses in the goals' frames; for
     joint readings, those of the end in the base. ``tools`` (n, 4, 4): in the end frame. ``quarters`` (n, 6): quarter
     turns that a goal asks for, NaN if it asks for none. ``determined`` (n,): the program determines the configuration.
     """
@@ -132,8 +132,8 @@ class Solution:
     n_poses: int
     rows: Mapping[Goal, int]
     correction: Correction
-    asked: Floats
-    told: Floats
+    requested: Floats
+    commanded: Floats
     tools: Floats
     quarters: Floats
     determined: NDArray[np.bool_]
@@ -141,7 +141,7 @@ class Solution:
     @property
     def wanted(self) -> dict[Goal, Floats]:
         """The pose (4, 4) to command of each goal that is a pose."""
-        return {goal: self.told[row] for goal, row in self.rows.items() if row < self.n_poses}
+        return {goal: self.commanded[row] for goal, row in self.rows.items() if row < self.n_poses}
 
     @property
     def joints(self) -> dict[Goal, Joints]:
@@ -191,7 +191,7 @@ def correct_program(
     columns = (solution.correction.q_nominal, solution.quarters, solution.determined)
     q, quarters, determined = (column[rows[posed]] for column in columns)
     return Corrected(
-        CorrectedTargets(tuple(labels), ~posed, solution.asked[rows], solution.told[rows], tools, correction),
+        CorrectedTargets(tuple(labels), ~posed, solution.requested[rows], solution.commanded[rows], tools, correction),
         _straight_moves(method.pair, programs, solution),
         _other_configurations(method, rows, solution),
         tuple(refused),
@@ -211,10 +211,10 @@ def _surroundings(options: ProgramOptions) -> Surroundings:
 
 def _check_frames(programs: Sequence[Program], options: ProgramOptions) -> None:
     """Raise InputError for tools and work objects that no move needs, and names of --unchanged that no file has."""
-    names_asked = {name for program in programs for name in program.asked}
+    needed_names = {name for program in programs for name in program.asked}
     for argument, names in (("tool", options.tools), ("work", options.works.keys() - {""})):
         for name in names:
-            if name.lower() not in names_asked:
+            if name.lower() not in needed_names:
                 reason = f"no move needs {name[:40] or 'a tool without a name'} from outside of the files"
                 raise InputError("no-effect", place=Argument(argument), reason=reason)
     texts = [source.text.lower() for program in programs for source in program.files]
@@ -254,9 +254,9 @@ def _refused(programs: Sequence[Program]) -> list[Refused]:
 def _visits(programs: Sequence[Program]) -> Iterator[Visit]:
     """Yield the goals of all moves with the goals from where the robot may come."""
     for number, program in enumerate(programs):
-        origins_of = program.origins or preceding(program.steps, lambda move: True, MOST_ORIGINS)
+        origins_by_move = program.origins or preceding(program.steps, lambda move: True, MOST_ORIGINS)
         for move in program.moves:
-            origins: list[Goal | None] = list(_ends(origins_of.get(move, ())))
+            origins: list[Goal | None] = list(_ends(origins_by_move.get(move, ())))
             for goal in move.goals:
                 is_fixed = goal.near or goal.quarters or goal.is_joints
                 yield from (Visit(number, move, goal, origin) for origin in (origins[:1] if is_fixed else origins))
@@ -272,10 +272,10 @@ def _ends(moves: Iterable[Move | None]) -> list[Goal | None]:
         is_single = all(goal.argument is not None for goal in goals)
         chosen = goals[-1:] if is_single else goals
         ends.update(dict.fromkeys(chosen if 0 < len(chosen) <= MOST_ORIGINS else [None]))
-    goals_known = [goal for goal in ends if goal is not None]
+    certain_goals = [goal for goal in ends if goal is not None]
     return [
-        *goals_known[:MOST_ORIGINS],
-        *[None] * (len(goals_known) < len(ends) or not 0 < len(goals_known) <= MOST_ORIGINS),
+        *certain_goals[:MOST_ORIGINS],
+        *[None] * (len(certain_goals) < len(ends) or not 0 < len(certain_goals) <= MOST_ORIGINS),
     ]
 
 
@@ -313,8 +313,8 @@ def _solution(visits: Sequence[Visit], method: HowCorrected, frames: tuple[Frame
         number = np.where(direct, -1, np.cumsum(~direct) - 1)  # of a search
         origins = [visit.origin for visit, is_direct in zip(visits, direct, strict=True) if not is_direct]
         origin_rows = np.array([-1 if origin not in rows else number[rows[origin]] for origin in origins])
-        q_before = np.where(np.isnan(hints[~direct]), _rows_of([_near(o) for o in origins], N_JOINTS), hints[~direct])
-        searching = Configuration(home=method.home, quadrants=quarters[~direct], origins=Origins(origin_rows, q_before))
+        q_origin = np.where(np.isnan(hints[~direct]), _rows_of([_near(o) for o in origins], N_JOINTS), hints[~direct])
+        searching = Configuration(home=method.home, quadrants=quarters[~direct], origins=Origins(origin_rows, q_origin))
         corrections.append(method.correct(ends[~direct], searching))
     correction = _selected(joined(corrections), np.argsort(np.argsort(~direct, kind="stable")))
     commanded = inverted(base) @ correction.commanded @ tools
@@ -343,7 +343,10 @@ def _reason(row: int, visit: Visit, language: str, solution: Solution, has_home:
         return Reason("configuration")
     if problem:
         return Reason("solution", {"problem": problem})
-    if row != first and np.abs(apart(solution.told[first][None], solution.told[row][None])).max() > SAME_TARGET:
+    if (
+        row != first
+        and np.abs(apart(solution.commanded[first][None], solution.commanded[row][None])).max() > SAME_TARGET
+    ):
         return Reason("other-configuration")
     if not _turns_fit(visit, language, solution.correction.q_nominal[row], solution.correction.q[row]):
         return Reason("turns")
@@ -420,9 +423,9 @@ def _notes(
     if absent and not options.strict:
         yield Finding("routines-absent", {"names": absent})
     moves = [move for program in programs for move in program.moves if move.reason is None]
-    n_kept = sum(goal.is_joints for move in moves for goal in move.goals)
-    if n_kept and options.joint_moves is not JointMoves.CORRECT:
-        yield Finding("joint-moves-kept", {"n": n_kept})
+    n_readings = sum(goal.is_joints for move in moves for goal in move.goals)
+    if n_readings and options.joint_moves is not JointMoves.CORRECT:
+        yield Finding("joint-moves-kept", {"n": n_readings})
     if texts := [program.where(place) for program in programs for place in program.texts]:
         yield Finding("moves-in-texts", {"n": len(texts), "place": texts[0]})
 
@@ -467,10 +470,10 @@ def _controller_frames(
     """
     q = np.zeros((1, len(pair.chain.joints)))
     axis = believed(pair, q)[0, :3, :3].T @ joint_jacobian(pair.chain, pair.nominal, q)[0, 3:, -1]  # in the end frame
-    own_frame = SAME if names.own and names.brought else None
+    robot_frame = SAME if names.own and names.brought else None
     tool0 = None if names.tool0 is None else Frame(names.tool0, "tool0 (as in the URDF)")
-    base = _given(options.works.get("")) or base_of(language, names.base, names.brought) or own_frame
-    flange = _given(options.flange) or tool0 or flange_of(language, names.end, names.brought, axis) or own_frame
+    base = _given(options.works.get("")) or base_of(language, names.base, names.brought) or robot_frame
+    flange = _given(options.flange) or tool0 or flange_of(language, names.end, names.brought, axis) or robot_frame
     if base is not None and flange is not None:
         return base, flange
     noun, name, argument = ("base", names.base, "work") if base is None else ("flange", names.end, "flange")

@@ -54,8 +54,8 @@ class CorrectedTargets(NamedTuple):
 
     places: tuple[str, ...]  # "line 12", "row 3"
     joints: NDArray[np.bool_]  # (n,) a target of joint readings
-    asked: Floats
-    told: Floats
+    requested: Floats
+    commanded: Floats
     tools: Floats
     correction: Correction
 
@@ -72,7 +72,7 @@ class CorrectedMoves(NamedTuple):
 
     places: tuple[str, ...] = ()
     starts: tuple[str, ...] = ()
-    found: StraightMoves | None = None
+    straight: StraightMoves | None = None
     unchecked: int = 0
 
 
@@ -179,7 +179,7 @@ def correction_findings(
 
 
 def _move_findings(moves: CorrectedMoves) -> Iterator[Finding]:
-    drive = moves.found
+    drive = moves.straight
     if drive is not None:
         bent, blocked = np.flatnonzero(drive.deviation > STRAIGHT), np.flatnonzero(~drive.drivable)
         if bent.size:
@@ -234,8 +234,8 @@ def _head(calibration: Calibration) -> dict[str, Any]:
 
 def _target_entries(calibration: Calibration, targets: CorrectedTargets, expected: Floats) -> list[dict[str, Any]]:
     done, units = targets.correction, calibration.joint_units
-    poses = [position_and_rotation(frames) for frames in (targets.asked, targets.told)]
-    shift = apart(targets.told, targets.asked)
+    poses = [position_and_rotation(frames) for frames in (targets.requested, targets.commanded)]
+    shift = apart(targets.commanded, targets.requested)
     shift[np.isnan(done.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
     limits, singular = (
         limit_margins(calibration.chain, done.q),
@@ -280,7 +280,7 @@ def _pose_entry(six: Floats, q: Floats, units: Sequence[str]) -> dict[str, float
 
 
 def _move_entries(moves: CorrectedMoves, units: Sequence[str]) -> list[dict[str, Any]]:
-    drive = moves.found
+    drive = moves.straight
     if drive is None:
         return []
     columns = zip(moves.places, moves.starts, *drive, strict=True)

@@ -246,8 +246,8 @@ def with_faults(estimate: Estimate, examination: Examination | None) -> Estimate
         return estimate
     estimate = replace(estimate, faults=examination.faults, claim=examination.claim)
     if estimate.without_bad_rows is not None and estimate.faults and estimate.covariance_explains:
-        left_out = np.isin(estimate.weight, 0.0)  # faults explain all rows, so none is bad
-        estimate = replace(estimate, without_bad_rows=None, suspect=estimate.fitted & left_out)
+        excluded = np.isin(estimate.weight, 0.0)  # faults explain all rows, so none is bad
+        estimate = replace(estimate, without_bad_rows=None, suspect=estimate.fitted & excluded)
     return estimate
 
 
@@ -458,5 +458,5 @@ def identified(
     )
     findings = tuple(finding.entry() for finding in result_findings(result.document))
     result = msgspec.structs.replace(result, findings=findings)
-    of_robot = vars(calibration_of(result, robot, chain.name, "the identification"))
-    return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)
+    robot_fields = vars(calibration_of(result, robot, chain.name, "the identification"))
+    return Identification(**robot_fields, rig=rig, table=table, estimate=estimate, predicted=predicted)

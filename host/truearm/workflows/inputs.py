@@ -130,40 +130,40 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
     rigs = {name: read_rig(rig) if isinstance(rig, Path) else rig for name, rig in sources.rigs.items()}
-    given_rigs = {name: with_noise(rig, noise) for name, rig in rigs.items()}
+    named_rigs = {name: with_noise(rig, noise) for name, rig in rigs.items()}
     sessions = _opened([path for path in inputs if is_session(path)], sources.allow_damaged)
-    of_session = {
-        path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, given_rigs).items()
+    session_rig = {
+        path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, named_rigs).items()
     }
     tables: list[ObservationTable] = []
-    of_sessions: list[_SessionRead] = []
+    sessions_read: list[_SessionRead] = []
     for path in inputs:
         if path in sessions:
-            of_sessions.append(_read_session(sessions[path], joint_units, of_session[path], sources, robot))
-            tables.append(of_sessions[-1].table)
+            sessions_read.append(_read_session(sessions[path], joint_units, session_rig[path], sources, robot))
+            tables.append(sessions_read[-1].table)
             continue
         tables.append(read_table(path, joint_units))
         if _is_reordered(tables[-1]):
             sources.say(
                 f"{path}: the rows are not in the order of time_s; they are used in that order, and row numbers count in it"
             )
-    counts = tuple(session.dwells for session in of_sessions)
-    recordings = tuple(session.recording for session in of_sessions)
+    counts = tuple(session.dwells for session in sessions_read)
+    recordings = tuple(session.recording for session in sessions_read)
     if sources.line_points is not None and not any(count.lines for count in counts):
         raise InputError(
             "no-effect", place=Argument("line_points"), reason="no input is a session with passes along a line"
         )
     table = concatenate([rows for rows in tables if len(rows)] or tables)
     if not len(table):
-        raise SessionError("; ".join(session.nothing for session in of_sessions))
-    rigs = given_rigs | dict(of_session.values())
+        raise SessionError("; ".join(session.nothing for session in sessions_read))
+    rigs = named_rigs | dict(session_rig.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
     if "" in rigs or not rigs:
-        one = with_every_name(rigs.get("", with_noise(Rig(), noise)), table)
-        check_against_rig(table, one)
-        _say_doubts(table, one, sources.say)
-        return Observed(one, table, counts, recordings)
+        single_rig = with_every_name(rigs.get("", with_noise(Rig(), noise)), table)
+        check_against_rig(table, single_rig)
+        _say_doubts(table, single_rig, sources.say)
+        return Observed(single_rig, table, counts, recordings)
     _check_names(table, rigs, sources.rigs)
     rigs = {name: with_every_name(rig, table.select(table.rig == name)) for name, rig in rigs.items()}
     for name, rig in rigs.items():
@@ -250,14 +250,14 @@ def _read_session(
             f"{path}: was recorded for robot {one_line(model)}, and {doubtful} of its {len(result.table)} observations "
             f"do not fit {robot.chain.name}; leave it out, or move it to the project of its robot"
         )
-    n_used = sum(table.kind == "ball_bar")
+    n_lengths = sum(table.kind == "ball_bar")
     n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
-    lines, lines_used = len(result.passes), sum(not one.reason for one in result.passes)
-    reasons, of_lines = (dict(sorted(counts.items())) for counts in (rejected, result.pass_reasons))
+    lines, lines_used = len(result.passes), sum(not line_pass.reason for line_pass in result.passes)
+    reasons, line_reasons = (dict(sorted(counts.items())) for counts in (rejected, result.pass_reasons))
     count = DwellCount(
-        path.name, n, int(n_used), reasons, labels, mountings, lines, lines_used, of_lines, result.with_bar
+        path.name, n, int(n_lengths), reasons, labels, mountings, lines, lines_used, line_reasons, result.with_bar
     )
-    nothing = nothing_observed(path, reasons, of_lines, result.survey.marks.plan() is not None)
+    nothing = nothing_observed(path, reasons, line_reasons, result.survey.marks.plan() is not None)
     return _SessionRead(table.replace(rig=name), count, recording_of(session, result, count), nothing)
 
 
@@ -288,7 +288,9 @@ def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Rec
     facts.append(("samples", f"{result.samples_seen:,} received, {lost:,} lost; {losses.frames_lost:,} frames lost"))
     bound = US.text(max(NS.to_si(report.bound_ns) for report in reports), ".0f") if reports else "not known"
     facts.append(("error of the box's clock, at most", bound))
-    read = [(one_line(name) or "unnamed", one.extremes) for name, one in result.survey.thermometers.items()]
+    read = [
+        (one_line(name) or "unnamed", thermometer.extremes) for name, thermometer in result.survey.thermometers.items()
+    ]
     temperatures = tuple((name, *degc) for name, degc in read if degc is not None)
     facts += [(f"temperature of the {name}", between(*degc)) for name, *degc in temperatures]
     sensors = tuple(dict.fromkeys(sensor for ident in idents for sensor in sensors_of(ident.document)))
@@ -347,26 +349,26 @@ def session_name(path: Path) -> str:
     return re.sub(r"[^\w-]", "_", first_stem(path), flags=re.ASCII)[:LONGEST]
 
 
-def session_rigs(sessions: Mapping[Path, Session], given_rigs: Mapping[str, Rig]) -> dict[Path, Assigned]:
+def session_rigs(sessions: Mapping[Path, Session], named_rigs: Mapping[str, Rig]) -> dict[Path, Assigned]:
     """Return name and rig of every session; ``given_rigs`` holds those that the user named, by name.
 
     If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
     a name. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
     """
-    if "" in given_rigs:
-        return dict.fromkeys(sessions, ("", given_rigs[""]))
+    if "" in named_rigs:
+        return dict.fromkeys(sessions, ("", named_rigs[""]))
     recorded = {
-        path: attached_rig(session, path) for path, session in sessions.items() if session_name(path) not in given_rigs
+        path: attached_rig(session, path) for path, session in sessions.items() if session_name(path) not in named_rigs
     }
     for path, rig in recorded.items():
         if rig is None:
-            name = f" {session_name(path)}=FILE" * bool(given_rigs)
+            name = f" {session_name(path)}=FILE" * bool(named_rigs)
             raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"), name)
     recorded_rigs = {path: rig for path, rig in recorded.items() if rig is not None}
-    if not given_rigs and all(rig == next(iter(recorded_rigs.values())) for rig in recorded_rigs.values()):
+    if not named_rigs and all(rig == next(iter(recorded_rigs.values())) for rig in recorded_rigs.values()):
         return {path: ("", rig) for path, rig in recorded_rigs.items()}
     named = {
-        path: (session_name(path), given_rigs[session_name(path)]) for path in sessions if path not in recorded_rigs
+        path: (session_name(path), named_rigs[session_name(path)]) for path in sessions if path not in recorded_rigs
     }
     return named | _named_apart(recorded_rigs)
 

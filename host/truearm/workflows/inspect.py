@@ -128,11 +128,11 @@ def _silences(silences: Silences, begin_ns: int, survey: Survey) -> dict[str, An
     rate_hz = sum(NS.factor / stream.period_ns for stream in survey.streams if stream.period_ns)
     begun_again = losses.restarts or losses.starts
     ended_ns = sum(end - start for start, end in gaps if end < silences.last_ns and not begun_again)
-    other_ns = sum(end - start for start, end in gaps) - ended_ns
+    endless_ns = sum(end - start for start, end in gaps) - ended_ns
     counted = min(losses.samples_lost + losses.samples_overrun, round(NS.to_si(ended_ns) * rate_hz))
     return {
         "silences": [{"from_s": NS.to_si(a - begin_ns), "to_s": NS.to_si(b - begin_ns)} for a, b in gaps],
-        "samples_missing": counted + round(NS.to_si(other_ns) * rate_hz),
+        "samples_missing": counted + round(NS.to_si(endless_ns) * rate_hz),
     }
 
 

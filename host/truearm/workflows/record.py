@@ -58,7 +58,7 @@ class RecordingWork:
     rig: Rig | None = None
     mounted: dict[str, str] = field(default_factory=dict)
     setup: dict[str, str] = field(default_factory=dict)
-    before: Earlier | None = None
+    earlier_session: Earlier | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Recorded:
 def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], None]) -> Recorded:
     """Record until the end; the operator's display goes to ``output``, and warnings before the start to ``say``. Raises InputError, LinkError, IncompleteError."""
     work = _work(request)
-    for path in () if work.before is None else work.before.damaged:
+    for path in () if work.earlier_session is None else work.earlier_session.damaged:
         say(damaged_part(path))
     device = choose_box(request.box, output)
     controller = controller_state(work.robot, request.project_model)
@@ -147,8 +147,8 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     clock = HostClock()
     progress = SessionProgress(work.rows, dict(work.mounted))
-    if work.before is not None and request.plan is None:
-        gone_on(progress, work.before)
+    if work.earlier_session is not None and request.plan is None:
+        gone_on(progress, work.earlier_session)
     state = LiveState(progress, work.rig, work.robot is not None, _purpose(work, device), request.unchecked)
     with (
         closing(Reopening(BoxPort(device, clock))) as link,
@@ -260,7 +260,7 @@ def _going_on(work: RecordingWork, request: RecordOptions, earlier_parts: Earlie
     osr = earlier_parts.setup.get("osr", "")
     return replace(
         work,
-        before=earlier_parts,
+        earlier_session=earlier_parts,
         rows=earlier_parts.rows if request.plan is None else work.rows,
         mounted=work.mounted or earlier_parts.mounted,
         robot=work.robot or earlier_parts.setup.get("robot") or None,

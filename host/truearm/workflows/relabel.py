@@ -44,8 +44,8 @@ def relabel(
         raise InputError("needs-option", place=Argument("trust"), needed=Argument("robot"))
     paths, stops = session_parts(session), list[Stop]()
     for path in paths:
-        rig, of_file = _measured(path, rig)
-        stops += of_file
+        rig, file_stops = _measured(path, rig)
+        stops += file_stops
     if rig is None or not stops:
         raise SessionError(f"{session}: the robot never stood still long enough; see truearm inspect {session}")
     named = dict(pair for text in mounted for pair in _named(text, rig, stops))

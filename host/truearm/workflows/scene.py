@@ -44,8 +44,8 @@ def calibration_scene(identification: Identification) -> Scene:
     fixtures = _fixtures(identification.rig, judged)
     labels = [row_name(source) for source in table.source]
     names = {name: k for k, name in enumerate(fixtures)}
-    of_rig = np.where(table.rig == "", "", np.char.add(table.rig, "."))
-    chucks = [names.get(f"{prefix}chuck.{label}", -1) for prefix, label in zip(of_rig, table.chuck, strict=True)]
+    rig_prefix = np.where(table.rig == "", "", np.char.add(table.rig, "."))
+    chucks = [names.get(f"{prefix}chuck.{label}", -1) for prefix, label in zip(rig_prefix, table.chuck, strict=True)]
     # A pose between two measured ones is within the limits of the joints, and within the measured readings.
     order = np.random.default_rng(0).permutation(n)
     both = table.select(np.concatenate([np.arange(n), order]))

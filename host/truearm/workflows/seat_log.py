@@ -38,8 +38,8 @@ def rests(t: Floats, q: Floats, shortest: float, bounds: Floats) -> list[Rest]:
 
     ``t`` (n,) [s] ascends, ``q`` (n, j). Overlapping times are one rest.
     """
-    kept = np.unique(np.floor(t * (PER_REST / shortest)), return_index=True)[1]
-    t, q = t[kept], q[kept]
+    first_rows = np.unique(np.floor(t * (PER_REST / shortest)), return_index=True)[1]
+    t, q = t[first_rows], q[first_rows]
     end = np.searchsorted(t, t + shortest)  # of the window that begins at each reading, the last one in it
     begin = np.flatnonzero(end < len(t))
     windows = np.stack([begin, end[begin] + 1], axis=1).ravel()

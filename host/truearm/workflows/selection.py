@@ -161,10 +161,10 @@ def _pose_ranks(table: ObservationTable, seed: int) -> NDArray[np.intp]:
     rng = np.random.default_rng(seed)
     group = numbered([table.kind, *(table[column] for column in drawn_from())])
     _, first, pose = np.unique(np.stack([poses(table), group]), axis=1, return_index=True, return_inverse=True)
-    of_pose = group[first]
+    pose_group = group[first]
     share = np.empty(first.size)
     for index in range(int(group.max()) + 1):
-        members = np.flatnonzero(of_pose == index)
+        members = np.flatnonzero(pose_group == index)
         # The random start lets small groups round up in one draw and down in another.
         share[members] = (rng.permutation(members.size) + rng.random()) / max(members.size, 1)
     rank = np.empty(first.size, dtype=np.intp)
@@ -292,14 +292,14 @@ def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> Ho
 
     ``unused`` (n,) are rows that are not judged, such as copies.
     """
-    of_row = _combinations(table)
-    size, n_poses = np.bincount(of_row), np.unique(poses(table)).size
+    combination = _combinations(table)
+    size, n_poses = np.bincount(combination), np.unique(poses(table)).size
     for fraction in FRACTIONS:
         if round(fraction * n_poses) < 1:  # poses are drawn, not rows
             break
         for seed in range(SEEDS):
             held = held_out_rows(table, [str(fraction)], seed)
-            if held is not None and np.all(np.bincount(of_row[~held], minlength=size.size) >= LEFT * size):
+            if held is not None and np.all(np.bincount(combination[~held], minlength=size.size) >= LEFT * size):
                 return HoldOutProposal(
                     fraction, seed, int((held if unused is None else held & ~unused).sum()), size.size
                 )

@@ -71,7 +71,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
     from truearm_sim.serve import serve
 
     scheme, usual_port, rate = PROTOCOLS[options.protocol]
-    world, of_box, box = _lab(options, rate, say)
+    world, machine, box = _lab(options, rate, say)
     folder = options.out
     robot_port = usual_port if options.robot_port is None else options.robot_port
     remedy = "other ports with ", Argument("port"), " and ", Argument("robot_port")
@@ -92,7 +92,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
             robot_end,
             started=lambda: say("connected: time starts"),
             ended=lambda: say(f"the robot's program has ended{goes_on}"),
-            pace=of_box.pace,
+            pace=machine.pace,
         )
 
 
@@ -103,12 +103,12 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
             Argument("fast"), " opens no ports; leave out ", Argument("protocol"), " and ", Argument("pty")
         )
     _, _, rate = PROTOCOLS[options.protocol]
-    world, of_box, box = _lab(options, rate, say, fast=True)
+    world, machine, box = _lab(options, rate, say, fast=True)
     started = time.perf_counter()
     osr = nearest_osr(FAST_RATE_HZ if options.rate is None else options.rate)
     with closing(box):
         name = Path(options.robot.robot or "").name
-        record_virtually(options.out, world, box, osr, options.seed, of_box.longest_step_ns, name)
+        record_virtually(options.out, world, box, osr, options.seed, machine.longest_step_ns, name)
     say(f"{_visits_of(world)}, recorded in {time.perf_counter() - started:.1f} s: {options.out / SESSION}")
 
 
@@ -179,11 +179,11 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.stage import LARGEST, Stage
 
-    of_box = hardware(options.level, say)
+    machine = hardware(options.level, say)
     stage = Stage(options.seed)
     span = f"-{MM.of(LARGEST):.0f} to {MM.text(LARGEST, '.0f')}"
     box = SimulatedBox(
-        stage, power_on=of_box.power_on, faults=[parse_fault(f) for f in options.fault], seed=options.seed
+        stage, power_on=machine.power_on, faults=[parse_fault(f) for f in options.fault], seed=options.seed
     )
 
     def set_by_hand() -> bool:
@@ -201,23 +201,23 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
     say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --box {device}\n")
     say(f"and set the reference here: type a position from {span}; q ends.")
     with closing(unused), closing(box_port), closing(box):
-        serve(stage, box, box_port, unused, stop=set_by_hand, pace=of_box.pace)
+        serve(stage, box, box_port, unused, stop=set_by_hand, pace=machine.pace)
 
 
 def _listening(
-    options: SimulateOptions, box: SimulatedBox, other_number: int, remedy: tuple[str | Argument, ...]
+    options: SimulateOptions, box: SimulatedBox, robot_port: int, remedy: tuple[str | Argument, ...]
 ) -> tuple[Port | Terminal, str, Port]:
     """Return the box's port and its name, and another port. Raises LinkError, and then closes the box."""
     from truearm_sim.ports import Port, Terminal
 
     try:
         box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
-        other_port = Port.listen("127.0.0.1", other_number)
+        robot_listener = Port.listen("127.0.0.1", robot_port)
     except OSError as exc:
         box.close()
         raise LinkError(f"cannot listen: {exc.strerror}; choose ", *remedy) from exc
     device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
-    return box_port, device, other_port
+    return box_port, device, robot_listener
 
 
 def _lab(
@@ -258,11 +258,11 @@ def _lab(
         ),
     )
     own_folder(folder, MARK)
-    of_box = hardware(options.level, say, fast=fast)
+    machine = hardware(options.level, say, fast=fast)
     write_setup(folder, world)
     if options.truth_out is not None:
         write_truth(options.truth_out, world, simulated.robot, truth, seed)
-    return world, of_box, SimulatedBox(world, power_on=of_box.power_on, faults=faults, seed=seed)
+    return world, machine, SimulatedBox(world, power_on=machine.power_on, faults=faults, seed=seed)
 
 
 def _visits_of(world: World) -> str:

@@ -79,18 +79,18 @@ class SocketPlan(NamedTuple):
     forecast: dict[str, Any]
 
 
-def plan_sockets(robot: Robot, wanted: SocketsWanted, name: str) -> SocketPlan:
+def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
     """Plan seats in printed sockets. Raises PlanError.
 
     The first plan is taken that predicts every place from the others as well as a ball repeats in its socket, or else
     the best one.
     """
-    block = SocketBlock(wanted.radius)
-    ball = ", ".join(f"{MM.of(x):g}" for x in wanted.ball)
+    block = SocketBlock(request.radius)
+    ball = ", ".join(f"{MM.of(x):g}" for x in request.ball)
     rig_text = RIG.format(name=name, ball=ball, distance=MM.of(block.distance))
     rig = parse_rig(rig_text, "rig.toml")
     known, plans = _within_tolerances(known_of(robot, rig)), []
-    for sites in plans_of_sites(robot, wanted.ball, block, wanted.table, wanted.places, wanted.seats):
+    for sites in plans_of_sites(robot, request.ball, block, request.table, request.places, request.seats):
         tables = _tables(sites)
         worst = _between_places(known, tables)
         plans.append((worst, sites, tables))
@@ -116,7 +116,7 @@ def plan_sockets(robot: Robot, wanted: SocketsWanted, name: str) -> SocketPlan:
         PLACES: _csv(plan),
         SEATS: _csv(seats),
         BLOCK: stl(block),
-        DRAWING: "\n".join(_drawing(sites, block, wanted.table)) + "\n",
+        DRAWING: "\n".join(_drawing(sites, block, request.table)) + "\n",
     }
     document = forecast_document(predicted)
     facts: dict[str, Any] = {"seats": len(seats) - 1, "places": len(sites), "sigma": {"mm": MM.of(rig.seat_sigma)}}
@@ -143,8 +143,8 @@ def _between_places(known: Known, tables: list[ObservationTable]) -> float:
     """Return the largest RMS error [m] of a place apart from its own pose, if the others are fitted; inf if undetermined."""
     errors = []
     for i, table in enumerate(tables):
-        others = ObservationTable.joined([*tables[:i], *tables[i + 1 :]])
-        errors.append(forecast(known, others, Aim(table.q, tuple(known.rig.spheres))).cartesian_rms)
+        other_tables = ObservationTable.joined([*tables[:i], *tables[i + 1 :]])
+        errors.append(forecast(known, other_tables, Aim(table.q, tuple(known.rig.spheres))).cartesian_rms)
     return float(np.max(np.where(np.isnan(errors), np.inf, errors)))
 
 
@@ -191,8 +191,8 @@ def _drawing(sites: list[Site], block: SocketBlock, table: float) -> Iterator[st
         box = f", on a box of {z - MM.of(table):g} mm" * (z > MM.of(table))
         yield f'<g transform="translate({-y:g} {-x:g})" stroke="#000"><g transform="rotate({turn:.1f})">'
         yield f'<rect x="{-length / 2:g}" y="{-width / 2:g}" width="{length:g}" height="{width:g}"/>'
-        for socket, at in enumerate((-0.5, 0.5)):
-            offset = MM.of(at * block.distance)
+        for socket, side in enumerate((-0.5, 0.5)):
+            offset = MM.of(side * block.distance)
             yield f'<circle cx="{offset:g}" r="{MM.of(block.radius):g}"/>'
             yield f'<text x="{offset - 4:g}" y="5" fill="#000" stroke="none">{socket}</text>'
         yield f'</g><text y="{length / 2 + 18:g}" fill="#000" stroke="none" text-anchor="middle">'

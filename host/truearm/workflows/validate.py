@@ -174,8 +174,8 @@ def validated(
     raw, judged = (
         judge(chain, rig, table, p, rig_values, None, allowed) for p in (calibration.nominal, calibration.identified)
     )
-    n_settled, n_kept = int(judged.settled.sum()), len(judged.identified) - len(calibration.nominal)
-    if keep_rig and n_settled and not n_kept:
+    n_settled, n_rig_values = int(judged.settled.sum()), len(judged.identified) - len(calibration.nominal)
+    if keep_rig and n_settled and not n_rig_values:
         names = [name for name, settled in zip(judged.problem.names, judged.settled, strict=True) if settled]
         text = f": the result identified no unknown of this rig, such as {names[0]}; use the names of the rig that it was identified with"
         raise InputError(Argument("keep_rig"), text)
@@ -206,11 +206,13 @@ def validated(
             errors[si] = RowErrors(nominal.error[si], error, due[si], rows, observed)
     fitted = {entry.sha256 for entry in stored.inputs}
     hashes = [entry for entry in inputs if entry.role == "observations"]
-    figures, expected_parts = _figures(errors, judging), {si: e.expected() for si, e in errors.items()}
+    figures, expected_errors = _figures(errors, judging), {si: e.expected() for si, e in errors.items()}
     regions = _regions(calibration, table, errors, judging)
-    expected_rms = {si: expected_parts[si]["rms"] for si in expected_parts if not math.isnan(expected_parts[si]["rms"])}
-    parts_shown = {
-        key(name, si): shown(value, si) for si in expected_parts for name, value in expected_parts[si].items()
+    expected_rms = {
+        si: expected_errors[si]["rms"] for si in expected_errors if not math.isnan(expected_errors[si]["rms"])
+    }
+    expected_entries = {
+        key(name, si): shown(value, si) for si in expected_errors for name, value in expected_errors[si].items()
     }
     n_judging = int(judging.sum())
     n_unseen = int(np.any([e.rows & ~e.seen for e in errors.values()], axis=0).sum())
@@ -221,7 +223,7 @@ def validated(
         "copies": copies_of(copied, all_rows),
         "without_rig": _missing_rig(stored.inputs, rig),
         "settled": n_settled,
-        "kept": n_kept,
+        "kept": n_rig_values,
         "identified_from": [entry.name for entry in hashes if entry.sha256 in fitted],
         "residual_units": [UNITS[si].scale.suffix for si in errors],
         **{key("reference", si): _reference(calibration.document, si) for si in errors},
@@ -230,7 +232,7 @@ def validated(
         **{key("rms_drawing", si): drawn and shown(rms(drawn.error[si][e.rows]), si) for si, e in errors.items()},
         **{key("rms_raw", si): shown(rms(raw.error[si][e.rows]), si) for si, e in errors.items()},
         "unseen": n_unseen,
-        "expected": parts_shown if expected_rms else None,
+        "expected": expected_entries if expected_rms else None,
         **{key("unexplained", si): shown(e.unexplained, si) for si, e in errors.items()},
         "better": {UNITS[si].scale.suffix: e.is_better for si, e in errors.items()},
         "consistent": test and test.chi2 <= test.limit and not faults,
@@ -249,9 +251,9 @@ def validated(
     return Validation(words, *counts, *figures, expected_rms, regions, document)
 
 
-def _missing_rig(inputs_then: Sequence[Input], rig: Rigs) -> str | None:
+def _missing_rig(inputs: Sequence[Input], rig: Rigs) -> str | None:
     """Return the name of the rig file that the identification used, if these rows come without any rig."""
-    names = (entry.name for entry in inputs_then if entry.role == "rig")
+    names = (entry.name for entry in inputs if entry.role == "rig")
     return next(names, None) if rig == Rig() else None
 
 
@@ -358,8 +360,8 @@ def _figures(errors: Mapping[str, RowErrors], rows: Mask) -> tuple[ByUnit, ByUni
 def _figure_entries(nominal: ByUnit, identified: ByUnit) -> dict[str, float]:
     """Return figures for display; NaN if no row has such an error."""
     entries = {
-        key(f"{figure}_{when}", si): shown(getattr(errors[si], figure), si)
-        for when, errors in (("before", nominal), ("after", identified))
+        key(f"{figure}_{state}", si): shown(getattr(errors[si], figure), si)
+        for state, errors in (("before", nominal), ("after", identified))
         for si in identified
         for figure in ("rms", "mean", "max")
     }
