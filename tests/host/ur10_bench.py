@@ -27,7 +27,7 @@ RIG = Rig(
 def columns(series: str) -> np.ndarray:
     """Return q in rad, the target in mm, its orientation in deg (n, 12)."""
     text = lzma.decompress((FOLDER / f"series_{series}.csv.xz").read_bytes()).decode().splitlines()
-    return np.loadtxt(text, delimiter=",", skiprows=1)
+    return np.loadtxt(text, delimiter=",", skiprows=1, usecols=range(3, 15))
 
 
 def tracked(series: str, kind: str, every: int = 1) -> ObservationTable:

@@ -15,7 +15,7 @@ COLUMNS = (
     *(f"{name}_joint" for name in JOINTS),
     *(f"measurement_{name}" for name in ("x", "y", "z", "rx", "ry", "rz")),
 )
-HEADER = "q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg"
+HEADER = "kind,tracker,target,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,x_mm,y_mm,z_mm,x_rx_deg,x_ry_deg,x_rz_deg"
 
 
 def main(folder: Path) -> None:
@@ -25,7 +25,7 @@ def main(folder: Path) -> None:
                 [row[column].replace(",", ".") for column in COLUMNS] for row in csv.DictReader(source, delimiter=";")
             ]
         seen = [row for row in rows if any(float(value) != 0.0 for value in row[6:9])]
-        lines = [HEADER, *(",".join(row) for row in seen)]
+        lines = [HEADER, *(",".join(("position", "tracker", "reflector", *row)) for row in seen)]
         Path(f"{name}.csv.xz").write_bytes(
             lzma.compress(("\n".join(lines) + "\n").encode(), preset=9 | lzma.PRESET_EXTREME)
         )
