@@ -873,7 +873,7 @@ PLAN: Mapping[str, Statement] = {
     ),
     "planned-seats": Statement(
         RESULT,
-        "{seats:#seat} at {places:#place}: the tool error over these seats will be [{rms} RMS and {largest} at the worst pose, excluding the pose of the base||unknown, because an unidentifiable combination moves the tool]. From all of them, identify will state about the same if seats repeat to {sigma} per coordinate, the rig is as accurate as rig.toml declares, and the arm has errors in its geometry only.",
+        "{seats:#seat} at {places:#place} that are up to {span:.0f} apart: the tool error over these seats will be [{rms} RMS and {largest} at the worst pose, excluding the pose of the base||unknown, because an unidentifiable combination moves the tool]. From all of them, identify will state about the same if seats repeat to {sigma} per coordinate, the rig is as accurate as rig.toml declares, and the arm has errors in its geometry only.",
     ),
     "planned-approaches": Statement(
         RESULT,

@@ -44,8 +44,8 @@ def both_kinds(rng):
 def test_derivatives_of_every_kind_by_every_unknown():
     rng = np.random.default_rng(0)
     problem = build_problem(CHAIN, UNKNOWN_RIG, both_kinds(rng))
-    # 54 + three chucks, three spheres, the bar's zero and gain, two sockets at each of two places
-    assert len(problem.names) == 54 + 9 + 9 + 2 + 12
+    # 54 + three chucks, three spheres, the bar's zero and gain, two sockets at each of two places, their distance
+    assert len(problem.names) == 54 + 9 + 9 + 2 + 12 + 1
     # somewhere away from the start, where residuals are not small and gain and zero not as declared
     x = problem.start + 0.01 * rng.normal(size=problem.start.size)
     h = 1e-5  # truncation h²/6 · 10 m = 2e-10 (curvature 1/d of a short bar), rounding eps · 3 m/h = 7e-11

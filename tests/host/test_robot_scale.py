@@ -98,10 +98,19 @@ def urdf_arm() -> truearm.Robot:
 
 @pytest.mark.parametrize("ratio", [1.1, 1.4])
 def test_a_wrong_distance_is_said_where_only_sums_of_lengths_are_identifiable(urdf_arm, ratio):
-    """1.4 is a distance entered as 70 mm instead of 50. The weak prior holds back up to a tenth of so large a change."""
-    scale = calibrated(ratio, urdf_arm).estimate.scale
-    assert scale is not None
-    assert scale.factor == pytest.approx(ratio, abs=0.1 * (ratio - 1.0))
+    """1.4 is a distance entered as 70 mm instead of 50.
+
+    The robot is as large as the distance that calliper and drawing agree on, each weighted by its variance: one
+    measurement of 50 mm to 0.05 mm weighs seven times as much as the drawing's lengths to 1 mm.
+    """
+    estimate = calibrated(ratio, urdf_arm).estimate
+    assert estimate.scale is not None
+    index = estimate.parameter_names.index("socket_distance.0.1")
+    distance, variance = estimate.value[index], estimate.covariance[index, index]
+    (measured,) = truearm.read_rig(DATA / "rig.toml").socket_distances
+    share = (distance / measured.distance - 1.0) / (ratio - 1.0)
+    assert share == pytest.approx(variance / measured.sigma**2, abs=0.01)
+    assert estimate.scale.factor == pytest.approx(distance / measured.distance, abs=0.03 * (ratio - 1.0))
 
 
 def test_one_wrong_length_of_a_urdf_file_is_no_scale(urdf_arm, tmp_path):

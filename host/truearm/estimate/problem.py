@@ -2,10 +2,10 @@
 
 The parameter vector x (P,) consists of the robot's params followed by the unknowns of the rigs, kind by kind as in
 ``kinds.registry``: ``chuck.<name>.x .y .z``, ``sphere.<name>.x .y .z``, ``bar.<name>.zero .gain``,
-``socket.<place>.<socket>.x .y .z``, ``target.<name>.x .y .z``, ``line.<name>.x .y .z .rx .ry .rz``, ``tracker.<name>``
-likewise, ``time_offset``, ``plane.<name>.offset .tilt1 .tilt2``. It includes only those that a row uses and that the
-rig does not know exactly. Sockets are always unknown and start at the mean of the ball positions predicted by the
-nominal robot.
+``socket.<place>.<socket>.x .y .z``, ``socket_distance.<a>.<b>``, ``target.<name>.x .y .z``, ``line.<name>.x .y .z .rx
+.ry .rz``, ``tracker.<name>`` likewise, ``time_offset``, ``plane.<name>.offset .tilt1 .tilt2``. It includes only those
+that a row uses and that the rig does not know exactly. Sockets are always unknown and start at the mean of the ball
+positions predicted by the nominal robot.
 
 Several sessions of one robot, each with its own rig, make one problem: they share the robot's parameters, and the
 unknowns of a rig are prefixed with its name (``monday.chuck.c1.x``).

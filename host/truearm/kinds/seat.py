@@ -20,7 +20,7 @@ from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
 from truearm.kinds.rig_entries import POINT, SPHERE
 from truearm.kinds.rig_references import ORIGIN, RigUse, Scope, nominal_points, sigmas, use_points
-from truearm.kinds.socket_distance import known_distances
+from truearm.kinds.socket_distance import distance_rows, use_distances
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point
@@ -76,6 +76,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     table, rig = scope.table, scope.rig
     balls = use_points(scope, rows, "sphere", rig.spheres)
     sockets = _sockets(scope, rows, balls)
+    distances, ends = use_distances(scope.prefix, rig, sockets)
     variance = sigmas(scope, rows, np.full((len(rows), 3), rig.seat_sigma)) ** 2
 
     def make(layout: Layout) -> list[Group]:
@@ -87,19 +88,19 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
             socket=layout.index(sockets),
             constants=layout.constants,
         )
-        return [group, *known_distances(rig, sockets, layout)]
+        return [group, *distance_rows(distances, sockets, ends, layout)]
 
-    return RigUse((balls, sockets), make, _places(scope, sockets))
+    return RigUse((balls, sockets, distances), make, _places(scope, sockets))
 
 
 def _places(scope: Scope, sockets: Used) -> dict[str, tuple[str, ...]]:
     """Return the places with several sockets that the rig places, with the names of these sockets."""
-    found: dict[str, tuple[str, ...]] = {}
+    bodies: dict[str, tuple[str, ...]] = {}
     for label, numbers in zip(sockets.labels, sockets.numbers, strict=True):
         if isinstance(label, tuple) and label in scope.rig.sockets and np.isfinite(numbers[0].sigma):
             place = scope.prefix + ".".join(filter(None, ("place", label[0])))
-            found[place] = (*found.get(place, ()), numbers[0].name.rpartition(".")[0])
-    return {place: names for place, names in found.items() if len(names) > 1}
+            bodies[place] = (*bodies.get(place, ()), numbers[0].name.rpartition(".")[0])
+    return {place: names for place, names in bodies.items() if len(names) > 1}
 
 
 def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
@@ -107,7 +108,7 @@ def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
     table = scope.table
     labels, which = enumerate_labels(list(zip(table.place[rows].tolist(), table.socket[rows].tolist(), strict=True)))
     pairs = [label for label in labels if isinstance(label, tuple)]
-    names = [".".join(("socket", *(part for part in pair if part))) for pair in pairs]
+    names = [".".join(("socket", *filter(None, pair))) for pair in pairs]
     if len(set(names)) < len(names):
         raise ProblemError(f"two sockets would both be called {max(names, key=names.count)}; rename places or sockets")
     total = np.zeros((len(names), 3))
@@ -145,10 +146,10 @@ def check(table: ObservationTable, rig: Rig) -> None:
             )
 
 
-def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
+def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
     """Propose one more place to seat the ball at."""
     ball = next(iter(rig.spheres.values()), ORIGIN[""])
-    q = about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.0)
+    q = about_one_point(chain, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.0)
     if len(q):
         yield Proposal(
             "place",

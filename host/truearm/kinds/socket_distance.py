@@ -1,20 +1,26 @@
-"""The known distance between two sockets of one place: an observation of the sockets alone.
+"""The measured distance of two sockets, which is the same at every place: an observation of the sockets alone.
 
-The prediction is ‖c_a − c_b‖. It provides the scale for an identification by seats, which otherwise has none.
+The block with the sockets is rigid, so its true distance is one unknown of the rig, ``socket_distance.<a>.<b>``. The
+measurement is its prior: one measurement has one error, however many places the block was used at. Each place then
+adds a row ‖c_a − c_b‖ − distance = 0. It provides the scale for an identification by seats, which otherwise has none.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
+from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
-from truearm.kinds.unknowns import Layout, Used
+from truearm.kinds.unknowns import Fault, Layout, RigNumber, Used
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import folded
 from truearm.types import Floats, Indices, Rig
+
+RIGID = 1e-5  # m: how equal the distance is at all places; a printed block of 50 mm expands as much in 3 K
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,45 +29,66 @@ class SocketDistanceRows(Group):
 
     COMPONENTS = ("m",)
 
-    distance: Floats  # (n,) measured, m
+    distance: Indices  # (n, 1)
     first: Indices  # (n, 3)
     second: Indices  # (n, 3)
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (n,) and their derivatives at x (P,). The derivatives by the robot's parameters are zero."""
-        apart = gather(x, self.constants, self.first) - gather(x, self.constants, self.second)
-        d = np.linalg.norm(apart, axis=1)
-        u = np.divide(apart, d[:, None], out=np.zeros_like(apart), where=d[:, None] > 0.0)
+        vector = gather(x, self.constants, self.first) - gather(x, self.constants, self.second)
+        d = np.linalg.norm(vector, axis=1)
+        u = np.divide(vector, d[:, None], out=np.zeros_like(vector), where=d[:, None] > 0.0)
         p = len(chain.parameters)
         twists = folded(chain, x[:p]).twists
         wrenches = np.zeros((1, d.size, len(twists)))
         jac_rig = zero_columns(wrenches, x.size - p)
         scatter(jac_rig, self.first - p, u[None])
         scatter(jac_rig, self.second - p, -u[None])
-        return Linearised(self.distance - d, wrenches, twists, jac_rig, np.zeros((1, d.size, len(chain.joints))))
+        scatter(jac_rig, self.distance - p, np.full((1, d.size, 1), -1.0))
+        residual = gather(x, self.constants, self.distance)[:, 0] - d
+        return Linearised(residual, wrenches, twists, jac_rig, np.zeros((1, d.size, len(chain.joints))))
 
 
-def known_distances(rig: Rig, sockets: Used, layout: Layout) -> list[Group]:
-    """Return a row for every place where both sockets of a declared distance were used; no group if there is none."""
-    at = {label: i for i, label in enumerate(sockets.labels)}
+def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
+    """Return the declared distances that places use, and the sockets (n, 2) by index of each such place.
+
+    Raises ProblemError for a distance that is declared twice.
+    """
+    twice = Counter(frozenset(measured.sockets) for measured in rig.socket_distances)
+    for pair in (pair for pair, count in twice.items() if count > 1):
+        raise ProblemError(
+            f"sockets {' and '.join(sorted(pair))} have two distances; enter the mean of its measurements"
+        )
+    index = {label: i for i, label in enumerate(sockets.labels)}
     places = dict.fromkeys(label[0] for label in sockets.labels if isinstance(label, tuple))
-    pairs = []
-    for known in rig.socket_distances:
-        for place in places:
-            first, second = ((place, socket) for socket in known.sockets)
-            if first in at and second in at:
-                pairs.append((at[first], at[second], known.distance, known.sigma))
-    if not pairs:
+    rows = [
+        (measured, index[place, a], index[place, b])
+        for measured, (a, b) in ((measured, measured.sockets) for measured in rig.socket_distances)
+        for place in places
+        if index.keys() >= {(place, a), (place, b)}
+    ]
+    measurements = list(dict.fromkeys(measured for measured, *_ in rows))
+    numbers = [
+        [RigNumber(f"{prefix}socket_distance.{'.'.join(measured.sockets)}", "m", measured.distance, measured.sigma)]
+        for measured in measurements
+    ]
+    which = np.array([measurements.index(measured) for measured, *_ in rows], dtype=np.intp)
+    used = Used([*measurements], numbers, which, (Fault(slice(None), step=False),))
+    return used, np.array([ends for _, *ends in rows], dtype=np.intp).reshape(-1, 2)
+
+
+def distance_rows(distances: Used, sockets: Used, ends: Indices, layout: Layout) -> list[Group]:
+    """Return a row for every place where both sockets of a declared distance were used; no group if there is none."""
+    if not len(ends):
         return []
-    ends = [layout.index(sockets._replace(which=np.array([pair[k] for pair in pairs]))) for k in (0, 1)]
-    distance, sigma = np.array([pair[2:] for pair in pairs]).T
+    first, second = (layout.index(sockets._replace(which=which)) for which in ends.T)
     return [
         SocketDistanceRows(
             row=None,
-            sensor_cov=sigma[:, None] ** 2,
-            distance=distance,
-            first=ends[0],
-            second=ends[1],
+            sensor_cov=np.full((len(ends), 1), RIGID**2),
+            distance=layout.index(distances),
+            first=first,
+            second=second,
             constants=layout.constants,
         )
     ]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from truearm.errors import InputError
 from truearm.estimate.prior import weak_prior
@@ -120,6 +121,7 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
     }
     document = forecast_document(predicted)
     facts: dict[str, Any] = {"seats": len(seats) - 1, "places": len(sites), "sigma": {"mm": MM.of(rig.seat_sigma)}}
+    facts["span"] = {"mm": MM.of(float(pdist([site.place for site in sites]).max(initial=0.0)))}
     if predicted.cartesian is not None:
         facts |= {name: {"mm": document[f"cartesian_{key}_mm"]} for name, key in (("rms", "rms"), ("largest", "worst"))}
     return SocketPlan(files, {**document, "findings": entries([Finding("planned-seats", facts)])})
@@ -176,12 +178,12 @@ def _drawing(sites: list[Site], block: SocketBlock, table: float) -> Iterator[st
     places = MM.of(np.array([site.place for site in sites]))
     length, width, _ = map(MM.of, block.size)
     border = 100.0 * np.ceil(np.abs(places[:, :2]).max(axis=0) / 100.0 + 1.0)
-    top, side = float(border[0]), float(border[1])
-    yield f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * side:g}mm" height="{top + 100:g}mm" font-size="14"'
-    yield f' viewBox="{-side:g} {-top:g} {2 * side:g} {top + 100:g}" font-family="sans-serif" fill="none" stroke="#bbb">'
+    top, half_width = float(border[0]), float(border[1])
+    yield f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * half_width:g}mm" height="{top + 100:g}mm" font-size="14"'
+    yield f' viewBox="{-half_width:g} {-top:g} {2 * half_width:g} {top + 100:g}" font-family="sans-serif" fill="none" stroke="#bbb">'
     for x in np.arange(-100.0, top + 1.0, 100.0):
-        yield f'<path d="M{-side:g} {-x:g}H{side:g}"/>'
-    for y in np.arange(-side, side + 1.0, 100.0):
+        yield f'<path d="M{-half_width:g} {-x:g}H{half_width:g}"/>'
+    for y in np.arange(-half_width, half_width + 1.0, 100.0):
         yield f'<path d="M{y:g} {-top:g}V100"/>'
     yield '<path d="M0 0V-80m-6 12l6-12l6 12M0 0H-80m12-6l-12 6l12 6" stroke="#000" stroke-width="2"/>'
     yield '<g fill="#000" stroke="none"><text x="8" y="-70">x</text><text x="-76" y="20">y</text>'
