@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import told
 from result_schema import signed
 from session_stream import RIG, session
 from tests.refusals import ended
@@ -256,6 +257,17 @@ def test_init_writes_over_nothing(project, run):
     assert code == 2
     assert "already exists" in err
     assert (project / "rig.toml").read_text() == "# mine"
+
+
+@pytest.mark.parametrize(
+    ("file", "options"),
+    [("rig.toml", ("--chucks", 3)), ("rig.toml", ("--measured-with", "tape")), ("plan.csv", ("--minutes", 10))],
+)
+def test_options_of_a_file_that_exists_are_refused(tmp_path, run, file, options):
+    (tmp_path / file).write_text("# mine")
+    outcome = run("init", tmp_path, "--model", "puma560", *options)
+    told(outcome, f"{options[0]} has no effect", f"{file} already exists and is kept")
+    assert [path.name for path in tmp_path.iterdir()] == [file]
 
 
 def test_status_says_what_comes_next(project, run):

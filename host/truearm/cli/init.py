@@ -22,8 +22,9 @@ from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.record.robots.sources import check_address
 from truearm.units import MM
 
+RIG_OPTIONS = ("chucks", "spheres", "bars_mm", "measured_with")
 OWN_OPTIONS: dict[str, tuple[str, ...]] = {  # of each method
-    "ball-bar": ("chucks", "spheres", "bars_mm", "measured_with", "minutes"),
+    "ball-bar": (*RIG_OPTIONS, "minutes"),
     "sockets": ("ball_xyz_mm", "ball_mm", "table_mm", "places", "seats"),
 }
 PARTS = Within(1, 9)  # of a kind: more than a table or a flange has room for
@@ -110,10 +111,13 @@ def init(
     from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
 
     sockets = None
-    for method_name, names in OWN_OPTIONS.items():
-        for name in names if method_name != method else ():
+    methods = ((names, f"it is for --method {other}") for other, names in OWN_OPTIONS.items() if other != method)
+    files = ((RIG_OPTIONS, folder / Project.rig), (("minutes",), folder / Project.plan))
+    existing = ((names, f"{path} already exists and is kept") for names, path in files if path.exists())
+    for names, reason in (*methods, *existing):
+        for name in names:
             if typed(context, name) is not None:
-                raise InputError("no-effect", place=Argument(name), reason=f"it is for --method {method_name}")
+                raise InputError("no-effect", place=Argument(name), reason=reason)
     if method == "sockets":
         x, y, z = numbers_of("--ball-xyz-mm", ball_xyz_mm, 3) or (0.0, 0.0, 0.0)
         ball = MM.to_si(x), MM.to_si(y), MM.to_si(z)
