@@ -159,14 +159,14 @@ def beyond_stroke(rows: ObservationTable, rig: Rig) -> list[str]:
     """Return a sentence for each bar with lengths that its stroke does not reach, by more than its zero may be off."""
     out = []
     for name in np.unique(rows.bar).tolist():
-        bar, mine = rig.bars[name], rows.select(rows.bar == name)
+        bar, of_bar = rig.bars[name], rows.select(rows.bar == name)
         reach = 0.5 * abs(bar.gain) * bar.travel
-        beyond = np.flatnonzero(np.abs(mine.value - bar.zero) > reach + SURE * math.hypot(bar.sigma, bar.zero_sigma))
+        beyond = np.flatnonzero(np.abs(of_bar.value - bar.zero) > reach + SURE * math.hypot(bar.sigma, bar.zero_sigma))
         if beyond.size:
             low, high = bar.zero - reach, bar.zero + reach
-            first = f"{mine.source[beyond[0]]}, {MM.text(float(mine.value[beyond[0]]), '.1f')}"
+            first = f"{of_bar.source[beyond[0]]}, {MM.text(float(of_bar.value[beyond[0]]), '.1f')}"
             out.append(
-                f"beyond the stroke of bar {name}, {MM.of(low):.1f} to {MM.text(high, '.1f')}: {beyond.size} of its {len(mine)} "
+                f"beyond the stroke of bar {name}, {MM.of(low):.1f} to {MM.text(high, '.1f')}: {beyond.size} of its {len(of_bar)} "
                 f"rows (first {first}); check the bar in these rows, and its zero_mm and travel_mm in the rig"
             )
     return out
@@ -175,14 +175,14 @@ def beyond_stroke(rows: ObservationTable, rig: Rig) -> list[str]:
 def longitude(chain: Chain, params: Floats, rig: Rig, rows: ObservationTable) -> Floats:
     """Return the longitude (n,) [rad] of the sphere about its chuck."""
     spheres, chucks = (
-        np.array([known[str(name)].xyz for name in names])
-        for known, names in ((rig.spheres, rows.sphere), (rig.chucks, rows.chuck))
+        np.array([points[str(name)].xyz for name in names])
+        for points, names in ((rig.spheres, rows.sphere), (rig.chucks, rows.chuck))
     )
-    apart = point_forward(chain, params, rows.q, spheres) - chucks
-    return np.asarray(np.arctan2(apart[:, 1], apart[:, 0]))
+    vector = point_forward(chain, params, rows.q, spheres) - chucks
+    return np.asarray(np.arctan2(vector[:, 1], vector[:, 0]))
 
 
-def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
+def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
     """Propose further poses, each unmeasured pairing, and one more chuck or sphere."""
     bars = table.select(table.kind == "ball_bar")
     bar = str(bars.bar[0])
@@ -193,8 +193,8 @@ def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Gen
     def rows(q: Floats, pairs: Sequence[tuple[str, str]]) -> ObservationTable:
         return _trial(np.tile(q, (len(pairs), 1)), bar, [pair for pair in pairs for _ in range(len(q))])
 
-    others = rows(anywhere(here, TRIES, rng), used)
-    yield Proposal("poses", "measure more varied poses with the same chucks and spheres", rig, others)
+    varied = rows(anywhere(chain, TRIES, rng), used)
+    yield Proposal("poses", "measure more varied poses with the same chucks and spheres", rig, varied)
     for chuck in rig.chucks:
         for sphere in rig.spheres:
             if (chuck, sphere) not in used:

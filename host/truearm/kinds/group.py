@@ -74,14 +74,14 @@ class Group(ABC):
 
     def take(self, which: slice | NDArray[Any]) -> Self:
         """Return some of the observations."""
-        every = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "constants"}
-        some: dict[str, Any] = {name: None if part is None else part[which] for name, part in every.items()}
-        return replace(self, **some)
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "constants"}
+        taken: dict[str, Any] = {name: None if array is None else array[which] for name, array in arrays.items()}
+        return replace(self, **taken)
 
     def by_unit(self, residual: Floats) -> dict[str, Floats]:
         """Return the residuals (n·w,) as figures (n,) by unit."""
-        parts = residual.reshape(len(self.sensor_cov), -1)
-        return {unit: _figure(parts[:, at]) for unit, at in unit_columns(self.COMPONENTS).items()}
+        components = residual.reshape(len(self.sensor_cov), -1)
+        return {unit: _figure(components[:, columns]) for unit, columns in unit_columns(self.COMPONENTS).items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +110,11 @@ class GroupOfOther(Group):
 
 def unit_columns(components: Sequence[str]) -> dict[str, list[int]]:
     """Return which of the components have each unit."""
-    return {unit: [i for i, other in enumerate(components) if other == unit] for unit in dict.fromkeys(components)}
+    return {
+        unit: [i for i, component_unit in enumerate(components) if component_unit == unit]
+        for unit in dict.fromkeys(components)
+    }
 
 
-def _figure(parts: Floats) -> Floats:
-    return parts[:, 0] if parts.shape[1] == 1 else np.asarray(np.linalg.norm(parts, axis=1))
+def _figure(components: Floats) -> Floats:
+    return components[:, 0] if components.shape[1] == 1 else np.asarray(np.linalg.norm(components, axis=1))

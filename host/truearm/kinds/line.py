@@ -62,22 +62,22 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """
     rig = scope.rig
     cov = tuple(tuple(sigma**2 * (i == k) for k in range(3)) for i, sigma in enumerate(rig.line_sigma))
-    known = rig.lines or {name: Device(name, cov) for name in dict.fromkeys(scope.table.line[rows].tolist())}
+    lines = rig.lines or {name: Device(name, cov) for name in dict.fromkeys(scope.table.line[rows].tolist())}
 
     def placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats]:
         declared = rotation(np.array(device.rotation))
         return place(xyz, p_base, declared, rig.line_placement, device.turn_sigma is not None)
 
-    used, make = points_of(scope, rows, "line", known, placed)
-    return RigUse(used, lambda layout: [make(layout)])
+    items, make = points_of(scope, rows, "line", lines, placed)
+    return RigUse(items, lambda layout: [make(layout)])
 
 
-def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
+def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
     """Propose one more line."""
     ball = next(iter(rig.targets.values()), ORIGIN[""])
-    q = about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.1)
+    q = about_one_point(chain, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.1)
     if len(q):
-        p_base = point_forward(here, here.params_nominal, q, np.array(ball.xyz))
+        p_base = point_forward(chain, chain.params_nominal, q, np.array(ball.xyz))
         cov = tuple(tuple(TRIAL_SIGMA**2 * (i == k) for k in range(3)) for i in range(3))
         more = replace(rig, lines={**rig.lines, NEW: Device(NEW, cov)} if rig.lines else rig.lines)
         rows = trial_rows(q, "line", xyz=p_base, line=NEW, target=ball.name)
@@ -89,9 +89,9 @@ def facts(rows: ObservationTable) -> tuple[tuple[str, str], ...]:
     moving = np.isfinite(rows.q_rate).all(axis=1)
     if not moving.any():
         return ()
-    ways = {(name, group) for name, group in zip(rows.line[moving], rows.shell[moving], strict=True)}
-    names = sorted({str(name) for name, _ in ways})
-    both = sum(sum(name == one for name, _ in ways) > 1 for one in names)
+    passes = {(name, group) for name, group in zip(rows.line[moving], rows.shell[moving], strict=True)}
+    names = sorted({str(name) for name, _ in passes})
+    both = sum(sum(name == line for line, _ in passes) > 1 for name in names)
     return (
         ("lines driven", f"{', '.join(names[:20])}; {both} of {len(names)} there and back"),
         ("points on lines", f"{int(moving.sum())} in motion, {int((~moving).sum())} at rest"),

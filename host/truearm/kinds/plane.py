@@ -81,12 +81,12 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     table, rig = scope.table, scope.rig
     targets = use_points(scope, rows, "target", rig.targets)
     flats = use(scope, rows, "plane", rig.planes, plane_numbers)
-    known = [rig.planes[str(label)] for label in flats.labels]
-    point = np.array([flat.xyz for flat in known], dtype=float)[flats.which]
-    frames = np.array([frame_of(np.array(flat.normal)) for flat in known])[flats.which]
+    planes = [rig.planes[str(label)] for label in flats.labels]
+    point = np.array([flat.xyz for flat in planes], dtype=float)[flats.which]
+    frames = np.array([frame_of(np.array(flat.normal)) for flat in planes])[flats.which]
     refuse(scope, rows, np.isinf(table.value[rows]), "its distance from the plane must be finite")
     distance = np.nan_to_num(table.value[rows], nan=0.0)
-    sigma = np.array([flat.sigma for flat in known])[flats.which]
+    sigma = np.array([flat.sigma for flat in planes])[flats.which]
     variance = sigmas(scope, rows, sigma[:, None]) ** 2
     # A plane of which only the approximate direction is known starts at the mean height of its touches.
     height = ((nominal_points(scope, rows, targets) - point) * frames[:, 2]).sum(axis=1) - distance

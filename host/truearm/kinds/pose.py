@@ -76,15 +76,15 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
 
     A row's own standard deviation of the orientation takes precedence over that of its tracker.
     """
-    known = scope.rig.trackers
-    used, make_points = points_of(scope, rows, "tracker", known)
-    labels, which = look_up(scope, rows, "tracker", known)
+    trackers = scope.rig.trackers
+    used, make_points = points_of(scope, rows, "tracker", trackers)
+    labels, which = look_up(scope, rows, "tracker", trackers)
     turns = measured(scope, rows, TURN)
     own = scope.table[TURN_SIGMA.field][rows]
-    of_tracker = np.array([known[str(label)].rotation_sigma or 0.0 for label in labels])[which]
+    of_tracker = np.array([trackers[str(label)].rotation_sigma or 0.0 for label in labels])[which]
     sigma = np.where(np.isnan(own), of_tracker, own)
-    wanted = f"a pose row needs a rotation_sigma, its own or its tracker's, of {SMALLEST:g} rad or more"
-    refuse(scope, rows, ~((sigma >= SMALLEST) & np.isfinite(sigma)), wanted)
+    message = f"a pose row needs a rotation_sigma, its own or its tracker's, of {SMALLEST:g} rad or more"
+    refuse(scope, rows, ~((sigma >= SMALLEST) & np.isfinite(sigma)), message)
 
     def make(layout: Layout) -> list[Group]:
         points = vars(make_points(layout))

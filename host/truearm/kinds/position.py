@@ -135,8 +135,8 @@ def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Fl
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Return what the rows use of the rig: targets and trackers."""
-    used, make = points_of(scope, rows, "tracker", scope.rig.trackers)
-    return RigUse(used, lambda layout: [make(layout)])
+    items, make = points_of(scope, rows, "tracker", scope.rig.trackers)
+    return RigUse(items, lambda layout: [make(layout)])
 
 
 def _placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats]:
@@ -144,7 +144,7 @@ def _placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats
 
 
 def points_of(
-    scope: Scope, rows: Indices, what: str, known: Mapping[str, Device], placed: Placing = _placed
+    scope: Scope, rows: Indices, what: str, entries: Mapping[str, Device], placed: Placing = _placed
 ) -> tuple[tuple[Used, ...], Callable[[Layout], PositionRows]]:
     """Return what the rows use for points in the axes of the devices named in column ``what``, and how to group them.
 
@@ -152,8 +152,8 @@ def points_of(
     """
     table = scope.table
     xyz = measured(scope, rows, POINT)
-    labels, which = look_up(scope, rows, what, known)
-    devices = [known[str(label)] for label in labels]
+    labels, which = look_up(scope, rows, what, entries)
+    devices = [entries[str(label)] for label in labels]
     targets = use_points(scope, rows, "target", scope.rig.targets)
     p_base = nominal_points(scope, rows, targets)
     numbers = [
@@ -213,8 +213,8 @@ def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, plac
         p, rot = placed(xyz, p_base, device)
         values = [*p, *rotation_vector(rot @ rotation(np.array(device.rotation)).T)]
     units = ("m", "m", "m", "rad", "rad", "rad")
-    parts = zip((*XYZ, "rx", "ry", "rz"), units, values, sigmas, strict=True)
-    return [RigNumber(f"{name}.{k}", unit, float(value), sigma) for k, unit, value, sigma in parts]
+    numbers = zip((*XYZ, "rx", "ry", "rz"), units, values, sigmas, strict=True)
+    return [RigNumber(f"{name}.{k}", unit, float(value), sigma) for k, unit, value, sigma in numbers]
 
 
 def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: Indices) -> Floats:

@@ -46,8 +46,7 @@ def trial_rows(q: Floats, kind: str, **columns: Any) -> ObservationTable:
 
 def anywhere(chain: Chain, n: int, rng: np.random.Generator) -> Floats:
     """Return random joint readings (n, j) within the limits, or within one turn if there are none."""
-    lower = np.array([max(j.lower, -np.pi) for j in chain.joints])
-    upper = np.array([min(j.upper, np.pi) for j in chain.joints])
+    lower, upper = np.clip(chain.limits, -np.pi, np.pi)
     return rng.uniform(lower, upper, (n, len(chain.joints)))
 
 
@@ -57,9 +56,9 @@ def about_one_point(chain: Chain, q: Floats, p_end: Floats, rng: np.random.Gener
     along = rng.normal(size=3)
     # A few per mille off the line: points exactly on it would not determine the line's roll.
     offset = np.linspace(-reach, reach, TRIES)[:, None] * (along + 3e-3 * rng.normal(size=(TRIES, 3)))
-    found = q + SPREAD * rng.uniform(-1.0, 1.0, (TRIES, q.size))
+    readings = q + SPREAD * rng.uniform(-1.0, 1.0, (TRIES, q.size))
     for _ in range(30):
-        p, _, jac = point_jacobians(chain, chain.params_nominal, found, p_end)
-        found = found + (np.linalg.pinv(jac, rcond=1e-3) @ (goal + offset - p)[..., None])[..., 0]
-    p = point_forward(chain, chain.params_nominal, found, p_end)
-    return np.asarray(found[np.linalg.norm(p - goal - offset, axis=1) < 1e-9])
+        p, _, jac = point_jacobians(chain, chain.params_nominal, readings, p_end)
+        readings = readings + (np.linalg.pinv(jac, rcond=1e-3) @ (goal + offset - p)[..., None])[..., 0]
+    p = point_forward(chain, chain.params_nominal, readings, p_end)
+    return np.asarray(readings[np.linalg.norm(p - goal - offset, axis=1) < 1e-9])

@@ -131,15 +131,15 @@ def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
 def check(table: ObservationTable, rig: Rig) -> None:
     """Raise TableError for a socket in the rig, or a socket distance, that no seat uses and that would be silently ignored."""
     seats = table.kind == "seat"
-    used = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
+    seated = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
     for place, socket in rig.sockets:
-        if (place, socket) not in used:
+        if (place, socket) not in seated:
             raise TableError(
                 f"the rig's socket {socket} at place {place!r} is unused: no row is seated in it; correct its name or place, or remove it from the rig"
             )
     for distance in rig.socket_distances:
-        if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):
-            sockets = ", ".join(sorted({socket for _, socket in used})[:12])
+        if not any({(place, socket) for socket in distance.sockets} <= seated for place, _ in seated):
+            sockets = ", ".join(sorted({socket for _, socket in seated})[:12])
             raise TableError(
                 f"the rig's socket distance {' to '.join(distance.sockets)} is unused: "
                 f"seats are in socket{'s' * (',' in sockets)} {sockets}, and no place has seats in both {' and '.join(distance.sockets)}; correct its names, measure both sockets at one place, or remove it (then its length no longer sets the scale)"

@@ -73,8 +73,8 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
         for measured in measurements
     ]
     which = np.array([measurements.index(measured) for measured, *_ in rows], dtype=np.intp)
-    used = Used([*measurements], numbers, which, (Fault(slice(None), step=False),))
-    return used, np.array([ends for _, *ends in rows], dtype=np.intp).reshape(-1, 2)
+    distances = Used([*measurements], numbers, which, (Fault(slice(None), step=False),))
+    return distances, np.array([ends for _, *ends in rows], dtype=np.intp).reshape(-1, 2)
 
 
 def distance_rows(distances: Used, sockets: Used, ends: Indices, layout: Layout) -> list[Group]:

@@ -62,20 +62,20 @@ class Layout:
     """
 
     def __init__(self, n_robot: int, used: Sequence[Used]) -> None:
-        every = {number.name: number for group in used for thing in group.numbers for number in thing}
-        for number in every.values():
+        numbers = {number.name: number for group in used for item in group.numbers for number in item}
+        for number in numbers.values():
             if not (np.isfinite(number.value) and (number.sigma == 0.0 or number.sigma >= SMALLEST)):
                 raise ProblemError(
                     f"{number.name} is {number.value:g} ± {number.sigma:g}; it must be finite, sigma 0 or at least {SMALLEST:g}"
                 )
-        self.unknown = [number for number in every.values() if number.sigma > 0.0]
-        self.known = [number for number in every.values() if number.sigma == 0.0]
+        self.unknown = [number for number in numbers.values() if number.sigma > 0.0]
+        self.known = [number for number in numbers.values() if number.sigma == 0.0]
         self.constants = np.array([number.value for number in self.known])
         self._at = {number.name: n_robot + i for i, number in enumerate([*self.unknown, *self.known])}
 
     def index(self, used: Used) -> Indices:
         """Return the indices (n, c) of what each row uses."""
-        table = np.array([[self._at[number.name] for number in thing] for thing in used.numbers], dtype=np.intp)
+        table = np.array([[self._at[number.name] for number in item] for item in used.numbers], dtype=np.intp)
         return rows_of(table, used.which)
 
 

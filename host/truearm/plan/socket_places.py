@@ -108,8 +108,8 @@ def plans_of_sites(
     p_ball = arm.p_ball(q)
     distance = np.linalg.norm(p_ball[:, :2], axis=1)
     reach = float(distance.max(initial=0.0))
-    before = (p_ball[:, 0] > 0.0) & (distance > NEAREST * reach)
-    q, p_ball = q[before], p_ball[before]
+    in_front = (p_ball[:, 0] > 0.0) & (distance > NEAREST * reach)
+    q, p_ball = q[in_front], p_ball[in_front]
 
     @cache
     def site_at(bottom: tuple[float, ...]) -> Site | None:
