@@ -15,7 +15,7 @@ from truearm.plan.bar_paths import way_without_bar
 from truearm.plan.branches import branch_of
 from truearm.plan.cartesian_lines import candidate_lines
 from truearm.plan.collision_shapes import Sizes
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.plan.measurement_limits import Limits, Site
 from truearm.plan.options import LineOptions
 from truearm.types import Floats, Plan, Point, Rig
@@ -47,8 +47,8 @@ def drawn_line_plan(
     ``robot``: the PUMA 560 by default. Raises PlanError if the arm has no branch or cannot reach such lines.
     """
     robot = robot or builtin_robot(PAPER)
-    known = replace(Known.design(robot, rig or line_rig()), branch=branch_of(robot))
-    site = make_site(known, Limits(), Sizes(), seed)
+    knowledge = replace(Knowledge.design(robot, rig or line_rig()), branch=branch_of(robot))
+    site = make_site(knowledge, Limits(), Sizes(), seed)
     point = np.array(TARGETS[MAGNET].xyz)
     found = candidate_lines(
         site, LineOptions(length=LENGTH, speed=speed), n_lines, point, JOINT_SPEED, seed=seed, fewest=n_lines

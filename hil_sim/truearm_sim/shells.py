@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import PlanError
 from truearm.plan.branch_inverse import Arm, inverse
-from truearm.plan.forecast import Known, known_arm
+from truearm.plan.forecast import Knowledge, arm_of
 from truearm.plan.shells import TRIES, grid_directions, move_costs, tool_poses
 from truearm.plan.visit_order import short_tour, untangled
 from truearm.types import BallBar, Floats, Plan, Point
@@ -25,19 +25,19 @@ MAX_TILT = np.deg2rad(60.0)
 SURPLUS = 1.25  # poses searched for per pose visited
 
 
-def plan_shells(known: Known, bar: str, n_poses: int = 800, seed: int = 0, speed: Floats | None = None) -> Plan:
+def plan_shells(knowledge: Knowledge, bar: str, n_poses: int = 800, seed: int = 0, speed: Floats | None = None) -> Plan:
     """Return ``n_poses`` poses with one bar, spread evenly over all pairings of a chuck and a sphere, in order of their
     visits.
 
     ``speed`` (j,) [rad/s] weights the joints when the order of visits is chosen. Shells are named ``<bar>-<chuck>``.
     Raises PlanError if the arm has no branch or cannot reach that many points.
     """
-    rig = known.rig
+    rig = knowledge.rig
     pairings = [(chuck, sphere) for chuck in rig.chucks.values() for sphere in rig.spheres.values()]
     if n_poses < len(pairings):
         raise PlanError(f"{n_poses} poses are too few for {len(pairings)} pairings; give at least one pose per pairing")
     rng = np.random.default_rng(seed)
-    arm = known_arm(known, rng)
+    arm = arm_of(knowledge, rng)
     counts = np.diff(np.linspace(0, n_poses, len(pairings) + 1).astype(int))
     reached = _reachable(arm, rig.bars[bar], pairings, int(counts.max() * SURPLUS) + 1, rng)
     weights = np.ones(len(arm.chain.joints)) if speed is None else 1.0 / np.asarray(speed)

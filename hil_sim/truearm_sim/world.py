@@ -20,7 +20,7 @@ from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot, builtin_robot
 from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import bars, circle, first_rig
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.types import REFERENCE_DEGC, Floats, Plan, Rig
 from truearm_sim import sensors
 from truearm_sim.arm import Arm
@@ -92,9 +92,9 @@ def standard_plan(n_poses: int = 800, seed: int = 0, rig: Rig | None = None, rob
     The PUMA 560 is the default. Raises PlanError for a robot that cannot reach them.
     """
     robot = robot or builtin_robot(PAPER)
-    known = replace(Known.design(robot, rig or standard_rig(robot)), branch=branch_of(robot))
+    knowledge = replace(Knowledge.design(robot, rig or standard_rig(robot)), branch=branch_of(robot))
     speed = np.array(moving(robot).speed)
-    return plan_file.concatenate(*(plan_shells(known, bar, n_poses, seed, speed) for bar in known.rig.bars))
+    return plan_file.concatenate(*(plan_shells(knowledge, bar, n_poses, seed, speed) for bar in knowledge.rig.bars))
 
 
 @dataclass(frozen=True)
@@ -160,8 +160,8 @@ class World:
         self.chain: Chain = robot.chain
         self.params = true_params(robot, seed) if params is None else params
         self.clocks = setup.clocks or draw_clocks(seed)
-        known = {name: (bar.zero, bar.gain, bar.travel, bar.sigma) for name, bar in self.rig.bars.items()}
-        bars = np.array([known.get(name, NO_BAR) for name in plan.bar.tolist()]).T
+        knowledge = {name: (bar.zero, bar.gain, bar.travel, bar.sigma) for name, bar in self.rig.bars.items()}
+        bars = np.array([knowledge.get(name, NO_BAR) for name in plan.bar.tolist()]).T
         chucks, spheres = (
             {name: p.xyz for name, p in points.items()} for points in (self.rig.chucks, self.rig.spheres)
         )

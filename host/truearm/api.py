@@ -523,8 +523,8 @@ def plan_ball_bar(
     """
     if result is not None and result.chain.parameter_names != robot.chain.parameter_names:
         raise InputError("other-robot", place="result", robot=result.chain.name)
-    known = plan.known_of(robot, rig if isinstance(rig, Rig) else read_rig(rig), result)
-    return plan.planned_ball_bar(known, Budget(poses, minutes), options or BallBarOptions(), result is not None)
+    knowledge = plan.knowledge_of(robot, rig if isinstance(rig, Rig) else read_rig(rig), result)
+    return plan.planned_ball_bar(knowledge, Budget(poses, minutes), options or BallBarOptions(), result is not None)
 
 
 @checked

@@ -41,12 +41,12 @@ import sys
 from pathlib import Path
 from truearm.workflows.simulate import write_setup
 from truearm.model.robot import builtin_robot
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm_sim.shells import plan_shells
 from truearm_sim.arm import PUMA_SPEED
 from truearm_sim.world import World, standard_rig
 
-known = Known.design(builtin_robot("puma560"), standard_rig())
+known = Knowledge.design(builtin_robot("puma560"), standard_rig())
 plan = plan_shells(known, "bar46", int(sys.argv[2]), {SEED}, PUMA_SPEED)
 write_setup(Path(sys.argv[1]), World({SEED}, plan))
 """

@@ -7,7 +7,7 @@ from truearm.plan.approaches import plan_approaches
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import Pace
 from truearm.plan.collision_shapes import Sizes
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.plan.measurement_limits import Limits, Pairing, Site
 from truearm.plan.options import ApproachOptions
 from truearm.plan.route import Route
@@ -21,5 +21,5 @@ WANTED = ApproachOptions(poses=4, rounds=3, long_dwell=10.0, candidates=200)
 def planned() -> tuple[Site, Route]:
     """Return the arm with its rig as designed, and the route."""
     robot, rig = builtin_robot("puma560"), standard_rig()
-    site = make_site(Known.design(robot, rig), Limits(), Sizes())
+    site = make_site(Knowledge.design(robot, rig), Limits(), Sizes())
     return site, plan_approaches(site, PAIRING, WANTED, Pace())

@@ -17,7 +17,7 @@ from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.plan.route import Visits
 
 STANDARD = plan_bench.RIGS["puma560"]
@@ -32,7 +32,7 @@ def plan(times=1, check_poses=10):
     The links count as thin ones along the joints: the docs quote figures of these poses, which were planned before the
     PUMA 560 had shapes of its own, and no fault depends on them.
     """
-    known = replace(Known.design(builtin_robot("puma560"), RIG), links=None)
+    known = replace(Knowledge.design(builtin_robot("puma560"), RIG), links=None)
     site = make_site(known, plan_bench.LIMITS, plan_bench.SIZES)
     # The planner's default of 5000 candidates gains little and takes three times as long.
     wanted = Wanted(n_poses=360, n_candidates=2000, visits=Visits(times, check_poses if times == 1 else 0))

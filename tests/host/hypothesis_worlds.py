@@ -23,7 +23,7 @@ from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.plan.route import Visits
 from truearm.types import BallBar, Rig
 
@@ -74,7 +74,7 @@ def site(robot, visits=1, planned=False):
     name, zero = BARS.get(robot, ("bar40", 0.40))
     rig = replace(RIGS[robot], bars={name: BallBar(name, zero, 1.0, 0.075, SIGMA)})
     if planned and not of.is_urdf:
-        design = replace(Known.design(of, rig), links=None)  # thin links: as tests/host/fault_worlds.py
+        design = replace(Knowledge.design(of, rig), links=None)  # thin links: as tests/host/fault_worlds.py
         wanted = Wanted(n_poses=N_POSES, n_candidates=2000, visits=Visits(visits, 10 if visits == 1 else 0))
         where = make_site(design, plan_bench.LIMITS, plan_bench.SIZES)
         plan = plan_ballbar(where, design, all_pairings(rig), wanted, Pace()).route.plan

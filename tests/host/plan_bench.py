@@ -11,7 +11,7 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.collision_shapes import Sizes
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.plan.measurement_limits import Limits
 from truearm.types import BallBar, Point, Rig
 from truearm_sim.world import standard_rig
@@ -45,7 +45,7 @@ LIMITS, SIZES = Limits(), Sizes()
 
 @cache
 def known(name):
-    return Known.design(builtin_robot(name), RIGS[name])
+    return Knowledge.design(builtin_robot(name), RIGS[name])
 
 
 @cache

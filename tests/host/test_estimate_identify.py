@@ -267,7 +267,7 @@ def test_a_socket_is_the_mean_weighted_by_each_seats_sigma(seated_clean):
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-4, None])
 def test_sockets_whose_place_is_known(seated_clean, sigma):
-    """Known, they place the base as three chucks do; known to a σ, that well; of nothing known but a guess, not at all."""
+    """Knowledge, they place the base as three chucks do; known to a σ, that well; of nothing known but a guess, not at all."""
     places = zip(seated_clean.place.tolist(), seated_clean.socket.tolist(), strict=True)
     ball = np.array([*SPHERES["s0"].xyz, 1.0])
     at = {key: (forward(CHAIN, TRUTH, q) @ ball)[:3] for key, q in zip(places, seated_clean.q, strict=True)}

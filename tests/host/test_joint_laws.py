@@ -33,7 +33,7 @@ from truearm.model.chain import forward, joint_frames, point_forward, point_jaco
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.law_chain import carries, distal_frames, with_laws
 from truearm.model.poses import position_and_rotation
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.report.figures import law_figures
 from truearm.report.law_findings import law_findings
@@ -548,7 +548,7 @@ def test_readings_of_a_joint_that_turns_completely_have_gaps_on_the_circle(shift
 def test_a_plan_says_how_well_curves_will_be_known_and_where_they_are_not_seen():
     """Twice the poses tell more; where joint 1 never goes, within its covered range, nothing will be known."""
     table, _ = world(np.random.default_rng(9), 500)
-    known = Known(ROBOT.chain, RIG, ROBOT.chain.params_nominal, ROBOT.free)
+    known = Knowledge(ROBOT.chain, RIG, ROBOT.chain.params_nominal, ROBOT.free)
     away = table.select(np.abs(table.q[:, 0]) > 0.3)
     few, many = (curve_forecasts(known, rows) for rows in (away.select(np.arange(len(away)) < 100), away))
     by_joint = [{curve.joint: curve for curve in curves} for curves in (few, many)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import first_rig
-from truearm.workflows.plan import BallBarOptions, Budget, known_of, planned_ball_bar
+from truearm.workflows.plan import BallBarOptions, Budget, knowledge_of, planned_ball_bar
 
 
 def test_a_chuck_that_nobody_measured_has_more_poses_than_coordinates_or_none():
@@ -17,7 +17,7 @@ def test_a_chuck_that_nobody_measured_has_more_poses_than_coordinates_or_none():
         name: {point: replace(at, sigma=None) for point, at in getattr(rig, name).items()}
         for name in ("chucks", "spheres")
     }
-    known = known_of(robot, replace(rig, **unknown))
+    known = knowledge_of(robot, replace(rig, **unknown))
     planned = planned_ball_bar(known, Budget(40), BallBarOptions(candidates=300), False)
     assert len(planned.route.plan) == 40
     for column in ("chuck", "sphere"):

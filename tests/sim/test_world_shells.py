@@ -10,7 +10,7 @@ from truearm.model.chain import forward, joint_jacobian
 from truearm.model.robot import builtin_robot
 from truearm.plan import visit_order as tour
 from truearm.plan.branch_inverse import inverse, make_arm
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.types import Point, Rig
 from truearm_sim import shells
 from truearm_sim.world import World, standard_plan, standard_rig
@@ -18,7 +18,7 @@ from truearm_sim.world import World, standard_plan, standard_rig
 ROBOT = builtin_robot("puma560")
 DESIGN, OPTIMISED = ROBOT.parameter_sets["design"], ROBOT.parameter_sets["optimised"]
 RIG = standard_rig()
-KNOWN = Known.design(ROBOT, RIG)
+KNOWN = Knowledge.design(ROBOT, RIG)
 
 
 @pytest.fixture(scope="module")

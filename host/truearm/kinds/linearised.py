@@ -2,7 +2,7 @@
 
 The parameter vector x (P,) of a problem is the robot's params (p,) followed by the rig's unknowns: coordinates of
 chucks, spheres and sockets, zero and gain of bars. A row refers to a coordinate by its index into *x followed by the
-problem's known constants*. Known and unknown coordinates are therefore read in the same way, and only the unknown ones
+problem's known constants*. Knowledge and unknown coordinates are therefore read in the same way, and only the unknown ones
 (index below P) have a column in the Jacobian.
 
 The Jacobian is kept as the product ``wrenches @ twists`` for the robot's params (model/chain.py), as it is computed. An

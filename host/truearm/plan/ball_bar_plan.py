@@ -17,7 +17,7 @@ from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import check_joints
 from truearm.plan.choose import as_blocks, choose
 from truearm.plan.collision_shapes import Sizes, make_shapes
-from truearm.plan.forecast import Aim, Forecast, Known, bar_table, candidate_rows, forecast, known_arm, region_root
+from truearm.plan.forecast import Aim, Forecast, Knowledge, arm_of, bar_table, candidate_rows, forecast, region_root
 from truearm.plan.measurement_limits import Limits, Pairing, Site
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.roadmap import roadmaps
@@ -82,14 +82,19 @@ class BallBarPlan(Displayed):
         return {name: getattr(visits, name) for name in visits.columns()}
 
 
-def make_site(known: Known, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
+def make_site(knowledge: Knowledge, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
     """Return the arm without its rig, at the current parameters.
 
     Raises PlanError unless the arm has a branch and at least six joints.
     """
-    check_joints(known.chain)
-    arm = known_arm(known, np.random.default_rng([seed, 0xA2]))
-    return Site(arm, known.rig, make_shapes(known.chain, known.params, known.rig, sizes, known.links), limits)
+    check_joints(knowledge.chain)
+    arm = arm_of(knowledge, np.random.default_rng([seed, 0xA2]))
+    return Site(
+        arm,
+        knowledge.rig,
+        make_shapes(knowledge.chain, knowledge.params, knowledge.rig, sizes, knowledge.links),
+        limits,
+    )
 
 
 def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:
@@ -104,7 +109,7 @@ def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:
 
 def plan_ballbar(
     site: Site,
-    known: Known,
+    knowledge: Knowledge,
     pairings: Sequence[Pairing],
     wanted: Wanted,
     pace: Pace,
@@ -124,12 +129,12 @@ def plan_ballbar(
             *(Argument("poses"), " or more ", Argument("candidates")),
         )
     with step("planning poses") as advance:
-        return _planned(site, known, pairings, wanted, pace, region, advance)
+        return _planned(site, knowledge, pairings, wanted, pace, region, advance)
 
 
 def _planned(
     site: Site,
-    known: Known,
+    knowledge: Knowledge,
     pairings: Sequence[Pairing],
     wanted: Wanted,
     pace: Pace,
@@ -149,9 +154,9 @@ def _planned(
             *(Argument("branch"), ", or move the chucks"),
         )
     aim = _aim(site, candidate_poses, region, wanted.seed)
-    table = bar_table(known, candidate_poses)
+    table = bar_table(knowledge, candidate_poses)
     poses = wanted.n_poses if wanted.n_poses is not None else int(60.0 * (wanted.minutes or 0.0) / (pace.dwell + MOVE))
-    doubted = with_doubted_bars(known) if poses >= DOUBTED_FROM * int(known.free.sum()) else known
+    doubted = with_doubted_bars(knowledge) if poses >= DOUBTED_FROM * int(knowledge.free.sum()) else knowledge
     rows, information = candidate_rows(doubted, table)
     blocks, root = as_blocks(rows), region_root(doubted, table, aim)
 
@@ -164,7 +169,7 @@ def _planned(
         while True:
             order = choose(blocks[stock], information, n, wanted.criterion, root, wanted.passes, pairing[stock], setup)
             best = candidate_poses.select(stock[order])
-            is_worth = _worth_mounting(known, candidate_poses.select(stock), best)
+            is_worth = _worth_mounting(knowledge, candidate_poses.select(stock), best)
             if is_worth.all() or is_worth.sum() < n:
                 return best
             stock = stock[is_worth]
@@ -179,7 +184,7 @@ def _planned(
         def tried(n: int) -> Route:
             if longest and TRIMMED * len(longest[0]) < n < len(longest[0]):
                 best = longest[0].select(np.arange(n))  # the same mounts, without the least important poses
-                best = best.select(_worth_mounting(known, best, best))
+                best = best.select(_worth_mounting(knowledge, best, best))
             else:
                 best = chosen(n)
                 longest[:] = [best]
@@ -189,10 +194,10 @@ def _planned(
 
         most = min(len(candidate_poses), int(60.0 * (wanted.minutes or 0.0) / pace.dwell))
         planned_route = _within(tried, max(1, int(FIRST * poses)), most, wanted.minutes or 0.0, pace)
-    return BallBarPlan(planned_route, forecast(known, bar_table(known, planned_route.plan), aim))
+    return BallBarPlan(planned_route, forecast(knowledge, bar_table(knowledge, planned_route.plan), aim))
 
 
-def _worth_mounting(known: Known, candidate_poses: Plan, best: Plan) -> NDArray[np.bool_]:
+def _worth_mounting(knowledge: Knowledge, candidate_poses: Plan, best: Plan) -> NDArray[np.bool_]:
     """Return a mask (n,) of the candidates whose chuck and sphere are worth mounting.
 
     These have none of the ``best`` poses, or enough of them to determine more than their own position. A chuck that was
@@ -200,9 +205,9 @@ def _worth_mounting(known: Known, candidate_poses: Plan, best: Plan) -> NDArray[
     mount.
     """
     is_worth = np.ones(len(candidate_poses), dtype=bool)
-    for column, points in (("chuck", known.rig.chucks), ("sphere", known.rig.spheres)):
+    for column, points in (("chuck", knowledge.rig.chucks), ("sphere", knowledge.rig.spheres)):
         names, poses = np.unique(getattr(best, column), return_counts=True)
-        measured = () if known.measured is None else known.measured[column]
+        measured = () if knowledge.measured is None else knowledge.measured[column]
         idle = [
             name
             for name, count in zip(names.tolist(), poses.tolist(), strict=True)
@@ -212,7 +217,7 @@ def _worth_mounting(known: Known, candidate_poses: Plan, best: Plan) -> NDArray[
     return is_worth
 
 
-def with_doubted_bars(known: Known) -> Known:
+def with_doubted_bars(knowledge: Knowledge) -> Knowledge:
     """Return what is known if the bars' zeros are known only to a weak σ (1 mm).
 
     Poses chosen this way still determine the arm if a bar turns out to be wrong or to drift and must be estimated. For
@@ -220,8 +225,8 @@ def with_doubted_bars(known: Known) -> Known:
     otherwise. With a correct bar this costs 1 to 2 %.
     """
     weak = UNITS["m"].weak_sigma
-    bars = {name: replace(bar, zero_sigma=max(bar.zero_sigma, weak)) for name, bar in known.rig.bars.items()}
-    return replace(known, rig=replace(known.rig, bars=bars))
+    bars = {name: replace(bar, zero_sigma=max(bar.zero_sigma, weak)) for name, bar in knowledge.rig.bars.items()}
+    return replace(knowledge, rig=replace(knowledge.rig, bars=bars))
 
 
 def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, visits: Visits) -> Plan:

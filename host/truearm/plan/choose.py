@@ -34,7 +34,7 @@ ALONE = 1e-4  # of a variance is left by a candidate that is removed: below it, 
 
 def choose(
     rows: Floats,
-    known: Floats,
+    information: Floats,
     n: int,
     criterion: str = "D",
     region: Floats | None = None,
@@ -44,12 +44,12 @@ def choose(
 ) -> NDArray[np.intp]:
     """Return the best ``n`` of N candidates in the order of their choice.
 
-    rows (N, w, k): whitened rows, columns in units of the prior; known (k, k): information of the prior and of existing
+    rows (N, w, k): whitened rows, columns in units of the prior; information (k, k): of the prior and of existing
     measurements, in the same units. ``region`` (r, k): L of I-optimality, transposed. ``passes``: maximum number of
     exchange passes. ``group`` (N,): groups that each need a setup; its extra cost is ``setup`` times that of a
     candidate. Raises PlanError for an unknown criterion, I without a region, and more candidates wanted than there are.
     """
-    state = Gains.start(rows, known, _checked(rows, n, criterion, region), region)
+    state = Gains.start(rows, information, _checked(rows, n, criterion, region), region)
     chosen = list[int]()
     available = np.ones(len(rows), dtype=bool)
     group = np.zeros(len(rows), dtype=np.intp) if group is None else group

@@ -75,7 +75,7 @@ class Forecast:
 
 
 @dataclass(frozen=True)
-class Known:
+class Knowledge:
     """What is known before a plan: chain, rig, the current parameters of the model (p,), what is free, and measured
     rows.
 
@@ -96,38 +96,38 @@ class Known:
     deciding: frozenset[str] = frozenset()  # what to mount, such as "chuck c2", to decide between causes of a fault
 
     @classmethod
-    def design(cls, robot: Robot, rig: Rig) -> Known:
+    def design(cls, robot: Robot, rig: Rig) -> Knowledge:
         """Return what is known of a robot that has not been measured yet: its file."""
         chain = robot.chain
         return cls(chain, rig, chain.params_nominal, robot.free, branch=robot.branch, links=robot.capsules)
 
 
-def known_arm(known: Known, rng: np.random.Generator) -> Arm:
+def arm_of(knowledge: Knowledge, rng: np.random.Generator) -> Arm:
     """Return the arm at the current parameters. Raises PlanError if it has no branch to stay in."""
-    if known.branch is None:
-        raise PlanError(f"robot {known.chain.name} has no branch; add [branch] to its file")
-    return make_arm(known.chain, known.params, known.branch, rng)
+    if knowledge.branch is None:
+        raise PlanError(f"robot {knowledge.chain.name} has no branch; add [branch] to its file")
+    return make_arm(knowledge.chain, knowledge.params, knowledge.branch, rng)
 
 
-def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) -> Forecast:
+def forecast(knowledge: Knowledge, planned: ObservationTable, aim: Aim | None = None) -> Forecast:
     """Return rank, null space, sigmas and Cartesian error if the ``planned`` rows are measured."""
-    known, prior_sigma, defaults = _as_identified(known, planned)
-    problem, x, columns = compiled(known, planned)
-    n_robot = int(known.free.sum())
+    knowledge, prior_sigma, defaults = _as_identified(knowledge, planned)
+    problem, x, columns = compiled(knowledge, planned)
+    n_robot = int(knowledge.free.sum())
     seen_by_rows = of_rows(settled(problem, x), x, columns)
     root, parts = seen_by_rows.root, spectrum(seen_by_rows.root)
     names = problem.names_of(columns)
     sight = identifiability(root, n_robot, names)
     believed = np.full(len(names), np.inf)
-    believed[:n_robot] = prior_sigma[known.free]
+    believed[:n_robot] = prior_sigma[knowledge.free]
     matrix = covariance(spectrum(with_prior(seen_by_rows, np.zeros(len(names)), believed).root))
     sigma = np.full(len(columns), np.nan)
     sigma[columns] = np.sqrt(np.where(sight.identifiable, np.diag(matrix), np.nan))
-    unit = weak_prior(known.chain)[known.free]
+    unit = weak_prior(knowledge.chain)[knowledge.free]
     cartesian, relative = None, False
     if aim is not None:
         null = parts.vt[~seen(parts)].T / parts.scale[:, None]
-        cartesian, relative = _cartesian(known, problem, x, columns, aim, matrix, null, bool(defaults.base))
+        cartesian, relative = _cartesian(knowledge, problem, x, columns, aim, matrix, null, bool(defaults.base))
     return Forecast(
         names=problem.names,
         units=problem.units,
@@ -138,22 +138,22 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
         hardly_seen=hardly_seen(root, n_robot, unit, names),
         cartesian=cartesian,
         relative=relative,
-        n_rows=len(planned) + (0 if known.measured is None else len(known.measured)),
+        n_rows=len(planned) + (0 if knowledge.measured is None else len(knowledge.measured)),
         defaults=defaults,
     )
 
 
-def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats], Floats]:
+def candidate_rows(knowledge: Knowledge, planned: ObservationTable) -> tuple[list[Floats], Floats]:
     """Return the input of ``choose``: rows (w, k) of every planned observation, and the known information (k, k).
 
     Everything is in units of the prior: the robot's parameters by ``wide_prior``, the rig's by the sigmas in the rig.
     Unknown entries of the rig count as known to ``Unit.vague_sigma``. The prior is part of the known information.
     """
-    problem, x, columns = compiled(known, planned)
-    unit = prior_unit(known, problem, columns)
+    problem, x, columns = compiled(knowledge, planned)
+    unit = prior_unit(knowledge, problem, columns)
     rows: list[Floats] = [np.zeros((0, unit.size))] * len(planned)
     information = np.eye(unit.size)
-    n_measured = 0 if known.measured is None else len(known.measured)
+    n_measured = 0 if knowledge.measured is None else len(knowledge.measured)
     for block in whitened_blocks(settled(problem, x), x, columns):
         jac = block.jac * unit
         if block.row is None:
@@ -166,35 +166,35 @@ def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats
     return rows, information
 
 
-def region_root(known: Known, planned: ObservationTable, aim: Aim) -> Floats:
+def region_root(knowledge: Knowledge, planned: ObservationTable, aim: Aim) -> Floats:
     """Return Lᵀ (at most k, k) of I-optimality in units of the prior; L Lᵀ is the mean of J_rᵀJ_r over the poses."""
-    problem, x, columns = compiled(known, planned)
-    jac = _aim_jacobian(known, problem, x, aim)[1][:, columns] * prior_unit(known, problem, columns)
+    problem, x, columns = compiled(knowledge, planned)
+    jac = _aim_jacobian(knowledge, problem, x, aim)[1][:, columns] * prior_unit(knowledge, problem, columns)
     return np.asarray(np.linalg.qr(jac / np.sqrt(len(jac) // 3), mode="r"))
 
 
-def compiled(known: Known, planned: ObservationTable) -> tuple[Problem, Floats, NDArray[np.bool_]]:
+def compiled(knowledge: Knowledge, planned: ObservationTable) -> tuple[Problem, Floats, NDArray[np.bool_]]:
     """Return the problem of all rows, the point x (P,) of its linearisation, and a mask (P,) of what is free."""
-    table = _all_rows(known, planned)
-    problem = build_problem(known.chain, known.rig, table)
-    x = problem.at(known.rig_values or {})
-    x[: problem.n_robot] = known.params
-    return problem, x, problem.columns(known.free)
+    table = _all_rows(knowledge, planned)
+    problem = build_problem(knowledge.chain, knowledge.rig, table)
+    x = problem.at(knowledge.rig_values or {})
+    x[: problem.n_robot] = knowledge.params
+    return problem, x, problem.columns(knowledge.free)
 
 
-def prior_unit(known: Known, problem: Problem, columns: NDArray[np.bool_]) -> Floats:
+def prior_unit(knowledge: Knowledge, problem: Problem, columns: NDArray[np.bool_]) -> Floats:
     """Return the standard deviations (k,) of the free columns."""
     rig = problem.prior_sigma[problem.n_robot :]
     units = problem.units[problem.n_robot :]
     vague = np.array([UNITS[unit].vague_sigma for unit in units])
-    return np.concatenate([wide_prior(known.chain), np.where(np.isfinite(rig), rig, vague)])[columns]
+    return np.concatenate([wide_prior(knowledge.chain), np.where(np.isfinite(rig), rig, vague)])[columns]
 
 
-def bar_table(known: Known, plan: Plan) -> ObservationTable:
+def bar_table(knowledge: Knowledge, plan: Plan) -> ObservationTable:
     """Return the plan as the rows that would be read if the model were exact."""
-    p_sphere = np.array([known.rig.spheres[name].xyz for name in plan.sphere])
-    p_chuck = np.array([known.rig.chucks[name].xyz for name in plan.chuck])
-    ends = point_forward(known.chain, known.params, plan.q, p_sphere)
+    p_sphere = np.array([knowledge.rig.spheres[name].xyz for name in plan.sphere])
+    p_chuck = np.array([knowledge.rig.chucks[name].xyz for name in plan.chuck])
+    ends = point_forward(knowledge.chain, knowledge.params, plan.q, p_sphere)
     return planned_table(
         plan.q,
         "ball_bar",
@@ -211,27 +211,27 @@ def planned_table(q: Floats, kind: str, **columns: Any) -> ObservationTable:
     return ObservationTable(columns, q=q, kind=kind, source=[f"planned pose {i}" for i in range(len(q))])
 
 
-def _all_rows(known: Known, planned: ObservationTable) -> ObservationTable:
-    return planned if known.measured is None else ObservationTable.joined([known.measured, planned])
+def _all_rows(knowledge: Knowledge, planned: ObservationTable) -> ObservationTable:
+    return planned if knowledge.measured is None else ObservationTable.joined([knowledge.measured, planned])
 
 
-def _as_identified(known: Known, planned: ObservationTable) -> tuple[Known, Floats, Defaults]:
+def _as_identified(knowledge: Knowledge, planned: ObservationTable) -> tuple[Knowledge, Floats, Defaults]:
     """Return what is known with only those parameters free that ``identify`` will free, σ (p,) of its prior, and the
     reasons.
 
     σ is inf for parameters without a prior.
     """
-    if known.prior is None:
-        return known, robot_prior(known.chain, None), Defaults()
-    rows, named = _all_rows(known, planned), np.zeros(known.free.size, dtype=bool)
-    where_needed = known.prior is Prior.WHERE_NEEDED
-    free, weak, chosen = choose_defaults(known.chain, known.rig, rows, known.free, named, where_needed)
-    sigma = weak if where_needed else robot_prior(known.chain, prior_named(known.chain, known.prior))
-    return replace(known, free=free), sigma, chosen
+    if knowledge.prior is None:
+        return knowledge, robot_prior(knowledge.chain, None), Defaults()
+    rows, named = _all_rows(knowledge, planned), np.zeros(knowledge.free.size, dtype=bool)
+    where_needed = knowledge.prior is Prior.WHERE_NEEDED
+    free, weak, chosen = choose_defaults(knowledge.chain, knowledge.rig, rows, knowledge.free, named, where_needed)
+    sigma = weak if where_needed else robot_prior(knowledge.chain, prior_named(knowledge.chain, knowledge.prior))
+    return replace(knowledge, free=free), sigma, chosen
 
 
 def _cartesian(
-    known: Known,
+    knowledge: Knowledge,
     problem: Problem,
     x: Floats,
     columns: NDArray[np.bool_],
@@ -244,7 +244,7 @@ def _cartesian(
 
     An unidentifiable motion of all points as one rigid body is excluded.
     """
-    points, jac = _aim_jacobian(known, problem, x, aim)
+    points, jac = _aim_jacobian(knowledge, problem, x, aim)
     jac = jac[:, columns]
     unseen = jac @ (null / np.abs(null).max(axis=0, initial=1e-300))
     relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
@@ -257,26 +257,26 @@ def _cartesian(
     return np.sqrt(variance), relative
 
 
-def _aim_jacobian(known: Known, problem: Problem, x: Floats, aim: Aim) -> tuple[Floats, Floats]:
+def _aim_jacobian(knowledge: Knowledge, problem: Problem, x: Floats, aim: Aim) -> tuple[Floats, Floats]:
     """Return the positions (n, 3) of all points at all poses and their derivatives (3n, P)."""
-    jacobians = [_point_jacobian(known, problem, x, aim.q, name) for name in aim.points or ("",)]
+    jacobians = [_point_jacobian(knowledge, problem, x, aim.q, name) for name in aim.points or ("",)]
     return np.concatenate([pair[0] for pair in jacobians]), np.concatenate([pair[1] for pair in jacobians])
 
 
-def _point_jacobian(known: Known, problem: Problem, x: Floats, q: Floats, name: str) -> tuple[Floats, Floats]:
+def _point_jacobian(knowledge: Knowledge, problem: Problem, x: Floats, q: Floats, name: str) -> tuple[Floats, Floats]:
     """Return the same for one point, including derivatives by its own unknown coordinates. "": the end's origin."""
     point, columns = np.zeros(3), [-1, -1, -1]
-    for kind, points_of_kind in end_points(known.rig).items():
+    for kind, points_of_kind in end_points(knowledge.rig).items():
         if name in points_of_kind:
             names = [f"{kind}.{name}.{k}" for k in "xyz"]
             columns = [problem.names.index(unknown) if unknown in problem.names else -1 for unknown in names]
             point = np.array([x[i] if i >= 0 else v for i, v in zip(columns, points_of_kind[name].xyz, strict=True)])
-    p_base, jac, _ = point_jacobians(known.chain, x[: problem.n_robot], q, point)
+    p_base, jac, _ = point_jacobians(knowledge.chain, x[: problem.n_robot], q, point)
     out = np.zeros((jac.shape[0], 3, x.size))
     out[:, :, : problem.n_robot] = jac
     if columns[0] >= 0:
         # ∂p/∂point is the end's rotation, so differences along its axes are exact.
-        shifted = [point_forward(known.chain, x[: problem.n_robot], q, point + e) for e in np.eye(3)]
+        shifted = [point_forward(knowledge.chain, x[: problem.n_robot], q, point + e) for e in np.eye(3)]
         out[:, :, columns] = np.stack(shifted, axis=2) - p_base[:, :, None]
     return p_base, out.reshape(-1, x.size)
 

@@ -25,7 +25,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_law import terms
 from truearm.model.law_chain import with_laws
-from truearm.plan.forecast import Known
+from truearm.plan.forecast import Knowledge
 from truearm.types import Floats, rms
 
 TYPICAL = 2e-4  # rad, at each of the lengths
@@ -58,20 +58,20 @@ class RangeSigma(NamedTuple):
     sigma: float
 
 
-def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForecast, ...]:
+def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> tuple[CurveForecast, ...]:
     """Return a forecast for every joint that would have an error curve."""
-    table = planned if known.measured is None else ObservationTable.joined([known.measured, planned])
-    chain, n = _geometry(known)
+    table = planned if knowledge.measured is None else ObservationTable.joined([knowledge.measured, planned])
+    chain, n = _geometry(knowledge)
     laws, _ = candidates(chain, table.q, LawMode.CURVE, gravity_of(table, None))
     if not laws:
         return ()
     with_curves = with_laws(chain, laws)
-    problem = build_problem(with_curves, known.rig, table)
+    problem = build_problem(with_curves, knowledge.rig, table)
     added = len(with_curves.parameters) - n
     columns = np.ones(problem.start.size, dtype=bool)
-    columns[:n] = known.free[:n]
+    columns[:n] = knowledge.free[:n]
     start = problem.start.copy()
-    start[:n] = known.params[:n]
+    start[:n] = knowledge.params[:n]
     laws_problem = law_problem(problem, columns, start, laws, poses(table))
     prior = np.where(np.isin(LENGTHS, TYPICAL_LENGTHS), TYPICAL**2, 0.0)
     learned = posterior(
@@ -108,11 +108,11 @@ def _parts(curve: SampledCurve) -> Iterator[slice]:
             yield slice(int(samples[0]), int(samples[-1]) + 1)
 
 
-def _geometry(known: Known) -> tuple[Chain, int]:
+def _geometry(knowledge: Knowledge) -> tuple[Chain, int]:
     """Return the chain without the laws that an earlier result added, and its number of parameters."""
     learned = {term.name for term in terms() if term.learned}
-    geometric = tuple(p for p in known.chain.parameters if p.term not in learned)
-    return replace(known.chain, parameters=geometric), len(geometric)
+    geometric = tuple(p for p in knowledge.chain.parameters if p.term not in learned)
+    return replace(knowledge.chain, parameters=geometric), len(geometric)
 
 
 def _spans(readings: Floats, flags: np.ndarray) -> tuple[tuple[float, float], ...]:

@@ -27,7 +27,7 @@ from truearm.model.rotation import rotation_vector
 from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
 from truearm.plan.cartesian_lines import Lines, a_priori, candidate_lines
 from truearm.plan.choose import as_blocks, choose, condensed
-from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, planned_table, prior_unit, region_root
+from truearm.plan.forecast import Aim, Forecast, Knowledge, compiled, forecast, planned_table, prior_unit, region_root
 from truearm.plan.measurement_limits import Site
 from truearm.plan.options import LineOptions
 from truearm.plan.region import Region, around, poses_in
@@ -53,7 +53,7 @@ class LinePlan(NamedTuple):
 
 
 def plan_lines(
-    site: Site, known: Known, options: LineOptions, pace: Pace, region: Region | None = None, target: str = ""
+    site: Site, knowledge: Knowledge, options: LineOptions, pace: Pace, region: Region | None = None, target: str = ""
 ) -> LinePlan:
     """Plan lines: candidates, choice, order and forecast. ``target``: the measured point of the rig, "" for the end's
     origin.
@@ -64,7 +64,7 @@ def plan_lines(
         raise PlanError(
             "exclusive", first=Argument("lines"), second=Argument("minutes"), neither=options.minutes is None
         )
-    point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
+    point = np.array(knowledge.rig.targets[target].xyz) if target else np.zeros(3)
     n = options.lines or _most(options)
     n_candidates = max(options.candidates, n if options.lines else 1)
     fewest = options.lines or 1
@@ -73,12 +73,12 @@ def plan_lines(
     error = a_priori(site, candidates.points, point)
     erring = np.sort(np.argsort(-error, kind="stable")[: max(-(-len(error) // 2), n)])
     candidates, error = candidates.select(erring.tolist()), error[erring]
-    places = point_forward(known.chain, known.params, candidates.points, point).reshape(-1, 3)
+    places = point_forward(knowledge.chain, knowledge.params, candidates.points, point).reshape(-1, 3)
     aim = Aim(poses_in(site, region or around(places), point, seed=options.seed), (target,) * bool(target))
     while True:
-        rows = _chosen(known, candidates, n, options, aim, target)
+        rows = _chosen(knowledge, candidates, n, options, aim, target)
         lines = candidates.select(rows).select(_order(candidates.q[rows]))
-        names = _new_names(known, n)
+        names = _new_names(knowledge, n)
         stops = _stops(site, lines, names, options, pace, point)
         seconds = sum(stop.seconds for stop in stops) + n * (SETUP + _driving(options))
         if options.minutes is None or seconds <= 60.0 * options.minutes:
@@ -86,12 +86,14 @@ def plan_lines(
         n -= 1
         if n == 0:
             raise PlanError(_too_few(options))
-    known = replace(known, rig=replace(known.rig, line_travel=options.transverse))
-    table, devices = line_rows(known, lines, names, target, options.passes)
+    knowledge = replace(knowledge, rig=replace(knowledge.rig, line_travel=options.transverse))
+    table, devices = line_rows(knowledge, lines, names, target, options.passes)
     errors = a_priori(site, lines.points, point)
-    expected = forecast(_with_lines(known, devices), table, aim)
+    expected = forecast(_with_lines(knowledge, devices), table, aim)
     visits = _visits(stops, names, options.passes, target)
-    return LinePlan(lines, errors, _with_lines(known, devices).rig, devices, stops, visits, expected, seconds / 60.0)
+    return LinePlan(
+        lines, errors, _with_lines(knowledge, devices).rig, devices, stops, visits, expected, seconds / 60.0
+    )
 
 
 def _driving(options: LineOptions) -> float:
@@ -115,17 +117,17 @@ def _too_few(options: LineOptions) -> str:
 
 
 def line_rows(
-    known: Known, lines: Lines, names: list[str], target: str, passes: int = 1
+    knowledge: Knowledge, lines: Lines, names: list[str], target: str, passes: int = 1
 ) -> tuple[ObservationTable, dict[str, Device]]:
     """Return lines in both directions as rows that would be read if the model were exact, and their devices.
 
     The devices are placed by these rows.
     """
-    point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
-    p = point_forward(known.chain, known.params, lines.points, point)
+    point = np.array(knowledge.rig.targets[target].xyz) if target else np.zeros(3)
+    p = point_forward(knowledge.chain, knowledge.params, lines.points, point)
     axes = [_axes(line) for line in p]
     xyz = np.array([(line - line.mean(axis=0)) @ rot for line, rot in zip(p, axes, strict=True)])
-    cov = tuple(tuple(s**2 * (i == k) for k in range(3)) for i, s in enumerate(known.rig.line_sigma))
+    cov = tuple(tuple(s**2 * (i == k) for k in range(3)) for i, s in enumerate(knowledge.rig.line_sigma))
     devices = {}
     for name, rot in zip(names, axes, strict=True):
         rx, ry, rz = rotation_vector(rot).tolist()
@@ -154,28 +156,28 @@ def _axes(line: Floats) -> Floats:
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
-def _new_names(known: Known, n: int) -> list[str]:
+def _new_names(knowledge: Knowledge, n: int) -> list[str]:
     """Return plan1, plan2 …, without names that the rig or the rows already use."""
-    old = {*known.rig.lines, *(() if known.measured is None else known.measured.line.tolist())}
+    old = {*knowledge.rig.lines, *(() if knowledge.measured is None else knowledge.measured.line.tolist())}
     free = (name for name in map("plan{}".format, count(1)) if name not in old)
     return [next(free) for _ in range(n)]
 
 
-def _with_lines(known: Known, devices: dict[str, Device]) -> Known:
+def _with_lines(knowledge: Knowledge, devices: dict[str, Device]) -> Knowledge:
     """Return what is known with the planned devices in addition to those already used."""
-    old = known.rig.lines
-    if known.measured is not None and not old:
+    old = knowledge.rig.lines
+    if knowledge.measured is not None and not old:
         cov = next(iter(devices.values())).sensor_cov
-        old = {str(name): Device(str(name), cov) for name in np.unique(known.measured.line) if name}
-    return replace(known, rig=replace(known.rig, lines={**old, **devices}))
+        old = {str(name): Device(str(name), cov) for name in np.unique(knowledge.measured.line) if name}
+    return replace(knowledge, rig=replace(knowledge.rig, lines={**old, **devices}))
 
 
-def _chosen(known: Known, candidates: Lines, n: int, options: LineOptions, aim: Aim, target: str) -> list[int]:
+def _chosen(knowledge: Knowledge, candidates: Lines, n: int, options: LineOptions, aim: Aim, target: str) -> list[int]:
     """Return the best ``n`` lines, after fitting the unknowns of their own devices."""
     blocks = []
     for i in steps_of(range(len(candidates.q)), f"weighing {len(candidates.q)} lines"):
-        table, devices = line_rows(known, candidates.select([i]), ["own"], target, options.passes)
-        alone = _with_lines(replace(known, measured=None), devices)
+        table, devices = line_rows(knowledge, candidates.select([i]), ["own"], target, options.passes)
+        alone = _with_lines(replace(knowledge, measured=None), devices)
         problem, x, columns = compiled(alone, table)
         (block,) = whitened_blocks(problem, x, columns)
         of_device = np.array([name.startswith("line.own.") for name in problem.names])[columns]
@@ -184,20 +186,21 @@ def _chosen(known: Known, candidates: Lines, n: int, options: LineOptions, aim: 
         blocks.append(condensed(jac[:, ~of_device] * unit, jac[:, of_device]))
     root = region_root(alone, table, aim)[:, ~of_device]
     return [
-        int(i) for i in choose(as_blocks(blocks), _information(known, blocks[0].shape[1]), n, options.criterion, root)
+        int(i)
+        for i in choose(as_blocks(blocks), _information(knowledge, blocks[0].shape[1]), n, options.criterion, root)
     ]
 
 
-def _information(known: Known, k: int) -> Floats:
+def _information(knowledge: Knowledge, k: int) -> Floats:
     """Return the information (k, k) of the prior and of existing measurements for the robot's columns.
 
     The rows' own unknowns are fitted first.
     """
     information = np.eye(k)
-    if known.measured is None:
+    if knowledge.measured is None:
         return information
-    problem, x, columns = compiled(replace(known, measured=None), known.measured)
-    n_robot, unit = int(known.free.sum()), prior_unit(known, problem, columns)
+    problem, x, columns = compiled(replace(knowledge, measured=None), knowledge.measured)
+    n_robot, unit = int(knowledge.free.sum()), prior_unit(knowledge, problem, columns)
     root = of_rows(settled(problem, x), x, columns).root * unit
     rows = condensed(root[:, :n_robot], root[:, n_robot:]) if unit.size > n_robot else root
     information[:n_robot, :n_robot] += rows.T @ rows

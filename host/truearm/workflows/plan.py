@@ -24,7 +24,7 @@ from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, 
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
-from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_rig_values
+from truearm.plan.forecast import Forecast, Knowledge, bar_table, forecast, with_rig_values
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.plan.line_plan import LinePlan, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
@@ -104,10 +104,10 @@ class BallBarOptions(PoseOptions, Checked):
 def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
-    known = _known(files)
-    planned = planned_ball_bar(known, budget, options, files.result is not None)
+    knowledge = _read_knowledge(files)
+    planned = planned_ball_bar(knowledge, budget, options, files.result is not None)
     route = planned.route
-    _write(files, known, route.visits, route.stops, options.dwell)
+    _write(files, knowledge, route.visits, route.stops, options.dwell)
     document = {
         **forecast_document(planned.forecast),
         "poses": len(route.plan),
@@ -116,17 +116,17 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
         "visits": options.visits,
         "check_poses": _visits(budget, options).check_poses,
         "minutes": route.minutes,
-        **_pairings(known, route.plan),
-        **({"curves": _curves(known, route.plan)} if options.joint_laws else {}),
+        **_pairings(knowledge, route.plan),
+        **({"curves": _curves(knowledge, route.plan)} if options.joint_laws else {}),
         "written": [str(path) for path in files.outputs],
     }
     return {**document, "findings": entries(forecast_findings(document, options.check_poses))}
 
 
-def _pairings(known: Known, plan: Plan) -> dict[str, Any]:
+def _pairings(knowledge: Knowledge, plan: Plan) -> dict[str, Any]:
     """Return the number of poses of each pairing, and what would be left to fit if some were held out."""
     of_pairing = Counter(zip(*(getattr(plan, name).tolist() for name in BAR_MOUNTED), strict=True))
-    table = bar_table(known, plan)
+    table = bar_table(knowledge, plan)
     proposals = (
         [(f"bar={bar}", 0) for bar in dict.fromkeys(plan.bar.tolist())] if len(set(plan.bar.tolist())) > 1 else []
     )
@@ -137,11 +137,11 @@ def _pairings(known: Known, plan: Plan) -> dict[str, Any]:
         "pairings": [
             {**dict(zip(BAR_MOUNTED, names, strict=True)), "poses": poses} for names, poses in of_pairing.items()
         ],
-        "hold_outs": [_hold_out(known, table, words, seed) for words, seed in proposals],
+        "hold_outs": [_hold_out(knowledge, table, words, seed) for words, seed in proposals],
     }
 
 
-def _hold_out(known: Known, table: ObservationTable, words: str, seed: int) -> dict[str, Any]:
+def _hold_out(knowledge: Knowledge, table: ObservationTable, words: str, seed: int) -> dict[str, Any]:
     """Return what holding some planned poses out would leave to the fit."""
     held = held_out_rows(table, [words], seed)
     assert held is not None
@@ -149,12 +149,12 @@ def _hold_out(known: Known, table: ObservationTable, words: str, seed: int) -> d
         "hold_out": words,
         "seed": seed,
         "poses": int(held.sum()),
-        "rank": forecast(known, table.select(~held)).rank,
+        "rank": forecast(knowledge, table.select(~held)).rank,
         "all_held_out": all_held_out(table, held),
     }
 
 
-def _curves(known: Known, plan: Plan) -> list[dict[str, Any]]:
+def _curves(knowledge: Knowledge, plan: Plan) -> list[dict[str, Any]]:
     """Return what planned poses will show of error curves."""
     return [
         {
@@ -170,7 +170,7 @@ def _curves(known: Known, plan: Plan) -> list[dict[str, Any]]:
             "sigma_mrad": MRAD.of(curve.sigma),
             "unseen_deg": [[DEG.of(end) for end in span] for span in curve.unseen],
         }
-        for curve in curve_forecasts(known, bar_table(known, plan))
+        for curve in curve_forecasts(knowledge, bar_table(knowledge, plan))
     ]
 
 
@@ -181,13 +181,13 @@ def _visits(budget: Budget, options: BallBarOptions) -> Visits:
     return Visits(options.visits, checks if checks >= LEAST_CHECKS else 0)
 
 
-def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, is_identified: bool) -> BallBarPlan:
+def planned_ball_bar(knowledge: Knowledge, budget: Budget, options: BallBarOptions, is_identified: bool) -> BallBarPlan:
     """Return the best poses for a budget, in order, and the forecast. ``is_identified``: the robot is that of a result.
 
     Raises InputError for a bar with too little travel for the reserve, and PlanError as ``plan_ballbar`` does.
     """
     limits = _limits(options.reserve, is_identified)
-    _check_travel(known, limits.reserve, options.spread)
+    _check_travel(knowledge, limits.reserve, options.spread)
     wanted = Wanted(
         budget.n,
         budget.minutes,
@@ -197,30 +197,34 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, is_i
         seed=options.seed,
         visits=_visits(budget, options),
     )
-    site = make_site(known, limits, Sizes(), options.seed)
-    pairings, pace = all_pairings(known.rig, options.bars), Pace(dwell=options.dwell)
-    if known.measured is not None and known.deciding:  # all poses on the mounts that decide
+    site = make_site(knowledge, limits, Sizes(), options.seed)
+    pairings, pace = all_pairings(knowledge.rig, options.bars), Pace(dwell=options.dwell)
+    if knowledge.measured is not None and knowledge.deciding:  # all poses on the mounts that decide
         decides = [
-            pairing for pairing in pairings if known.deciding >= {f"chuck {pairing.chuck}", f"sphere {pairing.sphere}"}
+            pairing
+            for pairing in pairings
+            if knowledge.deciding >= {f"chuck {pairing.chuck}", f"sphere {pairing.sphere}"}
         ]
         pairings = decides or pairings
-    return plan_ballbar(site, known, pairings, wanted, pace, options.region)
+    return plan_ballbar(site, knowledge, pairings, wanted, pace, options.region)
 
 
 @step("planning")
 def plan_line_files(files: PlanFiles, options: LineOptions, region: Region | None = None) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
-    known = _known(files)
-    target = _target(known, options.target)
-    planned = plan_lines(make_site(known, Limits(), Sizes(), options.seed), known, options, Pace(), region, target)
+    knowledge = _read_knowledge(files)
+    target = _target(knowledge, options.target)
+    planned = plan_lines(
+        make_site(knowledge, Limits(), Sizes(), options.seed), knowledge, options, Pace(), region, target
+    )
     if files.rig_out is not None:
         write_rig(files.rig_out, planned.rig)
-    tool = known.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
-    _write(files, known, planned.visits, planned.stops, 0.0, tool)
+    tool = knowledge.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
+    _write(files, knowledge, planned.visits, planned.stops, 0.0, tool)
     document = {
         **forecast_document(planned.forecast),
-        "lines": _places(planned, known, np.array(tool)),
+        "lines": _places(planned, knowledge, np.array(tool)),
         "minutes": planned.minutes,
         "written": [str(path) for path in files.outputs],
     }
@@ -231,12 +235,12 @@ def plan_line_files(files: PlanFiles, options: LineOptions, region: Region | Non
 def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message."""
     _check(files)
-    known = _known(files)
+    knowledge = _read_knowledge(files)
     limits = _limits(options.reserve, files.result is not None)
-    pairing = Pairing(*(_named(what, getattr(options, what), known.rig.mounted()[what]) for what in BAR_MOUNTED))
-    site = make_site(known, limits, Sizes(), options.seed)
+    pairing = Pairing(*(_named(what, getattr(options, what), knowledge.rig.mounted()[what]) for what in BAR_MOUNTED))
+    site = make_site(knowledge, limits, Sizes(), options.seed)
     route = plan_approaches(site, pairing, options, Pace(dwell=options.dwell))
-    _write(files, known, route.visits, route.stops, options.dwell)
+    _write(files, knowledge, route.visits, route.stops, options.dwell)
     document = {
         **vars(pairing),
         "poses": options.poses,
@@ -248,7 +252,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
     return {**document, "findings": entries(approach_findings(document))}
 
 
-def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known:
+def knowledge_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Knowledge:
     """Return what is known before a plan: the design, or a result's robot, its estimates of the rig, and open questions."""
     params, values, deciding = robot.chain.params_nominal, {}, frozenset[str]()
     if result is not None:
@@ -256,8 +260,8 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
         params, values = result.identified, {name: value for name, value in estimates.items() if value is not None}
         deciding = frozenset(name for fault in result.stored.faults for name in cast("list[str]", fault["deciding"]))
     prior = default_prior(robot, option_defaults.SOLVER)
-    known = Known.design(robot, with_rig_values(rig, values))
-    return replace(known, params=params, rig_values=values, free=robot.free, prior=prior, deciding=deciding)
+    knowledge = Knowledge.design(robot, with_rig_values(rig, values))
+    return replace(knowledge, params=params, rig_values=values, free=robot.free, prior=prior, deciding=deciding)
 
 
 def _named(what: str, name: str | None, have: Iterable[str]) -> str:
@@ -285,11 +289,11 @@ def _limits(reserve: float | None, is_identified: bool) -> Limits:
     return Limits() if reserve is None else Limits(reserve=reserve)
 
 
-def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, Any]]:
+def _places(planned: LinePlan, knowledge: Knowledge, point: Floats) -> list[dict[str, Any]]:
     """Return the position of each line, from end to end in the base frame, and the rotation of the device."""
     from truearm.model.chain import point_forward
 
-    ends = MM.of(point_forward(known.chain, known.params, planned.lines.q[:, [0, -1]], point))
+    ends = MM.of(point_forward(knowledge.chain, knowledge.params, planned.lines.q[:, [0, -1]], point))
     return [
         {
             "line": device.name,
@@ -302,9 +306,9 @@ def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, An
     ]
 
 
-def _target(known: Known, name: str | None) -> str:
+def _target(knowledge: Knowledge, name: str | None) -> str:
     """Return the target's name; "" for the end's origin if the rig has no target."""
-    have = list(known.rig.targets)
+    have = list(knowledge.rig.targets)
     if name is None and len(have) <= 1:
         return have[0] if have else ""
     if name not in have:
@@ -321,15 +325,15 @@ def _check(files: PlanFiles) -> None:
     check_outputs(outputs, files.force, filter(None, read), "the forecast")
 
 
-def _known(files: PlanFiles) -> Known:
+def _read_knowledge(files: PlanFiles) -> Knowledge:
     """Return robot, rig, model and earlier measurements, from files. Raises PlanError if no program can be for the robot."""
     result = None if files.result is None else read_calibration(files.result, files.robot)
     robot = files.robot.load() if result is None else result.robot
     for path in files.program_out:
         check_joints(path.suffix.lower(), len(robot.chain.joints))
-    known = replace(known_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
+    knowledge = replace(knowledge_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
     if not files.measured:
-        return known
+        return knowledge
     from truearm.workflows.inputs import Sources, read_sources  # slow to import, as it also reads sessions
     from truearm.workflows.session_parts import with_parts
 
@@ -340,11 +344,11 @@ def _known(files: PlanFiles) -> Known:
         raise InputError(
             Argument("measured"), ": rows of several rigs cannot be used for a plan; give the rows of one rig"
         )
-    return replace(known, measured=table)
+    return replace(knowledge, measured=table)
 
 
-def _check_travel(known: Known, reserve: float, spread: float) -> None:
-    for bar in known.rig.bars.values():
+def _check_travel(knowledge: Knowledge, reserve: float, spread: float) -> None:
+    for bar in knowledge.rig.bars.values():
         remaining = 0.5 * abs(bar.gain) * bar.travel - reserve - spread
         if remaining < LEFT:
             raise InputError(
@@ -356,7 +360,7 @@ def _check_travel(known: Known, reserve: float, spread: float) -> None:
 
 def _write(
     files: PlanFiles,
-    known: Known,
+    knowledge: Knowledge,
     visits: Plan,
     stops: list[Stop],
     dwell: float,
@@ -364,7 +368,7 @@ def _write(
 ) -> None:
     """Write the plan and the programs that were requested."""
     if files.out is not None:
-        write_plan(files.out, visits.of_robot(known.chain.name))
+        write_plan(files.out, visits.of_robot(knowledge.chain.name))
     for path in files.program_out:
         write_atomic(
             path,

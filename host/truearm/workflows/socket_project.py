@@ -22,12 +22,12 @@ from truearm.files.rig_file import parse_rig
 from truearm.findings import Finding, entries
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
-from truearm.plan.forecast import Aim, Known, forecast, planned_table
+from truearm.plan.forecast import Aim, Knowledge, forecast, planned_table
 from truearm.plan.socket_block import SocketBlock
 from truearm.plan.socket_places import Site, plans_of_sites
 from truearm.types import Rig, Triple
 from truearm.units import DEG, MM
-from truearm.workflows.plan import forecast_document, known_of
+from truearm.workflows.plan import forecast_document, knowledge_of
 
 SEAT_NOISE = np.sqrt(3.0) * Rig().seat_sigma  # m, of all coordinates
 SEATS, PLACES, BLOCK, DRAWING = "seats.csv", "places.csv", "socket.stl", "places.svg"
@@ -90,16 +90,16 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
     ball = ", ".join(f"{MM.of(x):g}" for x in request.ball)
     rig_text = RIG.format(name=name, ball=ball, distance=MM.of(block.distance))
     rig = parse_rig(rig_text, "rig.toml")
-    known, plans = _within_tolerances(known_of(robot, rig)), []
+    knowledge, plans = _within_tolerances(knowledge_of(robot, rig)), []
     for sites in plans_of_sites(robot, request.ball, block, request.table, request.places, request.seats):
         tables = _tables(sites)
-        worst = _between_places(known, tables)
+        worst = _between_places(knowledge, tables)
         plans.append((worst, sites, tables))
         if worst < SEAT_NOISE:
             break
     _, sites, tables = min(plans, key=itemgetter(0))
     seated = ObservationTable.joined(tables)
-    predicted = forecast(known, seated, Aim(seated.q, tuple(rig.spheres)))
+    predicted = forecast(knowledge, seated, Aim(seated.q, tuple(rig.spheres)))
     units = [DEG if joint.kind == "revolute" else MM for joint in robot.chain.joints]
     joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
     plan: list[list[object]] = [["seat", "place", "socket", "ball_x_mm", "ball_y_mm", "ball_z_mm", *joints]]
@@ -127,10 +127,12 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
     return SocketPlan(files, {**document, "findings": entries([Finding("planned-seats", facts)])})
 
 
-def _within_tolerances(known: Known) -> Known:
+def _within_tolerances(knowledge: Knowledge) -> Knowledge:
     """Return an arm as its drawing allows: of one with exactly parallel axes, less is identifiable than of a real one."""
-    tolerance = known.free * weak_prior(known.chain)
-    return replace(known, params=known.params + tolerance * np.random.default_rng(0).normal(size=tolerance.size))
+    tolerance = knowledge.free * weak_prior(knowledge.chain)
+    return replace(
+        knowledge, params=knowledge.params + tolerance * np.random.default_rng(0).normal(size=tolerance.size)
+    )
 
 
 def _tables(sites: list[Site]) -> list[ObservationTable]:
@@ -141,12 +143,12 @@ def _tables(sites: list[Site]) -> list[ObservationTable]:
     ]
 
 
-def _between_places(known: Known, tables: list[ObservationTable]) -> float:
+def _between_places(knowledge: Knowledge, tables: list[ObservationTable]) -> float:
     """Return the largest RMS error [m] of a place apart from its own pose, if the others are fitted; inf if undetermined."""
     errors = []
     for i, table in enumerate(tables):
         other_tables = ObservationTable.joined([*tables[:i], *tables[i + 1 :]])
-        errors.append(forecast(known, other_tables, Aim(table.q, tuple(known.rig.spheres))).cartesian_rms)
+        errors.append(forecast(knowledge, other_tables, Aim(table.q, tuple(knowledge.rig.spheres))).cartesian_rms)
     return float(np.max(np.where(np.isnan(errors), np.inf, errors)))
 
 
