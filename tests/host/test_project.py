@@ -17,7 +17,6 @@ from tests.refusals import ended
 
 from truearm.cli.project import defaults, project_model
 from truearm.errors import InputError
-from truearm.files.disk import sha256
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE, find_project
 from truearm.files.rig_file import read_rig, write_rig
@@ -300,35 +299,22 @@ def test_status_names_a_fit_that_converged_and_is_not_usable(project, files, run
     assert "truearm correct" not in said
 
 
-def test_status_lists_a_rehearsal_and_does_not_count_it(project, files, run):
-    """The README's rehearsal in a project, its result, and a result of the project's own rows."""
+def test_status_does_not_count_a_rehearsal(project, files, run):
+    """Neither its session, in another folder, nor its result, newer than the project's own."""
     (project / "rehearsal").mkdir()
     recorded(project / "rehearsal" / "session.mcap")
     own = project / "results" / "2026-01-01.json"
     assert run("identify", files / "poses.csv", "--rig", files / "rig.toml", "--out", own).code == 0
-    document = json.loads(own.read_text())
-    of_rehearsal = {"role": "observations", "name": "session.mcap"}
-    of_rehearsal["sha256"] = sha256(project / "rehearsal" / "session.mcap")
-    rehearsed = {**document, "inputs": [*document["inputs"], of_rehearsal]}
+    rehearsed = {**json.loads(own.read_text()), "simulated": True}
     (project / "results" / "2026-01-02.json").write_text(json.dumps(rehearsed))
     state = json.loads(run("status", "--json").out)
-
-    def files_of(name):
-        return sorted(os.path.relpath(entry["file"]) for entry in state[name])
-
-    assert (files_of("sessions"), files_of("other_sessions")) == ([], ["rehearsal/session.mcap"])
-    assert (files_of("results"), files_of("other_results")) == (
-        ["results/2026-01-01.json"],
-        ["results/2026-01-02.json"],
-    )
-    assert state["next"].startswith("truearm plan")  # the rehearsal is no recording
+    assert state["sessions"] == []
+    assert [result["simulated"] for result in state["results"]] == [False, True]
+    assert state["next"].startswith("truearm plan")
     recorded(project / "sessions" / "2026-01-01.mcap")
     os.utime(project / "sessions" / "2026-01-01.mcap", (1e9, 1e9))
-    os.utime(own, (1e9 - 1, 1e9 - 1))  # only what was made of the rehearsal is newer
+    os.utime(own, (1e9 - 1, 1e9 - 1))  # only the rehearsal's is newer
     assert json.loads(run("status", "--json").out)["next"].startswith("truearm identify")
-    said = run("status").out
-    assert "used  rehearsal/session.mcap" in said
-    assert re.search(r"results/2026-01-02.json, .* \(of rehearsal/session.mcap\)", said)
 
 
 def test_status_of_a_recording_that_was_cut_off(project, run):

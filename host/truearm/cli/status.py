@@ -46,11 +46,6 @@ def _lines(state: State) -> Iterator[str]:
     for title, word in (("sessions", _session), ("results", _result)):
         yield f"{title:<10}{len(state[title]) or 'none'}"
         yield from (f"          {word(row)}" for row in state[title])
-    remark = f"(not in {project['sessions']}: if it is no rehearsal, move it there)"
-    unused = [f"{_session(row)} {remark}" for row in state["other_sessions"]]
-    unused += [f"{_result(row)} (of {_shown(row['session'])})" for row in state["other_results"]]
-    for title, line in zip(("not used", *[""] * len(unused)), unused, strict=False):
-        yield f"{title:<10}{line}"
 
 
 def _shown(file: str, current: str = os.curdir) -> str:
@@ -76,6 +71,7 @@ def _result(row: State) -> str:
 def _next(state: State) -> tuple[str, str]:
     """Return the command that comes next, and why."""
     sessions, results = state["sessions"], state["results"]
+    results = [result for result in results if not result["simulated"]] or results  # a rehearsal counts for nothing
     if state["rig"] is None:
         rig = state["project"]["rig"]
         return f"write {rig}", f"the rig is not described yet; {page('Build and measure the rig')}"

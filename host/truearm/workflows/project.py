@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -99,14 +99,6 @@ def result_in_use(folder: Path) -> Path | None:
     newest_first = results_of(folder)[::-1]
     measured = (path for path in newest_first if not result_document(path).get("simulated"))
     return next(measured, newest_first[0] if newest_first else None)
-
-
-def was_read(session: Path, document: Mapping[str, Any]) -> bool:
-    """Return whether a result was made from this session."""
-    from truearm.files.disk import sha256
-
-    hashes = [entry.get("sha256") for entry in document.get("inputs", ()) if entry.get("name") == session.name]
-    return bool(hashes) and sha256(session) in hashes
 
 
 def by_time(files: Iterable[Path]) -> list[Path]:
@@ -263,16 +255,9 @@ def _bar_text(bar: BallBar) -> str:
 
 
 def state_of(path: Path) -> dict[str, Any]:
-    """Return what a project has, as JSON; ``path`` is its truearm.toml. Raises InputError if that is invalid.
-
-    Sessions outside the project's folder for them and results made from these are ``other_sessions`` and
-    ``other_results``: the next step does not depend on a rehearsal.
-    """
+    """Return what a project has, as JSON; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
     project, home = read_project(path), path.parent
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
-    own_sessions = home / project.sessions
-    unused = by_time(path for folder in folders_of(home) if folder != own_sessions for path in sessions_of(folder))
-    results = [_result(path, unused) for path in results_of(home / project.results)]
     return {
         "format": "truearm-status",
         "project": vars(project),
@@ -281,10 +266,8 @@ def state_of(path: Path) -> dict[str, Any]:
         "plan": str(plan) if plan else None,
         "poses": _poses(plan),
         "seats": _seats(home, project),
-        "sessions": [_session(path, project) for path in sessions_of(own_sessions)],
-        "results": [result for result in results if "session" not in result],
-        "other_sessions": [_session(path, project) for path in unused],
-        "other_results": [result for result in results if "session" in result],
+        "sessions": [_session(path, project) for path in sessions_of(home / project.sessions)],
+        "results": [_result(path) for path in results_of(home / project.results)],
     }
 
 
@@ -320,8 +303,7 @@ def _session(path: Path, project: Project) -> dict[str, Any]:
     }
 
 
-def _result(path: Path, other_sessions: Sequence[Path]) -> dict[str, Any]:
-    """Return a result; ``session`` is the one of ``other_sessions``, outside the project's folder, that it was made from."""
+def _result(path: Path) -> dict[str, Any]:
     from truearm.files.result_file import read_result
 
     document, held_out, unusable = result_document(path), None, None
@@ -331,7 +313,10 @@ def _result(path: Path, other_sessions: Sequence[Path]) -> dict[str, Any]:
         held_out = (document.get("held_out") or {}).get("rms_mm")
     except (TruearmError, ValueError, OSError) as exc:
         status = f"cannot be read: {exc}"
-    entry = {"file": str(path), "held_out_rms_mm": held_out, "status": status, "unusable_because": unusable}
-    entry["simulated"] = bool(document.get("simulated"))
-    sessions = [str(session) for session in other_sessions if was_read(session, document)]
-    return {**entry, "session": sessions[0]} if sessions else entry
+    return {
+        "file": str(path),
+        "held_out_rms_mm": held_out,
+        "status": status,
+        "unusable_because": unusable,
+        "simulated": bool(document.get("simulated")),
+    }
