@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import queue
 import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import Future
 
 from truearm.errors import InputError, LinkError
 from truearm.record.links import Arrivals, Backlog, Link, backlog_of
@@ -20,7 +21,7 @@ class Reopening:
     def __init__(self, open_link: Callable[[], Link]) -> None:
         self._open = open_link
         self._link: Link | None = open_link()
-        self._opener: _Opener | None = None
+        self._opening: Future[Link] | None = None
         self._held_up = self._foreign = 0  # of the previous links
         self.name = self._link.name
         self.numeric = getattr(self._link, "numeric", False)
@@ -33,19 +34,22 @@ class Reopening:
 
     def reopen(self, timeout_s: float) -> bool:
         """Return whether the link is back, waiting up to ``timeout_s``; attempts continue between calls."""
-        if self._opener is None:
+        if self._opening is None:
             self.close()
-            self._opener = _Opener(self._open)
-        link = self._opener.opened(timeout_s)
-        if link is None:
+            self._opening = Future()
+            threading.Thread(target=_open, args=(self._open, self._opening), daemon=True).start()
+        try:
+            link = self._opening.result(timeout_s)
+        except TimeoutError:
             return False
-        self._opener, self._link, self.name = None, link, link.name
+        self._opening, self._link, self.name = None, link, link.name
         return True
 
     def close(self) -> None:
-        if self._opener is not None:
-            self._opener.stop()
-            self._opener = None
+        if self._opening is not None:
+            if not self._opening.cancel():
+                self._opening.result().close()
+            self._opening = None
         if self._link is not None:
             link, self._link = self._link, None
             before = backlog_of(link)
@@ -64,34 +68,16 @@ class Reopening:
         return self._link
 
 
-class _Opener:
-    """A thread that tries until it has opened a link."""
-
-    def __init__(self, open_link: Callable[[], Link]) -> None:
-        self._open = open_link
-        self._links: queue.SimpleQueue[Link] = queue.SimpleQueue()
-        self._stopping = threading.Event()
-        threading.Thread(target=self._run, daemon=True).start()
-
-    def opened(self, timeout_s: float) -> Link | None:
+def _open(open_link: Callable[[], Link], opening: Future[Link]) -> None:
+    """Try until a link is open; if nobody wants it any more, it is closed."""
+    while not opening.cancelled():
         try:
-            return self._links.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
-
-    def stop(self) -> None:
-        """Stop without waiting for a pending attempt: what it opens is closed."""
-        self._stopping.set()
-        if (link := self.opened(0.0)) is not None:
+            link = open_link()
+        except (LinkError, InputError):
+            time.sleep(PAUSE_S)
+            continue
+        if opening.set_running_or_notify_cancel():
+            opening.set_result(link)
+        else:
             link.close()
-
-    def _run(self) -> None:
-        while not self._stopping.is_set():
-            try:
-                self._links.put(self._open())
-            except (LinkError, InputError):
-                self._stopping.wait(PAUSE_S)
-                continue
-            if self._stopping.is_set():
-                self.stop()
-            return
+        return
