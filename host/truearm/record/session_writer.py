@@ -10,7 +10,7 @@ minute, attachments and a copy of the plan every ten minutes, and at the end. A 
 Twice a second the writer checks its file (``FileLoss``). A deleted or replaced file is copied from the open descriptor to a
 new one, where the recording continues. Others are written to as before.
 
-A writer that is held only reserves its name, with a header or a lock, before ``keep``.
+A writer that is held writes nothing before ``keep``; an earlier recording stays intact until then.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _Message = tuple[int, int, bytes, int, int]  # arguments of add_message(): chann
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` there is only a header before ``keep``, and no file if the writer is closed before. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
+    With ``hold`` nothing is written before ``keep``. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
     ``close``.
 
     Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's
@@ -73,8 +73,12 @@ class SessionWriter:
         self._overwrite = overwrite
         self._held = hold
         self._new = False  # not an earlier recording
-        self._file = self._open()
-        self._out = _Output(io.BytesIO() if hold else self._file)
+        file = self._open()
+        if hold:
+            file.close()
+            if self._new:
+                path.unlink()
+        self._out = _Output(io.BytesIO() if hold else file)
         self._clock = clock
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
         self._utc_offset_ns = 0  # UTC minus the host's clock
@@ -99,8 +103,6 @@ class SessionWriter:
         self._attachments: dict[str, tuple[str, bytes]] = {}
         self._chunks = 0
         self._writer = _begun(self._out)
-        if hold:
-            self._reserve()
         if clock is not None:
             self.metadata("session", {"version": VERSION, "clock": clock.kind, **_anchor(clock)})
 
@@ -120,33 +122,14 @@ class SessionWriter:
         if not self._held:
             return
         held = self._out.file
-        if not self._is_reserved():
-            self._file.close()
-            self._file = self._open()
+        self._out.file = self._open()
         self._held = False
-        self._out.file = self._file
         try:
-            self._file.truncate(self._file.seek(0))
-            self._file.write(held.getvalue())  # type: ignore[attr-defined]
+            self._out.file.truncate()
+            self._out.file.write(held.getvalue())  # type: ignore[attr-defined]
             self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
-
-    def _reserve(self) -> None:
-        """Write the header into a new file: without it, what a killed recorder leaves is no session."""
-        try:
-            if self._new:
-                self._file.write(self._out.file.getvalue())  # type: ignore[attr-defined]
-                self._file.flush()
-        except OSError as exc:
-            self.path.unlink()
-            raise self._cannot_write(exc) from exc
-        self._size = os.fstat(self._file.fileno()).st_size
-
-    def _is_reserved(self) -> bool:
-        """Return whether nobody touched the file since its name was reserved."""
-        changed = os.fstat(self._file.fileno()).st_size != self._size
-        return not changed and file_loss(self._file, self.path, self._size) is None
 
     def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         """Append a message unchanged; ``sequence`` is its number within its topic, by default the next one.
@@ -249,11 +232,7 @@ class SessionWriter:
         if self._out.file.closed:
             return
         if self._held:
-            unused = self._new and not self._file.closed and self._is_reserved()
             self._out.file.close()
-            self._file.close()
-            if unused:
-                self.path.unlink()
             return
         try:
             with self._writing():
