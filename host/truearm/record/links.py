@@ -107,8 +107,8 @@ class HostClock:
     def utc_anchor(self) -> tuple[int, int]:
         """Return the tightest of five readings of both clocks."""
         readings = [(self.now_ns(), time.time_ns(), self.now_ns()) for _ in range(5)]
-        before, utc, after = min(readings, key=lambda r: r[2] - r[0])
-        return utc, (before + after) // 2
+        begin, utc, end = min(readings, key=lambda r: r[2] - r[0])
+        return utc, (begin + end) // 2
 
 
 class StreamLink:

@@ -52,15 +52,15 @@ class Reopening:
             self._opening = None
         if self._link is not None:
             link, self._link = self._link, None
-            before = backlog_of(link)
-            self._held_up, self._foreign = self._held_up + before.held_up, self._foreign + before.foreign
+            backlog = backlog_of(link)
+            self._held_up, self._foreign = self._held_up + backlog.held_up, self._foreign + backlog.foreign
             link.close()
 
     @property
     def backlog(self) -> Backlog:
         """Return the backlog of the open link, with the counts of all links."""
-        now = Backlog() if self._link is None else backlog_of(self._link)
-        return now._replace(held_up=now.held_up + self._held_up, foreign=now.foreign + self._foreign)
+        current = Backlog() if self._link is None else backlog_of(self._link)
+        return current._replace(held_up=current.held_up + self._held_up, foreign=current.foreign + self._foreign)
 
     def _opened(self) -> Link:
         if self._link is None:

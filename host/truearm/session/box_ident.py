@@ -215,7 +215,7 @@ def find_channel(ident: Ident, name: str) -> tuple[Stream, int] | None:
 
 def decimal(value: object, key: str) -> float:
     """Return the float nearest to ``[mantissa, exponent]``. Raises ValueError naming ``key`` if it is not such a pair."""
-    if not isinstance(value, list) or len(value) != 2 or any(type(part) is not int for part in value):
+    if not isinstance(value, list) or len(value) != 2 or any(type(item) is not int for item in value):
         raise _Wrong(f"{key} must be [mantissa, exponent]")
     mantissa, exponent = value
     if abs(mantissa) >= 2**64 or abs(exponent) > MAX_EXPONENT or math.isinf(number := float(f"{mantissa}e{exponent}")):

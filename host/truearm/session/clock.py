@@ -58,11 +58,9 @@ class BoxTemperature(NamedTuple):
         """
         if not len(self.degc):
             return np.full(len(t_host_ns), np.nan)
-        k = np.clip(np.searchsorted(self.t_host_ns, t_host_ns), 1, max(len(self.degc) - 1, 1))
-        distance_ns = np.abs(self.t_host_ns[[np.minimum(k, len(self.degc) - 1), k - 1]] - t_host_ns).min(axis=0)
         begin = self.t_host_ns[0]
         degc = np.interp(1e-9 * (t_host_ns - begin), 1e-9 * (self.t_host_ns - begin), self.degc)
-        return np.where(distance_ns <= AROUND_NS, degc, np.nan)
+        return np.where(np.isnan(self.at(t_host_ns)), np.nan, degc)
 
 
 def box_temperature(

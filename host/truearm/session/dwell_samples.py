@@ -101,15 +101,15 @@ def measured(dwell: Dwell, samples: Samples | None, sensor: DwellSensor, sensing
     stretched = extension(counts, samples.channels[0])
     length = sensor.zero + sensor.gain * stretched
     block = block_length(samples)
-    rest = settled(length, block, sensor.gain**2 * sensing.noise.block_var, max(UNSETTLED * sensor.sigma, MICRON))
-    first = _first_sample(rest, counts.size, block)
+    at_rest = settled(length, block, sensor.gain**2 * sensing.noise.block_var, max(UNSETTLED * sensor.sigma, MICRON))
+    first = _first_sample(at_rest, counts.size, block)
     if period_s * (counts.size - first + 1) < rules.shortest_s:
         reason, detail = _unusable(counts, stretched, sensor)
         quick = quick_noise(length)
         if not reason and quick > max(NOISY * abs(sensor.gain) * sensing.noise.quick, MICRON):
             reason, detail = "noisy", _noise_words(quick, NOISY * abs(sensor.gain) * sensing.noise.quick)
         elif not reason:
-            reason, detail = _unsettled(rest, round(rules.shortest_s / (block * period_s)))
+            reason, detail = _unsettled(at_rest, round(rules.shortest_s / (block * period_s)))
         return replace(dwell, reason=reason, detail=detail)
     dwell = _with_mean(dwell, mean_of(length[first:]), sensor)
     if first:
@@ -146,9 +146,9 @@ def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
     ]
 
 
-def _first_sample(rest: Settled | None, n: int, block: int) -> int:
+def _first_sample(at_rest: Settled | None, n: int, block: int) -> int:
     """Return the first of n samples at rest; leading samples outside any block belong to their neighbours."""
-    return n % block + int(rest.first) * block if rest is not None and rest.first else 0
+    return n % block + int(at_rest.first) * block if at_rest is not None and at_rest.first else 0
 
 
 def _with_mean(dwell: Dwell, mean: MeanOfSamples, sensor: DwellSensor) -> Dwell:
@@ -178,14 +178,14 @@ def _unusable(counts: NDArray[Any], stretched: Floats, sensor: DwellSensor) -> t
     return "", ""
 
 
-def _unsettled(rest: Settled | None, last: int) -> tuple[str, str]:
+def _unsettled(at_rest: Settled | None, last: int) -> tuple[str, str]:
     """Describe the swing or creep that is still visible in the last blocks."""
-    if rest is None:
+    if at_rest is None:
         return "gap", ""
-    off = float(np.max(np.abs(rest.deviation[-last:])))
+    off = float(np.max(np.abs(at_rest.deviation[-last:])))
     return "ringing" if rings(
-        rest
-    ) else "drift", f"{UM.text(off, '.0f')} off, {UM.text(float(rest.bound), '.0f')} allowed"
+        at_rest
+    ) else "drift", f"{UM.text(off, '.0f')} off, {UM.text(float(at_rest.bound), '.0f')} allowed"
 
 
 def _noise_words(noise: float, limit: float) -> str:

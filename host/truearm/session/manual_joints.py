@@ -49,13 +49,13 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRule
                 _noted(stream, bins, k, t_ns, "still moving", "the bar did not rest when the joints were noted")
             )
             continue
-        same = np.flatnonzero((rest_of == rest) & inside)
-        span = float(np.max(np.abs(bins.mean[same] - bins.mean[k])))
+        alike = np.flatnonzero((rest_of == rest) & inside)
+        span = float(np.max(np.abs(bins.mean[alike] - bins.mean[k])))
         if span > rules.pose_tolerance:
             dwells.append(
-                _noted(stream, bins, k, t_ns, "ambiguous", f"{len(same)} readings in one rest, {span:.3f} rad apart")
+                _noted(stream, bins, k, t_ns, "ambiguous", f"{len(alike)} readings in one rest, {span:.3f} rad apart")
             )
-        elif k == same[0]:
+        elif k == alike[0]:
             dwells.append(_resting(_noted(stream, bins, k, t_ns), rests[rest], t_ns))
     return dwells
 
@@ -79,7 +79,7 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
         at_rail = np.logical_or.reduceat(railed(block.counts[:, 0]), first)
         good = ~at_rail & (np.add.reduceat(blocks_n * period_ns, starts) >= 0.5e9 * BIN_S)
         gap = blocks_gap[starts] | np.append(False, at_rail[:-1])
-        mean, low, high = (of.reduceat(metres, first) for of in (np.add, np.minimum, np.maximum))
+        mean, low, high = (reduce.reduceat(metres, first) for reduce in (np.add, np.minimum, np.maximum))
         last_s = 1e-9 * (host_ns[ends] + period_ns[ends] * (blocks_n[ends] - 1))
         columns = (np.full(len(n), block.segment), 1e-9 * host_ns[starts], last_s, n, mean / n, low, high, gap)
         rows.append([column[good] for column in columns])

@@ -181,13 +181,13 @@ def observations(
     ident: Ident | None = None,
     rules: DwellRules | None = None,
     name: str = "session",
-    found: Survey | None = None,
+    surveyed: Survey | None = None,
     line_rules: LineRules | None = None,
     labels: Sequence[DwellLabel] | None = None,
 ) -> SyncResult:
     """Return the observations of the ball-bar and of a line device.
 
-    ``found`` is the survey of the same messages, if it was already made. ``labels``: what was mounted, if settled
+    ``surveyed`` is the survey of the same messages, if it was already made. ``labels``: what was mounted, if settled
     afterwards; plan and events are then not used. ``name`` is the session's name in the table's ``source``. Raises
     RigError if a dwell's bar, chuck or sphere, a line or its target is not in the rig. Raises SessionError if the box
     has no channel for the ball-bar or no calibration of it.
@@ -195,43 +195,43 @@ def observations(
     rules, line_rules = rules or DwellRules(), line_rules or LineRules()
     if rig.line_travel is not None:
         line_rules = replace(line_rules, reach=0.5 * rig.line_travel)
-    found = found or survey(source, ident, rules)
-    dwells = _pair(found, rig, rules) if labels is None else _settled(found, rig, labels)
-    dwells = with_mountings(dwells, found.marks, rules.pose_tolerance)
-    passes = passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance)
+    surveyed = surveyed or survey(source, ident, rules)
+    dwells = _pair(surveyed, rig, rules) if labels is None else _settled(surveyed, rig, labels)
+    dwells = with_mountings(dwells, surveyed.marks, rules.pose_tolerance)
+    passes = passes_of(surveyed.legs, surveyed.marks, rig, line_rules.pose_tolerance)
     by_kind: dict[str, list[Dwell]] = {}
     for kind_name, kind in registry.kinds().items():
         if kind.dwell is not None:  # what was mounted does not rule out sensors other than the bar
-            rested = (replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, found.dwells, strict=True))
+            rested = (replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, surveyed.dwells, strict=True))
             stops = dwells if kind_name == BAR else list(rested)
-            by_kind[kind_name] = _measured(stops, kind_name, kind.dwell, found, rig, rules)
+            by_kind[kind_name] = _measured(stops, kind_name, kind.dwell, surveyed, rig, rules)
     dwells = by_kind[BAR]
     measurable = (
         line_pass
         if line_pass.reason in ("too long", "ambiguous")
-        else measure(line_pass, found.samples[LINE], found.joints, bool(found.clocks), line_rules)
+        else measure(line_pass, surveyed.samples[LINE], surveyed.joints, bool(surveyed.clocks), line_rules)
         for line_pass in passes
     )
     driven = tuple(line_pass for line_pass in measurable if line_pass is not None)
     counts = [dwell.n_samples for dwell in dwells if not dwell.reason] + [line_pass.n_samples for line_pass in driven]
-    bins = None if has_manual_joints(found.joints) else found.joints.bins
-    table = table_of(by_kind, driven, len(found.joints.step), name, bins)
+    bins = None if has_manual_joints(surveyed.joints) else surveyed.joints.bins
+    table = table_of(by_kind, driven, len(surveyed.joints.step), name, bins)
     t_host_ns = (1e9 * table.time).astype(np.int64)
-    read = {name: found.thermometers[name].between(t_host_ns) for name in THERMOMETERS if name in found.thermometers}
-    simulated = any(box.simulated for box in found.idents.values())
+    thermometers = {title: surveyed.thermometers.get(name) for name, title in THERMOMETERS.items()}
+    simulated = any(box.simulated for box in surveyed.idents.values())
     table = table.replace(
-        **{THERMOMETERS[name]: degc for name, degc in read.items()},
-        temperature=found.temperature.at(t_host_ns),
+        **{title: t.between(t_host_ns) for title, t in thermometers.items() if t is not None},
+        temperature=surveyed.temperature.at(t_host_ns),
         simulated="yes" if simulated else None,
     )
-    return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, sum(counts))
+    return SyncResult(table, tuple(dwells), driven, surveyed, surveyed.losses.samples, sum(counts))
 
 
 def _measured(
-    dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, found: Survey, rig: Rig, rules: DwellRules
+    dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, surveyed: Survey, rig: Rig, rules: DwellRules
 ) -> list[Dwell]:
     """Return the dwells, those without a reason with what the sensor of a kind measured."""
-    (samples,) = found.samples[name]
+    (samples,) = surveyed.samples[name]
     dwells = list(dwells)
     sensors = {i: sensor_of(rig, dwell.mounted) for i, dwell in enumerate(dwells) if not dwell.reason}
     if name == BAR and sensors:
@@ -241,7 +241,7 @@ def _measured(
         return samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns)
 
     first_samples = {i: during(i) for i in list(sensors)[:LEARNT]}
-    sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first_samples.values()))
+    sensing = Sensing(rules, surveyed.joints, bool(surveyed.clocks), usual_noise(first_samples.values()))
     for i, sensor in sensors.items():
         if sensor is None:
             dwells[i] = replace(dwells[i], reason="no plan match")
@@ -252,30 +252,30 @@ def _measured(
     return without_noisy(dwells)
 
 
-def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
+def _pair(surveyed: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
     """Return the dwells with what was mounted. A rejected dwell takes no pose from its neighbour."""
-    dwells = list(found.dwells)
+    dwells = list(surveyed.dwells)
     good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
-    said = [found.marks.mounted_at(dwells[i].start_host_ns) for i in good]
-    plan, rows = found.marks.plan(), found.marks.dwells
+    confirmed = [surveyed.marks.mounted_at(dwells[i].start_host_ns) for i in good]
+    plan, rows = surveyed.marks.plan(), surveyed.marks.dwells
     if plan is None or not good:
-        for i, words in zip(good, said, strict=True):
+        for i, words in zip(good, confirmed, strict=True):
             dwells[i] = _mounted(dwells[i], None, words, rig)
         return dwells
-    matches = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, said)
+    matches = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, confirmed)
     for k, (i, pose) in enumerate(zip(good, matches.poses, strict=True)):
         if k in matches.ambiguous:
             dwells[i] = replace(dwells[i], reason="ambiguous", detail=" or ".join(matches.ambiguous[k]))
         elif pose is None:
-            reason, detail = _unmatched(dwells[i], plan, rows, rules, said[k])
+            reason, detail = _unmatched(dwells[i], plan, rows, rules, confirmed[k])
             dwells[i] = replace(dwells[i], reason=reason, detail=detail)
         else:
             dwells[i] = _mounted(dwells[i], rows[pose], plan.mounted[pose], rig)
     return dwells
 
 
-def _settled(found: Survey, rig: Rig, labels: Sequence[DwellLabel]) -> list[Dwell]:
-    dwells = labelled(found.dwells, labels)
+def _settled(surveyed: Survey, rig: Rig, labels: Sequence[DwellLabel]) -> list[Dwell]:
+    dwells = labelled(surveyed.dwells, labels)
     for dwell in dwells:
         if not dwell.reason:
             check_rig(dwell.mounted, rig)
@@ -283,7 +283,7 @@ def _settled(found: Survey, rig: Rig, labels: Sequence[DwellLabel]) -> list[Dwel
 
 
 def _unmatched(
-    dwell: Dwell, plan: PlannedPoses, rows: list[int], rules: DwellRules, said: Mapping[str, str]
+    dwell: Dwell, plan: PlannedPoses, rows: list[int], rules: DwellRules, confirmed: Mapping[str, str]
 ) -> tuple[str, str]:
     """Return the reason why a dwell is not a pose of the plan, and its distance."""
     distance_to_pose = distances(dwell.q, plan)
@@ -292,9 +292,9 @@ def _unmatched(
         return "no plan match", f"the plan is of {plan.q.shape[1]} joints"
     if distance > rules.pose_tolerance:
         return "no plan match", f"{distance:.3f} rad from pose {rows[nearest]}"
-    if contradict(said, plan.mounted[nearest]):
-        needs, confirmed = (" ".join(of.get(key) or "?" for key in BAR_MOUNTED) for of in (plan.mounted[nearest], said))
-        return "contradiction", f"pose {rows[nearest]} needs {needs}; {confirmed} was confirmed"
+    if contradict(confirmed, plan.mounted[nearest]):
+        needed, named = (" ".join(m.get(key) or "?" for key in BAR_MOUNTED) for m in (plan.mounted[nearest], confirmed))
+        return "contradiction", f"pose {rows[nearest]} needs {needed}; {named} was confirmed"
     return "no plan match", f"pose {rows[nearest]} is not next in the order of the plan"
 
 

@@ -131,13 +131,13 @@ class _Pair(NamedTuple):
     closeness: float
 
 
-def match_plan(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[Mapping[str, str]]) -> Matches:
+def match_plan(q: Floats, plan: PlannedPoses, tolerance: float, confirmed: Sequence[Mapping[str, str]]) -> Matches:
     """Assign a planned pose to each dwell.
 
-    ``q`` (d, j): mean readings in order. ``tolerance`` [rad or m] applies to every joint. ``said``: what events said to
+    ``q`` (d, j): mean readings in order. ``tolerance`` [rad or m] applies to every joint. ``confirmed``: what events said to
     be mounted at each dwell; the pose must not contradict it.
     """
-    pairs = _near_pairs(q, plan, tolerance, said)
+    pairs = _near_pairs(q, plan, tolerance, confirmed)
     matched: list[int | None] = [None] * len(q)
     worth, previous = _ways(pairs, [pair.closeness for pair in pairs], len(plan.q))
     k = max(range(len(pairs)), key=worth.__getitem__, default=-1)
@@ -157,21 +157,21 @@ def distances(q: Floats, plan: PlannedPoses) -> Floats:
     return np.asarray(np.max(np.abs(plan.q.T - q[:, np.newaxis]), axis=0))  # a long row per joint is faster
 
 
-def _near_pairs(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
+def _near_pairs(q: Floats, plan: PlannedPoses, tolerance: float, confirmed: Sequence[Mapping[str, str]]) -> list[_Pair]:
     """Return the near pairs by dwell, then by pose."""
     scale = REPEAT / (tolerance * (len(q) + 1))
     pairs = []
     for dwell, reading in enumerate(q):
         distance = distances(reading, plan)
         for pose in np.flatnonzero(distance <= tolerance).tolist():
-            if not contradict(said[dwell], plan.mounted[pose]):
+            if not contradict(confirmed[dwell], plan.mounted[pose]):
                 pairs.append(_Pair(dwell, pose, scale * (tolerance - float(distance[pose]))))
     return pairs
 
 
-def contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
+def contradict(confirmed: Mapping[str, str], planned: Mapping[str, str]) -> bool:
     """Return whether what was said to be mounted contradicts the plan."""
-    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in MOUNTED)
+    return any(confirmed.get(key) and planned.get(key) and confirmed[key] != planned[key] for key in MOUNTED)
 
 
 def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
@@ -238,12 +238,12 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     Without, it is a motion during which a line was mounted all the time. For a leg outside the plan with a line
     mounted, the device shows whether the magnet moved along it. Raises RigError if a line or target is not in the rig.
     """
-    said = [_mounted(marks, leg) for leg in legs]
+    confirmed = [_mounted(marks, leg) for leg in legs]
     plan, rows = planned_lines(marks)
     if plan is None:
-        passes = [LinePass(leg, words) for leg, words in zip(legs, said, strict=True) if "line" in words]
+        passes = [LinePass(leg, words) for leg, words in zip(legs, confirmed, strict=True) if "line" in words]
     else:
-        passes = _matched(legs, plan, rows, tolerance, said)
+        passes = _matched(legs, plan, rows, tolerance, confirmed)
     for k, line_pass in enumerate(passes):
         check_rig(line_pass.mounted, rig)
         if line_pass.leg.end_s - line_pass.leg.start_s > LONGEST_S:
@@ -263,12 +263,12 @@ def planned_lines(marks: Marks) -> tuple[PlannedPoses | None, list[int]]:
 
 
 def _matched(
-    legs: Sequence[Leg], plan: PlannedPoses, rows: list[int], tolerance: float, said: Sequence[Mapping[str, str]]
+    legs: Sequence[Leg], plan: PlannedPoses, rows: list[int], tolerance: float, confirmed: Sequence[Mapping[str, str]]
 ) -> list[LinePass]:
     ends = np.array([np.concatenate([leg.q_start, leg.q_end]) for leg in legs]).reshape(len(legs), -1)
-    matches = match_plan(ends, plan, tolerance, said)
+    matches = match_plan(ends, plan, tolerance, confirmed)
     passes = []
-    for k, (leg, pose, words) in enumerate(zip(legs, matches.poses, said, strict=True)):
+    for k, (leg, pose, words) in enumerate(zip(legs, matches.poses, confirmed, strict=True)):
         if pose is not None:
             passes.append(LinePass(leg, plan.mounted[pose], "ambiguous" * (k in matches.ambiguous), rows[pose]))
         elif "line" in words:
@@ -365,12 +365,12 @@ def _of_plan(
     return near_poses, planned
 
 
-def label_of(dwell: Dwell, said: Said, marks: Marks, pairing: Pairing | None, detail: str = "") -> DwellLabel:
+def label_of(dwell: Dwell, statement: Said, marks: Marks, pairing: Pairing | None, detail: str = "") -> DwellLabel:
     """Return the label of a dwell measured with ``pairing``; None leaves the dwell out.
 
     The pose is one that was planned with this pairing, if there is one.
     """
-    rows = sorted(said.rows, key=lambda row: pairing_of(marks.rows[row].mounted) != pairing)
+    rows = sorted(statement.rows, key=lambda row: pairing_of(marks.rows[row].mounted) != pairing)
     row = rows[0] if rows else None
     mounted = {} if pairing is None else dict(zip(BAR_MOUNTED, pairing, strict=True))
     if pairing is not None and row is not None and pairing_of(marks.rows[row].mounted) == pairing:
@@ -416,11 +416,11 @@ def with_mountings(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> l
         following = bisect_right(matched, i)
         if following == len(matched):
             continue
-        after, before = dwells[matched[following]], dwells[matched[following - 1]] if following else None
+        dwell_after, preceding = dwells[matched[following]], dwells[matched[following - 1]] if following else None
         if (
-            before is None
-            or pairing_of(before.mounted) != pairing_of(after.mounted)
-            or bisect_right(times, before.end_host_ns) < bisect_right(times, after.start_host_ns)
+            preceding is None
+            or pairing_of(preceding.mounted) != pairing_of(dwell_after.mounted)
+            or bisect_right(times, preceding.end_host_ns) < bisect_right(times, dwell_after.start_host_ns)
         ):
             marked[i] = replace(dwell, reason=MOUNTING, detail="")
     return marked

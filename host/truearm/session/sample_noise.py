@@ -172,12 +172,12 @@ def quick_noise(samples: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(np.diff(samples, n=2))) / 6.0))
 
 
-def rings(rest: Settled) -> bool:
+def rings(settled: Settled) -> bool:
     """Return whether deviations from the level change sides, as in a swing.
 
     If they stay on one side, it is a creep or a drift.
     """
-    side = np.sign(rest.deviation[np.abs(rest.deviation) > rest.bound])
+    side = np.sign(settled.deviation[np.abs(settled.deviation) > settled.bound])
     return int(np.count_nonzero(np.diff(side))) >= 2
 
 

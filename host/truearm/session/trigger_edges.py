@@ -140,13 +140,13 @@ def fit_edges(
     )
 
 
-def _delayed(rising: NDArray[np.bool_], least: float, most: float) -> Ints:
+def _delayed(rising: NDArray[np.bool_], low: float, high: float) -> Ints:
     """Return what to add to rows (3, n), so that all are of the direction with the shorter delay, whichever that is.
 
     Falling edges are seen later than rising ones by least to most [ns].
     """
-    latest = np.where(rising, max(0.0, -least), max(0.0, most))
-    earliest = np.where(rising, max(0.0, -most), max(0.0, least))
+    latest = np.where(rising, max(0.0, -low), max(0.0, high))
+    earliest = np.where(rising, max(0.0, -high), max(0.0, low))
     return np.rint([np.zeros(rising.size), latest, earliest]).astype(np.int64)
 
 

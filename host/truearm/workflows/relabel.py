@@ -135,7 +135,7 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
     bar = max(rig.bars.values(), key=lambda bar: bar.travel).name
     mounted = dict(zip(BAR_MOUNTED, (bar, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
     labels = [DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted) for dwell in dwells]
-    measured = observations(lambda: iter(()), rig, found=survey, labels=labels).dwells
+    measured = observations(lambda: iter(()), rig, surveyed=survey, labels=labels).dwells
     return [Stop((path, i + 1), measured[i], words, marks) for i, words in zip(numbers, statements, strict=True)]
 
 

@@ -148,7 +148,7 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
         read = surveyed(session)
         if options.plan is not None:
             read = replace(read, marks=read.marks.with_plan(options.plan))
-        result = observations(session.batches, rig, name=path.name, found=read, line_rules=rules, labels=labels)
+        result = observations(session.batches, rig, name=path.name, surveyed=read, line_rules=rules, labels=labels)
     except (RigError, SessionError) as exc:
         if str(exc).startswith(str(path)):
             raise

@@ -65,12 +65,12 @@ def add_readings(
     readings: Iterator[AddedReading],
     out: Path,
     zero_s: float | None,
-    said: Mapping[str, str],
+    note: Mapping[str, str],
     replace: bool = False,
 ) -> int:
     """Write ``out`` with everything in ``session`` and the readings; return the number of readings.
 
-    ``zero_s``: when, after the session's begin, the controller's time was zero; None: it is UTC. ``said`` becomes
+    ``zero_s``: when, after the session's begin, the controller's time was zero; None: it is UTC. ``note`` becomes
     metadata. With ``replace`` the session's own readings are left out; without it there must be none.
 
     Raises SessionError if there are some, or if a file is damaged; InputError if no reading lies within the session.
@@ -98,7 +98,7 @@ def add_readings(
             writer.add(message.topic, message.t_host_ns, message.data)
         if not inside:
             raise _outside(None, zero_s)
-        writer.metadata("joints-added", {**said, "readings": str(count)})
+        writer.metadata("joints-added", {**note, "readings": str(count)})
         end = session.metadata.get("session-end", {})
         writer.close({key: value for key, value in end.items() if key not in ("utc_ns", "monotonic_ns")})
     return count

@@ -49,8 +49,8 @@ class Columns:
     seq: int | None
     inputs: int | None
 
-    def line(self, cells: Sequence[str], **more: object) -> bytes | None:
-        """Return the reading in a row as a line of a session, with ``more`` added; None if the row is not a reading."""
+    def line(self, cells: Sequence[str], **optional: object) -> bytes | None:
+        """Return the reading in a row as a line of a session, with ``optional`` values added; None if the row is not a reading."""
         if len(cells) != self.width:
             return None
         try:
@@ -59,7 +59,7 @@ class Columns:
             seq, inputs = (None if at is None else _whole(cells[at]) for at in (self.seq, self.inputs))
         except ValueError:
             return None
-        return format_reading(t, seq, q or [], q_cmd=q_cmd, qd=qd, inputs=inputs, **more)
+        return format_reading(t, seq, q or [], q_cmd=q_cmd, qd=qd, inputs=inputs, **optional)
 
 
 NUMBERED = "{}"  # stands for the number of a joint

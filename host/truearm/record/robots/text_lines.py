@@ -271,13 +271,13 @@ class LinesLink:
         """Return the lines that ``data``, which arrived at ``t_host_ns``, completes."""
         return [self._line(*run) + b"\n" for run in self._runs.push(data)]
 
-    def _line(self, whole: bool, line: bytes) -> bytes:
+    def _line(self, is_whole: bool, line: bytes) -> bytes:
         joined, self._joined = self._joined, False
-        if not whole:
+        if not is_whole:
             return OVERLONG + line
         try:
-            found = self.dialect.line(line)
-            return line if joined and not line.lstrip().startswith(b"{") else found
+            converted = self.dialect.line(line)
+            return line if joined and not line.lstrip().startswith(b"{") else converted
         except InputError as exc:
             self._end = ProtocolError(f"{self.name}: {exc}")
             return line
