@@ -5,12 +5,12 @@ than a second. Log times are UTC by one pair of times (metadata ``session``); pu
 the host's own clock, which all computations use.
 
 The robot's lines are accompanied by their numbers as columns. What every message needs is repeated: metadata once a
-minute, attachments and a copy of the plan every ten minutes, and at the end. A completed file ends with a CRC.
+minute, attachments and a copy of the plan every ten minutes, and at the end. It ends with a CRC.
 
 Twice a second the writer checks its file (``FileLoss``). A deleted or replaced file is copied from the open descriptor to a
 new one, where the recording continues. Others are written to as before.
 
-A writer that is held writes nothing before ``keep``; an earlier recording stays intact until then.
+A writer that is held reserves its name and writes nothing before ``keep``. An earlier recording is intact until then.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _Message = tuple[int, int, bytes, int, int]  # arguments of add_message(): chann
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` nothing is written before ``keep``. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
+    With ``hold`` nothing is written before ``keep``, and no file is left if the writer is closed before. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
     ``close``.
 
     Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's
@@ -73,12 +73,8 @@ class SessionWriter:
         self._overwrite = overwrite
         self._held = hold
         self._new = False  # not an earlier recording
-        file = self._open()
-        if hold:
-            file.close()
-            if self._new:
-                path.unlink()
-        self._out = _Output(io.BytesIO() if hold else file)
+        self._file = self._open()
+        self._out = _Output(io.BytesIO() if hold else self._file)
         self._clock = clock
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
         self._utc_offset_ns = 0  # UTC minus the host's clock
@@ -121,12 +117,13 @@ class SessionWriter:
         """Create the file from what was held so far, and write to it from now on. A second call does nothing."""
         if not self._held:
             return
+        if self._new and self._file.seek(0, os.SEEK_END):  # somebody else wrote to it
+            raise InputError("file-exists", place=self.path, may_force=True)
         held = self._out.file
-        self._out.file = self._open()
-        self._held = False
+        self._out.file, self._held = self._file, False
         try:
-            self._out.file.truncate()
-            self._out.file.write(held.getvalue())  # type: ignore[attr-defined]
+            self._file.truncate(self._file.seek(0))
+            self._file.write(held.getvalue())  # type: ignore[attr-defined]
             self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
@@ -233,6 +230,9 @@ class SessionWriter:
             return
         if self._held:
             self._out.file.close()
+            if self._new and not self._file.seek(0, os.SEEK_END):
+                self.path.unlink(missing_ok=True)
+            self._file.close()
             return
         try:
             with self._writing():
