@@ -205,7 +205,9 @@ def test_a_minute_without_a_host(chip):
     for stream, channels in ((0, 4), (1, 1)):
         mine = blocks(found, stream)
         ends = [f[3] + len(values(f)) // channels for f in mine]
-        jumps = [b[3] - end for end, b in zip(ends, mine[1:], strict=False) if b[3] != end]
+        gaps = [b[3] - end for end, b in zip(ends, mine[1:], strict=False)]
+        assert [f[7] == messages.FLAG_OVERRUN for f in mine[1:]] == [gap != 0 for gap in gaps]
+        jumps = [gap for gap in gaps if gap]
         assert len(jumps) == 1
         lost += jumps[0]
         assert ends[-1] == (n_away + 2) * 52
