@@ -46,23 +46,6 @@ def errors(clock, true, start_s, end_s):
     return estimate - (host + 1e3 * (whole - device)), bound
 
 
-@pytest.mark.parametrize(
-    ("there", "back", "ppm", "drift"),
-    [(90e3, 90e3, 30.0, 0.0), (300e3, 40e3, -60.0, 0.0), (0.0, 2e6, 400.0, 0.0), (90e3, 90e3, 10.0, 1e-3)],
-)
-def test_the_error_is_within_the_bound_in_every_run(there, back, ppm, drift):
-    """The last case drifts by 1e-3 ppm/s: over a window's half (30 s) the clock bends by 0.1 µs, far below the margin."""
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        true = True_(ppm, drift)
-        clock, report = fit_clock(0, exchanges(rng, true, there=there, back=back))
-        error, bound = errors(clock, true, -20.0, 240.0)  # beyond the exchanges too
-        assert np.all(np.abs(error) <= bound + 1.0)  # 1 ns: host times are whole
-        assert report.rejected == 0
-        assert report.rtt_min_ns >= there + back
-        assert report.half_asymmetry_ns <= report.bound_ns
-
-
 def probes(rng, device_s, there, back, duration_s=180.0):
     """Return exchanges at 4 Hz of a device whose clock shows device_s(host s), with latencies (floor, tail) [µs] each way."""
     every = []

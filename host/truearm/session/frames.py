@@ -240,16 +240,12 @@ class Frames:
     malformed: int
 
     def held(self, first: int) -> Frames:
-        """Return the frames from row ``first`` on, with their samples alone."""
+        """Return the frames from row ``first`` on, with the buffers that they are in."""
         table = self.table[first:].copy()
-        of_data = np.flatnonzero(table["samples_at"] != NONE)
-        places = zip(
-            *(table[name][of_data].tolist() for name in ("buffer", "samples_at", "samples_bytes")), strict=True
-        )
-        samples = b"".join(self.buffers[buffer][begin : begin + n] for buffer, begin, n in places)
-        size = table["samples_bytes"][of_data]
-        table["buffer"][of_data], table["samples_at"][of_data] = 0, np.cumsum(size) - size
-        return Frames((samples,), table, {k - first: frame for k, frame in self.elements.items() if k >= first}, 0)
+        oldest = int(table["buffer"].min(initial=len(self.buffers)))
+        table["buffer"] -= oldest
+        elements = {k - first: frame for k, frame in self.elements.items() if k >= first}
+        return Frames(self.buffers[oldest:], table, elements, 0)
 
     def followed_by(self, later: Frames) -> Frames:
         """Return these frames, then all of ``later``."""
