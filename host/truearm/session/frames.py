@@ -209,10 +209,9 @@ class Pages:
 
 
 NONE = -1  # of a frame without this element
-_OF_ALL = ("message", "t_host_ns", "seq", "type", "t_us", "boot_id")
-_OF_DATA = ("stream", "n0", "period_ns", "flags", "buffer", "samples_at", "samples_bytes")
+_OF_ALL = ("message", "seq", "type", "boot_id")
+_OF_DATA = ("t_us", "stream", "n0", "period_ns", "flags", "buffer", "samples_at", "samples_bytes")
 FRAME = np.dtype([(name, np.int64) for name in (*_OF_ALL, *_OF_DATA)])
-_TIME_AT = {wire.EVENT: 3, wire.HEARTBEAT: 3}  # index of the device time in a frame without samples
 
 _BEGIN = [("begin", "u1"), ("type", "u1"), ("m_seq", "u1"), ("seq", ">u4"), ("stream", "u1")]
 _TIMES = [("m_n0", "u1"), ("n0", ">u8"), ("m_t0", "u1"), ("t_us", ">u8"), ("m_p", "u1"), ("period_ns", ">u4")]
@@ -264,7 +263,7 @@ def frames_of(messages: Messages) -> Frames:
     rows = messages.rows(lambda topic: topic.startswith("/box/") and topic != "/box/console")
     begin, end = messages.begin[rows], messages.end[rows]
     table = np.full(len(rows), NONE, FRAME)
-    table["message"], table["t_host_ns"], table["buffer"] = rows, messages.t_host_ns[rows], 0
+    table["message"], table["buffer"] = rows, 0
     usual = _usual_data(messages, begin, end, table) | _usual_syncs(messages, begin, end, table)
     elements: dict[int, list[Any]] = {}
     is_frame = np.ones(len(rows), bool)
@@ -283,8 +282,6 @@ def frames_of(messages: Messages) -> Frames:
             continue
         stated = boot_id(frame)
         table["type"][k], table["boot_id"][k] = frame[0], NONE if stated is None else stated
-        if frame[0] in _TIME_AT:
-            table["t_us"][k] = frame[_TIME_AT[frame[0]]]
         if frame[0] == wire.DATA and (data := data_of(frame)) is not None:
             offset = int(begin[k]) + payload.rfind(data.samples)
             table["t_us"][k] = data.t0_us
