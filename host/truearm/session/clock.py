@@ -243,7 +243,6 @@ class RobotClockReport:
     readings: int
     t_robot_s: tuple[float, float]  # first and last
     rate_ppm: float  # how much faster the host counts than the controller, mean
-    rate_range_ppm: float
     jitter_ns: float  # mean latency above the shortest; median over the minutes' halves
     bound_ns: float  # largest of the clock in use; for arrivals excluding the shortest latency
     edges: EdgeReport | None = None  # of a trigger wire, if the box toggled one
@@ -315,14 +314,12 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
     around = np.searchsorted(dt, nodes[:, None] - arrivals.t_ref_s + [-AROUND_S, AROUND_S])
     around = np.stack([np.minimum(around[:, 0], around[:, 1] - 1), around[:, 1] + (around[:, 0] >= around[:, 1])], 1)
     bound = np.array([_bound(height[max(a, 0) : b], mean_height[max(a, 0) : b]) for a, b in around])
-    rates = np.diff(offset_at(nodes - arrivals.t_ref_s)) / np.maximum(1e9 * np.diff(nodes), 1.0)
     half = np.flatnonzero(np.diff(np.floor(second / AROUND_S), prepend=-np.inf))
     report = RobotClockReport(
         segment=segment,
         readings=arrivals.readings,
         t_robot_s=(arrivals.first_s, arrivals.last_s),
         rate_ppm=float(PPM.of(fitted.rate)),
-        rate_range_ppm=float(PPM.of(np.ptp(rates) if rates.size else 0.0)),
         jitter_ns=float(np.median(np.add.reduceat(mean_height * n, half) / np.add.reduceat(n, half))),
         bound_ns=float(np.max(bound)),
     )
