@@ -444,6 +444,12 @@ def test_a_rehearsal_without_the_plan_does_not_take_its_rig(project, run, option
     assert err.splitlines()[0] == "from truearm.toml: --model puma560"
 
 
+def test_a_rehearsal_takes_the_plan_and_its_rig(project, run):
+    (project / "plan.csv").write_text("not a plan")
+    err = run("simulate", "--fast", "--out", project / "rehearsal").err
+    assert err.splitlines()[0] == "from truearm.toml: --model puma560 --plan plan.csv --rig rig.toml"
+
+
 def test_without_a_project_status_says_how_to_make_one(tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "truearm init" in run("status").err
