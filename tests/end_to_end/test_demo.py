@@ -86,3 +86,6 @@ def test_without_micropython_the_demo_says_so_and_works(tmp_path, monkeypatch, c
     assert main(["demo", "--out", str(tmp_path), "--poses", "45", "--rate", "250"]) == 0
     assert "CPython; no MicroPython was found" in capsys.readouterr().out
     assert json.loads((tmp_path / "result.json").read_text())["rank"] == 36
+    assert main(["inspect", str(tmp_path / "session.mcap"), "--json"]) == 0
+    (stream,) = json.loads(capsys.readouterr().out)["streams"]
+    assert stream["rate_nominal_hz"] == pytest.approx(254.3, abs=0.05), "the rate of the converter next to 250 Hz"
