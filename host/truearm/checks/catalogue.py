@@ -52,6 +52,13 @@ class Candidates(NamedTuple):
         """Return of how many equally probable candidates these are all, or some."""
         return self.among or len(self.spans)
 
+    def profile(self, number: int) -> Floats:
+        """Return the profile (n,) of one candidate."""
+        if self.pairs is None:
+            return np.asarray(self.profiles[number])
+        first, last = self.pairs[number]
+        return np.asarray(self.profiles[last] - self.profiles[first])
+
     def of_profiles(self, values: Floats) -> Floats:
         """Return what each candidate has of ``values`` (p, …) that each profile has."""
         return values if self.pairs is None else np.asarray(values[self.pairs[:, 1]] - values[self.pairs[:, 0]])
@@ -81,7 +88,7 @@ class Hypothesis:
 
     def candidate(self, number: int, row: int | None = None) -> Floats:
         """Return the columns (m, d) of a candidate; with a ``row``, as if all were measured when that one was."""
-        profile = self.candidates.of_profiles(self.candidates.profiles)[number]
+        profile = self.candidates.profile(number)
         along = profile[self.fit.row, None] if row is None else profile[row]
         return np.asarray(self.columns[:, : self.sizes.size] * along)
 

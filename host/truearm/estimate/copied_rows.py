@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from truearm.estimate.measured_order import first_alike
 from truearm.estimate.problem import build_problem
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import is_label, kinds
@@ -67,10 +68,8 @@ def _readings(table: ObservationTable, kind: str) -> list[Quantity]:
 
 def _first_alike(columns: Sequence[NDArray[Any]]) -> Indices:
     """Return for each row of some columns (n, ·) the first row with equal values; NaN equals NaN."""
-    every = [of for column in columns for of in column.reshape(len(column), -1).T]
-    numbers = np.stack([np.unique(of, return_inverse=True)[1].ravel() for of in every], axis=1)
-    _, first, which = np.unique(numbers, axis=0, return_index=True, return_inverse=True)
-    return np.asarray(first[which.ravel()])
+    first, number = first_alike(part for column in columns for part in column.reshape(len(column), -1).T)
+    return np.asarray(first[number])
 
 
 def _earlier(first: Indices) -> Indices:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,14 +48,26 @@ def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_
 
 def poses(table: ObservationTable) -> Indices:
     """Return numbers (n,) of the rows' poses (rows of equal joint readings), in order of first appearance."""
-    pose = np.zeros(len(table), dtype=np.intp)
-    for reading in np.round(table.q / SAME_POSE).T:  # faster than unique rows, much so where no pose is repeated
-        code = np.unique(reading, return_inverse=True)[1]
-        pose = np.unique(pose * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
-        if pose.max(initial=0) + 1 == pose.size:
-            return np.arange(pose.size)
-    first = np.unique(pose, return_index=True)[1]
+    first, pose = first_alike(np.round(table.q / SAME_POSE).T)
     return np.argsort(np.argsort(first))[pose]
+
+
+def first_alike(columns: Iterable[NDArray[Any]]) -> tuple[Indices, Indices]:
+    """Return the first row of each combination of values in some columns (n,), and the number (n,) of each row's.
+
+    Combinations are in sorted order; NaN equals NaN. Column by column this is faster than unique rows, much so where one
+    column has the same value in all rows, or a different one in each.
+    """
+    number = np.zeros(0, dtype=np.intp)
+    for column in columns:
+        if not number.size:
+            number = np.zeros(column.size, dtype=np.intp)
+        if (column[1:] != column[:-1]).any():
+            code = np.unique(column, return_inverse=True)[1]
+            number = np.unique(number * (code.max() + 1) + code, return_inverse=True)[1]
+            if number.max() + 1 == number.size:
+                break
+    return np.unique(number, return_index=True)[1], number
 
 
 def mountings(table: ObservationTable) -> Indices:

@@ -52,7 +52,12 @@ def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) ->
     An empty name stands for the only entry there is. Raises ProblemError that names the first row with a name that the
     rig does not have.
     """
-    names, which = enumerate_labels(scope.table[what][rows].tolist())
+    column = scope.table[what][rows]
+    first = np.flatnonzero(
+        np.append(True, column[1:] != column[:-1])[: column.size]
+    )  # rows of a name follow each other
+    names, which = enumerate_labels(column[first].tolist())
+    which = np.repeat(which, np.diff(first, append=column.size))
     labels: list[Hashable] = []
     for i, name in enumerate(names):
         label = next(iter(known)) if name == "" and len(known) == 1 else str(name)

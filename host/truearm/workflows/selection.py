@@ -10,13 +10,13 @@ import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, ProblemError
-from truearm.estimate.measured_order import poses
+from truearm.estimate.measured_order import first_alike, poses
 from truearm.estimate.solvers import SOLVERS, Prior
 from truearm.files.observation_table import column_of_title
 from truearm.kinds.quantities import POINT, Quantity
@@ -159,8 +159,8 @@ def _pose_ranks(table: ObservationTable, seed: int) -> NDArray[np.intp]:
     out together or not at all.
     """
     rng = np.random.default_rng(seed)
-    group = numbered([table.kind, *(table[column] for column in drawn_from())])
-    _, first, pose = np.unique(np.stack([poses(table), group]), axis=1, return_index=True, return_inverse=True)
+    group = first_alike([table.kind, *(table[column] for column in drawn_from())])[1]
+    first, pose = first_alike([poses(table), group])
     pose_group = group[first]
     share = np.empty(first.size)
     for index in range(int(group.max()) + 1):
@@ -169,14 +169,7 @@ def _pose_ranks(table: ObservationTable, seed: int) -> NDArray[np.intp]:
         share[members] = (rng.permutation(members.size) + rng.random()) / max(members.size, 1)
     rank = np.empty(first.size, dtype=np.intp)
     rank[np.argsort(share, kind="stable")] = np.arange(first.size)
-    return np.asarray(rank[pose.ravel()])
-
-
-def numbered(columns: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
-    """Return the number (n,) of each row's combination of values in some columns (n,), counted in sorted order."""
-    # Texts of all columns side by side would take a hundred times the memory of their numbers.
-    codes = [np.unique(column, return_inverse=True)[1].ravel() for column in columns]
-    return np.asarray(np.unique(np.stack(codes, axis=1), axis=0, return_inverse=True)[1].ravel())
+    return np.asarray(rank[pose])
 
 
 def free_parameters(
@@ -331,7 +324,7 @@ def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
 
 def _combinations(table: ObservationTable) -> NDArray[np.intp]:
     """Return (n,) the number of each row's combination of kind, names and rig."""
-    return numbered([table.kind, *(table[name] for name in (*named_columns(table), "rig"))])
+    return first_alike([table.kind, *(table[name] for name in (*named_columns(table), "rig"))])[1]
 
 
 IN_SPACE = 0.01  # m, standard deviation in the direction of least motion
