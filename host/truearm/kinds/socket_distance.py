@@ -7,7 +7,6 @@ adds a row ‖c_a − c_b‖ − distance = 0. It provides the scale for an iden
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,11 +53,10 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
 
     Raises ProblemError for a distance that is declared twice.
     """
-    twice = Counter(frozenset(measured.sockets) for measured in rig.socket_distances)
-    for pair in (pair for pair, count in twice.items() if count > 1):
-        raise ProblemError(
-            f"sockets {' and '.join(sorted(pair))} have two distances; enter the mean of its measurements"
-        )
+    pairs = [tuple(sorted(measured.sockets)) for measured in rig.socket_distances]
+    if len({*pairs}) < len(pairs):
+        twice = max(pairs, key=pairs.count)
+        raise ProblemError(f"sockets {' and '.join(twice)} have two distances; enter the mean of their measurements")
     index = {label: i for i, label in enumerate(sockets.labels)}
     places = dict.fromkeys(label[0] for label in sockets.labels if isinstance(label, tuple))
     rows = [
