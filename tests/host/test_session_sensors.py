@@ -15,7 +15,7 @@ from truearm.errors import ProtocolError, SessionError
 from truearm.session.box_ident import Channel, decimal, decode_ident, find_channel, parse_ident, parse_ident_json
 from truearm.session.frames import Pages
 from truearm.session.joint_format import JointLine, parse_line
-from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, volts
+from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, shown, volts
 
 
 @given(st.integers(-(2**63), 2**63), st.integers(-30, 30))
@@ -43,6 +43,7 @@ def test_counts_to_metres_by_the_ident():
 def test_millimetres_at_the_border():
     channel = Channel("lvdt", "V", 1e-6, "mm", (1.0, 30.0))
     assert extension(np.array([1_000_000]), channel)[0] == pytest.approx(0.031, abs=1e-17)
+    assert shown(channel, 1_000_000) == (f"{channel.name}_m", pytest.approx(0.031, abs=1e-17))
 
 
 @pytest.mark.parametrize(
