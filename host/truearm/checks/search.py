@@ -17,7 +17,7 @@ from truearm.checks.whitened import DECLARED, WhitenedFit
 from truearm.estimate.ties import largest_first
 from truearm.types import Floats, Indices
 
-LEVEL = 3e-3  # at most: probability that a clean data set gives any finding
+LEVEL = 1e-3  # at most: probability that a clean data set gives any finding
 RIVAL = math.log(100.0)  # a rival is at least a hundredth as probable
 MOST_FINDINGS = 8
 SAME = 1.0 - 1e-6  # cosine of the angles between columns that no data can distinguish
