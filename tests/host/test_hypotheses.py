@@ -15,8 +15,9 @@ from truearm.checks.averaging import averaged
 from truearm.checks.catalogue import TYPICAL, Hypothesis, catalogue, spans_of
 from truearm.checks.evidence import SCALES, WIDEST, build_design, moments, weigh
 from truearm.checks.examination import examined, tool_gram
-from truearm.checks.held_out import gain, left_out
+from truearm.checks.held_out import chance_of_ranks, gain, left_out
 from truearm.checks.labels import relabelled
+from truearm.checks.noise import learned_noise
 from truearm.checks.search import searched
 from truearm.checks.trial import Alternative
 from truearm.checks.whitened import DECLARED, whitened_fit
@@ -306,10 +307,32 @@ def test_rows_that_cannot_decide_give_one_name_with_or(slipped):
     assert {detections.best.name, *detections.aliases} == {one.name, "other.step"}
 
 
+@pytest.mark.parametrize("n", [3, 4, 9, 20])
+def test_the_chance_of_ranks_is_wilcoxons(n):
+    for less in np.random.default_rng(n).normal(0.5, 1.0, (20, n)):
+        expected = stats.wilcoxon(less, alternative="greater", method="exact").pvalue
+        assert chance_of_ranks(less) == pytest.approx(expected, rel=1e-9)
+    assert chance_of_ranks(np.arange(1.0, n + 1.0)) == pytest.approx(0.5**n)
+
+
 def test_noise_of_neighbours_is_learned_and_names_nothing():
     result, _, _ = judged(worlds.world("puma560", "slow noise", 0))
     assert result.claim.noise == "order"
     assert not result.faults
+
+
+def test_parameters_that_no_row_shows_do_not_change_the_noise():
+    fit, _ = fitted(worlds.world("puma560", "slow noise", 0))
+    k = fit.jac.shape[1]
+    prior = np.insert(fit.wide_prior, k, 0.0, axis=1)
+    unseen = replace(
+        fit,
+        jac=np.column_stack([fit.jac, np.zeros(len(fit.jac))]),
+        wide_prior=np.concatenate([prior, np.eye(1, k + 2, k) + np.eye(1, k + 2, k + 1)]),
+    )
+    kernel, again = learned_noise(fit), learned_noise(unseen)
+    assert kernel.name == again.name == "order"
+    assert (again.scale, again.gain) == pytest.approx((kernel.scale, kernel.gain), rel=1e-9)
 
 
 def test_left_out_blocks_are_those_of_refits(slipped):

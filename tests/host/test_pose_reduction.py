@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ur10_bench import RIG, ROBOT
 
+from truearm.estimate import law_fit
 from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_choice import GATE
 from truearm.estimate.law_fit import law_problem, learn, posterior
@@ -69,6 +70,19 @@ def test_the_reduction_of_a_pose_is_exact(monkeypatch):
     np.testing.assert_allclose(rows.left_out["m"], dense_rows.left_out["m"], rtol=1e-3, atol=1e-9)
     np.testing.assert_allclose(rows.distance, dense_rows.distance, rtol=1e-3, atol=1e-6)
     assert rows.parts["m"] == pytest.approx(dense_rows.parts["m"], rel=1e-3)
+
+
+def test_coefficients_that_act_at_no_reading_are_left_out_of_learning(monkeypatch):
+    of = curves_of(repeated(repeats=2))
+    part, learned = of.some(), learn(of, PoseNoise.of(1.0, 6, 1e-4))
+    assert part.is_law.sum() < 0.7 * of.is_law.sum()
+    monkeypatch.setattr(law_fit, "acting", lambda law: np.ones(law.size, dtype=bool))
+    every = learn(of, PoseNoise.of(1.0, 6, 1e-4))
+    assert learned.evidence == pytest.approx(every.evidence, abs=1e-6)
+    assert list(learned.nats.values()) == pytest.approx(list(every.nats.values()), abs=1e-6)
+    np.testing.assert_allclose(
+        posterior(of, learned).covariance, posterior(of, every).covariance, rtol=1e-4, atol=1e-14
+    )
 
 
 def test_nothing_contradicts_the_only_row_of_a_target():

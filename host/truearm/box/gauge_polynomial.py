@@ -77,8 +77,9 @@ def fit(x: Floats, y: Floats, order: int) -> PolyFit:
 
 def coefficient_sigmas(x: Floats, result: PolyFit) -> Floats:
     """Return the standard deviations of a fit's coefficients."""
-    inverse = np.linalg.pinv(polynomial.polyvander(x, result.order))
-    return np.asarray(result.sigma * np.linalg.norm(inverse, axis=1))
+    powers = polynomial.polyvander(x, result.order)
+    size = np.linalg.norm(powers, axis=0)  # readings may be counts
+    return np.asarray(result.sigma * np.linalg.norm(np.linalg.pinv(powers / size), axis=1) / size)
 
 
 def fits(x: Floats, y: Floats, highest: int = MAX_ORDER) -> list[PolyFit]:

@@ -66,7 +66,8 @@ def gain(before: Floats, after: Floats, block: Indices) -> Gain:
 def chance_of_ranks(less: Floats) -> float:
     """Return the probability that Wilcoxon's sum of the ranks of positive differences (n,) is so large without a gain.
 
-    It is exact: each rank counts with probability ½. (``scipy.stats.wilcoxon`` gives the same, but takes 0.3 s to import.)
+    It is exact where no differences are equal: each rank counts with probability ½. ``scipy.stats.wilcoxon`` gives the
+    same, but takes 0.3 s to import.
     """
     order = np.argsort(np.abs(less), kind="stable")
     probability = np.ones(1)  # of each sum

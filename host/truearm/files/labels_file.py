@@ -26,10 +26,10 @@ MOUNTED = (*BAR_MOUNTED, "shell")
 
 Time = Annotated[int, Meta(ge=-(2**62), le=2**62)]
 Name = Annotated[str, Meta(pattern=rf"^(?:{NAME.pattern})\Z")]
-Text = Annotated[str, Meta(max_length=500)]
+Text = Annotated[str, Meta(max_length=500, pattern=r"^[^\x00-\x1f\x7f]*\Z")]
 
 
-class Dwell(Struct, frozen=True, omit_defaults=True):
+class Dwell(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """A label; without ``bar``, ``chuck`` and ``sphere``, it is unknown what was mounted."""
 
     begin_ns: Time
@@ -58,7 +58,7 @@ class Dwell(Struct, frozen=True, omit_defaults=True):
         return DwellLabel(self.begin_ns, self.end_ns, self.mounted, self.pose, probability, self.detail)
 
 
-class Decision(Struct, frozen=True, omit_defaults=True):
+class Decision(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """Labels settled at one time. ``trust``: what was assumed correct; ``robot``: its nominal model, or ""."""
 
     trust: Text
@@ -66,7 +66,7 @@ class Decision(Struct, frozen=True, omit_defaults=True):
     robot: Text = ""
 
 
-class Labels(Struct, frozen=True):
+class Labels(Struct, frozen=True, forbid_unknown_fields=True):
     """All decisions about the session with this SHA-256, the earliest first."""
 
     format: Literal["truearm-labels"]

@@ -53,10 +53,12 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
 
     Raises ProblemError for a distance that is declared twice.
     """
-    pairs = [tuple(sorted(measured.sockets)) for measured in rig.socket_distances]
+    pairs = [".".join(sorted(measured.sockets)) for measured in rig.socket_distances]
     if len({*pairs}) < len(pairs):
         twice = max(pairs, key=pairs.count)
-        raise ProblemError(f"sockets {' and '.join(twice)} have two distances; enter the mean of their measurements")
+        raise ProblemError(
+            f"sockets {twice}: two distances; enter the mean of their measurements in the rig, one for each pair"
+        )
     index = {label: i for i, label in enumerate(sockets.labels)}
     places = dict.fromkeys(label[0] for label in sockets.labels if isinstance(label, tuple))
     rows = [

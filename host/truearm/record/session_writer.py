@@ -5,12 +5,12 @@ than a second. Log times are UTC by one pair of times (metadata ``session``); pu
 the host's own clock, which all computations use.
 
 The robot's lines are accompanied by their numbers as columns. What every message needs is repeated: metadata once a
-minute, attachments and a copy of the plan every ten minutes, and at the end. It ends with a CRC.
+minute, attachments and a copy of the plan every ten minutes, and at the end. A completed file ends with a CRC.
 
 Twice a second the writer checks its file (``FileLoss``). A deleted or replaced file is copied from the open descriptor to a
 new one, where the recording continues. Others are written to as before.
 
-A writer that is held reserves its name and writes nothing before ``keep``. An earlier recording is intact until then.
+A writer that is held only reserves its name, with a header or a lock, before ``keep``.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _Message = tuple[int, int, bytes, int, int]  # arguments of add_message(): chann
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` nothing is written before ``keep``, and no file is left if the writer is closed before. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
+    With ``hold`` there is only a header before ``keep``, and no file if the writer is closed before. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
     ``close``.
 
     Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's
@@ -99,6 +99,8 @@ class SessionWriter:
         self._attachments: dict[str, tuple[str, bytes]] = {}
         self._chunks = 0
         self._writer = _begun(self._out)
+        if hold:
+            self._reserve()
         if clock is not None:
             self.metadata("session", {"version": VERSION, "clock": clock.kind, **_anchor(clock)})
 
@@ -117,16 +119,34 @@ class SessionWriter:
         """Create the file from what was held so far, and write to it from now on. A second call does nothing."""
         if not self._held:
             return
-        if self._new and self._file.seek(0, os.SEEK_END):  # somebody else wrote to it
-            raise InputError("file-exists", place=self.path, may_force=True)
         held = self._out.file
-        self._out.file, self._held = self._file, False
+        if not self._is_reserved():
+            self._file.close()
+            self._file = self._open()
+        self._held = False
+        self._out.file = self._file
         try:
             self._file.truncate(self._file.seek(0))
             self._file.write(held.getvalue())  # type: ignore[attr-defined]
             self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
+
+    def _reserve(self) -> None:
+        """Write the header into a new file: without it, what a killed recorder leaves is no session."""
+        try:
+            if self._new:
+                self._file.write(self._out.file.getvalue())  # type: ignore[attr-defined]
+                self._file.flush()
+        except OSError as exc:
+            self.path.unlink()
+            raise self._cannot_write(exc) from exc
+        self._size = os.fstat(self._file.fileno()).st_size
+
+    def _is_reserved(self) -> bool:
+        """Return whether nobody touched the file since its name was reserved."""
+        changed = os.fstat(self._file.fileno()).st_size != self._size
+        return not changed and file_loss(self._file, self.path, self._size) is None
 
     def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         """Append a message unchanged; ``sequence`` is its number within its topic, by default the next one.
@@ -229,10 +249,11 @@ class SessionWriter:
         if self._out.file.closed:
             return
         if self._held:
+            unused = self._new and not self._file.closed and self._is_reserved()
             self._out.file.close()
-            if self._new and not self._file.seek(0, os.SEEK_END):
-                self.path.unlink(missing_ok=True)
             self._file.close()
+            if unused:
+                self.path.unlink()
             return
         try:
             with self._writing():

@@ -350,7 +350,7 @@ def session_name(path: Path) -> str:
 
 
 def session_rigs(sessions: Mapping[Path, Session], named_rigs: Mapping[str, Rig]) -> dict[Path, Assigned]:
-    """Return name and rig of every session; ``given_rigs`` holds those that the user named, by name.
+    """Return name and rig of every session; ``named_rigs`` holds those that the user named, by name.
 
     If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
     a name. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
