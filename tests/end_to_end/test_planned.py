@@ -1,5 +1,7 @@
 """A planned session: the plan of `truearm plan ballbar` is driven, recorded and identified, and its forecast holds."""
 
+import contextlib
+import io
 import json
 
 import numpy as np
@@ -22,13 +24,11 @@ def planned(request, tmp_path_factory):
     out = tmp_path_factory.mktemp("planned")
     write_rig(out / "rig.toml", standard_rig())
     command = ["plan", "ballbar", "--model", "puma560", "--rig", str(out / "rig.toml"), "--out", str(out / "plan.csv")]
-    with pytest.MonkeyPatch.context() as patch:
-        said = []
-        patch.setattr("typer.echo", lambda text="", **_: said.append(text))
+    with contextlib.redirect_stdout(io.StringIO()) as said:
         assert main([*command, "--poses", str(poses), "--candidates", str(candidates), "--json"]) == 0
     plan = read_plan(out / "plan.csv")
     recorded = record_session(out / "session.mcap", 0, osr=16384, rig=standard_rig(), plan=plan)
-    return plan, json.loads(said[-1]), recorded
+    return plan, json.loads(said.getvalue()), recorded
 
 
 def test_the_bar_stays_on_and_within_its_travel_where_the_plan_says_so(planned):
