@@ -1,8 +1,5 @@
 """A simulated box in real time on a socket or pseudo-terminal, in a thread, with a stage to move and a boot drive."""
 
-import mmap
-import os
-import struct
 import threading
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +15,6 @@ from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import Setup, World, standard_plan
 
 MAG_PERIOD_NS = 983_040  # as for the converter
-LONGEST_LAG_NS = 4_000_000  # in 2 ms of wall-clock time plus the time for the step: slow computers are not rushed
 NOISE_V = 5e-6
 NOISE_PS = 1800.0
 NOISE = np.random.default_rng(4).standard_normal((65_536, 4))
@@ -95,43 +91,17 @@ class BootDrive:
                 self.box.power_cycle(t_ns)
 
 
-class TellsTime:
-    """A box that writes its lab's time to a file, for ``lab_clock/``."""
-
-    def __init__(self, box, path: Path):
-        self._box = box
-        path.write_bytes(bytes(8))
-        with path.open("r+b") as file:
-            self._page = mmap.mmap(file.fileno(), 8)
-
-    def advance(self, t_ns, rx=b"", tx_room=0xFFFF):
-        out = self._box.advance(t_ns, rx, tx_room)
-        self._page[:8] = struct.pack("<q", t_ns)
-        return out
-
-    def output_at(self, t):
-        return self._box.output_at(t)
-
-
-def by_the_labs_clock(path: Path) -> dict[str, str]:
-    """Return the environment of a process that uses the clock written by ``served(clock=path)``."""
-    return os.environ | {"TRUEARM_LAB_CLOCK": str(path), "PYTHONPATH": str(Path(__file__).parent / "lab_clock")}
-
-
 @contextmanager
-def served(world=None, *, pty=False, drive=None, clock=None, **options):
-    """Return (device, world, box) of a box that lives until the end of the block.
-
-    ``clock``: a file for the lab's time, which then falls behind the wall clock on a slow computer.
-    """
+def served(world=None, *, pty=False, drive=None, **options):
+    """Return (device, world, box) of a box that lives until the end of the block."""
     world = world or Stage()
     box = SimulatedBox(world, interpreter(), seed=7, **options)
     shown = box if drive is None else BootDrive(box, drive)
     port, robot = (Terminal() if pty else Port.listen("127.0.0.1", 0)), Port.listen("127.0.0.1", 0)
     stop = threading.Event()
-    how = {"stop": stop.is_set, "pace": Pace() if clock is None else Pace(longest_lag_ns=LONGEST_LAG_NS)}
-    timed = shown if clock is None else TellsTime(shown, clock)
-    thread = threading.Thread(target=serve, args=(world, timed, port, robot), kwargs=how, daemon=True)
+    thread = threading.Thread(
+        target=serve, args=(world, shown, port, robot), kwargs={"stop": stop.is_set, "pace": Pace()}, daemon=True
+    )
     thread.start()
     try:
         yield (port.path if pty else f"socket://127.0.0.1:{port.number}"), world, shown

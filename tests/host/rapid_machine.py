@@ -36,7 +36,6 @@ COMPONENTS = {
 WORDS = {"and": "and", "or": "or", "not": "not", "xor": "!=", "div": "//", "mod": "%", "true": "True", "false": "False"}
 SIGNS = {"=": "==", "<>": "!=", ":=": "="}
 DEPTH = {"(": 1, "[": 1, "{": 1, ")": -1, "]": -1, "}": -1}
-ENDS = {"then", "do", ";", ":"}  # of a statement or condition
 
 
 def tokens_of(text):
