@@ -73,6 +73,21 @@ def test_independent_tolerances_are_rarely_a_scale(arm):
     assert sum(robot_scale(PANDA.chain, one) is not None for one in drawn) < 12
 
 
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_few_lengths_are_a_scale_beyond_any_tolerance(arm, n):
+    """An arm of four or five axes has two or three; independent errors of 5 mm stay below LEVEL, a tenth of 0.3 m does not."""
+    estimate = arm.estimate
+    lengths = [
+        i for i, value in enumerate(estimate.nominal) if estimate.free[i] and estimate.units[i] == "m" and value > 0.05
+    ]
+    free = estimate.free & np.isin(np.arange(estimate.free.size), lengths[:n])
+    few = replace(estimate, free=free)
+    assert robot_scale(PANDA.chain, replace(few, value=1.1 * estimate.nominal)).n == n
+    rng = np.random.default_rng(10)
+    drawn = (replace(few, value=estimate.nominal + 5e-3 * free * rng.standard_normal(free.size)) for _ in range(2000))
+    assert sum(robot_scale(PANDA.chain, one) is not None for one in drawn) < 12
+
+
 def test_a_small_scale_is_left_to_the_faults(arm):
     """A sphere that is 2 mm off scales an arm by half a percent."""
     for factor, is_scale in ((1.01, False), (1.2, True)):

@@ -127,7 +127,10 @@ def test_the_joints_come_from_the_log_of_the_arm(tmp_path, run, monkeypatch, kin
     monkeypatch.chdir(tmp_path)
     names = [name for name, *_ in FIVE]
     arm = urdf(tmp_path / "five.urdf", FIVE)
-    assert run("init", ".", "--method", "sockets", "--model", arm, "--seats", 4, "--places", 2).code == 0
+    few = run("init", ".", "--method", "sockets", "--model", arm, "--seats", 4, "--places", 2)
+    assert few.code == 2
+    assert "8 seats at 2 places do not determine the arm" in few.err
+    assert run("init", ".", "--method", "sockets", "--model", arm, "--seats", 4, "--places", 3).code == 0
     joints = [f"q{i}_deg" for i in range(1, 6)]
     q = np.array([[float(row[name]) for name in joints] for row in rows(Path("places.csv"))])
     t, track = logged(q, np.random.default_rng(1), 3.0)
@@ -145,13 +148,13 @@ def test_the_joints_come_from_the_log_of_the_arm(tmp_path, run, monkeypatch, kin
     before = Path("seats.csv").read_bytes()
     short = run("seats", log, "--rest-s", 4)
     assert short.code == 2
-    assert "has 0 rests, and seats.csv has 8 rows without joints" in short.err
+    assert "has 0 rests, and seats.csv has 12 rows without joints" in short.err
     assert Path("seats.csv").read_bytes() == before
-    assert "8 rows filled with the joints of 8 rests" in run("seats", log).out
+    assert "12 rows filled with the joints of 12 rests" in run("seats", log).out
     filled = np.array([[float(row[name]) for name in joints] for row in rows(Path("seats.csv"))])
     np.testing.assert_allclose(filled, q, atol=np.degrees(1e-4))
-    assert json.loads(run("status", "--json").out)["seats"]["noted"] == 8
-    assert "has 8 rests, and seats.csv has 0 rows without joints" in (again := run("seats", log).err)
+    assert json.loads(run("status", "--json").out)["seats"]["noted"] == 12
+    assert "has 12 rests, and seats.csv has 0 rows without joints" in (again := run("seats", log).err)
     assert "Rests: 100.0 to 103.0 s, 104.5 to" in again
 
 

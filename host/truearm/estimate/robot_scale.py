@@ -25,7 +25,8 @@ from truearm.units import UNITS
 
 LEVEL = 1e-3  # probability that independent tolerances are reported as a scale
 LEAST = 3.0  # standard deviations of the scale, by a drawing's tolerance of each length
-LEAST_LENGTHS = 4
+LEAST_LENGTHS = 4  # fewer show too little of their spread: they are compared with DRAWN more, of which each is OFF
+DRAWN, OFF = 4.0, 3e-3  # with these, tolerances of 5 mm are a scale with a probability below LEVEL
 LARGE = 0.05  # a scale that no item gives a robot by being millimetres off
 NO_SHARE = 1e-6  # of a length in a null direction, whose largest share is about 1
 
@@ -56,14 +57,16 @@ def robot_scale(chain: Chain, estimate: Estimate) -> RobotScale | None:
     nominal = combined.T @ estimate.nominal[lengths]
     change = combined.T @ (estimate.value - estimate.nominal)[lengths]
     k, squares = nominal.size, float(nominal @ nominal)
-    if k < LEAST_LENGTHS or squares == 0.0:
+    if squares == 0.0:
         return None
     scale = float(nominal @ change) / squares
     if abs(scale) * np.sqrt(squares) < LEAST * tolerance:
         return None
     rest = change - scale * nominal
-    variance = float(rest @ rest) / (k - 1)
-    chance = float(special.fdtrc(1.0, k - 1.0, scale**2 * squares / max(variance, np.finfo(float).tiny)))
+    drawn = DRAWN if k < LEAST_LENGTHS else 0.0
+    freedom = k - 1.0 + drawn
+    variance = max((float(rest @ rest) + drawn * OFF**2) / freedom, np.finfo(float).tiny)
+    chance = float(special.fdtrc(1.0, freedom, scale**2 * squares / variance))
     if chance > LEVEL:
         return None
     return RobotScale(1.0 + scale, float(np.sqrt(variance / squares)), k, chance)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from truearm.errors import InputError
+from truearm.errors import InputError, PlanError
 from truearm.estimate.prior import weak_prior
 from truearm.files.csv_cells import read_cells
 from truearm.files.disk import read_text
@@ -38,11 +38,11 @@ RIG = """\
 # Standard deviation of a ball's position in a socket. 0.1 mm is typical of a printed socket and a steel ball.
 seat_sigma_mm = 0.1
 
-# The ball's centre in the frame of the robot's end, approximately.
+# The ball's centre in the frame of the robot's end, to about 5 mm: nearer, it may be a mirror image of another one.
 [[sphere]]
 name = "ball"
 xyz_mm = [{ball}]
-sigma_mm = "unknown"
+sigma_mm = 5
 
 # The distance of the two sockets; it is the scale of the result. Measure the printed block with a calliper: the mean of the
 # distances over the outer and over the inner edges of the two cones.
@@ -100,6 +100,10 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
     _, sites, tables = min(plans, key=itemgetter(0))
     seated = ObservationTable.joined(tables)
     predicted = forecast(knowledge, seated, Aim(seated.q, tuple(rig.spheres)))
+    if predicted.cartesian is None:
+        raise PlanError(
+            f"{len(seated)} seats at {len(sites)} places do not determine the arm; plan more --seats or --places"
+        )
     units = [DEG if joint.kind == "revolute" else MM for joint in robot.chain.joints]
     joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
     plan: list[list[object]] = [["seat", "place", "socket", "ball_x_mm", "ball_y_mm", "ball_z_mm", *joints]]
