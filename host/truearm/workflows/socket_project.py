@@ -102,7 +102,7 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
     predicted = forecast(knowledge, seated, Aim(seated.q, tuple(rig.spheres)))
     if predicted.cartesian is None:
         raise PlanError(
-            f"{len(seated)} seats at {len(sites)} places do not determine the arm; plan more --seats or --places"
+            f"{len(seated)} seats at {len(sites)} places do not determine the arm; plan more seats or places"
         )
     units = [DEG if joint.kind == "revolute" else MM for joint in robot.chain.joints]
     joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
