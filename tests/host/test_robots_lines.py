@@ -374,7 +374,7 @@ class TestUdp:
         def play():
             with sender("127.0.0.1") as first, sender("127.0.0.2") as second:
                 for k in itertools.count():
-                    if k < 40:
+                    if k < 150:  # 1.5 s, in which also a busy computer opens box and robot
                         first.sendto(b"%d,0.5" % k, ("127.0.0.1", free))
                     second.sendto(b"%d,0.7" % (1000 + k), ("127.0.0.1", free))
                     if stop.wait(0.01):
@@ -385,7 +385,7 @@ class TestUdp:
             thread = threading.Thread(target=play)
             thread.start()
             address = f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad"
-            code = main(["record", "--box", device, "--address", address, "--duration-s", "1.5", "--out", str(out)])
+            code = main(["record", "--box", device, "--address", address, "--duration-s", "3", "--out", str(out)])
             stop.set()
             thread.join()
         assert code == 0
