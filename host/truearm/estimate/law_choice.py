@@ -20,7 +20,6 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truearm.estimate.evidence import prior_root
-from truearm.estimate.law_candidates import prior_blocks
 from truearm.estimate.law_fit import LawProblem, Learned, learn
 from truearm.estimate.pose_noise import PoseNoise, pose_information
 from truearm.estimate.problem import without_knowledge
@@ -55,19 +54,19 @@ def supported(
     is the noise where learning starts, or the choice of nearly the same rows, of which no further law is tried.
     """
     if isinstance(start, LawChoice):
-        of, dropped = make(start.kept), dict(start.dropped)
-        found = start.learned._replace(x=of.start)  # beside other faults, the problem has other unknowns
+        problem, dropped = make(start.kept), dict(start.dropped)
+        learned = start.learned._replace(x=problem.start)  # beside other faults, the problem has other unknowns
     else:
-        of = make(laws)
-        found = learn(of, start, rounds=1)
-        absent = [unit for unit in _units(laws) if all(found.nats[law] < ABSENT for law in unit)]
-        dropped = {law: found.nats[law] for unit in absent for law in unit}
-        of, found = make(_but(laws, dropped)), _without(of, found, dropped)
-    found = learn(of, found)
+        problem = make(laws)
+        learned = learn(problem, start, rounds=1)
+        absent = [unit for unit in _units(laws) if all(learned.nats[law] < ABSENT for law in unit)]
+        dropped = {law: learned.nats[law] for unit in absent for law in unit}
+        problem, learned = make(_but(laws, dropped)), _without(problem, learned, dropped)
+    learned = learn(problem, learned)
     sure: set[Unit] = set()
-    while of.laws:
-        units = _units(of.laws)
-        gain = [sum(found.nats[law] for law in unit) for unit in units]
+    while problem.laws:
+        units = _units(problem.laws)
+        gain = [sum(learned.nats[law] for law in unit) for unit in units]
         weak = sorted((i for i, nats in enumerate(gain) if nats < GATE), key=gain.__getitem__)
         # Two laws of one error leave little evidence for each, so the strongest is judged without the others.
         gone = [law for i in (weak[:-1] or weak) for law in units[i]]
@@ -75,24 +74,24 @@ def supported(
         if doubtful:
             gone = list(units[min(doubtful, key=gain.__getitem__)])
         elif not gone:
-            gone = list(_harmful(of, found, region, units))
+            gone = list(_harmful(problem, learned, region, units))
         if not gone:
             break
-        fewer, without = make(_but(of.laws, gone)), _without(of, found, gone)
-        if any(found.nats[law] >= ABSENT for law in gone):
+        fewer, without = make(_but(problem.laws, gone)), _without(problem, learned, gone)
+        if any(learned.nats[law] >= ABSENT for law in gone):
             without = learn(fewer, without)
-        if doubtful and found.evidence - without.evidence >= GATE:
+        if doubtful and learned.evidence - without.evidence >= GATE:
             sure.add(tuple(gone))
             continue
-        dropped |= {law: found.nats[law] for law in gone}
-        of, found = fewer, without
-    return LawChoice(of.laws, found, dropped)
+        dropped |= {law: learned.nats[law] for law in gone}
+        problem, learned = fewer, without
+    return LawChoice(problem.laws, learned, dropped)
 
 
-def without_absent(of: LawProblem, learned: Learned, dropped: Mapping[Law, float]) -> LawChoice:
+def without_absent(problem: LawProblem, learned: Learned, dropped: Mapping[Law, float]) -> LawChoice:
     """Return the choice without laws of which nothing was learned: a joint may have no sag beside others."""
-    absent = {law: learned.nats[law] for law in of.laws if learned.nats[law] < ABSENT}
-    return LawChoice(tuple(_but(of.laws, absent)), _without(of, learned, absent), {**dropped, **absent})
+    absent = {law: learned.nats[law] for law in problem.laws if learned.nats[law] < ABSENT}
+    return LawChoice(tuple(_but(problem.laws, absent)), _without(problem, learned, absent), {**dropped, **absent})
 
 
 def regions(table: ObservationTable, pose: Indices) -> Indices:
@@ -130,24 +129,24 @@ def left_out_square(roots: Sequence[Floats], always: NDArray[np.bool_]) -> float
     return square
 
 
-def _harmful(of: LawProblem, found: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
+def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
     """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them; none if none does."""
-    blocks = zip(of.laws, prior_blocks(of.laws), strict=True)
-    priors = [prior_root(block, found.variances[law]) for law, block in blocks]
-    owner = np.repeat(np.arange(-1, len(priors)), [int((~of.is_law).sum()), *(prior.shape[1] for prior in priors)])
-    order = np.argsort(of.is_law, kind="stable")
-    change = scipy.linalg.block_diag(np.diag(of.sigma[~of.is_law]), *priors)
-    part, rows = of.some(), []
+    blocks = zip(problem.laws, problem.blocks, strict=True)
+    priors = [prior_root(block, learned.variances[law]) for law, block in blocks]
+    owner = np.repeat(np.arange(-1, len(priors)), [int((~problem.is_law).sum()), *(prior.shape[1] for prior in priors)])
+    order = np.argsort(problem.is_law, kind="stable")
+    change = scipy.linalg.block_diag(np.diag(problem.sigma[~problem.is_law]), *priors)
+    part, rows = problem.some(), []
     for number in np.unique(region):
         some = without_knowledge(only(part.problem, region == number))
-        root, _ = pose_information(some, found.x, of.columns, of.pose, found.noise)
-        root[:, -1] += root[:, :-1] @ (found.x - of.reference)[of.columns]
+        root, _ = pose_information(some, learned.x, problem.columns, problem.pose, learned.noise)
+        root[:, -1] += root[:, :-1] @ (learned.x - problem.reference)[problem.columns]
         rows.append(np.column_stack([root[:, order] @ change, root[:, -1]]))
     nats = {}
-    for unit in ((), *units, of.laws):
-        kept = ~np.isin(owner, [of.laws.index(law) for law in unit])
+    for unit in ((), *units, problem.laws):
+        kept = ~np.isin(owner, [problem.laws.index(law) for law in unit])
         square = left_out_square([root[:, np.append(kept, True)] for root in rows], owner[kept] < 0)
-        nats[unit] = 0.5 * square + sum(found.nats[law] for law in unit)
+        nats[unit] = 0.5 * square + sum(learned.nats[law] for law in unit)
     return min(nats, key=nats.__getitem__)
 
 
@@ -161,12 +160,14 @@ def _but(laws: Sequence[Law], gone: Collection[Law]) -> list[Law]:
     return [law for law in laws if law not in gone]
 
 
-def _without(of: LawProblem, found: Learned, gone: Collection[Law]) -> Learned:
+def _without(problem: LawProblem, learned: Learned, gone: Collection[Law]) -> Learned:
     """Return what was learned about a problem, without some of its laws."""
-    at = np.flatnonzero(of.columns)[of.is_law]
-    blocks = zip(of.laws, prior_blocks(of.laws), strict=True)
+    at = np.flatnonzero(problem.columns)[problem.is_law]
+    blocks = zip(problem.laws, problem.blocks, strict=True)
     columns = [at[block.columns] for law, block in blocks if law in gone]
-    kept = _but(of.laws, gone)
-    evidence = found.evidence - sum(found.nats[law] for law in gone)
-    x = np.delete(found.x, np.concatenate(columns)) if columns else found.x
-    return Learned({k: found.variances[k] for k in kept}, found.noise, {k: found.nats[k] for k in kept}, evidence, x)
+    kept = _but(problem.laws, gone)
+    evidence = learned.evidence - sum(learned.nats[law] for law in gone)
+    x = np.delete(learned.x, np.concatenate(columns)) if columns else learned.x
+    return Learned(
+        {k: learned.variances[k] for k in kept}, learned.noise, {k: learned.nats[k] for k in kept}, evidence, x
+    )

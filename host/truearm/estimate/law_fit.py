@@ -78,13 +78,12 @@ class LawProblem:
         used[self.is_law] = acts
         columns = self.columns.copy()
         columns[columns] = used
-        blocks, at = [], 0
+        blocks, first = [], 0
         for block in self.blocks:
-            mine = acts[block.columns]
-            blocks.append(
-                replace(block, columns=slice(at, at + int(mine.sum())), kernels=block.kernels[:, mine][..., mine])
-            )
-            at = blocks[-1].columns.stop
+            kept = acts[block.columns]
+            last = first + int(kept.sum())
+            blocks.append(replace(block, columns=slice(first, last), kernels=block.kernels[:, kept][..., kept]))
+            first = last
         few = replace(self, columns=columns, is_law=self.is_law[used], sigma=self.sigma[used], blocks=tuple(blocks))
         numbers = np.unique(self.pose)
         share = self.times(LEARNING)
