@@ -128,7 +128,7 @@ def read_table(path: PathLike, robot: RobotArgument) -> ObservationTable:
     >>> len(table), table.q.shape
     (90, (90, 6))
     """
-    return observation_table.read_table(Path(path), robot.chain.joint_units)
+    return observation_table.read_table(Path(path), robot.chain.joint_units, robot.chain.mimics)
 
 
 @checked
@@ -708,7 +708,8 @@ def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
 
 
 def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable:
-    joints = len(robot.chain.joints)
+    joints, mimics = len(robot.chain.joints), robot.chain.mimics
+    value = value.completed(mimics, joints) if value.q.shape[1] == joints - len(mimics) else value
     if value.q.shape[1] != joints:
         raise InputError("other-robot", place=name, joints=value.q.shape[1], expected=joints)
     if not len(value):

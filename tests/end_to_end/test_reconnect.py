@@ -13,6 +13,7 @@ from tests.end_to_end.conftest import interpreter, record_session
 
 from truearm.cli.main import main
 from truearm.files.rig_file import format_rig
+from truearm.model.robot import builtin_robot
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_readings import JointReader
@@ -29,7 +30,7 @@ from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World, standard_plan
 
 S = 1_000_000_000
-UNITS = ("rad",) * 6
+CHAIN = builtin_robot("puma560").chain
 
 
 class Cable:
@@ -190,7 +191,7 @@ def test_parts_are_one_session(in_parts):
     whole, first = in_parts
     assert [path.name for path in session_parts(first)] == ["s.mcap", "s.2.mcap"]
     reference = observations_of_session(whole).table
-    _, table, *_ = read_sources(Sources(tuple(with_parts([first]))), UNITS)
+    _, table, *_ = read_sources(Sources(tuple(with_parts([first]))), CHAIN)
     assert len(reference) - 3 <= len(table) < len(reference)
     assert {str(source).split(" ")[0].split(":")[0] for source in table.source} >= {"s.mcap", "s.2.mcap"}
     apart = np.max(np.abs(table.q[:, None, :] - reference.q[None, :, :]), axis=2)
@@ -211,8 +212,8 @@ def test_an_empty_part_is_no_fault(in_parts, tmp_path):
     with SessionWriter(short, _Clock(session)) as writer:
         writer.metadata(SETUP, {"of": "s.mcap", "part": "3"})
         writer.attach("rig.toml", "application/toml", session.attachments["rig.toml"])
-    _, two, *_ = read_sources(Sources(tuple(with_parts([first]))), UNITS)
-    _, three, *_ = read_sources(Sources(tuple(with_parts([tmp_path / "s.mcap"]))), UNITS)
+    _, two, *_ = read_sources(Sources(tuple(with_parts([first]))), CHAIN)
+    _, three, *_ = read_sources(Sources(tuple(with_parts([tmp_path / "s.mcap"]))), CHAIN)
     assert len(with_parts([tmp_path / "s.mcap"])) == 3
     assert np.array_equal(two.value, three.value)
 

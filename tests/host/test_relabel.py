@@ -48,7 +48,7 @@ def right(plan):
 
 def used(path):
     """Return (bar, chuck, sphere) of the observations that ``identify`` would use, by the number of their dwell."""
-    table = read_sources(Sources((path,)), ROBOT.chain.joint_units, ROBOT).table
+    table = read_sources(Sources((path,)), ROBOT.chain, ROBOT).table
     names = zip(*(getattr(table, key).tolist() for key in BAR_MOUNTED), strict=True)
     return {int(source.rpartition(" ")[2]) - 1: name for source, name in zip(table.source.tolist(), names, strict=True)}
 
@@ -290,7 +290,7 @@ def test_a_wrong_part_that_was_confirmed_is_not_used(tmp_path, plan):
     run, wrong, extension = next(within_the_stroke(plan))
     path = tmp_path / "s.mcap"
     recorded(path, plan, wrong)
-    (count,) = read_sources(Sources((path,)), ROBOT.chain.joint_units, ROBOT).counts
+    (count,) = read_sources(Sources((path,)), ROBOT.chain, ROBOT).counts
     assert not set(run) & set(used(path))
     assert count.rejected["doubtful"] == len(run)
     assert len(used(path)) == np.isfinite(extension).sum() - len(run)

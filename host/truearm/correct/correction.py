@@ -22,6 +22,7 @@ from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
 from truearm.correct.renders_methods import false_target, joint_space, offsets
 from truearm.display import Displayed
+from truearm.model.mimic import completed
 from truearm.model.poses import apart
 from truearm.model.rotation import rotation_vector
 from truearm.option_defaults import MARGIN
@@ -172,6 +173,8 @@ def _at(
     )
     singular: Floats = np.minimum(nominal.singular_value, identified)
     problem = [""] * len(q)
+
+    q = completed(q, pair.chain.mimics, q.shape[1])
 
     def refuse(where: Any, words: str) -> None:
         for i in np.flatnonzero(where):

@@ -26,6 +26,7 @@ from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.display import Displayed
 from truearm.errors import Argument, RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
+from truearm.model.mimic import completed
 from truearm.results import MOVES
 from truearm.text import counted
 from truearm.types import Floats, rms
@@ -130,7 +131,7 @@ def error_map(
         point[block] = believed(pair, q_grid[block])[:, :3, 3]
         error[block] = np.linalg.norm(reached(pair, q_grid[block])[:, :3, 3] - point[block], axis=1)
         sigma[block] = _sigma(pair, q_grid[block], covariance, unseen)
-    return ErrorMap(u, v, axes, q_grid, point, error, sigma)
+    return ErrorMap(u, v, axes, completed(q_grid, pair.chain.mimics, q.size), point, error, sigma)
 
 
 def _spread(reach: Callable[[Floats, Floats], Floats], q: Floats, middles: Floats) -> None:
@@ -178,11 +179,11 @@ def _plane(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
     """Return unit vectors across the first joint's axis: the second one points up (or along y) as far as possible."""
     frames = joint_frames(pair.chain, pair.nominal, q)
     motions = [pair.chain.motions[i] for i in joints]
-    turning = all(motion[0] == "r" for motion in motions)
+    turning = all(motion[0] == "r" for motion in motions) and not pair.chain.mimics.keys() & set(joints)
     normals = [frames[i][:3, "xyz".index(motion[1])] for i, motion in zip(joints, motions, strict=True)]
     if not turning or joints[0] >= joints[1] or np.linalg.norm(np.cross(*normals)) > PARALLEL:
         raise RobotError(
-            f"joints {joints[0] + 1} and {joints[1] + 1} do not turn about parallel axes; choose two that do with ",
+            f"joints {joints[0] + 1} and {joints[1] + 1} do not turn by themselves about parallel axes; choose two that do with ",
             Argument("joints"),
         )
     normal = normals[0]

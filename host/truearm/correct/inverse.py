@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.model.chain import Chain, end_and_jacobian, joint_jacobian
+from truearm.model.mimic import completed
 from truearm.model.poses import apart
 from truearm.progress import steps_of
 from truearm.types import Floats
@@ -88,7 +89,7 @@ def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, ori
         error[rows], jac[rows] = _error_and_jacobian(chain, params, targets[rows], q[rows], oriented)
         size[rows] = np.linalg.norm(error[rows], axis=-1)
         moving &= size > REACHED
-    return Inverse(q, size <= REACHED, np.asarray(np.linalg.svd(jac, compute_uv=False)[..., -1]))
+    return Inverse(completed(q, chain.mimics, q.shape[1]), size <= REACHED, _smallest(chain, jac))
 
 
 def _error_and_jacobian(
@@ -109,7 +110,13 @@ def jacobian(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> 
 
 def singular_value(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
     """Return the smallest singular value (n,) of ``jacobian``."""
-    return np.asarray(np.linalg.svd(jacobian(chain, params, q, oriented), compute_uv=False)[..., -1])
+    return _smallest(chain, jacobian(chain, params, q, oriented))
+
+
+def _smallest(chain: Chain, jac: Floats) -> Floats:
+    """Return the smallest singular value (n,) by the joints that move on their own."""
+    moving = jac[..., [joint not in chain.mimics for joint in range(jac.shape[-1])]]
+    return np.asarray(np.linalg.svd(moving, compute_uv=False)[..., -1])
 
 
 def scaled(error: Floats, oriented: bool = True) -> Floats:
@@ -273,9 +280,10 @@ def _distinct(chain: Chain, params: Floats, ends: Inverse) -> Inverse:
 
 
 def _turns(chain: Chain, params: Floats) -> Floats:
-    """Return by how much the readings (j,) change in a whole turn; without end for a joint that slides."""
-    revolute = np.array([joint.kind == "revolute" for joint in chain.joints])
-    return np.where(revolute, 2.0 * np.pi / np.abs(chain.law.gain.of(params)), 1e300)
+    """Return by how much the readings (j,) change in a whole turn; without end for joints that slide or are coupled."""
+    coupled = {*chain.mimics, *(mimic.followed for mimic in chain.mimics.values())}
+    turning = np.array([joint.kind == "revolute" and i not in coupled for i, joint in enumerate(chain.joints)])
+    return np.where(turning, 2.0 * np.pi / np.abs(chain.law.gain.of(params)), 1e300)
 
 
 def _chosen(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from truearm.errors import TableError
@@ -96,13 +96,17 @@ def _suggestion(title: str) -> str:
     return meant + ignored
 
 
-def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None, name: str) -> list[Column]:
-    """Return the joint columns in joint order, checked against the robot."""
+def joint_columns(
+    columns: dict[str, Column], joint_units: Sequence[str] | None, name: str, mimics: Collection[int] = ()
+) -> list[Column]:
+    """Return the joint columns in joint order, checked against the robot; a table may be without its mimic joints."""
     joints = _numbered(columns, "q", name)
     if not joints:
         raise TableError("missing-column", place=name, column="q1_rad")
     if joint_units is None:
         return joints
+    if len(joints) == len(joint_units) - len(mimics):
+        joint_units = [unit for joint, unit in enumerate(joint_units) if joint not in mimics]
     if len(joints) != len(joint_units):
         raise TableError("other-robot", place=name, joints=len(joints), expected=len(joint_units))
     for joint, unit in zip(joints, joint_units, strict=True):

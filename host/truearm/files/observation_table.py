@@ -34,6 +34,7 @@ from truearm.kinds import registry
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.kinds.registry import is_label
 from truearm.kinds.table import ObservationTable
+from truearm.model.mimic import NO_MIMICS, Mimic
 from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, Rig
@@ -53,21 +54,26 @@ def check_is_observations(path: Path) -> None:
         raise TableError(f"{path}: by its name, is neither a table of observations (.csv) nor a session (.mcap)", *rig)
 
 
-def read_table(path: Path, joint_units: Sequence[str] | None = None) -> ObservationTable:
+def read_table(
+    path: Path, joint_units: Sequence[str] | None = None, mimics: Mapping[int, Mimic] = NO_MIMICS
+) -> ObservationTable:
     """Read a CSV table of observations.
 
-    If ``joint_units`` ("rad" or "m" for each joint of the robot) is given, the joint columns must match it. If all rows
-    have a time, they are returned in that order. Raises TableError with file, row and column.
+    If ``joint_units`` ("rad" or "m" for each joint of the robot) is given, the joint columns must match it; those of the
+    robot's ``mimics`` may be missing, and are computed. If all rows have a time, they are returned in that order.
+    Raises TableError with file, row and column.
     """
     check_is_observations(path)
-    return in_order_of_time(parse_table(read_text(path, MAX_BYTES, TableError), str(path), joint_units))
+    return in_order_of_time(parse_table(read_text(path, MAX_BYTES, TableError), str(path), joint_units, mimics))
 
 
-def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) -> ObservationTable:
+def parse_table(
+    text: str, name: str, joint_units: Sequence[str] | None = None, mimics: Mapping[int, Mimic] = NO_MIMICS
+) -> ObservationTable:
     """Parse the text of a table; ``name`` stands for the file in messages and in ``source``. See ``read_table``."""
     header, rows = with_rotation_vectors(*read_cells(text, name), name)
     columns = read_header(header, name)
-    joints = joint_columns(columns, joint_units, name)
+    joints = joint_columns(columns, joint_units, name, mimics)
     if not rows:
         raise TableError("no-rows", place=name)
     kind = _kinds(rows, columns["kind"], name)
@@ -83,9 +89,10 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     if rates:
         given["q_rate"] = together(rates, rows, "the velocities of all joints", name)
     source = np.array([f"{name} row {row.number}" for row in rows])
-    return ObservationTable(
+    table = ObservationTable(
         {field: column for field, column in given.items() if _filled(column).any()}, q=q, kind=kind, source=source
     )
+    return table.completed(mimics, len(joint_units or joints))
 
 
 def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:

@@ -14,7 +14,10 @@ from truearm.arguments import converted
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.kinds.registry import blank_row, is_label, quantities
+from truearm.model.mimic import Mimic, completed
 from truearm.types import as_column
+
+MOTIONS = ("q_rate", "side")  # columns of all joints, in addition to q
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -120,6 +123,14 @@ class ObservationTable(Displayed):
     def replace(self, **columns: Any) -> ObservationTable:
         """Return the table with these columns; None takes a column out."""
         return ObservationTable(self.columns, **columns)
+
+    def completed(self, mimics: Mapping[int, Mimic], n_joints: int) -> ObservationTable:
+        """Return the table with the readings, velocities and directions of all joints, also of mimic joints."""
+        slopes = {joint: mimic._replace(offset=0.0) for joint, mimic in mimics.items()}
+        columns = {name: completed(self.columns[name], slopes, n_joints) for name in MOTIONS if name in self.columns}
+        if "side" in columns:
+            columns["side"] = np.sign(columns["side"])
+        return self.replace(q=completed(self.q, mimics, n_joints), **columns) if mimics else self
 
     def select(self, rows: NDArray[Any]) -> ObservationTable:
         """Return the rows selected by a boolean mask, an index array or a slice. Raises InputError for anything else.

@@ -39,6 +39,7 @@ from truearm.model.constant_folding import (
     on_axis,
 )
 from truearm.model.joint_law import JointLaw, LawAt, flat
+from truearm.model.mimic import Mimic
 from truearm.model.transforms import MOTIONS, apply, axis_of, cos_sin, cross, move, turn
 from truearm.types import Floats, Payload
 
@@ -65,12 +66,16 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint; ``kind`` is "revolute" or "prismatic", and the limits are those of the joint reading q [rad or m]."""
+    """A joint; ``kind`` is "revolute" or "prismatic", and the limits are those of the joint reading q [rad or m].
+
+    The reading of a joint with a ``mimic`` follows from that of another joint.
+    """
 
     name: str
     kind: str
     lower: float
     upper: float
+    mimic: Mimic | None = None
 
 
 @dataclass(frozen=True)
@@ -127,6 +132,11 @@ class Chain:
     def joint_units(self) -> tuple[str, ...]:
         """Return "rad" or "m" for each joint."""
         return tuple("m" if joint.kind == "prismatic" else "rad" for joint in self.joints)
+
+    @cached_property
+    def mimics(self) -> dict[int, Mimic]:
+        """Return what each mimic joint follows, by its index."""
+        return {index: joint.mimic for index, joint in enumerate(self.joints) if joint.mimic is not None}
 
     @cached_property
     def limits(self) -> Floats:

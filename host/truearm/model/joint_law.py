@@ -27,6 +27,7 @@ from truearm.additions import with_additions
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.joint_terms.term import Term
+from truearm.model.mimic import completed
 from truearm.types import Floats
 
 if TYPE_CHECKING:
@@ -70,9 +71,13 @@ class LawAt:
     def by_joints(self) -> Floats:
         """∂θ/∂q: its diagonal, (j, n) or (j, 1), if the joints do not depend on each other, otherwise (j, j, n)."""
         parts = [term.by_joints(self.params, self.q) for term in self.law.moving]
-        if len(parts) > 1 and any(part.ndim == 3 for part in parts):
+        if self.law.mimics or (len(parts) > 1 and any(part.ndim == 3 for part in parts)):
             parts = [part if part.ndim == 3 else part[:, None] * np.eye(len(part))[..., None] for part in parts]
-        return reduce(np.add, parts)
+        jac = reduce(np.add, parts)
+        for joint, mimic in self.law.mimics.items():
+            jac[:, mimic.followed] += mimic.multiplier * jac[:, joint]
+            jac[:, joint] = 0.0
+        return np.broadcast_to(jac, (*jac.shape[:-1], self.q.shape[1])) if self.law.mimics else jac
 
     @cached_property
     def by_parameters(self) -> Floats:
@@ -90,7 +95,7 @@ class JointLaw:
 
     def __init__(self, chain: Chain) -> None:
         used = {parameter.term for parameter in chain.parameters}
-        self.n_parameters = len(chain.parameters)
+        self.n_parameters, self.mimics = len(chain.parameters), chain.mimics
         self.offset, self.gain = Offset.of_chain(chain), Gain.of_chain(chain)
         further = (term.of_chain(chain) for term in terms() if term not in (Offset, Gain) and term.name in used)
         self.terms: tuple[Term, ...] = (self.offset, self.gain, *further)
@@ -114,7 +119,7 @@ class JointLaw:
 
     def at(self, params: Floats, q: Floats) -> LawAt:
         """Return the law at params (p,) and readings q (j, n)."""
-        return LawAt(self, params, q)
+        return LawAt(self, params, completed(q.T, self.mimics, len(q)).T if self.mimics else q)
 
     def angles(self, params: Floats, q: Floats) -> Floats:
         """Return true angles or positions (…, j) at readings q (…, j) [rad or m]."""

@@ -5,7 +5,8 @@ is not a coordinate axis is reached by a fixed alignment, ``A·Rz(θ)·A⁻¹`` 
 whose constants are not parameters. Joint law: θ = offset + gain·q with nominal offset 0 and gain 1.
 
 Parameters, base to tip: ``<joint>.x .y .z .yaw .pitch .roll`` for every joint of the path, including fixed ones, and
-``<joint>.offset .gain`` for those that move. Joints off the path, including mimic joints, are ignored.
+``<joint>.offset .gain`` for those that move. Joints off the path are ignored. A mimic joint on the path is one of the
+chain's joints, whose reading follows from that of the joint it mimics (``model.mimic``).
 
 The text may be untrusted: no document type, no entities, bounded size, finite numbers of a plausible size.
 """
@@ -27,6 +28,7 @@ from truearm.errors import Argument, RobotError
 from truearm.model.chain import Chain, Element, Joint, Parameter, joint_frames
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
+from truearm.model.mimic import Mimic
 from truearm.model.transforms import elementary
 from truearm.model.workspace import Capsules
 from truearm.text import listed
@@ -246,7 +248,7 @@ def _build(name: str, path: list[_UrdfJoint]) -> Chain:
             continue
         at = len(joints)
         elements += _moving(joint, at)
-        joints.append(_limits(joint))
+        joints.append(_limits(joint) if joint.xml.find("mimic") is None else _mimic_joint(joint, path))
         for term in (Offset, Gain):
             unit = term.unit_of(joints[at].kind)
             parameters.append(Parameter(f"{joint.name}.{term.name}", unit, term.neutral, term.name, at))
@@ -269,10 +271,6 @@ def _moving(joint: _UrdfJoint, number: int) -> list[Element]:
     if joint.kind not in MOVING:
         raise RobotError(
             f"URDF joint {joint.name}: a {joint.kind} joint on the path cannot be modelled; choose base and tip without it between them"
-        )
-    if joint.xml.find("mimic") is not None:
-        raise RobotError(
-            f"URDF joint {joint.name} on the path mimics another joint, which cannot be modelled; choose base and tip without it between them"
         )
     x, y, z = _axis(joint)
     letter = "t" if joint.kind == "prismatic" else "r"
@@ -311,6 +309,32 @@ def _limits(joint: _UrdfJoint) -> Joint:
     if lower > upper:
         raise RobotError(f"URDF joint {joint.name}: its lower limit {lower:g} is above its upper limit {upper:g}")
     return Joint(joint.name, kind, lower, upper)
+
+
+def _mimic_joint(joint: _UrdfJoint, path: list[_UrdfJoint]) -> Joint:
+    """Return a joint that follows another of the path, directly or by way of other mimic joints; it has no limits of its own."""
+    moving = [step for step in path if step.kind != "fixed"]
+    place, followed, multiplier, offset = f"URDF joint {joint.name}: mimic", joint, 1.0, 0.0
+    for _ in moving:
+        node = followed.xml.find("mimic")
+        if node is None:
+            break
+        slope, shift = (
+            _numbers(place, key, node.get(key, usual), 1, MAX_ANGLE_RAD)[0]
+            for key, usual in (("multiplier", "1"), ("offset", "0"))
+        )
+        multiplier, offset = multiplier * slope, multiplier * shift + offset
+        name = node.get("joint")
+        of_path = [step for step in moving if step.name == name]
+        if not of_path:
+            raise RobotError(
+                f"{place} joint={name!r} is not a moving joint between base and tip; choose both so that it is"
+            )
+        followed = of_path[0]
+    if followed.xml.find("mimic") is not None:
+        raise RobotError(f"{place}: the joints mimic each other; one of them must move on its own")
+    kind = "prismatic" if joint.kind == "prismatic" else "revolute"
+    return Joint(joint.name, kind, -math.inf, math.inf, Mimic(moving.index(followed), multiplier, offset))
 
 
 def _numbers(place: str, what: str, text: str, count: int, bound: float) -> list[float]:

@@ -24,12 +24,13 @@ def check_joints(chain: Chain) -> None:
 
 
 def _check_kinds(chain: Chain) -> None:
-    """Raise PlanError for an arm with a prismatic joint: a branch has angles, and a move's pace is that of turning."""
-    sliding = [joint.name for joint in chain.joints if joint.kind != "revolute"]
-    if sliding:
+    """Raise PlanError for an arm with a prismatic or mimic joint: a branch has angles, and a move's pace is that of turning."""
+    unplanned = [joint for joint in chain.joints if joint.kind != "revolute" or joint.mimic]
+    for joint in unplanned[:1]:
+        kind = "prismatic" if joint.kind != "revolute" else "a mimic joint"
         raise PlanError(
-            f"joint {sliding[0]} of robot {chain.name} is prismatic, and a plan is for arms with revolute joints only; "
-            "choose the poses yourself, and identify from a table"
+            f"joint {joint.name} of robot {chain.name} is {kind}, and a plan is for arms with independent revolute joints "
+            "only; choose the poses yourself, and identify from a table"
         )
 
 

@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
+from truearm.model.mimic import completed
 from truearm.model.robot import Robot
 from truearm.plan.collision_shapes import Shapes, Sizes, along_joints, clear, make_shapes
 from truearm.plan.socket_block import SocketBlock
@@ -82,6 +83,7 @@ class _Arm:
             p, _, jacobian = point_jacobians(self.shapes.chain, self.shapes.params, q, self.ball)
             step = (np.linalg.pinv(jacobian, rcond=1e-3) @ (socket - p)[..., None])[..., 0]
             q = q + np.clip(step, -STEP, STEP)
+        q = completed(q, self.shapes.chain.mimics, q.shape[1])
         usable = (np.linalg.norm(self.p_ball(q) - socket, axis=1) < SEATED) & self.is_clear(q)
         usable &= np.all((q > lower + MARGIN) & (q < upper - MARGIN), axis=1)
         q = q[usable]
@@ -100,10 +102,12 @@ def plans_of_sites(
     not reach as many places.
     """
     chain = robot.chain
-    if len(chain.joints) < MIN_JOINTS:
-        raise PlanError(f"robot {chain.name} has {len(chain.joints)} joints; a plan of sockets needs four or more")
+    joints = len(chain.joints) - len(chain.mimics)
+    if joints < MIN_JOINTS:
+        raise PlanError(f"robot {chain.name} has {joints} joints; a plan of sockets needs four or more")
     arm = _arm(robot, np.array(ball), block, table)
     q = np.random.default_rng(0).uniform(arm.limits[0], arm.limits[1], (N_POSTURES, len(chain.joints)))
+    q = completed(q, chain.mimics, len(chain.joints))
     q = q[arm.is_clear(q)]
     p_ball = arm.p_ball(q)
     distance = np.linalg.norm(p_ball[:, :2], axis=1)

@@ -228,8 +228,9 @@ def _check_moves(title: str, programs: Sequence[Program], pair: ModelPair, optio
     moves = [(program, move) for program in programs for move in program.moves]
     if not moves:
         raise InputError("no-move", place=title)
-    if len(pair.chain.joints) != N_JOINTS:
-        raise InputError("redundant", place=title, joints=len(pair.chain.joints))
+    joints = len(pair.chain.joints) - len(pair.chain.mimics)
+    if joints != N_JOINTS:
+        raise InputError("redundant", place=title, joints=joints)
     to_joints = (pair for pair in moves if any(goal.is_joints for goal in pair[1].goals))
     lines = list(dict.fromkeys(program.where(move.place) for program, move in to_joints))
     if lines and options.joint_moves is None:

@@ -169,6 +169,9 @@ def exported(
 
     Raises InputError if the format can hold nothing of what may change, or nothing worth writing.
     """
+    for mimic in calibration.chain.mimics if form != "urdf" else ():
+        name = calibration.chain.joints[mimic].name
+        raise InputError("unsuited-robot", place=form, reason=f"has no place for mimic joint {name}; use format urdf")
     fitted = _fitted(calibration, form, adjust, over)
     contained = FORMATS[form].mountings and not own_frames
     values = mounting_values(calibration.chain, calibration.nominal, fitted.params)
@@ -242,7 +245,7 @@ def _anywhere(calibration: Calibration) -> Floats:
 def _poses_of(path: Path, chain: Chain) -> Floats:
     """Return the poses (n, j) of a table or a plan. Raises InputError."""
     is_plan = read_text(path, MAX_BYTES, InputError).lstrip().startswith("pose,")
-    q = read_plan(path).q if is_plan else read_table(path, chain.joint_units).q
+    q = read_plan(path).q if is_plan else read_table(path, chain.joint_units, chain.mimics).q
     if q.shape[1] != len(chain.joints):
         raise InputError("other-robot", place=path, joints=q.shape[1], expected=len(chain.joints))
     return q

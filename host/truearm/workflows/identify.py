@@ -170,7 +170,7 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     outputs = [*(("result", path) for path in files.results), ("table", files.save_table), ("page", files.report)]
     check_files(sources, files.robot, outputs, files.force)
     robot = files.robot.load()
-    rig, table, counts, recordings = read_sources(sources, robot.chain.joint_units, robot)
+    rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
     selection = selected(robot, table, hold_out, options)
     if files.save_table is not None:
         write_table(files.save_table, table, robot.chain.joint_units)

@@ -24,6 +24,7 @@ from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.registry import kinds, with_every_name
 from truearm.kinds.table import ObservationTable
+from truearm.model.chain import Chain
 from truearm.model.robot import Robot
 from truearm.progress import step
 from truearm.report.certificate import Facts, Recording, between
@@ -121,10 +122,10 @@ class Observed(NamedTuple):
     recordings: tuple[Recording, ...]
 
 
-def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: Robot | None = None) -> Observed:
+def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = None) -> Observed:
     """Return rigs and observations, checked against each other.
 
-    ``joint_units`` are the robot's; None skips that check. With the nominal ``robot``, labels that the readings do not
+    ``chain`` is the robot's; None skips the check of its joints. With the nominal ``robot``, labels that the readings do not
     support are left out.
     """
     inputs = list(sources.inputs)
@@ -139,10 +140,10 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     sessions_read: list[_SessionRead] = []
     for path in inputs:
         if path in sessions:
-            sessions_read.append(_read_session(sessions[path], joint_units, session_rig[path], sources, robot))
+            sessions_read.append(_read_session(sessions[path], chain, session_rig[path], sources, robot))
             tables.append(sessions_read[-1].table)
             continue
-        tables.append(read_table(path, joint_units))
+        tables.append(read_table(path) if chain is None else read_table(path, chain.joint_units, chain.mimics))
         if _is_reordered(tables[-1]):
             sources.say(
                 f"{path}: the rows are not in the order of time_s; they are used in that order, and row numbers count in it"
@@ -219,7 +220,7 @@ def _opened(paths: Sequence[Path], allow_damaged: bool) -> dict[Path, Session]:
 
 def _read_session(
     session: Session,
-    joint_units: tuple[str, ...] | None,
+    chain: Chain | None,
     assigned: Assigned,
     sources: Sources,
     robot: Robot | None,
@@ -230,8 +231,11 @@ def _read_session(
     )
     result = observations_of_opened(session, rig, options)
     table = result.table
-    if joint_units is not None and len(table) and table.q.shape[1] != len(joint_units):
-        raise InputError("other-robot", place=path, joints=table.q.shape[1], expected=len(joint_units))
+    if chain is not None and len(table):
+        expected = len(chain.joints)
+        if table.q.shape[1] not in (expected, expected - len(chain.mimics)):
+            raise InputError("other-robot", place=path, joints=table.q.shape[1], expected=expected)
+        table = table.completed(chain.mimics, expected)
     labels = read_labels(path) is not None
     doubtful = 0
     if robot is not None and not labels:

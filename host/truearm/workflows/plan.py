@@ -337,9 +337,7 @@ def _read_knowledge(files: PlanFiles) -> Knowledge:
     from truearm.workflows.inputs import Sources, read_sources  # slow to import, as it also reads sessions
     from truearm.workflows.session_parts import with_parts
 
-    rig, table, *_ = read_sources(
-        Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain.joint_units
-    )
+    rig, table, *_ = read_sources(Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain)
     if not isinstance(rig, Rig):
         raise InputError(
             Argument("measured"), ": rows of several rigs cannot be used for a plan; give the rows of one rig"

@@ -56,7 +56,7 @@ def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) ->
     _check_inputs(result, stored, {file.sha256 for file in inputs})
     name = choice.robot or stored.robot.name
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
-    rig, table, counts, recordings = read_sources(sources, robot.chain.joint_units, robot)
+    rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
     selection = selected(robot, table, hold_out, options)
     identification = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
     _check_same(result, stored.column("value"), identification)

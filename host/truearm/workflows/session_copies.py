@@ -99,11 +99,11 @@ def add_joints_file(request: AddJoints, force: bool = False) -> int:
 
 
 def joint_names(joints: str | None, robot: RobotChoice) -> list[str]:
-    """Return the joints' names from the base on; [] if none were given. Raises InputError."""
+    """Return the joints' names from the base on, without mimic joints; [] if none were given. Raises InputError."""
     if joints is not None and robot.robot is not None:
         raise InputError("exclusive", first=Argument("joints"), second=Argument("robot"))
     if robot.robot is not None:
-        return [joint.name for joint in robot.load().chain.joints]
+        return [joint.name for joint in robot.load().chain.joints if joint.mimic is None]
     names = [] if joints is None else [name.strip() for name in joints.split(",")]
     if "" in names or len(set(names)) < len(names):
         raise InputError(Argument("joints"), f" {joints!r} must be a list of different names: a,b,c")

@@ -104,14 +104,15 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
         raise PlanError(
             f"{len(seated)} seats at {len(sites)} places do not determine the arm; plan more seats or places"
         )
-    units = [DEG if joint.kind == "revolute" else MM for joint in robot.chain.joints]
+    moving = [joint for joint in range(len(robot.chain.joints)) if joint not in robot.chain.mimics]
+    units = [DEG if robot.chain.joints[joint].kind == "revolute" else MM for joint in moving]
     joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
     plan: list[list[object]] = [["seat", "place", "socket", "ball_x_mm", "ball_y_mm", "ball_z_mm", *joints]]
     seats: list[list[object]] = [["kind", "place", "socket", *joints]]
     for number, site in enumerate(sites, start=1):
         for socket, side in enumerate((-0.5, 0.5)):
             centre = site.place + [0.0, 0.0, block.centre_height] + side * block.distance * site.direction
-            for q in site.q[socket]:
+            for q in site.q[socket][:, moving]:
                 row = [f"p{number}", socket]
                 values = [unit.of(value) for unit, value in zip(units, q.tolist(), strict=True)]
                 plan.append([len(seats), *row, *(f"{MM.of(x):.1f}" for x in centre), *(f"{x:.2f}" for x in values)])

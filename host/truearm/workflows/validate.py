@@ -154,7 +154,7 @@ def measured_files(
     check_files(sources, robot, outputs, force)
     if because := unusable_because(calibration):
         sources.say(f"{result}: the fit is not usable ({because}); correct its inputs and identify again")
-    rigs, table, _, recordings = read_sources(sources, calibration.joint_units)
+    rigs, table, _, recordings = read_sources(sources, calibration.chain)
     return Measured(calibration, rigs, table, hashed_inputs(sources, robot), recordings)
 
 
