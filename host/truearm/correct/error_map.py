@@ -183,7 +183,7 @@ def _plane(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
     normals = [frames[i][:3, "xyz".index(motion[1])] for i, motion in zip(joints, motions, strict=True)]
     if not turning or joints[0] >= joints[1] or np.linalg.norm(np.cross(*normals)) > PARALLEL:
         raise RobotError(
-            f"joints {joints[0] + 1} and {joints[1] + 1} do not turn by themselves about parallel axes; choose two that do with ",
+            f"joints {joints[0] + 1} and {joints[1] + 1} do not turn about parallel axes by themselves; choose two that do with ",
             Argument("joints"),
         )
     normal = normals[0]

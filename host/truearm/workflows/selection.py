@@ -80,9 +80,9 @@ def folds_of(table: ObservationTable, groups: Sequence[str], seed: int) -> list[
         masks = [(f"{column}={name}", _group_rows(table, f"{column}={name}", HOLD_OUT)) for name in names]
     else:
         rank = _pose_ranks(table, seed)
-        count = int(value) if value.isascii() and value.isdecimal() and len(value) < 4 else 0
+        count = min(int(value), rank.max() + 1) if value.isascii() and value.isdecimal() and len(value) < 10 else 0
         numbers = (rank * count / (rank.max() + 1)).astype(np.intp)
-        masks = [(f"fold {number + 1}", numbers == number) for number in np.unique(numbers).tolist()]
+        masks = [(f"fold {number + 1}", numbers == number) for number in range(count)]
     if not 2 <= len(masks) <= MOST_FOLDS:
         advice = f"2 to {MOST_FOLDS} are needed; write {FOLDS}=5, or place=* for each place"
         raise InputError(HOLD_OUT, f" {groups[0]}: gives {len(masks)} folds, and {advice}")
