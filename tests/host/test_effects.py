@@ -9,7 +9,7 @@ from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, random_po
 from tests.host.findings_bench import stated
 
 from truearm.errors import InputError
-from truearm.estimate.circumstances import last_directions, last_moves
+from truearm.estimate.circumstances import last_motions
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.problem import build_problem
@@ -187,22 +187,22 @@ ROWS = [f"a.csv row {i}" for i in range(2, 6)] + ["b.csv row 2", "b.csv row 3"]
 def test_moves_are_those_since_the_pose_before_in_the_same_file():
     """Rows of one pose have one move; the first pose of a file has none that is known."""
     np.testing.assert_allclose(
-        last_moves(visits(TURNS, ROWS)), [[0.0, 0.0], [0.5, 0.0], [0.5, 0.0], [-0.3, 0.1], [0.0, 0.0], [-0.2, 0.0]]
+        last_motions(visits(TURNS, ROWS))[1], [[0.0, 0.0], [0.5, 0.0], [0.5, 0.0], [-0.3, 0.1], [0.0, 0.0], [-0.2, 0.0]]
     )
 
 
 def test_a_joint_that_stays_keeps_its_direction():
     np.testing.assert_array_equal(
-        last_directions(visits(TURNS, ROWS)), [[0, 0], [1, 0], [1, 0], [-1, 1], [0, 0], [-1, 0]]
+        last_motions(visits(TURNS, ROWS))[0], [[0, 0], [1, 0], [1, 0], [-1, 1], [0, 0], [-1, 0]]
     )
     still = visits([[0.0], [0.5], [0.5 + 5e-4], [0.5]], [f"a.csv row {i}" for i in range(2, 6)])
-    np.testing.assert_array_equal(last_directions(still)[:, 0], [0, 1, 1, 1])
+    np.testing.assert_array_equal(last_motions(still)[0][:, 0], [0, 1, 1, 1])
 
 
 def test_known_sides_come_first():
     side = np.array([[1.0, -1.0], [np.nan, 1.0]])
     known = visits([[0.0, 0.0], [0.5, 0.5]], ["s.mcap dwell 1", "s.mcap dwell 2"], side=side)
-    np.testing.assert_array_equal(last_directions(known), [[1, -1], [0, 1]])
+    np.testing.assert_array_equal(last_motions(known)[0], [[1, -1], [0, 1]])
 
 
 def test_without_moves_in_both_directions_nothing_can_be_estimated():

@@ -15,6 +15,7 @@ from truearm.results import DriftWith
 from truearm.types import Floats, Indices
 
 SAME_POSE = 1e-3  # rad or m: joint readings that differ by less belong to one pose
+NOWHERE = np.zeros(0)  # motions of what is not a joint
 LEAST_DIRECTED = 5  # rows that a joint must have reached in either direction
 
 
@@ -35,7 +36,7 @@ class Circumstances(NamedTuple):
     def of(cls, table: ObservationTable, chain: Chain) -> Circumstances:
         """Return those of the rows of a robot's table."""
         joints = [joint.name for joint in chain.joints]
-        direction, move = last_directions(table), last_moves(table)
+        direction, move = last_motions(table)
         return cls(
             table.time,
             table.temperature,
@@ -60,8 +61,10 @@ class Circumstances(NamedTuple):
             case DriftWith.TEMPERATURE:
                 along = self.temperature[first:last]
             case DriftWith.DIRECTION | DriftWith.MOVE:
-                of = self.move if drift is DriftWith.MOVE else {name: -way for name, way in self.direction.items()}
-                along = of.get(what, np.zeros(0))[first:last]  # the link lags a reading by backlash
+                if drift is DriftWith.MOVE:
+                    along = self.move.get(what, NOWHERE)[first:last]
+                else:  # the link lags a reading by backlash
+                    along = -self.direction.get(what, NOWHERE)[first:last]
                 if min((along < 0.0).sum(), (along > 0.0).sum()) < LEAST_DIRECTED:
                     return None
             case never:
@@ -69,36 +72,33 @@ class Circumstances(NamedTuple):
         return along if np.isfinite(along).all() and np.ptp(along) > 0.0 else None
 
 
-def last_directions(table: ObservationTable) -> Floats:
-    """Return the direction (n, j) in which each joint last moved before each row: −1 or 1, 0 where unknown.
+def last_motions(table: ObservationTable) -> tuple[Floats, Floats]:
+    """Return the direction (n, j) in which each joint last moved before each row, and how far (n, j) [rad or m] it moved.
 
-    This is the ``side`` of the rows if any is known. In other tables the joints are taken to have moved straight from
-    the pose before, and a joint that did not move keeps its direction.
+    Directions are −1 or 1, 0 where unknown: the ``side`` of the rows if any is known. In other tables the joints are
+    taken to have moved straight from the pose before, and a joint that did not move keeps its direction. Motions are
+    those from the pose before in the same session, 0 where unknown.
     """
-    if np.isfinite(table.side).any():
-        return np.asarray(np.nan_to_num(table.side, nan=0.0))
-    step, began = _steps(table)
-    last = np.maximum.accumulate(np.where(step == 0.0, -1, np.arange(len(table))[:, None]), axis=0)
-    return np.where(last > began[:, None], np.sign(np.take_along_axis(step, last, axis=0)), 0.0)
-
-
-def last_moves(table: ObservationTable) -> Floats:
-    """Return how far (n, j) [rad or m] each joint moved from the pose before, in the same session; 0 where unknown."""
-    step, began = _steps(table)
-    last = np.maximum.accumulate(np.where(step.any(axis=1), np.arange(len(table)), -1))
-    return np.where((last > began)[:, None], step[last], 0.0)
-
-
-def _steps(table: ObservationTable) -> tuple[Floats, Indices]:
-    """Return how far (n, j) each joint moved from the row before, and the first row (n,) of each row's session.
-
-    Less than SAME_POSE, and what came before the first row of a session, is 0.
-    """
-    session = sessions(table)
+    session, rows = sessions(table), np.arange(len(table))
     first = np.diff(session, prepend=-1) != 0
-    step = np.diff(table.q, axis=0, prepend=table.q[:1])
-    step[(np.abs(step) <= SAME_POSE) | first[:, None]] = 0.0
-    return step, np.flatnonzero(first)[session]
+    began = np.flatnonzero(first)[session]
+    move = np.zeros_like(table.q)  # from the row before
+    np.subtract(table.q[1:], table.q[:-1], out=move[1:])
+    move[first] = 0.0
+    for of_joint in move.T:
+        of_joint[np.abs(of_joint) <= SAME_POSE] = 0.0
+    direction = table.side
+    if np.isfinite(direction).any():
+        direction = np.nan_to_num(direction, nan=0.0)
+    else:
+        direction = np.zeros(move.shape)
+        for toward, of_joint in zip(direction.T, move.T, strict=True):
+            last = np.maximum.accumulate(np.where(of_joint == 0.0, -1, rows))
+            toward[:] = np.where(last > began, np.sign(of_joint[last]), 0.0)
+    last = np.maximum.accumulate(np.where(move.any(axis=1), rows, -1))
+    for of_joint in move.T:
+        of_joint[:] = np.where(last > began, of_joint[last], 0.0)
+    return direction, move
 
 
 def sessions(table: ObservationTable) -> Indices:
@@ -106,8 +106,10 @@ def sessions(table: ObservationTable) -> Indices:
     # Examples of sources: "poses.csv row 17", "monday.mcap dwell 3", "monday.mcap pass 2.7", "table[16]".
     without_number = np.strings.rstrip(table.source, "0123456789.]")
     numbered = np.strings.endswith(without_number, " ") | np.strings.endswith(without_number, "[")
-    names, number = np.unique(np.where(numbered, without_number, table.source), return_inverse=True)
-    files = np.array([re.sub(r"(\s*\w+ |\[)$", "", str(name)) for name in names], dtype=np.str_)
+    names = np.where(numbered, without_number, table.source)
+    number = runs(names)
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    files = np.array([re.sub(r"(\s*\w+ |\[)$", "", name) for name in names[first].tolist()], dtype=np.str_)
     return runs(files[number], table.rig)
 
 

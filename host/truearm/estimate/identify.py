@@ -141,7 +141,7 @@ def identify(
     found, x = solved.found, solved.found.x
     root = half(spectrum(found.information.root))
     quality = _quality(task, solved, root, options)
-    sight = _sight(task, x, solved.taken(problem))
+    sight = _sight(task, found, solved.taken(problem))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
     taken, covariance = solved.taken(problem), np.zeros((x.size, x.size))
@@ -383,10 +383,12 @@ class _Sight(NamedTuple):
     additions: tuple[Addition, ...]
 
 
-def _sight(task: _Task, x: Floats, taken: Problem) -> _Sight:
-    """Return what the rows ``taken`` determine, linearised at x (P,)."""
-    still, columns, n_free = settled(taken, x), task.columns, int(task.free.sum())
-    data = of_rows(still, x, columns)
+def _sight(task: _Task, solution: Solution, taken: Problem) -> _Sight:
+    """Return what the rows ``taken`` of a solution determine, linearised at it."""
+    x, columns, n_free = solution.x, task.columns, int(task.free.sum())
+    still, data = settled(taken, x), solution.information
+    if still is not taken or not np.array_equal(solution.prior_sigma, task.problem.rig_prior[columns]):
+        data = of_rows(still, x, columns)
     names = task.problem.names_of(columns)
     sight = determined(still, x, columns, task.effects, data.root)
     suggested = suggested_free(data.root, n_free, task.prefer[task.free])

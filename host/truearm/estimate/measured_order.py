@@ -14,6 +14,8 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.types import Indices
 
+LARGEST = 2**31  # number of the values in a column; the product of two fits into 64 bits
+
 
 class Measured(NamedTuple):
     """The circumstances in which n rows were measured, in order."""
@@ -43,31 +45,53 @@ def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_
     """Return how the ``rows`` (n,) of a robot's table were measured; rows of a table are in the order of measurement."""
     some = table.select(rows)
     place = np.unique(some.place, return_inverse=True)[1] if (some.place != "").all() else None
-    return Measured(np.flatnonzero(rows), Circumstances.of(table, chain), sessions(some), mountings(some), place)
+    session, run = sessions(some), mountings(some)
+    return Measured(np.flatnonzero(rows), Circumstances.of(table, chain), session, run, place)
 
 
 def poses(table: ObservationTable) -> Indices:
     """Return numbers (n,) of the rows' poses (rows of equal joint readings), in order of first appearance."""
-    first, pose = first_alike(np.round(table.q / SAME_POSE).T)
-    return np.argsort(np.argsort(first))[pose]
+    with np.errstate(invalid="ignore"):  # a reading that is not a number is reported where the problem is built
+        first, pose = first_alike(np.rint(table.q / SAME_POSE).astype(np.int64).T)
+    order = np.empty_like(first)
+    order[np.argsort(first)] = np.arange(first.size)
+    return order[pose]
 
 
 def first_alike(columns: Iterable[NDArray[Any]]) -> tuple[Indices, Indices]:
     """Return the first row of each combination of values in some columns (n,), and the number (n,) of each row's.
 
     Combinations are in sorted order; NaN equals NaN. Column by column this is faster than unique rows, much so where one
-    column has the same value in all rows, or a different one in each.
+    column has the same value in all rows, or a different one in each. Numbers of several columns are joined before they
+    are sorted.
     """
-    number = np.zeros(0, dtype=np.intp)
+    number, count = np.zeros(0, dtype=np.int64), 1
     for column in columns:
-        if not number.size:
-            number = np.zeros(column.size, dtype=np.intp)
-        if (column[1:] != column[:-1]).any():
-            code = np.unique(column, return_inverse=True)[1]
-            number = np.unique(number * (code.max() + 1) + code, return_inverse=True)[1]
-            if number.max() + 1 == number.size:
+        number = number if number.size else np.zeros(column.size, dtype=np.int64)
+        if not (column[1:] != column[:-1]).any():
+            continue
+        code, codes = _codes(column)
+        if count * codes > LARGEST**2:
+            number = np.unique(number, return_inverse=True)[1]
+            count = int(number.max()) + 1
+            if count == number.size:
                 break
-    return np.unique(number, return_index=True)[1], number
+        number, count = number * codes + code, count * codes
+    else:
+        number = np.unique(number, return_inverse=True)[1]
+    first = np.empty(int(number.max(initial=-1)) + 1, dtype=np.intp)
+    first[number[::-1]] = np.arange(number.size)[::-1]  # of equal numbers, the last assignment holds
+    return first, number
+
+
+def _codes(column: NDArray[Any]) -> tuple[Indices, int]:
+    """Return numbers (n,) of the values in a column in sorted order, from 0 to below a count; gaps where it has integers."""
+    if column.dtype.kind == "i":
+        low, high = int(column.min()), int(column.max())
+        if high - low < LARGEST:
+            return column - low, high - low + 1
+    code = np.unique(column, return_inverse=True)[1]
+    return code, int(code.max()) + 1
 
 
 def mountings(table: ObservationTable) -> Indices:

@@ -284,7 +284,7 @@ class _Fit:
         for group in blocks(self.problem):
             if group.row is not None:
                 lin = group.evaluate(self.problem.chain, self.x)
-                residual[group.row], jac[group.row] = lin.residual, lin.jac_params[:, self.columns]
+                residual[group.row], jac[group.row] = lin.residual, lin.jac_by(self.columns)
         self.residual, self.jac = residual.reshape(self.n, self.k), jac.reshape(self.n, self.k, -1)
 
     def _weighted(self, probability: Floats) -> tuple[Indices, Floats]:

@@ -286,7 +286,7 @@ def note(block: Group, residual: Floats, out: Residuals) -> None:
 
 def settled(problem: Problem, x: Floats) -> Problem:
     """Return the problem with its observations settled (``Group.settle``), to compute their rank at x."""
-    return replace(problem, groups=tuple(group.settle(problem.chain, x) for group in problem.groups))
+    return _with_groups(problem, [group.settle(problem.chain, x) for group in problem.groups])
 
 
 def without_effect_priors(problem: Problem, effects: Sequence[Modelled]) -> Problem:
@@ -323,7 +323,11 @@ def _check_joints(chain: Chain, table: ObservationTable) -> None:
 
 
 def held(problem: Problem, x: Floats) -> Problem:
-    """Return the problem with its observations held at x (``Group.hold``); the problem itself if none changes."""
-    groups = tuple(group.hold(problem.chain, x) for group in problem.groups)
+    """Return the problem with its observations held at x (``Group.hold``)."""
+    return _with_groups(problem, [group.hold(problem.chain, x) for group in problem.groups])
+
+
+def _with_groups(problem: Problem, groups: Sequence[Group]) -> Problem:
+    """Return the problem with other groups; the problem itself if none differs."""
     same = all(a is b for a, b in zip(groups, problem.groups, strict=True))
-    return problem if same else replace(problem, groups=groups)
+    return problem if same else replace(problem, groups=tuple(groups))

@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.problem import Problem
-from truearm.estimate.whitened_rows import ALONE, by_pose, distance_without, gate, whitened_blocks
+from truearm.estimate.whitened_rows import (
+    by_pose,
+    distance_without,
+    gate,
+    leverages,
+    seen_by,
+    solve_semidefinite,
+    whitened_blocks,
+)
 from truearm.kinds.group import unit_columns
 from truearm.results import ResidualParts
 from truearm.types import Floats, Indices, Residuals
@@ -45,10 +53,12 @@ def row_errors(
     left_out, squares = problem.no_residuals(), dict[str, list[Floats]]()
     for blocks in _seen(problem, x, columns, root, pose):
         for row, units, seen, residual, noise_root in blocks:
-            square = distance_without(seen, residual, weight[row])
+            leverage = leverages(seen)
+            square = distance_without(leverage, residual, weight[row])
             distance[row], beyond[row] = np.sqrt(square), square > gate(residual.shape[1])
             used = weight[row] > 0.0
-            declared = (noise_root[used] ** 2).sum(axis=2) - ((noise_root[used] @ seen[used]) ** 2).sum(axis=2)
+            unfitted = noise_root[used] @ (np.eye(residual.shape[1]) - leverage[used])
+            declared = (unfitted * noise_root[used]).sum(axis=2)
             errors = _in_units(noise_root, residual)[used]
             for unit, of_unit in unit_columns(units).items():
                 due = np.maximum(declared[:, of_unit].sum(axis=1), 0.0)
@@ -87,7 +97,11 @@ def _seen(
     """Yield the rows in lists of whole poses."""
     for part in by_pose(problem, pose):
         blocks = whitened_blocks(part, x, columns)
-        yield [_Seen(b.row, b.components, b.jac @ root, b.residual, b.noise_root) for b in blocks if b.row is not None]
+        yield [
+            _Seen(b.row, b.components, seen_by(b.jac, root), b.residual, b.noise_root)
+            for b in blocks
+            if b.row is not None
+        ]
 
 
 def _leave_out(errors: Residuals, blocks: Sequence[_Seen], pose: Indices) -> None:
@@ -119,13 +133,12 @@ def _without_each_pose(pose: Indices, seen: Floats, residual: Floats) -> Floats:
     out = np.empty_like(residual)
     for size in np.unique(count):
         rows = order[first[count == size][:, None] + np.arange(size)]
-        own, e = seen[rows], residual[rows][..., None]
-        turned = own.swapaxes(1, 2)
+        own, e = seen[rows], residual[rows]
         few = size <= own.shape[2]
+        turned = own.swapaxes(1, 2)
         inner = own @ turned if few else turned @ own
-        values, vectors = np.linalg.eigh(np.eye(inner.shape[1]) - inner)
-        determined = values.min(axis=1, initial=1.0)[:, None, None] > ALONE
-        values = np.where(values > ALONE, values, np.nan)[..., None]
-        solved = vectors @ ((vectors.swapaxes(1, 2) @ (e if few else turned @ e)) / values)
-        out[rows] = np.where(determined, solved if few else e + own @ solved, np.nan)[..., 0]
+        right = e if few else (turned @ e[..., None])[..., 0]
+        solved, determined = solve_semidefinite(np.eye(inner.shape[1]) - inner, right)
+        without = solved if few else e + (own @ solved[..., None])[..., 0]
+        out[rows] = np.where(determined[:, None], without, np.nan)
     return out

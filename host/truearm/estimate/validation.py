@@ -215,7 +215,7 @@ def has_freedom(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> NDAr
     if not columns.any():
         return free
     whole = [
-        (group.row, group.evaluate(problem.chain, x).jac_params[:, columns])
+        (group.row, group.evaluate(problem.chain, x).jac_by(columns))
         for group in problem.groups
         if group.row is not None
     ]

@@ -45,7 +45,7 @@ def whitened_blocks(
         if residual is not None:
             note(block, lin.residual, residual)
         cov = residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov)
-        stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1)
+        stacked = np.concatenate([lin.jac_by(columns), lin.residual[:, None]], axis=1)
         stacked = stacked.reshape(len(cov), cov.shape[1], -1)
         whiten(stacked.T, cov)
         yield Block(block.row, block.COMPONENTS, stacked[:, :, :-1], stacked[:, :, -1], noise_root(cov))
@@ -93,34 +93,59 @@ def weighted_chi2(problem: Problem, x: Floats, loss: Loss) -> tuple[float, int]:
 def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, weight: Floats) -> Floats:
     """Return the squared distance (n,) of each observation from its prediction by all others.
 
-    It is χ² of the observation's width for a clean one. jac is (n, w, k), residual e (n, w) at the estimate, S (k, ·)
-    with P = S Sᵀ, and ω (n,) the weights of the observations. With the leverage H = J P Jᵀ, a removed observation
-    leaves the residual (I − ωH)⁻¹e, whose covariance is then I + H(I − ωH)⁻¹. Along the eigenvectors of H, the distance
-    is
-
-        Σ e² / [(1 − ωh)(1 − ωh + h)] ,   e²/(1 − h) for ω = 1 and e²/(1 + h) for ω = 0.
-
-    An observation that alone determines an unknown has h = 1 and e = 0: nothing contradicts it, and its distance is 0.
+    jac is (n, w, k), residual e (n, w) at the estimate, S (k, ·) with P = S Sᵀ, and ω (n,) the weights of the
+    observations; see ``distance_without``.
     """
-    return distance_without(jac @ covariance_root, residual, weight)
+    return distance_without(leverages(seen_by(jac, covariance_root)), residual, weight)
 
 
-def distance_without(seen: Floats, residual: Floats, weight: Floats) -> Floats:
-    """Return ``deleted_distance`` for ``seen`` (n, w, r) = J S."""
-    if seen.shape[1] == 1:
-        h, along = np.einsum("nik,nik->ni", seen, seen), residual
-    else:
-        h, vectors = np.linalg.eigh(seen @ seen.swapaxes(1, 2))
-        along = (vectors.swapaxes(1, 2) @ residual[..., None])[..., 0]
-    left = 1.0 - weight[:, None] * h
-    alone = left <= ALONE
-    left = np.where(alone, 1.0, left)
-    return np.asarray(np.where(alone, 0.0, along**2 / (left * (left + h))).sum(axis=1))
+def seen_by(jac: Floats, covariance_root: Floats) -> Floats:
+    """Return J S (n, w, r) of jac (n, w, k)."""
+    n, width, k = jac.shape
+    return np.asarray((jac.reshape(n * width, k) @ covariance_root).reshape(n, width, -1 if k else 0))
+
+
+def leverages(seen: Floats) -> Floats:
+    """Return H (n, w, w) of ``seen`` (n, w, r) = J S."""
+    return np.asarray(seen @ seen.swapaxes(1, 2))
+
+
+def distance_without(leverage: Floats, residual: Floats, weight: Floats) -> Floats:
+    """Return the squared distance (n,) of each observation from its prediction by all others.
+
+    It is χ² of the observation's width for a clean one. With the ``leverage`` H = J P Jᵀ (n, w, w), a removed
+    observation leaves the residual (I − ωH)⁻¹e, whose covariance is then I + H(I − ωH)⁻¹. The distance is
+
+        eᵀ [(I − ωH)(I − ωH + H)]⁻¹ e .
+
+    An observation that alone determines an unknown has no residual along it: nothing contradicts it.
+    """
+    clear = np.eye(leverage.shape[1]) - weight[:, None, None] * leverage
+    solved, _ = solve_semidefinite(clear @ (clear + leverage), residual)
+    return np.asarray((solved * residual).sum(axis=1))
+
+
+def solve_semidefinite(matrix: Floats, vector: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Solve n small systems with semidefinite matrices (n, w, w) for vectors (n, w) in their ranges.
+
+    Returns a solution (n, w) each, and whether it is the only one (n,). The systems are eliminated together, which is
+    ten times as fast as one after the other.
+    """
+    left = np.concatenate([matrix, vector[:, :, None]], axis=2).transpose(1, 2, 0).copy()
+    regular = np.ones(len(matrix), dtype=bool)
+    for i in range(len(left)):
+        pivot = left[i, i].copy()
+        regular &= pivot > ALONE
+        row = left[i, i:] / np.where(pivot > ALONE, pivot, np.inf)
+        left[:, i:] -= left[:, i, None] * row
+        left[i, i:] = row
+    return left[:, -1].T, regular
 
 
 def gate(width: NDArray[np.intp] | int, level: float = GATE_LEVEL) -> Floats:
     """Return the squared distance that a clean row of ``width`` residuals exceeds with probability ``level``."""
-    return np.asarray(special.chdtri(width, level))
+    widths, which = np.unique(width, return_inverse=True)
+    return np.asarray(special.chdtri(widths, level)[which])
 
 
 def squared_distances(

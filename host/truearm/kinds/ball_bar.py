@@ -141,7 +141,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
             BallBarRows(
                 row=rows,
                 sensor_cov=variance,
-                q=table.q[rows],
+                q=scope.column("q", rows),
                 length=length,
                 sphere=layout.index(spheres),
                 chuck=layout.index(chucks),

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.types import Floats, Indices
+from truearm.types import Floats, Indices, Mask
 
 
 class Linearised(NamedTuple):
@@ -31,7 +31,12 @@ class Linearised(NamedTuple):
     @property
     def jac_params(self) -> Floats:
         """(m, P) ∂predicted/∂x."""
-        return _by_observation(np.concatenate([self.wrenches @ self.twists, self.jac_rig], axis=2))
+        return self.jac_by(np.ones(self.twists.shape[1] + self.jac_rig.shape[2], dtype=bool))
+
+    def jac_by(self, columns: Mask) -> Floats:
+        """Return (m, k) ∂predicted/∂x[columns]."""
+        robot, rig = np.split(columns, [self.twists.shape[1]])
+        return _by_observation(np.concatenate([self.wrenches @ self.twists[:, robot], self.jac_rig[:, :, rig]], axis=2))
 
     @property
     def jac_joints(self) -> Floats:

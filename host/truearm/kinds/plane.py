@@ -99,7 +99,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
             PlaneRows(
                 row=rows,
                 sensor_cov=variance,
-                q=table.q[rows],
+                q=scope.column("q", rows),
                 distance=distance,
                 target=layout.index(targets),
                 plane=layout.index(flats),

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -59,15 +60,18 @@ class PositionRows(Group):
         """Return residuals (3n,) and their derivatives at x (P,)."""
         q = joints_in_time(self, x)
         trace = trace_point(chain, x[: len(chain.parameters)], q, gather(x, self.constants, self.target))
-        device = gather(x, self.constants, self.device)
-        if (self.device == self.device[:1]).all():  # usually one device
-            device = device[:1]
+        device = gather(x, self.constants, self.devices)
         rot, turns = rotation_and_jacobian(device[:, 3:])
         return in_device_axes(trace, self, x, device, rot @ self.reference[: len(device)], turns)
 
+    @property
+    def devices(self) -> Indices:
+        """Return ``device``, (1, 6) if all rows have the same one, as usual."""
+        return self.device[:1] if (self.device == self.device[:1]).all() else self.device
+
     def orientations(self) -> Indices:
         """Return the indices (r, 3) of the devices' rotation vectors."""
-        return np.unique(self.device[:, 3:], axis=0)
+        return np.unique(self.devices[:, 3:], axis=0)
 
 
 def joints_in_time(rows: PositionRows, x: Floats) -> Floats:
@@ -155,16 +159,17 @@ def points_of(
     labels, which = look_up(scope, rows, what, entries)
     devices = [entries[str(label)] for label in labels]
     targets = use_points(scope, rows, "target", scope.rig.targets)
-    p_base = nominal_points(scope, rows, targets)
+
+    def placed_by_rows(i: int) -> tuple[Floats, Floats]:
+        of_device = which == i
+        p_base = nominal_points(scope, rows[of_device], targets._replace(which=targets.which[of_device]))
+        return placed(xyz[of_device], p_base, devices[i])
+
     numbers = [
         _device_numbers(
-            scope.prefix + ".".join(filter(None, (what, str(label)))),
-            device,
-            xyz[which == i],
-            p_base[which == i],
-            placed,
+            scope.prefix + ".".join(filter(None, (what, str(label)))), devices[i], partial(placed_by_rows, i)
         )
-        for i, (label, device) in enumerate(zip(labels, devices, strict=True))
+        for i, label in enumerate(labels)
     ]
     poses = Used(labels, numbers, which)
     scales = Used(
@@ -188,7 +193,7 @@ def points_of(
         return PositionRows(
             row=rows,
             sensor_cov=cov,
-            q=table.q[rows],
+            q=scope.column("q", rows),
             q_rate=rates,
             xyz=xyz,
             target=layout.index(targets),
@@ -202,7 +207,7 @@ def points_of(
     return (targets, poses, scales, clock), make
 
 
-def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, placed: Placing) -> list[RigNumber]:
+def _device_numbers(name: str, device: Device, placed_by_rows: Callable[[], tuple[Floats, Floats]]) -> list[RigNumber]:
     """Return x, y, z, rx, ry, rz of a device; if the rig has no pose, from its readings and the nominal robot."""
     sigmas = [or_inf(device.sigma)] * 3 + [or_inf(device.turn_sigma)] * 3
     if device.xyz is not None:
@@ -210,7 +215,7 @@ def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, plac
     elif 0.0 in sigmas:
         raise ProblemError(f"{name} has sigma 0 (exactly known) but no position; give xyz_mm, or a sigma above 0")
     else:
-        p, rot = placed(xyz, p_base, device)
+        p, rot = placed_by_rows()
         values = [*p, *rotation_vector(rot @ rotation(np.array(device.rotation)).T)]
     units = ("m", "m", "m", "rad", "rad", "rad")
     numbers = zip((*XYZ, "rx", "ry", "rz"), units, values, sigmas, strict=True)
@@ -222,13 +227,16 @@ def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: I
 
     A row's own sigma takes precedence over the device's. The point's own noise is added to either.
     """
-    full = np.array([device.sensor_cov for device in devices])[which]
-    own = ~np.isnan(scope.table.sigma[rows])
-    sigma = sigmas(scope, rows, np.ones((len(rows), 3)))
-    full[own] = sigma[own, :1, None] ** 2 * np.eye(3)
-    full += np.nan_to_num(scope.table.xyz_sigma[rows], nan=0.0)[:, :, None] ** 2 * np.eye(3)
-    variances = np.diagonal(full, axis1=1, axis2=2)
-    return variances.copy() if np.array_equal(full, variances[:, :, None] * np.eye(3)) else full
+    device_cov = np.array([device.sensor_cov for device in devices])
+    variances = np.diagonal(device_cov, axis1=1, axis2=2)
+    own = np.isfinite(scope.column("sigma", rows)[:, None])
+    of_row = sigmas(scope, rows, np.ones((1, 3))) ** 2
+    of_point = np.nan_to_num(scope.column("xyz_sigma", rows), nan=0.0) ** 2
+    if np.array_equal(device_cov, variances[:, :, None] * np.eye(3)):
+        return np.asarray(np.where(own, of_row, rows_of(variances, which)) + of_point)
+    diagonal = np.eye(3)
+    full = np.where(own[:, :, None], of_row[:, :, None] * diagonal, rows_of(device_cov, which))
+    return np.asarray(full + of_point[:, :, None] * diagonal)
 
 
 def _moving(scope: Scope) -> bool:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group
@@ -34,6 +35,11 @@ class Scope(NamedTuple):
     table: ObservationTable
     prefix: str
 
+    def column(self, name: str, rows: Indices) -> NDArray[Any]:
+        """Return a column in some rows, in their order; not a copy if these are all."""
+        column = self.table[name]
+        return column if rows.size == len(column) else column[rows]
+
 
 class RigUse(NamedTuple):
     """What some rows use of the rig, and how to build their groups once all numbers have their positions.
@@ -52,7 +58,7 @@ def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) ->
     An empty name stands for the only entry there is. Raises ProblemError that names the first row with a name that the
     rig does not have.
     """
-    column = scope.table[what][rows]
+    column = scope.column(what, rows)
     first = np.flatnonzero(
         np.append(True, column[1:] != column[:-1])[: column.size]
     )  # rows of a name follow each other
@@ -95,7 +101,7 @@ def use_points(scope: Scope, rows: Indices, what: str, known: Mapping[str, Point
 
 def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:
     """Return the measured values (n,) or (n, c) of the rows. Raises ProblemError for the first row without a value."""
-    values = scope.table[quantity.field][rows]
+    values = scope.column(quantity.field, rows)
     lacks = ~np.isfinite(values.reshape(len(rows), -1)).all(axis=1)
     what = quantity.words if len(quantity.columns) > 1 else with_article(quantity.words)
     refuse(scope, rows, lacks, f"{with_article(str(scope.table.kind[rows[0]]))} row needs {what}")
@@ -107,7 +113,7 @@ def sigmas(scope: Scope, rows: Indices, default: Floats, unit: str = "m") -> Flo
 
     ``unit`` is the SI unit of both. Raises ProblemError for the first row whose σ is not a number or is too small.
     """
-    own = scope.table.sigma[rows, None]
+    own = scope.column("sigma", rows)[:, None]
     sigma = np.where(np.isnan(own), default, own)
     bad = np.flatnonzero(~((sigma >= SMALLEST) & np.isfinite(sigma)).all(axis=1))
     if bad.size:
@@ -127,4 +133,4 @@ def refuse(scope: Scope, rows: Indices, bad: Any, text: str) -> None:
 def nominal_points(scope: Scope, rows: Indices, points: Used) -> Floats:
     """Return the positions (n, 3) of points of the end in the base frame, according to the nominal robot."""
     p_end = np.array([[number.value for number in point] for point in points.numbers])[points.which]
-    return point_forward(scope.chain, scope.chain.params_nominal, scope.table.q[rows], p_end)
+    return point_forward(scope.chain, scope.chain.params_nominal, scope.column("q", rows), p_end)

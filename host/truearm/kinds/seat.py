@@ -73,7 +73,7 @@ class SeatRows(Group):
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Return what the rows use of the rig: balls, sockets, and known distances between these sockets."""
-    table, rig = scope.table, scope.rig
+    rig = scope.rig
     balls = use_points(scope, rows, "sphere", rig.spheres)
     sockets = _sockets(scope, rows, balls)
     distances, ends = use_distances(scope.prefix, rig, sockets)
@@ -83,7 +83,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
         group = SeatRows(
             row=rows,
             sensor_cov=variance,
-            q=table.q[rows],
+            q=scope.column("q", rows),
             sphere=layout.index(balls),
             socket=layout.index(sockets),
             constants=layout.constants,

@@ -286,7 +286,7 @@ def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> Ho
     ``unused`` (n,) are rows that are not judged, such as copies.
     """
     combination = _combinations(table)
-    size, n_poses = np.bincount(combination), np.unique(poses(table)).size
+    size, n_poses = np.bincount(combination), int(poses(table).max(initial=-1)) + 1
     for fraction in FRACTIONS:
         if round(fraction * n_poses) < 1:  # poses are drawn, not rows
             break
