@@ -265,34 +265,6 @@ def modules() -> dict[str, Path]:
     }
 
 
-# Circles of types alone, within a room: a chain has a law, whose terms read the chain; a registry returns what reads it.
-TYPE_CIRCLES = {"model", "kinds", "estimate"}
-
-
-def test_circles_of_types_stay_within_a_few_rooms():
-    known = modules()
-    graph = {name: (imports(path) & set(known)) - {"truearm"} for name, path in known.items()}
-    assert {name.split(".")[1] for name in circles(graph)} <= TYPE_CIRCLES
-
-
-def imports_when_run(path: Path) -> set[str]:
-    """Return all imports of a file, also those within functions, but for those that only a type checker reads."""
-    tree = tree_of(path)
-    guarded = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        for inner in ast.walk(node)
-    }
-    found = set()
-    for node in (node for node in ast.walk(tree) if id(node) not in guarded):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found |= {f"{node.module}.{alias.name}" for alias in node.names} | {node.module}
-    return found
-
-
 def circles(graph: dict[str, set[str]]) -> list[str]:
     """Return the modules that reach themselves."""
 
@@ -309,9 +281,9 @@ def circles(graph: dict[str, set[str]]) -> list[str]:
 
 
 def test_no_module_imports_itself_on_any_way():
-    """An import within a function may save time, but it must not hide a circle."""
+    """Neither a name for a type checker alone nor an import within a function may hide a circle."""
     known = modules()
-    graph = {name: (imports_when_run(path) & set(known)) - {"truearm"} for name, path in known.items()}
+    graph = {name: (imports(path) & set(known)) - {"truearm"} for name, path in known.items()}
     assert circles(graph) == []
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c"]
 

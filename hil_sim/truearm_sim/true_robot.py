@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm.model.chain import GEOMETRY
+from truearm.model.chain_structure import GEOMETRY
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.robot import Robot
 from truearm.types import Floats

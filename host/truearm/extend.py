@@ -40,6 +40,7 @@ from truearm.model.chain import about as about
 from truearm.model.chain import along as along
 from truearm.model.chain import forward as forward
 from truearm.model.chain import trace_point as trace_point
+from truearm.model.chain_structure import Structure as Structure
 from truearm.model.joint_terms.nominal_arm import NominalArm as NominalArm
 from truearm.model.joint_terms.term import Term as Term
 from truearm.model.transforms import axis_of as axis_of

@@ -11,7 +11,8 @@ import numpy as np
 from scipy import stats
 
 from truearm.findings import Finding
-from truearm.kinds.registry import NAMES, kinds
+from truearm.kinds import NAMES
+from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.calibration_page import CalibrationPage
 from truearm.report.certificate import MOST, Certificate, Recording, facts_of, more, sensor_facts

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from truearm.files.result_file import checksum, parse_result
-from truearm.kinds.registry import ORIGINS, identifiers
+from truearm.kinds.columns import ORIGINS, identifiers
 
 HELD_OUT_KEYS = {"n", "n_settled", "n_left_out"}
 HELD_OUT_FIGURES = ("rms", "mean", "max", "n")

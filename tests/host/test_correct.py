@@ -14,7 +14,8 @@ from truearm.correct.methods import Method, entry
 from truearm.correct.model_pair import ModelPair
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
-from truearm.model.chain import Parameter, forward
+from truearm.model.chain import forward
+from truearm.model.chain_structure import Parameter
 from truearm.model.joint_terms.term import Term
 from truearm.model.poses import apart, inverted, moved, pose_of, six_of
 from truearm.model.robot import builtin_robot

@@ -13,7 +13,9 @@ from truearm.estimate.identifiability import identifiability, suggested_free
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.problem import build_problem
-from truearm.model.chain import Chain, Element, Joint, Parameter, point_forward
+from truearm.model.chain import Chain, point_forward
+from truearm.model.chain_structure import Joint, Parameter
+from truearm.model.transforms import Element
 from truearm.types import Rig
 
 PRIOR = {CHAIN.parameter_names[i]: 0.052 for i in OFFSETS}

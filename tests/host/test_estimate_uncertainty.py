@@ -6,7 +6,9 @@ from puma_bench import CHAIN, DESIGN, random_poses
 
 from truearm.errors import ProblemError
 from truearm.estimate.uncertainty import predicted_error, tolerance_error
-from truearm.model.chain import Chain, Element, Joint, Parameter, point_forward
+from truearm.model.chain import Chain, point_forward
+from truearm.model.chain_structure import Joint, Parameter
+from truearm.model.transforms import Element
 
 
 def two_links():

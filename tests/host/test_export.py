@@ -21,7 +21,8 @@ from truearm.export.urdf import edited, joint_origins, new_urdf
 from truearm.export.writing import RobotToWrite, fit_to, writer, written
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
-from truearm.model.chain import Parameter, forward
+from truearm.model.chain import forward
+from truearm.model.chain_structure import Parameter
 from truearm.model.joint_terms.term import Term
 from truearm.model.poses import inverted
 from truearm.model.robot import builtin_robot, parse_robot

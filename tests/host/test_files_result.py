@@ -31,7 +31,7 @@ from truearm.files.result_file import (
     write_result,
 )
 from truearm.files.strict_json import strict_json
-from truearm.kinds.registry import ORIGINS, identifiers
+from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.report.result_findings import result_findings
 from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Unusable
 

@@ -8,9 +8,6 @@ from hypothesis import strategies as st
 from truearm.errors import RobotError
 from truearm.model.chain import (
     Chain,
-    Element,
-    Joint,
-    Parameter,
     along,
     end_and_jacobian,
     forward,
@@ -20,8 +17,9 @@ from truearm.model.chain import (
     point_jacobians,
     trace_point,
 )
+from truearm.model.chain_structure import Joint, Parameter
 from truearm.model.robot import builtin_robot
-from truearm.model.transforms import MOTIONS, cos_sin, elementary
+from truearm.model.transforms import MOTIONS, Element, cos_sin, elementary
 
 AMOUNT = st.floats(-3.0, 3.0, allow_nan=False)
 

@@ -6,7 +6,8 @@ from dh_chains import chain_from_dh, chain_from_modified_dh
 from rank_bench import random_joints, rank_and_gap, sensitivity
 
 from truearm.errors import RobotError
-from truearm.model.chain import Joint, forward, point_forward, point_jacobians
+from truearm.model.chain import forward, point_forward, point_jacobians
+from truearm.model.chain_structure import Joint
 
 BUILDERS = (chain_from_dh, chain_from_modified_dh)
 BOTH = pytest.mark.parametrize("build", BUILDERS)

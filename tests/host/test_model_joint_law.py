@@ -7,13 +7,8 @@ import pytest
 
 from truearm.errors import RobotError
 from truearm.model import joint_law
-from truearm.model.chain import (
-    Parameter,
-    forward,
-    joint_jacobian,
-    point_forward,
-    point_jacobians,
-)
+from truearm.model.chain import forward, joint_jacobian, point_forward, point_jacobians
+from truearm.model.chain_structure import Parameter
 from truearm.model.joint_terms.term import Term
 from truearm.model.robot import builtin_robot, parse_robot
 from truearm.model.robot_mounting import mountings, own_law

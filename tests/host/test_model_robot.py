@@ -6,7 +6,8 @@ from tests.refusals import refused
 
 from truearm.errors import RobotError
 from truearm.model.builtin import builtin_names, builtin_text, names_with_branch
-from truearm.model.chain import Joint, forward
+from truearm.model.chain import forward
+from truearm.model.chain_structure import Joint
 from truearm.model.robot import builtin_robot, parse_robot
 
 TINY = """

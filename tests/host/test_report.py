@@ -13,7 +13,8 @@ from scipy import stats
 from truearm.estimate.kind_errors import errors_by_kind
 from truearm.files.file_kind import KINDS
 from truearm.findings import Finding
-from truearm.kinds.registry import NAMES, kinds
+from truearm.kinds import NAMES
+from truearm.kinds.registry import kinds
 from truearm.report.calibration_page import render
 from truearm.report.page_text import figures
 from truearm.report.residual_rows import law_of, rows_by_kind

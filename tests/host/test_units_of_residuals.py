@@ -13,7 +13,7 @@ from tests.host.findings_bench import listed
 from truearm.extend import add_kind
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import write_rig
-from truearm.kinds import registry
+from truearm.kinds import columns, registry
 from truearm.model.chain import forward
 
 SIGMA_DEG = 0.01
@@ -22,10 +22,11 @@ SIGMA_DEG = 0.01
 @pytest.fixture(autouse=True)
 def _added(monkeypatch):
     """The kind, as another package adds it."""
-    monkeypatch.setattr(registry, "ADDED", {})
+    monkeypatch.setattr(columns, "ADDED", {})
+    monkeypatch.setattr(registry, "ADDED", columns.ADDED)
     add_kind("incline", incline_kind.KIND)
     yield
-    for function in (registry.kinds, registry.identifiers, registry.quantities, registry.entries):
+    for function in (columns.declared, columns.identifiers, columns.quantities, registry.entries):
         function.cache_clear()
 
 

@@ -47,7 +47,7 @@ def copy(tmp_path_factory):
     copy.apply("A kind of observation")
     assert copy.changes() == {
         "host/truearm/kinds/inclinometer.py": "new file",
-        "host/truearm/kinds/registry.py": "+1 -0",
+        "host/truearm/kinds/__init__.py": "+1 -0",
     }
     write_inputs(copy.folder)
     return copy

@@ -21,8 +21,9 @@ from scipy import special
 
 from truearm.estimate.measured_order import first_alike
 from truearm.estimate.problem import build_problem
+from truearm.kinds.columns import is_label
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
-from truearm.kinds.registry import is_label, kinds
+from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.types import Floats, Indices, Rigs

@@ -22,7 +22,7 @@ from scipy.linalg import get_lapack_funcs
 from truearm.estimate.problem import Problem, blocks, note, pieces
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.linearised import Linearised
-from truearm.model.constant_folding import folded
+from truearm.model.chain import folded
 from truearm.types import Floats, Residuals
 
 RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 for null directions

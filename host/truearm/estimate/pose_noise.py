@@ -26,7 +26,7 @@ from truearm.estimate.information import fold
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.group import Group
-from truearm.model.constant_folding import folded
+from truearm.model.chain import folded
 from truearm.types import Floats, Indices
 
 CHUNK = 400_000  # numbers per chunk of rows: 3 MB

@@ -23,9 +23,10 @@ from truearm.estimate.circumstances import Circumstances
 from truearm.kinds.group import Group, GroupOfOther, KindFault
 from truearm.kinds.linearised import Linearised
 from truearm.kinds.unknowns import Fault
-from truearm.model.chain import Chain, Element
+from truearm.model.chain import Chain
 from truearm.model.poses import pose_of, six_of
 from truearm.model.rotation import left_jacobian, rotation
+from truearm.model.transforms import Element
 from truearm.results import Effect
 from truearm.types import Floats, Indices, Mask
 

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.model.chain import Chain, Joint
+from truearm.model.chain import Chain
 from truearm.model.chain_frames import far_frames
+from truearm.model.chain_structure import Joint
 from truearm.model.joint_law import JointLaw
 from truearm.model.joint_terms.term import Term
 from truearm.model.robot_mounting import mountings, own_law, own_links

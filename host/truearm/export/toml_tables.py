@@ -17,7 +17,7 @@ from truearm.errors import RobotError
 from truearm.export.dh import DhRows, dh_rows
 from truearm.export.link_frames import LinkFrames
 from truearm.export.writing import RobotToWrite
-from truearm.model.chain import Joint
+from truearm.model.chain_structure import Joint
 from truearm.model.poses import six_of
 from truearm.types import Floats
 from truearm.units import UNITS

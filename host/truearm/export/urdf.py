@@ -25,9 +25,9 @@ import numpy as np
 from truearm.errors import RobotError
 from truearm.export.link_frames import LinkFrames, check_gains, joint_motion
 from truearm.export.writing import RobotToWrite
-from truearm.model.chain import Chain, Element
+from truearm.model.chain import Chain
 from truearm.model.poses import inverted, six_of
-from truearm.model.transforms import elementary
+from truearm.model.transforms import Element, elementary
 from truearm.types import Floats
 
 _ATTRIBUTE = re.compile(r"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")

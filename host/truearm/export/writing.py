@@ -20,7 +20,8 @@ from truearm.errors import RobotError
 from truearm.export.formats import FORMATS, Format
 from truearm.export.link_frames import LinkFrames, link_frames, predicted
 from truearm.model import joint_law
-from truearm.model.chain import GEOMETRY, Chain, Parameter, forward, point_forward, point_jacobians
+from truearm.model.chain import Chain, forward, point_forward, point_jacobians
+from truearm.model.chain_structure import GEOMETRY, Parameter
 from truearm.model.poses import apart
 from truearm.model.robot_mounting import mountings
 from truearm.types import Floats, rms

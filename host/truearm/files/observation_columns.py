@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from truearm.errors import TableError
 from truearm.kinds import registry
+from truearm.kinds.columns import identifiers, is_label, quantities
 from truearm.schema import quoted
 from truearm.text import page
 from truearm.units import SUFFIXES, named, suffixes
@@ -46,7 +47,7 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
         seen.add(title)
         if title in ("", "note"):
             continue
-        quantity, unit = (title, "") if registry.is_label(title) else quantity_of(POSITION.get(title, title), where)
+        quantity, unit = (title, "") if is_label(title) else quantity_of(POSITION.get(title, title), where)
         if quantity in columns:
             raise TableError("given-twice", place=where, what=quantity)
         columns[quantity] = Column(title, position, unit)
@@ -58,7 +59,7 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
 def number_units() -> dict[str, tuple[str, ...]]:
     """Return the columns of numbers, other than joints, with the units that each title may end in."""
     sigma = tuple(suffix for unit in registry.units() for suffix in suffixes(unit))
-    measured = {c: tuple(suffixes(quantity.unit)) for quantity in registry.quantities() for c in quantity.columns}
+    measured = {c: tuple(suffixes(quantity.unit)) for quantity in quantities() for c in quantity.columns}
     return {"sigma": sigma, **measured}
 
 
@@ -68,7 +69,7 @@ def quantity_of(title: str, where: str) -> tuple[str, str]:
     Raises TableError with the title that was probably meant. A ``sigma`` in a unit other than metres is a separate
     quantity, ``sigma_rad``: a table may have both.
     """
-    if title == "kind" or title in registry.identifiers():
+    if title == "kind" or title in identifiers():
         return title, ""
     units = number_units() | JOINTS
     longest_first = sorted(map(re.escape, number_units()), key=len, reverse=True)
@@ -89,7 +90,7 @@ def sigma_column(si: str) -> str:
 def _suggestion(title: str) -> str:
     joints = [f"{quantity}{i}_{units[0]}" for quantity, units in JOINTS.items() for i in range(1, 8)]
     numbers = [named(quantity, unit) for quantity, units in number_units().items() for unit in units]
-    known = ["kind", *registry.identifiers(), *numbers, *joints, *POSITION]
+    known = ["kind", *identifiers(), *numbers, *joints, *POSITION]
     close = difflib.get_close_matches(title[:40].lower(), known, n=2, cutoff=LIKE)
     ignored = "begin its name with x_ if it is to be ignored"
     meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {COLUMNS}; "

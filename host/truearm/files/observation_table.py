@@ -31,8 +31,9 @@ from truearm.files.observation_columns import (
 )
 from truearm.files.orientation_columns import with_rotation_vectors
 from truearm.kinds import registry
+from truearm.kinds.columns import ANYWHERE, is_label, quantities
+from truearm.kinds.columns import identifiers as identifier_columns
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
-from truearm.kinds.registry import is_label
 from truearm.kinds.table import ObservationTable
 from truearm.model.mimic import NO_MIMICS, Mimic
 from truearm.schema import quoted
@@ -77,8 +78,8 @@ def parse_table(
     if not rows:
         raise TableError("no-rows", place=name)
     kind = _kinds(rows, columns["kind"], name)
-    names = {column: identifiers(rows, columns.get(column), name) for column in registry.identifiers()}
-    measured = {quantity.field: _measured(rows, kind, columns, quantity, name) for quantity in registry.quantities()}
+    names = {column: identifiers(rows, columns.get(column), name) for column in identifier_columns()}
+    measured = {quantity.field: _measured(rows, kind, columns, quantity, name) for quantity in quantities()}
     sigma = _sigmas(rows, kind, columns, name)
     _check_kinds(rows, kind, names, measured, name)
     q = np.stack([numbers(rows, joint, name, _largest(joint), required=True) for joint in joints], axis=1)
@@ -148,12 +149,12 @@ def _check_kinds(
     rows: list[Row], kind: np.ndarray, names: Mapping[str, np.ndarray], measured: Mapping[str, Floats], name: str
 ) -> None:
     """Check that each row fills the cells its kind requires and leaves empty those that would contradict it."""
-    titles = {column: with_article(column) for column in names} | {q.field: q.title for q in registry.quantities()}
+    titles = {column: with_article(column) for column in names} | {q.field: q.title for q in quantities()}
     filled = {column: _filled(cells) for column, cells in {**names, **measured}.items()}
     wrong: list[tuple[int, str]] = []
     for key, of in registry.kinds().items():
         needs = {*map(_field, of.needs)}
-        leaves = filled.keys() - {*needs, *map(_field, of.may), *registry.ANYWHERE, *map(_field, CIRCUMSTANCES)}
+        leaves = filled.keys() - {*needs, *map(_field, of.may), *ANYWHERE, *map(_field, CIRCUMSTANCES)}
         for column in (column for column in filled if column in needs or column in leaves):
             bad = np.flatnonzero((kind == key) & (filled[column] == (column in leaves)))
             title = column if column in leaves and column in names else titles[column]
@@ -259,7 +260,7 @@ def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
 
 def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Any]:
     """Return titles and values of the columns that ``format_table`` writes; ``source`` is not among them."""
-    names = {column: table[column] for column in (*registry.identifiers(), *filter(is_label, table.columns))}
+    names = {column: table[column] for column in (*identifier_columns(), *filter(is_label, table.columns))}
     return {
         "kind": table.kind,
         **_number_columns(table, joint_units),
@@ -271,7 +272,7 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
     """Return titles and values of the columns of numbers: the joints, and the others that contain any values."""
     joints = {f"q{i}_{unit}": table.q[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     others: dict[str, Floats] = {}
-    for quantity in registry.quantities():
+    for quantity in quantities():
         parts = np.atleast_2d(table[quantity.field].T)  # (components, rows), also of a table without rows
         others |= {
             named(title, _own(quantity.unit)): part for title, part in zip(quantity.columns, parts, strict=False)

@@ -21,7 +21,7 @@ from truearm.estimate.kind_errors import errors_by_kind
 from truearm.estimate.scatter import is_of_arm
 from truearm.files.result_covariance import Covariance
 from truearm.files.result_file import Parameter, Result, RobotFrames
-from truearm.kinds import registry
+from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.kinds.table import ObservationTable
 from truearm.results import (
     Diagnosis,
@@ -181,7 +181,7 @@ def residual_units(estimate: Estimate) -> list[str]:
 
 def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
     entries = []
-    columns = [column for column in registry.identifiers() if column not in registry.ORIGINS]
+    columns = [column for column in identifiers() if column not in ORIGINS]
     for rows in errors_by_kind(estimate, table):
         counts = {"fitted": int(rows.fitted.sum()), "held_out": int(rows.held_out.sum())}
         names = {f"{column}s": len(set(table[column][rows.fitted].tolist()) - {""}) for column in columns}

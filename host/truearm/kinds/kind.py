@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from truearm.kinds.columns import KindColumns
 from truearm.kinds.group import Group
 from truearm.kinds.proposals import Proposing
-from truearm.kinds.quantities import Quantity
 from truearm.kinds.rig_references import RigUse, Scope
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
@@ -33,20 +33,16 @@ class DwellSensor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
-    """A kind of observation, registered under the name of its module (``registry.NAMES``).
+class Kind(KindColumns):
+    """A kind of observation, registered under the name of its module (``truearm.kinds.NAMES``).
 
-    ``needs`` and ``may`` are the table columns that a row must or can fill; all others stay empty. A string is a column
-    of identifiers, a Quantity one or more columns of numbers. An identifier names an entry of the rig if the rig has
-    entries of that type. ``grouped_by`` are the columns whose identifiers name what is mounted or where, and ``regions``
-    those whose identifiers are regions to validate separately. A random selection of rows takes a proportional share of each
-    identifier in the columns ``drawn_from``.
+    An identifier names an entry of the rig if the rig has entries of that type. ``grouped_by`` are the columns whose
+    identifiers name what is mounted or where, and ``regions`` those whose identifiers are regions to validate separately.
+    A random selection of rows takes a proportional share of each identifier in the columns ``drawn_from``.
     """
 
     group: type[Group]  # the type that its rows are compiled into
     use_rig: Callable[[Scope, Indices], RigUse]
-    needs: tuple[str | Quantity, ...]
-    may: tuple[str | Quantity, ...] = ()
     entries: tuple[Entries[Any], ...] = ()  # entry types of rig files that it uses, its own and shared ones
     channels: tuple[tuple[str, ...], ...] = ()  # of the box, from which a session reads it, for each stream
     dwell: Callable[[Rig, Mapping[str, str]], DwellSensor | None] | None = (
@@ -76,16 +72,6 @@ class Kind:
     def components(self) -> tuple[str, ...]:
         """Return the SI unit of each scalar residual of an observation."""
         return self.group.COMPONENTS
-
-    @property
-    def identifiers(self) -> tuple[str, ...]:
-        """Return the identifier columns that belong to this kind."""
-        return tuple(column for column in (*self.needs, *self.may) if isinstance(column, str))
-
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """Return the quantities that are measured, in columns of numbers."""
-        return tuple(column for column in (*self.needs, *self.may) if isinstance(column, Quantity))
 
     def points(self, rig: Rig) -> Mapping[str, Point]:
         """Return the points of the robot's end that rows may name, by name; empty if the kind does not measure a point."""

@@ -1,89 +1,33 @@
-"""The registry of kinds of observation. A kind is a module of this package with a ``KIND``, listed here by name.
+"""The registry of kinds of observation (``truearm.kinds.NAMES``), and what they say about rigs and rows.
 
 Other packages add kinds by entry points of the group ``truearm.kinds``, a script by ``add_kind``.
-
-Importing this module is cheap; the kinds themselves are imported when they are first used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, cast
 
-from truearm.additions import with_additions
-from truearm.units import named, suffixes
+from truearm.kinds.columns import ADDED, GROUPS, blank_row, declared, distinct, identifiers, quantities
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from truearm.kinds.kind import Kind
-    from truearm.kinds.quantities import Quantity
     from truearm.kinds.table import ObservationTable
     from truearm.schema import Entries
     from truearm.types import Point, Rig
 
-NAMES = (  # in the order of their unknowns in a parameter vector
-    "ball_bar",
-    "seat",
-    "line",
-    "position",
-    "pose",
-    "plane",
-)
-GROUPS = ("place", "shell")  # identifiers of groups that a row of any kind may belong to
-ORIGINS = ("rig", "simulated")  # identifiers of where a row comes from: its session, and whether a box was simulated
-ANYWHERE = (*GROUPS, *ORIGINS)  # identifiers that a row of any kind may have
-MEASURED_X = tuple(named("x", unit) for unit in suffixes("m"))  # the only x_… that are not the user's own
-ADDED: dict[str, Kind] = {}  # of other packages, by name
-T = TypeVar("T")
 
-
-@cache
 def kinds() -> Mapping[str, Kind]:
     """Return every kind by its name, which its rows have in the column ``kind``."""
-    own = {name: import_module(f"{__package__}.{name}").KIND for name in NAMES}
-    return with_additions("kinds", own) | ADDED
+    return cast("Mapping[str, Kind]", declared())
 
 
 def add_kind(name: str, kind: Kind) -> None:
     """Add a kind of another package. Its rows have this name in the column ``kind``."""
     ADDED[name] = kind
-    for derived in (kinds, identifiers, quantities, blank_row, entries):
+    for derived in (declared, identifiers, quantities, blank_row, entries):
         derived.cache_clear()
-
-
-@cache
-def identifiers() -> tuple[str, ...]:
-    """Return the identifier columns that a table may have."""
-    return _distinct((*(column for kind in kinds().values() for column in kind.identifiers), *ANYWHERE))
-
-
-def is_label(column: str) -> bool:
-    """Return whether a column is one of the user's own, x_…, by which rows can be held out and which is otherwise ignored."""
-    return column.startswith("x_") and column not in MEASURED_X
-
-
-@cache
-def quantities() -> tuple[Quantity, ...]:
-    """Return the quantities that a table may have, one for each field."""
-    from truearm.kinds.quantities import CIRCUMSTANCES
-
-    every = (quantity for kind in kinds().values() for quantity in kind.quantities)
-    return tuple({quantity.field: quantity for quantity in (*every, *CIRCUMSTANCES)}.values())
-
-
-@cache
-def blank_row(joints: int) -> Mapping[str, NDArray[Any]]:
-    """Return all columns that a table may have, and what each holds in a row without a value: "", or NaN (k,)."""
-    import numpy as np
-
-    measured = {quantity.field: len(quantity.columns) for quantity in quantities()}
-    nan = {name: np.full(width if width > 1 else (), np.nan) for name, width in {**measured, "sigma": 1}.items()}
-    text = dict.fromkeys((*identifiers(), "source"), np.array(""))
-    q = np.full(joints, np.nan)
-    return {"q": q, "kind": np.array(""), **nan, **text, "q_rate": q, "side": q}
 
 
 @cache
@@ -133,18 +77,14 @@ def end_points(rig: Rig) -> Mapping[str, Mapping[str, Point]]:
 
 def units() -> tuple[str, ...]:
     """Return the SI units in which rows may give their uncertainty: the first unit of each kind's residuals."""
-    return _distinct(kind.components[0] for kind in kinds().values())
+    return distinct(kind.components[0] for kind in kinds().values())
 
 
 def regions() -> tuple[str, ...]:
     """Return the identifier columns that name regions to validate separately."""
-    return _distinct(("rig", *GROUPS, *(column for kind in kinds().values() for column in kind.regions)))
+    return distinct(("rig", *GROUPS, *(column for kind in kinds().values() for column in kind.regions)))
 
 
 def drawn_from() -> tuple[str, ...]:
     """Return the identifier columns of which a random selection of rows takes a proportional share."""
-    return _distinct((*GROUPS, *(column for kind in kinds().values() for column in kind.drawn_from)))
-
-
-def _distinct(items: Iterable[T]) -> tuple[T, ...]:
-    return tuple(dict.fromkeys(items))
+    return distinct((*GROUPS, *(column for kind in kinds().values() for column in kind.drawn_from)))

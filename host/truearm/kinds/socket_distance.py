@@ -15,8 +15,7 @@ from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.unknowns import Fault, Layout, RigNumber, Used
-from truearm.model.chain import Chain
-from truearm.model.constant_folding import folded
+from truearm.model.chain import Chain, folded
 from truearm.types import Floats, Indices, Rig
 
 RIGID = 1e-5  # m: how equal the distance is at all places; a printed block of 50 mm expands as much in 3 K

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from truearm.arguments import converted
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
-from truearm.kinds.registry import blank_row, is_label, quantities
+from truearm.kinds.columns import blank_row, is_label, quantities
 from truearm.model.mimic import Mimic, completed
 from truearm.types import as_column
 

@@ -8,17 +8,13 @@ A joint about an axis rotates two such pairs into each other and leaves the thir
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.model.transforms import axis_of, cross, mixed
+from truearm.model.transforms import Element, axis_of, cross, mixed
 from truearm.types import Floats, Indices
-
-if TYPE_CHECKING:
-    from truearm.model.chain import Chain, Element
 
 
 class Constants(NamedTuple):
@@ -73,45 +69,11 @@ def constants_of(elements: Sequence[Element]) -> Constants:
     )
 
 
-def columns_of(chain: Chain) -> Columns:
-    """Return the columns of the chain's wrenches."""
-    motions, law = chain.motions, chain.law
-    b = 6 + sum(len(new_numbers(m)) for m in motions) + len(law.of_column)
-    own, changed, at = np.zeros((len(chain.parameters), b)), [], 6
-    for motion, mine in zip(motions, law.columns, strict=True):
-        new = new_numbers(motion)
-        changed.append((new, np.eye(len(new), b, at)))
-        at += len(new)
-        parameters = law.of_column[mine]
-        own[parameters, at + np.arange(len(parameters))] = 1.0
-        at += len(parameters)
-    parameters, joints = np.array(law.constant, dtype=np.intp).reshape(-1, 2).T
-    axes = np.array([on_axis(motions[joint]) for joint in joints.tolist()], dtype=np.intp)
-    return Columns(own, changed, (parameters, joints, axes))
-
-
-def folded(chain: Chain, params: Floats) -> Folded:
-    """Return all constants multiplied out.
-
-    The last few params are cached: poses come in blocks, and 54 constants take 0.16 ms, as long as 500 poses.
-    """
-    return _folded(chain, params.tobytes(), params.dtype.str)
-
-
-def link_transforms(chain: Chain, params: Floats) -> Floats:
-    """Return the links (j + 1, 4, 4) alone.
-
-    Unlike ``folded`` this does not use the joint law, so terms of the law may call it.
-    """
-    return _multiplied(chain.constants, _amounts(chain.constants, params))[0]
-
-
-@lru_cache(maxsize=4)
-def _folded(chain: Chain, params: bytes, dtype: str) -> Folded:
-    constants = chain.constants
-    transforms, beyond = _multiplied(constants, _amounts(constants, np.frombuffer(params, dtype)))
+def fold(constants: Constants, columns: Columns, params: Floats) -> Folded:
+    """Return all constants multiplied out for params (p,)."""
+    transforms, beyond = multiplied(constants, params)
     carries = _carries(transforms)
-    twists, end = _combined(chain, _twists_beyond(constants, beyond), carries)
+    twists, end = _combined(constants, columns, _twists_beyond(constants, beyond), carries)
     for array in (transforms, carries, twists, end):
         array.setflags(write=False)
     return Folded(transforms, carries, twists, end)
@@ -125,12 +87,13 @@ def _amounts(constants: Constants, params: Floats) -> Floats:
     return amount
 
 
-def _multiplied(constants: Constants, amount: Floats) -> tuple[Floats, Floats]:
+def multiplied(constants: Constants, params: Floats) -> tuple[Floats, Floats]:
     """Return the links (j + 1, 4, 4) and, for each constant, the product (c, 4, 4) of what follows it in its link.
 
     All links are processed together, each starting from its far end: one by one, 54 constants would take four times as
     long.
     """
+    amount = _amounts(constants, params)
     own = np.concatenate([mixed(constants.axis, constants.turns, amount), np.eye(4)[None]])
     beyond = np.empty_like(own)
     here = np.broadcast_to(np.eye(4, dtype=own.dtype), (constants.inwards.shape[1], 4, 4))
@@ -160,9 +123,8 @@ def _carries(transforms: Floats) -> Floats:
     return out.reshape(-1, 6, 6)
 
 
-def _combined(chain: Chain, twists_beyond: Floats, carries: Floats) -> tuple[Floats, Floats]:
+def _combined(constants: Constants, columns: Columns, twists_beyond: Floats, carries: Floats) -> tuple[Floats, Floats]:
     """Return ``twists`` (b, p), each parameter's twist times the wrench in its frame by the b columns of ``wrenches``, and ``end``."""
-    columns, constants = chain.columns, chain.constants
     far = np.zeros((len(carries), 6, columns.own.shape[1]), dtype=twists_beyond.dtype)
     far[0, :, :6] = carries[0]
     for i, (new, unit) in enumerate(columns.changed):

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 
-from truearm.model.chain import Joint
+from truearm.model.chain_structure import Joint
 from truearm.model.elementary_transforms import Slot, six_slots
 
 Layout = Callable[[Sequence[Joint], Collection[int], bool, bool], tuple[Slot, ...]]

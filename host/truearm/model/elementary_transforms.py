@@ -14,7 +14,9 @@ from typing import NamedTuple
 
 from truearm.errors import RobotError
 from truearm.model import joint_law
-from truearm.model.chain import Chain, Element, Joint, Parameter
+from truearm.model.chain import Chain
+from truearm.model.chain_structure import Joint, Parameter
+from truearm.model.transforms import Element
 
 SIX = (("x", "tx"), ("y", "ty"), ("z", "tz"), ("alpha", "rz"), ("beta", "ry"), ("gamma", "rx"))
 

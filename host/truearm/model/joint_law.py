@@ -19,19 +19,16 @@ from dataclasses import dataclass
 from functools import cache, cached_property, reduce
 from importlib import import_module
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from truearm.additions import with_additions
+from truearm.model.chain_structure import Structure
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.joint_terms.term import Term
 from truearm.model.mimic import completed
 from truearm.types import Floats
-
-if TYPE_CHECKING:
-    from truearm.model.chain import Chain
 
 # In the order of a joint's parameters. Offset and gain come first: every controller has them.
 TERM_FILES = (
@@ -93,11 +90,11 @@ class LawAt:
 class JointLaw:
     """The terms that a chain has parameters of; always includes offset and gain."""
 
-    def __init__(self, chain: Chain) -> None:
-        used = {parameter.term for parameter in chain.parameters}
-        self.n_parameters, self.mimics = len(chain.parameters), chain.mimics
-        self.offset, self.gain = Offset.of_chain(chain), Gain.of_chain(chain)
-        further = (term.of_chain(chain) for term in terms() if term not in (Offset, Gain) and term.name in used)
+    def __init__(self, structure: Structure) -> None:
+        used = {parameter.term for parameter in structure.parameters}
+        self.n_parameters, self.mimics = len(structure.parameters), structure.mimics
+        self.offset, self.gain = Offset.of_chain(structure), Gain.of_chain(structure)
+        further = (term.of_chain(structure) for term in terms() if term not in (Offset, Gain) and term.name in used)
         self.terms: tuple[Term, ...] = (self.offset, self.gain, *further)
         self.affine = all(term.affine for term in self.terms)
         # parameters with ∂θ/∂parameter = 1, and those where it varies: (parameter, joint) and by joint
@@ -113,7 +110,7 @@ class JointLaw:
         order = np.argsort(joints, kind="stable")
         self.order = None if np.array_equal(order, np.arange(order.size)) else order
         parameters = np.concatenate([np.zeros(0, int), *(term.parameters for term in self.varying)])[order]
-        edges = np.searchsorted(joints[order], np.arange(len(chain.joints) + 1)).tolist()
+        edges = np.searchsorted(joints[order], np.arange(len(structure.joints) + 1)).tolist()
         self.columns: Sequence[slice] = [slice(*ends) for ends in pairwise(edges)]
         self.of_column = parameters
 

@@ -13,7 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from truearm.model.chain import Chain, Parameter
+from truearm.model.chain import Chain
+from truearm.model.chain_structure import Parameter
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.mimic import completed

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.model.chain import Chain
-from truearm.model.constant_folding import link_transforms
 from truearm.model.poses import inverted
 from truearm.model.transforms import elementary
 from truearm.types import Floats
@@ -38,7 +37,7 @@ def mountings(chain: Chain, nominal: Floats, identified: Floats) -> Mountings:
     """Return the mountings in the identified parameters (p,), relative to the nominal ones (p,), which have none."""
     first, last = chain.motions[0], chain.motions[-1]
     turned = chain.law.offset.of(identified) - chain.law.offset.of(nominal)
-    links_n, links_i = link_transforms(chain, nominal), link_transforms(chain, identified)
+    links_n, links_i = chain.links(nominal), chain.links(identified)
     by_first = elementary(first, turned[0]) if len(chain.joints) > 1 else np.eye(4)
     base = links_i[0] @ by_first @ inverted(links_n[0])
     return Mountings(base, inverted(links_n[-1]) @ elementary(last, turned[-1]) @ links_i[-1])
@@ -46,8 +45,8 @@ def mountings(chain: Chain, nominal: Floats, identified: Floats) -> Mountings:
 
 def own_links(chain: Chain, nominal: Floats, identified: Floats) -> Floats:
     """Return the links (j + 1, 4, 4) of R(q): the identified ones without the mountings."""
-    links = link_transforms(chain, identified)
-    ends = link_transforms(chain, nominal)
+    links = chain.links(identified)
+    ends = chain.links(nominal)
     links[0], links[-1] = ends[0], ends[-1]
     return links
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from truearm.model import joint_law
-from truearm.model.chain import Joint
+from truearm.model.chain_structure import Joint
 from truearm.model.dh import Layout, dh_slots, modified_dh_slots
 from truearm.model.elementary_transforms import Slot, law_name
 from truearm.model.joint_terms.offset import Offset

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from truearm.model.chain import Joint
+from truearm.model.chain_structure import Joint
 from truearm.model.elementary_transforms import Slot, six_slots
 
 

@@ -1,7 +1,8 @@
-"""The six elementary motions, as 4×4 transforms and applied to vectors stored in columns (3, n)."""
+"""The six elementary motions: as elements of a chain, as 4×4 transforms, and applied to vectors in columns (3, n)."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,20 @@ from numpy.typing import NDArray
 from truearm.types import Floats
 
 MOTIONS = ("tx", "ty", "tz", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Element:
+    """One elementary transform along or about ``motion``.
+
+    Its amount is ``params[parameter]``, or the fixed ``value`` [m or rad] if ``parameter`` is None. For a ``joint`` (an
+    index) the amount is the joint's true angle, and ``value`` is its offset unless the offset is a parameter.
+    """
+
+    motion: str
+    value: float = 0.0
+    parameter: int | None = None
+    joint: int | None = None
 
 
 def axis_of(motion: str) -> int:

@@ -25,11 +25,12 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from truearm.errors import Argument, RobotError
-from truearm.model.chain import Chain, Element, Joint, Parameter, joint_frames
+from truearm.model.chain import Chain, joint_frames
+from truearm.model.chain_structure import Joint, Parameter
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.mimic import Mimic
-from truearm.model.transforms import elementary
+from truearm.model.transforms import Element, elementary
 from truearm.model.workspace import Capsules
 from truearm.text import listed
 from truearm.types import Floats, Mask

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.model.chain import Joint
+from truearm.model.chain_structure import Joint
 from truearm.model.robot_tables import MAX_JOINTS, robot_number
 from truearm.schema import Key, List, SchemaError, Table, Whole, at
 from truearm.types import Floats

@@ -18,7 +18,8 @@ from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES
 from truearm.findings import Finding, ordered
-from truearm.model.chain import NO_PAYLOAD, Chain
+from truearm.model.chain import Chain
+from truearm.model.chain_structure import NO_PAYLOAD
 from truearm.progress import step
 from truearm.text import one_line
 from truearm.types import CurveKnots, Floats, rms, thinned

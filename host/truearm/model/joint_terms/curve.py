@@ -12,16 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.model.chain_structure import Structure
 from truearm.model.joint_terms.term import Term
 from truearm.types import Floats
-
-if TYPE_CHECKING:
-    from truearm.model.chain import Chain
 
 
 @dataclass(frozen=True)
@@ -68,12 +65,12 @@ class Curve(Term):
     unit = None
     learned = True
 
-    def __init__(self, chain: Chain, parameters: NDArray[np.intp]) -> None:
-        super().__init__(chain, parameters)
+    def __init__(self, structure: Structure, parameters: NDArray[np.intp]) -> None:
+        super().__init__(structure, parameters)
         edges = np.flatnonzero(np.diff(self.joints, prepend=-1, append=-1))
         self._knots = []
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            centre, spacing, period = chain.parameters[parameters[start]].basis
+            centre, spacing, period = structure.parameters[parameters[start]].basis
             self._knots.append(_Knots(int(self.joints[start]), slice(start, stop), centre, spacing, period != 0.0))
 
     def value(self, params: Floats, q: Floats) -> Floats:

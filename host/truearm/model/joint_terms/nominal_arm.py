@@ -5,26 +5,21 @@ A term is part of the joint law, so it cannot obtain joint angles from it. Here 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from truearm.model.chain_frames import far_frames
-from truearm.model.constant_folding import link_transforms
+from truearm.model.chain_structure import Structure
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
 from truearm.types import Floats
-
-if TYPE_CHECKING:
-    from truearm.model.chain import Chain
 
 
 class NominalArm:
     """A chain of j joints with its nominal parameters; ``motions`` are those of the joints."""
 
-    def __init__(self, chain: Chain) -> None:
-        self.motions = chain.motions
-        self._params = chain.params_nominal
-        self._links = link_transforms(chain, self._params)
-        self._offset, self._gain = Offset.of_chain(chain), Gain.of_chain(chain)
+    def __init__(self, structure: Structure) -> None:
+        self.motions = structure.motions
+        self._params = structure.params_nominal
+        self._links = structure.links(self._params)
+        self._offset, self._gain = Offset.of_chain(structure), Gain.of_chain(structure)
 
     def frames(self, q: Floats) -> list[Floats]:
         """Return frames (n, 4, 4) in the base frame at readings q (j, n): each joint's after its motion, then the end."""

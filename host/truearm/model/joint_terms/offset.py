@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.model.chain_structure import Structure
 from truearm.model.joint_terms.term import Term
 from truearm.types import Floats
-
-if TYPE_CHECKING:
-    from truearm.model.chain import Chain
 
 
 class Offset(Term):
@@ -22,9 +18,9 @@ class Offset(Term):
     affine = True
     constant = True
 
-    def __init__(self, chain: Chain, parameters: NDArray[np.intp]) -> None:
-        super().__init__(chain, parameters)
-        self.without = np.array([mover.value for mover in chain.movers])
+    def __init__(self, structure: Structure, parameters: NDArray[np.intp]) -> None:
+        super().__init__(structure, parameters)
+        self.without = np.array([mover.value for mover in structure.movers])
 
     def value(self, params: Floats, q: Floats) -> Floats:
         return self.of(params)[:, None]

@@ -14,18 +14,14 @@ Like a curve, a sag has no key in a robot file: ``model.law_chain`` adds it to a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.model.chain_structure import Structure
 from truearm.model.joint_terms.nominal_arm import NominalArm
 from truearm.model.joint_terms.term import Term
 from truearm.model.transforms import axis_of, cross
 from truearm.types import Floats
-
-if TYPE_CHECKING:
-    from truearm.model.chain import Chain
 
 
 class Sag(Term):
@@ -35,13 +31,13 @@ class Sag(Term):
     unit = "rad"
     learned = True
 
-    def __init__(self, chain: Chain, parameters: NDArray[np.intp]) -> None:
-        super().__init__(chain, parameters)
-        self._arm = NominalArm(chain)
-        basis = np.array([chain.parameters[i].basis for i in parameters]).reshape(-1, 4)
+    def __init__(self, structure: Structure, parameters: NDArray[np.intp]) -> None:
+        super().__init__(structure, parameters)
+        self._arm = NominalArm(structure)
+        basis = np.array([structure.parameters[i].basis for i in parameters]).reshape(-1, 4)
         self._frames, self._gravity = basis[:, 0].astype(int), basis[:, 1:]
-        self._payload = chain.payload
-        self._mass = np.where(self._frames > len(chain.joints), self._payload.mass, 1.0)
+        self._payload = structure.payload
+        self._mass = np.where(self._frames > len(structure.joints), self._payload.mass, 1.0)
 
     def value(self, params: Floats, q: Floats) -> Floats:
         torque = self._torques(q)

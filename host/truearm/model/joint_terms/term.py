@@ -6,15 +6,13 @@ A term's file names its class as ``TERM``.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.model.chain_structure import Structure
 from truearm.types import Floats
-
-if TYPE_CHECKING:
-    from truearm.model.chain import Chain
 
 
 class Term(ABC):
@@ -24,7 +22,7 @@ class Term(ABC):
     values of one joint are contiguous. Complex params or q must be propagated, so that a complex step can check
     derivatives.
 
-    A term that needs the robot's geometry uses the nominal one from ``chain`` (``constant_folding.link_transforms``,
+    A term that needs the robot's geometry uses the nominal one (``structure.links(structure.params_nominal)``,
     ``frames.far_frames``). θ may depend on all joint readings but not on the identified links; otherwise the
     derivatives by these would be incomplete.
     """
@@ -39,18 +37,19 @@ class Term(ABC):
         False  # added to a chain by an identification (``model.law_chain``); not a key of robot files
     )
 
-    def __init__(self, chain: Chain, parameters: NDArray[np.intp]) -> None:
+    def __init__(self, structure: Structure, parameters: NDArray[np.intp]) -> None:
         """Create the term for ``parameters`` (m,): indices of the chain's parameters of this term, in order."""
         self.parameters = parameters
-        self.joints = np.array([chain.parameters[i].joint for i in parameters], dtype=np.intp)  # (m,)
-        self.of_every_joint = np.array_equal(self.joints, np.arange(len(chain.joints)))  # one parameter each, in order
-        self.without = np.full(len(chain.joints), self.neutral)  # (j,) the values for joints without a parameter
+        self.joints = np.array([structure.parameters[i].joint for i in parameters], dtype=np.intp)  # (m,)
+        # whether each joint has one parameter, in order
+        self.of_every_joint = np.array_equal(self.joints, np.arange(len(structure.joints)))
+        self.without = np.full(len(structure.joints), self.neutral)  # (j,) the values for joints without a parameter
 
     @classmethod
-    def of_chain(cls, chain: Chain) -> Self:
+    def of_chain(cls, structure: Structure) -> Self:
         """Return the term with all its parameters in a chain."""
-        mine = [i for i, parameter in enumerate(chain.parameters) if parameter.term == cls.name]
-        return cls(chain, np.array(mine, dtype=np.intp))
+        mine = [i for i, parameter in enumerate(structure.parameters) if parameter.term == cls.name]
+        return cls(structure, np.array(mine, dtype=np.intp))
 
     @classmethod
     def unit_of(cls, joint_kind: str) -> str:
