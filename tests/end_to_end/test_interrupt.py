@@ -68,6 +68,7 @@ def test_an_interrupt_while_the_file_is_being_completed_is_not_lost(tmp_path, mo
     world = World(1, plan)
     box = SimulatedBox(world, interpreter(), seed=1)
     write_setup(tmp_path, world)
+    (tmp_path / "session.mcap").write_text("of an earlier rehearsal")
 
     def struck_after(*arguments, **keywords):
         summary = record(*arguments, **keywords)
@@ -78,6 +79,7 @@ def test_an_interrupt_while_the_file_is_being_completed_is_not_lost(tmp_path, mo
     with pytest.raises(KeyboardInterrupt):
         record_virtually(tmp_path, world, box, 16384, 1)
     box.close()
+    assert (tmp_path / "session.mcap").read_bytes().startswith(b"\x89MCAP")
 
 
 def test_full_disk_behind_standard_output():
