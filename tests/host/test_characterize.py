@@ -258,12 +258,12 @@ def test_backlash_as_declared_or_without_sides_is_what_theory_says():
 
 @pytest.mark.soak
 def test_the_covariance_is_honest_with_the_noise_that_was_found():
-    """NEES and χ² over 25 calibrations of a worn arm, each with noise found in a run of its own.
+    """NEES and χ² over 50 calibrations of a worn arm, each with noise found in a run of its own.
 
     A noise of ν degrees of freedom makes both F(·, ν): over 120 runs NEES has a standard deviation of 10.4, χ² alone 8.5.
     """
     runs, free = [], int(PUMA.free.sum())
-    for seed in range(200, 225):
+    for seed in range(200, 250):
         (noise, noise_freedom), calibration = found_noise(seed), Calibration(seed + 1000)
         fit, blind = calibration.fitted(noise), calibration.fitted(noise, sides=False)
         freedom = len(calibration.side) - free
@@ -283,8 +283,8 @@ def test_the_covariance_is_honest_with_the_noise_that_was_found():
     )
     print(expected[0].sum() / freedom.sum())
     rng = np.random.default_rng(0)
-    for total, of in ((errors.sum(), np.full(25, free)), (chi2.sum(), freedom)):
-        low, high = np.quantile(rng.f(of, noise_freedom, (100_000, 25)) @ of, [0.005, 0.995])
+    for total, of in ((errors.sum(), np.full(50, free)), (chi2.sum(), freedom)):
+        low, high = np.quantile(rng.f(of, noise_freedom, (100_000, 50)) @ of, [0.005, 0.995])
         assert low < total < high
     for total, mean, sigma in ((blind_chi2, *expected[:2]), (blind_errors, *expected[2:])):
         assert abs(total.sum() - mean.sum()) < 2.58 * np.linalg.norm(sigma)
