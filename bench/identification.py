@@ -267,11 +267,11 @@ def picture(rows: list[dict]) -> str:
         x = svg.log_axis(f"poses ({kind} problem)", [r["poses"] for r in mine])
         plot = svg.Plot(x, svg.log_axis("CPU time, s", [r["seconds"] for r in mine]), width=640.0)
         names = list(dict.fromkeys(r["program"] for r in mine))
-        parts = [svg.axes(plot), svg.legend(plot, [(f"c{i} line", name) for i, name in enumerate(names)])]
         for i, name in enumerate(names):
             n, s = np.array([(r["poses"], r["seconds"]) for r in mine if r["program"] == name]).T
-            parts.append(svg.line(plot, n, s, f"c{i} line"))
-            parts.append(svg.scatter(plot, n, s, f"c{i}", [f"{name}, {a:,.0f} poses: {b:.3g} s" for a, b in zip(n, s)]))
+            plot.line(n, s, f"c{i} line", name)
+            plot.scatter(n, s, f"c{i}", [f"{name}, {a:,.0f} poses: {b:.3g} s" for a, b in zip(n, s)])
+        parts = [svg.axes(plot), *plot.marks, svg.legend(plot)]
         drawings.append(f'<g transform="translate(0 {k * plot.height:g})">{"".join(parts)}</g>')
     style = "text{font:12px sans-serif}.mid{text-anchor:middle}.end{text-anchor:end}path,polyline{fill:none}"
     style += ".grid{stroke:#ddd}.axis{stroke:#333}" + "".join(

@@ -1,7 +1,7 @@
-"""Count the moves of public robot programs that can be corrected, and why the others cannot: programs_corpus.py FOLDER
+"""Count the moves of public robot programs that can be corrected, and why the others cannot: programs_corpus.py [FOLDER]
 
-programs_corpus.csv lists the repositories, their commits and the number of their program files. FOLDER holds copies as
-LANGUAGE/OWNER+NAME/…; what is not there is left out. All files of a KUKA controller are one program, each other file is
+programs_corpus.csv lists the repositories, their commits and the number of their program files. FOLDER (build/programs) holds copies
+as LANGUAGE/OWNER+NAME/…; what is not there is left out. All files of a KUKA controller are one program, each other file is
 one of its own. Numbered tools and frames are taken to be known. No robot is needed: configurations and reach do not count.
 """
 
@@ -44,7 +44,7 @@ def counts(language: ProgramLanguage, files: list[Source]) -> Counter[str]:
         goals = [goal for move in program.moves for goal in move.goals if not goal.is_joints]
         census = Census(program, True)
         census.settle({g: erroneous(g, pose) for g, pose in zip(goals, target_poses(goals), strict=True)})
-        codes.update("" if move.reason is None else move.reason.code for move in program.moves)
+        codes.update("" if move.reason is None else move.reason.name for move in program.moves)
     return codes
 
 
@@ -72,5 +72,5 @@ def main(folder: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parents[1] / "build/programs")
     main(parser.parse_args().folder)

@@ -37,7 +37,7 @@ import session_stream
 
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.session.joint_format import COLUMNS, JOINTS, format_reading
+from truearm.session.joint_format import JOINTS, format_reading
 from truearm.session.joint_readings import SegmentedReadings
 from truearm.session.observations import observations
 from truearm.session.session_file import Messages, Session, open_session
@@ -212,7 +212,6 @@ def renumbered(message: Message, seq: int) -> Message:
 def show(name: str, path: Path) -> None:
     session = open_session(path)
     batches = list(islice(session.batches(), JOINT_BATCHES))
-    without_columns = [messages.without(lambda topic: topic == COLUMNS) for messages in batches]
     lines = [m.data for messages in batches for m in messages.of(messages.rows(lambda topic: topic == JOINTS))]
     stages: dict[str, Callable[[], Any]] = {
         "unpacking alone": lambda: sum(map(len, session.packed())),
@@ -220,7 +219,6 @@ def show(name: str, path: Path) -> None:
         "columns of messages": lambda: sum(map(len, session.batches())),
         "samples": lambda: samples(session),
         "joints": lambda: joints(batches),
-        "joints without columns": lambda: joints(without_columns),
         "joints: the library's json": lambda: sum(len(json.loads(line)) for line in lines),
         "observations": lambda: observations(open_session(path).batches, session_stream.RIG),
     }
@@ -232,11 +230,9 @@ def show(name: str, path: Path) -> None:
             job()
             seconds[stage].append(time.process_time() - begin)
     least = {stage: min(times) for stage, times in seconds.items()}
-    floor = least["unpacking alone"]
-    plain = least["joints: the library's json"]
-    ratio = {"joints": plain, "joints without columns": plain}
+    floor, peer = least["unpacking alone"], least["joints: the library's json"]
     for stage, value in least.items():
-        of_peer = f"{value / ratio[stage]:15.2f}" if stage in ratio else ""
+        of_peer = f"{value / peer:15.2f}" if stage == "joints" else ""
         print(f"{name:28}{stage:28}{value:9.3f}{value / floor:14.1f}{of_peer}", flush=True)
 
 

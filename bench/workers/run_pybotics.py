@@ -69,4 +69,5 @@ def main(what: str, kind: str, path: str, runs: int) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:4], int(sys.argv[4]))
+    what, kind, path, runs = sys.argv[1:]
+    main(what, kind, path, int(runs))
