@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from functools import partial
 from typing import NamedTuple
 
 
@@ -33,7 +34,7 @@ class Statement(NamedTuple):
     remedy: str = ""
 
 
-ERROR, REFUSAL, WARNING, RESULT, NOTE, ADVICE = Severity
+error, refusal, warning, result, note, advice = (partial(Statement, severity) for severity in Severity)
 
 MORE_POSES = "Measure more poses, in more of the workspace"
 SHARED = "This is the error in what the rows measure. Errors that all rows share do not show in it."
@@ -84,247 +85,191 @@ INPUTS: Mapping[str, tuple[str, str]] = {
 
 IDENTIFICATION: Mapping[str, Statement] = {
     # the verdict
-    "usable": Statement(
-        RESULT,
-        "Usable[{unjudged:!}, but not judged by poses that were not fitted][, but expect tool errors of {expected} RMS by a fault that it does not contain]: the [mean error of {n:#pose} {by}][RMS of {rows}] is {after}, and {before} with the nominal robot.",
+    "usable": result(
+        "Usable[{unjudged:!}, but not judged by poses that were not fitted][, but expect tool errors of {expected} RMS by a fault that it does not contain]: the [mean error of {n:#pose} {by}][RMS of {rows}] is {after}, and {before} with the nominal robot."
     ),
-    "no-gain": Statement(
-        WARNING,
+    "no-gain": warning(
         "The calibration is not significantly better than the nominal robot with base and tool placed: mean error {after} against {before}, for {n:#pose} {by}.",
         f"{MORE_POSES}, or keep the nominal robot.",
     ),
-    "worse-than-nominal": Statement(
-        REFUSAL,
+    "worse-than-nominal": refusal(
         "This fit is not usable. It is worse than the nominal robot with base and tool placed: mean error {after} against {before}, for {n:#pose} {by}.",
         f"{MORE_POSES}, free fewer parameters, or keep the nominal robot.",
     ),
-    "not-converged": Statement(REFUSAL, "This fit is not usable. It did not converge: {message}."),
-    "no-freedom": Statement(
-        REFUSAL,
+    "not-converged": refusal("This fit is not usable. It did not converge: {message}."),
+    "no-freedom": refusal(
         "This fit is not usable. Its residuals have no degrees of freedom: the parameters fit any readings.",
         "Measure more rows, or free fewer parameters.",
     ),
-    "wrong-inputs": Statement(
-        REFUSAL,
+    "wrong-inputs": refusal(
         "This fit is not usable. [{large:!}Residuals of {after} RMS remain, more than the errors of any arm.||Its inputs are probably wrong. Residuals of {after} RMS remain.]",
         "[{large:!}Check the robot, the units, the order and signs of the joints, the rig and the labels.]",
     ),
-    "robot-scale": Statement(
-        REFUSAL,
+    "robot-scale": refusal(
         "This fit is not usable. The robot is {factor:.4f} times as large as described (σ {sigma:.2g}, {n} lengths; by chance with a probability of {chance:.0e}). The lengths in the rig and the readings determine the scale. If they are wrong by this ratio, so is every position, and no residual shows it.[ A ratio of {unit} suggests a wrong unit.]",
         "Check them (bars, distances of sockets, positions of chucks, units) and the robot's model.",
     ),
-    "simulated": Statement(
-        WARNING,
-        "SIMULATED: at least one session was recorded with a simulated box, so this says nothing about a real robot.",
+    "simulated": warning(
+        "SIMULATED: at least one session was recorded with a simulated box, so this says nothing about a real robot."
     ),
     # what makes inputs right
-    "meaningless": Statement(
-        WARNING,
+    "meaningless": warning(
         "Its parameters and errors are meaningless.[{line:!} A straight line hardly determines the roll of its device: give the roll in the rig, with turn_sigma_deg.][{weak:!} Weakly identifiable parameters slow a fit down.]",
         "[{weak:!}Give {@prior} weak.||Check the units, the order and signs of the joints, and the labels.][{limit:!} Or raise {@max_iterations}.]",
     ),
-    "still-joint": Statement(WARNING, "{joint} reads {reading} in all rows: if it moved, its readings are wrong."),
+    "still-joint": warning("{joint} reads {reading} in all rows: if it moved, its readings are wrong."),
     # interpretations of the inputs that explain the observations
-    **{
-        code: Statement(WARNING, f"{{lead}}: {sentence} {QUICK_FIT}", remedy)
-        for code, (sentence, remedy) in INPUTS.items()
-    },
-    "little-freedom": Statement(
-        WARNING,
+    **{code: warning(f"{{lead}}: {sentence} {QUICK_FIT}", remedy) for code, (sentence, remedy) in INPUTS.items()},
+    "little-freedom": warning(
         "Only {freedom:#degree of freedom|degrees of freedom} for {rank:#parameter}[{rig:!} of the robot, besides the unknowns of the rig]: the residuals say nothing about accuracy.",
         "Measure more rows, and hold some of them out.",
     ),
-    "joint-zeros": Statement(
-        WARNING,
+    "joint-zeros": warning(
         "Zeros of joints differ from the description: {joints}. No assembly does that. Either the readings count from another zero than the robot's description: correct its offsets. Or an input is wrong: check the signs and axes.",
         "truearm correct needs a description that the controller shares.",
     ),
-    "bad-rows": Statement(
-        WARNING,
+    "bad-rows": warning(
         "{n} of {fitted:#row} are bad: they disagree significantly with all others, which the declared noise explains (without the bad rows: RMS {after}, χ² per degree of freedom {chi2}): {rows}. They are more than {most:.0%} of the rows, so they are still in the fit, and all figures are for all rows.",
         "Find their cause, then leave them out, or give {@loss} cauchy.",
     ),
-    "fault": Statement(
-        WARNING,
-        f"Fault: {{what}}[ by {{size}}][, {{rows}}].[ Or, because these rows do not decide: {{others}}.][ No measurement at these poses can distinguish it from {{aliases}}.] {CHI2_DROP}[ With it, {{gain}}.]",
+    "fault": warning(
+        f"Fault: {{what}}[ by {{size}}][, {{rows}}].[ Or, because these rows do not decide: {{others}}.][ No measurement at these poses can distinguish it from {{aliases}}.] {CHI2_DROP}[ With it, {{gain}}.]"
     ),
-    "fault-choice": Statement(
-        WARNING,
+    "fault-choice": warning(
         "The result does not contain it[. {choices}||, and nothing is offered to apply][{few:!}: rows of at least three places would have to confirm it][{worse:!}: left-out rows would be predicted worse][{lasting:!}: it stays in the arm, and only joint laws ({@joint_laws} auto) can describe it].[ If all {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
         "[Measure {deciding} again to decide.][{both:!} ][To apply it: {@apply} {first}.]",
     ),
-    "faults-here": Statement(
-        WARNING,
+    "faults-here": warning(
         "{n:#fault is|faults are} in the rows that judge.",
         "Correct it at its source, or judge the result by rows without it.",
     ),
-    "faults-applied": Statement(
-        NOTE,
-        "Applied to the parameters: {names}. The residuals are those of the fit before, as the readings are.[ The errors of {held:#held-out row} contain what this did to their readings.]",
+    "faults-applied": note(
+        "Applied to the parameters: {names}. The residuals are those of the fit before, as the readings are.[ The errors of {held:#held-out row} contain what this did to their readings.]"
     ),
-    "faults-unseen": Statement(
-        NOTE, "These rows need not show, and twice the stated error does not contain: {faults}; nor what is larger."
+    "faults-unseen": note(
+        "These rows need not show, and twice the stated error does not contain: {faults}; nor what is larger."
     ),
-    "noise-learned": Statement(
-        NOTE,
-        "The residuals are not as declared: {noise}, {factor:.2g} times the declared size. A fault is then named only if it predicts rows that were left out.[ Not named for that reason: {refused}.]",
+    "noise-learned": note(
+        "The residuals are not as declared: {noise}, {factor:.2g} times the declared size. A fault is then named only if it predicts rows that were left out.[ Not named for that reason: {refused}.]"
     ),
-    "copies": Statement(
-        WARNING,
-        "{n:#row is a copy|rows are copies} of earlier rows, with the same joints, readings and names to the last digit: {rows}. {n:?It is|They are} left out, because a copy is not a new measurement.",
+    "copies": warning(
+        "{n:#row is a copy|rows are copies} of earlier rows, with the same joints, readings and names to the last digit: {rows}. {n:?It is|They are} left out, because a copy is not a new measurement."
     ),
-    "session": Statement(
-        NOTE,
-        "{session}:[ {used} of {dwells:#dwell} used][ (numbered 1 to {last} with {stops:#stop} for mounting)][; rejected: {rejected}][{relabelled:!} (as relabelled)][{both:!};][ {lines_used} of {lines:#line} used][; rejected: {lines_rejected}][{lines:!} (points are named PASS.POINT)].",
+    "session": note(
+        "{session}:[ {used} of {dwells:#dwell} used][ (numbered 1 to {last} with {stops:#stop} for mounting)][; rejected: {rejected}][{relabelled:!} (as relabelled)][{both:!};][ {lines_used} of {lines:#line} used][; rejected: {lines_rejected}][{lines:!} (points are named PASS.POINT)]."
     ),
-    "doubtful-dwells": Statement(
-        WARNING,
+    "doubtful-dwells": warning(
         "{session}: [{none_fits:!}none of {dwells:#dwell} fits||{n} of {dwells:#dwell} need a decision].",
         "[{none_fits:!}Check that robot and rig are those that were measured; if so, ]truearm session relabel {path}",
     ),
-    "doubtful-residuals": Statement(
-        WARNING,
-        "Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters do not model, or the sigmas are too small[{prior:!}, or the prior is too tight].[{declared:!} The sigmas of the parameters follow from the declared noise alone.]",
+    "doubtful-residuals": warning(
+        "Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters do not model, or the sigmas are too small[{prior:!}, or the prior is too tight].[{declared:!} The sigmas of the parameters follow from the declared noise alone.]"
     ),
-    "outside-prior": Statement(
-        WARNING,
+    "outside-prior": warning(
         "{names}[ and {more} more] differ from the nominal robot by up to {times:.0f} times the sigma of the prior, which holds them back towards it.",
         "Check robot, units and zeros of the joints; if the arm is so far from its drawing, [{wide:!}give {@prior} none||give {@prior} wide].",
     ),
     # the error of the tool
-    "tool-error": Statement(
-        RESULT,
-        f"Expect tool errors of {{rms}} RMS over {{n:#pose}}[{{relative:!}} (excluding the pose of the base)], at most {{largest}}, at {{row}}.{PARTS}",
+    "tool-error": result(
+        f"Expect tool errors of {{rms}} RMS over {{n:#pose}}[{{relative:!}} (excluding the pose of the base)], at most {{largest}}, at {{row}}.{PARTS}"
     ),
-    "tool-error-unpredictable": Statement(
-        WARNING,
-        "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool.",
+    "tool-error-unpredictable": warning(
+        "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."
     ),
-    "tool-error-shown": Statement(
-        RESULT,
+    "tool-error-shown": result(
         f"{{because}}. Expect errors of {{error}}[ (95 %: {{range}})], the mean of {{n:#pose}} {{by}}. {SHARED}",
         "[The parameters' part of the tool error is {tool} RMS over {tool_n:#pose}.]",
     ),
-    "tool-error-by-sigmas": Statement(
-        RESULT,
-        f"{{because}}. Expect tool errors of {{tool}} RMS over {{tool_n:#pose}}: the rows show only part of the tool's error.{PARTS} {SHOWN}",
+    "tool-error-by-sigmas": result(
+        f"{{because}}. Expect tool errors of {{tool}} RMS over {{tool_n:#pose}}: the rows show only part of the tool's error.{PARTS} {SHOWN}"
     ),
-    "tool-error-bad-rows": Statement(
-        WARNING,
-        "Bad rows are in the fit. Expect tool errors of {moves} RMS: the tool moves by that much if they are left out. The error that the rows show includes that of the bad rows themselves: {error}[ (95 %: {range})], the mean of {n:#pose} {by}.",
+    "tool-error-bad-rows": warning(
+        "Bad rows are in the fit. Expect tool errors of {moves} RMS: the tool moves by that much if they are left out. The error that the rows show includes that of the bad rows themselves: {error}[ (95 %: {range})], the mean of {n:#pose} {by}."
     ),
     # what was identified
-    "identified": Statement(
-        RESULT,
-        "{robot}: {rank} of {n_free:#parameter} identified from {rows} fitted[, {held_out} held out][; {unseen:#combination is|combinations are} unidentifiable, and no prediction for such poses depends on {unseen:?it|them}][; {weak:#combination is|combinations are} weakly identifiable].",
+    "identified": result(
+        "{robot}: {rank} of {n_free:#parameter} identified from {rows} fitted[, {held_out} held out][; {unseen:#combination is|combinations are} unidentifiable, and no prediction for such poses depends on {unseen:?it|them}][; {weak:#combination is|combinations are} weakly identifiable]."
     ),
-    "held-frames": Statement(
-        NOTE,
-        "Held at the nominal values, because such observations cannot determine them in any pose:[ the pose of the base ({base})][{both:!} and][ the mounting of the tool ({tool})].",
+    "held-frames": note(
+        "Held at the nominal values, because such observations cannot determine them in any pose:[ the pose of the base ({base})][{both:!} and][ the mounting of the tool ({tool})]."
     ),
-    "still": Statement(
-        NOTE,
+    "still": note(
         "{joint} moves by only {spread}, too little to identify its axis[; therefore also held at the nominal values: {held}].",
         "Move it more.",
     ),
-    "time-offset": Statement(
-        NOTE,
-        "{name}: the joint readings are {offset:.3f} {late} (σ {sigma:.2g}), including the shortest latencies of the links.",
+    "time-offset": note(
+        "{name}: the joint readings are {offset:.3f} {late} (σ {sigma:.2g}), including the shortest latencies of the links."
     ),
-    "time-offset-unidentifiable": Statement(
-        WARNING,
+    "time-offset-unidentifiable": warning(
         "{name}: the delay of the joint readings is unidentifiable; along a line driven one way it cannot be distinguished from the position of the line.",
         "Drive lines there and back.",
     ),
     # the residuals
-    "chi2": Statement(
-        NOTE,
-        "χ² per degree of freedom {chi2}[ (rows weighted by the {loss} loss)], {where} its 95 % range of {low:.3g} to {high:.3g}[{less:!}: the rows scatter less than their declared noise].",
+    "chi2": note(
+        "χ² per degree of freedom {chi2}[ (rows weighted by the {loss} loss)], {where} its 95 % range of {low:.3g} to {high:.3g}[{less:!}: the rows scatter less than their declared noise]."
     ),
-    "noise-share": Statement(
-        NOTE,
-        "Declared noise [{unexplained:!}explains {declared} of the RMS after; the rest, {unexplained}, {rest} (their squares add up to that of the RMS)||alone would leave {declared} RMS: nothing][{units:!} in {units}][{unexplained:!}|| is unexplained].",
+    "noise-share": note(
+        "Declared noise [{unexplained:!}explains {declared} of the RMS after; the rest, {unexplained}, {rest} (their squares add up to that of the RMS)||alone would leave {declared} RMS: nothing][{units:!} in {units}][{unexplained:!}|| is unexplained]."
     ),
-    "pose-error": Statement(
-        NOTE,
-        "The rows of a pose err alike, so the arm scatters: {terms} (σ, from {n:#pose} with several rows). The sigmas include it.",
+    "pose-error": note(
+        "The rows of a pose err alike, so the arm scatters: {terms} (σ, from {n:#pose} with several rows). The sigmas include it."
     ),
-    "outliers": Statement(
-        NOTE,
+    "outliers": note(
         "{n:#row disagrees|rows disagree} significantly with all others[; {left_out} left out of the fit]: {rows}.[ Not left out, because {why}: {kept}.][ Fitted to all rows: RMS {after}, χ² per degree of freedom {chi2:.3g}][{geometry:!} (geometry alone)][{after:!}.]",
         "[To leave out a row yourself: {first:@leave_out}.]",
     ),
-    "too-many-outliers": Statement(
-        WARNING,
-        "{n} of {fitted:#row} lie farther from the fit than their declared noise allows. These are too many to be outliers: the model is wrong, or the sigmas are too small.",
+    "too-many-outliers": warning(
+        "{n} of {fitted:#row} lie farther from the fit than their declared noise allows. These are too many to be outliers: the model is wrong, or the sigmas are too small."
     ),
-    "audit": Statement(
-        RESULT,
-        "On rows not fitted: controller's model {controller} RMS, drawing {drawing}, identified {identified}.",
+    "audit": result(
+        "On rows not fitted: controller's model {controller} RMS, drawing {drawing}, identified {identified}."
     ),
-    "before": Statement(
-        NOTE,
+    "before": note(
         '"Before" is the nominal robot[ with {fitted} fitted][{placed:!}; with base and tool as described: {raw} RMS].',
     ),
-    "folds": Statement(
-        RESULT,
-        "Held out in turn, each in a fit of its own: {together} RMS together; {errors}.",
+    "folds": result("Held out in turn, each in a fit of its own: {together} RMS together; {errors}."),
+    "held-out-larger": warning(
+        "The held-out error is {ratio:.2g} times the fitted one: too few observations for so many parameters, or errors that the parameters do not model."
     ),
-    "held-out-larger": Statement(
-        WARNING,
-        "The held-out error is {ratio:.2g} times the fitted one: too few observations for so many parameters, or errors that the parameters do not model.",
+    "group-held-out": note(
+        f"No row with {{names}} is left in the fit.[{{proposed:!}} If you did not intend this, hold out others]{PROPOSAL}[{{proposed:!}}.]"
     ),
-    "group-held-out": Statement(
-        NOTE,
-        f"No row with {{names}} is left in the fit.[{{proposed:!}} If you did not intend this, hold out others]{PROPOSAL}[{{proposed:!}}.]",
+    "rig-unknowns": note(
+        "[{left_out:#row is|rows are} not judged: unknowns of the rig fit such rows exactly.||{n:#unknown of the rig was|unknowns of the rig were} {how}.]"
     ),
-    "rig-unknowns": Statement(
-        NOTE,
-        "[{left_out:#row is|rows are} not judged: unknowns of the rig fit such rows exactly.||{n:#unknown of the rig was|unknowns of the rig were} {how}.]",
-    ),
-    "no-row-judged": Statement(
-        WARNING,
+    "no-row-judged": warning(
         "No held-out row can be judged: unknowns of the rig fit each of them exactly.",
         "Measure more rows there.",
     ),
-    "solver": Statement(
-        NOTE,
-        "Solved by {solver} {prior}[, {loss} loss].[ Observability of {n:#parameter}: {indices} (larger is better).]",
+    "solver": note(
+        "Solved by {solver} {prior}[, {loss} loss].[ Observability of {n:#parameter}: {indices} (larger is better).]"
     ),
-    "solver-recipe": Statement(WARNING, "The solver {message}."),
+    "solver-recipe": warning("The solver {message}."),
     # joint laws
-    "no-law": Statement(
-        NOTE,
-        "[Joint laws: {reason}.][Tried and dropped for too little evidence (fewer than 6 nats) or because they make regions left out worse, with their evidence in nats: {dropped}.][{tried:!}No joint law is supported by the evidence ({tried:#law} tried): the geometry alone is fitted.][{none:!}No joint law is used: the geometry alone is fitted.]",
+    "no-law": note(
+        "[Joint laws: {reason}.][Tried and dropped for too little evidence (fewer than 6 nats) or because they make regions left out worse, with their evidence in nats: {dropped}.][{tried:!}No joint law is supported by the evidence ({tried:#law} tried): the geometry alone is fitted.][{none:!}No joint law is used: the geometry alone is fitted.]"
     ),
-    "law-kept": Statement(
-        NOTE,
-        "{joint} {term}: {rms} RMS, evidence {nats:.0f} nats[, covered {covered}][, strongest cycles per turn: {periods}; the covered range resolves {resolution:.2g} cycles per turn][{short:!}, covered range too short for a spectrum].",
+    "law-kept": note(
+        "{joint} {term}: {rms} RMS, evidence {nats:.0f} nats[, covered {covered}][, strongest cycles per turn: {periods}; the covered range resolves {resolution:.2g} cycles per turn][{short:!}, covered range too short for a spectrum]."
     ),
-    "gravity-assumed": Statement(
-        NOTE,
-        "Gravity is assumed to point along -z of the base frame; otherwise give gravity in the robot file or the table.",
+    "gravity-assumed": note(
+        "Gravity is assumed to point along -z of the base frame; otherwise give gravity in the robot file or the table."
     ),
-    "sag-extrapolated": Statement(
-        NOTE,
+    "sag-extrapolated": note(
         "The fitted poses show only part of the sag's range within the joint limits ({joints}): the rest is extrapolated.",
         "Measure poses with other gravity torques if you use them.",
     ),
-    "sag-payload": Statement(
-        NOTE,
-        "The sag of the joints [{several:!}depends on the payload||holds for the payload of {holder}][: {mass} kg][; it was measured under {masses} kg].",
+    "sag-payload": note(
+        "The sag of the joints [{several:!}depends on the payload||holds for the payload of {holder}][: {mass} kg][; it was measured under {masses} kg]."
     ),
-    "law-noise": Statement(NOTE, "Noise learned from the residuals: {terms}."),
+    "law-noise": note("Noise learned from the residuals: {terms}."),
     # what to do next
-    "measure-next": Statement(
-        ADVICE,
-        "Next: {what} [{full_rank:!}to determine {n:#more parameter} better than a drawing][{lacking:!}to identify {n:#more parameter}]: {names}.",
+    "measure-next": advice(
+        "Next: {what} [{full_rank:!}to determine {n:#more parameter} better than a drawing][{lacking:!}to identify {n:#more parameter}]: {names}."
     ),
-    "correct-next": Statement(ADVICE, "Next: correct what the first lines name, then identify again."),
-    "hold-out-next": Statement(
-        ADVICE,
-        f"Next: judge the result by held-out rows[{{few:!}} of other poses: these are too few to hold any out]{PROPOSAL}.",
+    "correct-next": advice("Next: correct what the first lines name, then identify again."),
+    "hold-out-next": advice(
+        f"Next: judge the result by held-out rows[{{few:!}} of other poses: these are too few to hold any out]{PROPOSAL}."
     ),
 }
 
@@ -486,194 +431,151 @@ LINK = "Close other programs that use the port, use a shorter USB cable, or a fa
 
 SESSION: Mapping[str, Statement] = {
     # the verdict
-    "session-usable": Statement(
-        RESULT,
-        "Usable:[ {observations:#observation} from {dwells:#dwell}][ ({planned:#pose} planned)][{both:!}, and][ {points:#point} from {passes:#pass|passes} along lines][ ({planned_passes} planned)].",
+    "session-usable": result(
+        "Usable:[ {observations:#observation} from {dwells:#dwell}][ ({planned:#pose} planned)][{both:!}, and][ {points:#point} from {passes:#pass|passes} along lines][ ({planned_passes} planned)]."
     ),
-    "no-box-data": Statement(
-        REFUSAL, "Not usable: the box {problem}.", "Check it with truearm box test, and record again."
-    ),
-    "no-joint-readings": Statement(
-        REFUSAL,
+    "no-box-data": refusal("Not usable: the box {problem}.", "Check it with truearm box test, and record again."),
+    "no-joint-readings": refusal(
         "[{place}:||Not usable:] no joint readings[; the robot sent {bytes:#byte that is no reading|bytes that are no readings}].",
         "Add them with truearm session add-joints.",
     ),
-    "no-stops": Statement(REFUSAL, "Not usable: the robot never stood still.", WAIT),
-    "session-not-evaluated": Statement(
-        WARNING,
+    "no-stops": refusal("Not usable: the robot never stood still.", WAIT),
+    "session-not-evaluated": warning(
         "Not evaluated: {dwells:#stop} and no observation, because {reason}.",
         "Give {@rig} to truearm identify.",
     ),
-    "no-observations": Statement(
-        REFUSAL,
-        "Not usable: no observation[ from {dwells:#dwell}][ ({planned:#pose} planned)][, none from {passes:#pass|passes} along lines].",
+    "no-observations": refusal(
+        "Not usable: no observation[ from {dwells:#dwell}][ ({planned:#pose} planned)][, none from {passes:#pass|passes} along lines]."
     ),
-    "recording": Statement(
-        RESULT,
-        "{file}: {duration:.1f}[, {streams}][, {readings:#joint reading}][; clock error at most {clock:.0f}].",
+    "recording": result(
+        "{file}: {duration:.1f}[, {streams}][, {readings:#joint reading}][; clock error at most {clock:.0f}]."
     ),
     # the file
-    "session-incomplete": Statement(
-        WARNING,
+    "session-incomplete": warning(
         "[{place}: the||The] file is incomplete: what followed is lost, or its recorder is still running.",
         "Save what it holds with truearm session recover[{place:!}, or give {@allow_damaged}].",
     ),
-    "session-damaged": Statement(
-        WARNING,
+    "session-damaged": warning(
         "Damaged[{headers:!}: a CRC of the file does not match, although those of all its parts do; a header or the summary may be wrong.|| at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.]",
         "Copy the file again.",
     ),
-    "foreign-datagrams": Statement(
-        WARNING,
+    "foreign-datagrams": warning(
         "{n:#datagram|datagrams} from other addresses than the robot's not stored.",
         "Stop the program that sends them, or use another port.",
     ),
-    "session-made": Statement(
-        NOTE,
-        "Recorded by truearm {version}[ ({clock} clock)][; firmware {firmware}][; attached: {attached}].[ Recovered from {recovered}: {lost} messages are known to be lost.][ The joint readings were added from {joints}: their arrival was not observed. Controller time: {time}; its error is unknown.][ Temperature: {ranges}.]",
+    "session-made": note(
+        "Recorded by truearm {version}[ ({clock} clock)][; firmware {firmware}][; attached: {attached}].[ Recovered from {recovered}: {lost} messages are known to be lost.][ The joint readings were added from {joints}: their arrival was not observed. Controller time: {time}; its error is unknown.][ Temperature: {ranges}.]"
     ),
     # what did not arrive
-    "lost-on-link": Statement(
-        WARNING,
+    "lost-on-link": warning(
         "Lost on the link: {frames_lost:#frame} and {samples_lost:#sample}[; the box was silent from {periods}, and {missing:#sample is|samples are} missing by the nominal rate].",
         LINK,
     ),
-    "lost-in-box": Statement(
-        WARNING,
+    "lost-in-box": warning(
         "{samples_overrun:#sample} overrun in the box ({overruns} by its own count), {dropped:#frame} dropped by it.",
         "Record with a lower {@rate}, or use a faster computer.",
     ),
-    "box-faults": Statement(
-        WARNING,
+    "box-faults": warning(
         "Faults of the box:[ {restarts:#restart}][ {converter_faults:#block} with faults of the converter][ {crc_errors:#damaged frame} of the converter][ {converter_resets:#reset} of the converter by itself][ {thermometer_errors:#failed reading} of a thermometer].",
         "Check its plugs and supply with truearm box test; fit a smaller pull-up resistor to a thermometer on a long cable.",
     ),
-    "missing-stop-pulses": Statement(
-        WARNING,
+    "missing-stop-pulses": warning(
         "{missing_stops:#interrogation} of the magnetostrictive head without a stop pulse.",
         "Bring the magnet closer to the rod.",
     ),
-    "received": Statement(
-        NOTE,
-        "[{complete:!}Nothing lost, nothing duplicated, no restart: ]{frames:#frame} received, {samples:#sample} in {blocks:#block}[; also counted: {counts}].",
+    "received": note(
+        "[{complete:!}Nothing lost, nothing duplicated, no restart: ]{frames:#frame} received, {samples:#sample} in {blocks:#block}[; also counted: {counts}]."
     ),
     # time
-    "box-clock": Statement(
-        NOTE,
-        "Clock, segment {segment}: host − box {offset:.6f} s; the host counts {rate}. Error at most {bound:.1f}; of this, {half_asymmetry:.1f} is half the shortest round trip, because the two directions may differ. {exchanges:#exchange} ({rejected} rejected); round trip {rtt_min:.1f} (shortest), {rtt_median:.1f} (median).",
+    "box-clock": note(
+        "Clock, segment {segment}: host − box {offset:.6f} s; the host counts {rate}. Error at most {bound:.1f}; of this, {half_asymmetry:.1f} is half the shortest round trip, because the two directions may differ. {exchanges:#exchange} ({rejected} rejected); round trip {rtt_min:.1f} (shortest), {rtt_median:.1f} (median)."
     ),
-    "clock-stepped": Statement(
-        WARNING,
-        "The clock of the host or of the box was set or slewed: host − box changed by {change:+.1f} between {begin:.3f} s and {end:.3f} s of the box's clock.",
+    "clock-stepped": warning(
+        "The clock of the host or of the box was set or slewed: host − box changed by {change:+.1f} between {begin:.3f} s and {end:.3f} s of the box's clock."
     ),
-    "robot-clock": Statement(
-        NOTE,
-        "Clock of the robot: the host counts {rate}; readings arrive {jitter:.0f} later than the fastest one (mean); a constant latency cannot be determined.",
+    "robot-clock": note(
+        "Clock of the robot: the host counts {rate}; readings arrive {jitter:.0f} later than the fastest one (mean); a constant latency cannot be determined."
     ),
-    "trigger": Statement(
-        NOTE,
-        "Trigger on input {input}[{inverted:!}, inverted][{in_use:!}, in use][{arrivals:!}, not used, because arrivals are more accurate]: {used} of {edges} edges agree[; {unseen} not visible in any reading][; {unclear} with several possible matches][; {rejected} contradicting the others][; {stray:#change} of the input without an edge]. Error of robot to box at most {to_box:.0f} (median), of robot to host at most {bound:.0f}, without a filter of the input; shortest latency of the link {shortest_latency:.0f}[; falling edges are delayed by {least:.0f} to {most:.0f} more than rising ones].",
+    "trigger": note(
+        "Trigger on input {input}[{inverted:!}, inverted][{in_use:!}, in use][{arrivals:!}, not used, because arrivals are more accurate]: {used} of {edges} edges agree[; {unseen} not visible in any reading][; {unclear} with several possible matches][; {rejected} contradicting the others][; {stray:#change} of the input without an edge]. Error of robot to box at most {to_box:.0f} (median), of robot to host at most {bound:.0f}, without a filter of the input; shortest latency of the link {shortest_latency:.0f}[; falling edges are delayed by {least:.0f} to {most:.0f} more than rising ones]."
     ),
-    "trigger-unseen": Statement(
-        WARNING,
+    "trigger-unseen": warning(
         "No input of the robot follows the box's trigger ({edges:#edge}).",
         "Check its wire, and that the readings contain the inputs.",
     ),
     # the robot
-    "joint-readings": Statement(
-        NOTE,
-        "{readings:#reading} of {joints:#joint} at {rate_hz:.2f} Hz; {late} late, {duplicated} duplicated, none lost.",
+    "joint-readings": note(
+        "{readings:#reading} of {joints:#joint} at {rate_hz:.2f} Hz; {late} late, {duplicated} duplicated, none lost."
     ),
-    "joint-readings-lost": Statement(
-        WARNING,
+    "joint-readings-lost": warning(
         "{readings:#reading} of {joints:#joint}:[ {lost} lost,] {gaps:#gap}, {malformed} malformed, {restarts:#restart} ({late} late, {duplicated} duplicated); dwells in gaps are rejected.",
         "Connect the robot by a cable, or let it send fewer readings per second.",
     ),
     # dwells and passes
-    "rejected-unsettled": Statement(WARNING, "Rejected, because they were not at rest: {rejected}.", WAIT),
-    "rejected-sensor": Statement(
-        WARNING,
+    "rejected-unsettled": warning("Rejected, because they were not at rest: {rejected}.", WAIT),
+    "rejected-sensor": warning(
         "Rejected, because of the sensor's samples: {rejected}.",
         "Check its plug with truearm box test, and what shakes the table.",
     ),
-    "rejected-out-of-range": Statement(
-        WARNING,
+    "rejected-out-of-range": warning(
         "Rejected, because the sensor was out of its range: {rejected}.",
         "Seat the bar, and plan poses within its travel; drive a line closer to the rod, with the magnet near it.",
     ),
-    "rejected-clock": Statement(
-        WARNING, "Rejected, because the box's clock is not known well enough: {rejected}.", LINK
-    ),
-    "rejected-unlabelled": Statement(
-        WARNING,
+    "rejected-clock": warning("Rejected, because the box's clock is not known well enough: {rejected}.", LINK),
+    "rejected-unlabelled": warning(
         "Rejected, because nothing says what was mounted: {rejected}.",
         "Decide it with truearm session relabel, and confirm what is mounted while you record.",
     ),
-    "rejected-off-plan": Statement(
-        NOTE, "{rejected} rejected: the robot stood where the plan has no pose, probably between two poses."
+    "rejected-off-plan": note(
+        "{rejected} rejected: the robot stood where the plan has no pose, probably between two poses."
     ),
-    "rejected-line": Statement(
-        WARNING,
+    "rejected-line": warning(
         "Rejected, because they do not follow the line: {rejected}.",
         "Check its speed, and which line the plan and the rig name.",
     ),
-    "pass-timing": Statement(
-        NOTE,
-        "Each point of a line uses {window:.2f} of samples; its time is known to {time:.0f} ({distance:.0f} at this speed). A constant delay remains, which identify estimates from lines driven there and back.",
+    "pass-timing": note(
+        "Each point of a line uses {window:.2f} of samples; its time is known to {time:.0f} ({distance:.0f} at this speed). A constant delay remains, which identify estimates from lines driven there and back."
     ),
-    "stops": Statement(
-        NOTE,
-        "Stops:[ settled after {median:.2f} (median), {longest:.2f} (longest);] {stops} for mounting[; events: {events}].",
+    "stops": note(
+        "Stops:[ settled after {median:.2f} (median), {longest:.2f} (longest);] {stops} for mounting[; events: {events}]."
     ),
 }
 
 REPEATABILITY: Mapping[str, Statement] = {
-    "repeatability": Statement(
-        RESULT,
-        "Repeatability along the bar, approached from one side: {along}, 1 sigma[ (without the joints' scatter {alone})]; largest backlash: {backlash}, {joint}. From {visits:#visit} of {poses:#pose} in {sides} combinations of pose and approach direction, bar {bar} (in brackets: 95 % intervals).",
+    "repeatability": result(
+        "Repeatability along the bar, approached from one side: {along}, 1 sigma[ (without the joints' scatter {alone})]; largest backlash: {backlash}, {joint}. From {visits:#visit} of {poses:#pose} in {sides} combinations of pose and approach direction, bar {bar} (in brackets: 95 % intervals)."
     ),
-    "noise-to-use": Statement(
-        RESULT,
-        "For truearm identify {@noise}: sigma of bar {bar} {sigma}, in place of the rig's {declared}; sigmas of the joints, which include half the backlash. For dwells of sessions, identify corrects the backlash instead.",
+    "noise-to-use": result(
+        "For truearm identify {@noise}: sigma of bar {bar} {sigma}, in place of the rig's {declared}; sigmas of the joints, which include half the backlash. For dwells of sessions, identify corrects the backlash instead."
     ),
-    "backlash-varies": Statement(
-        WARNING,
-        "One backlash per joint does not explain the differences between sides (probability {probability:.1e}): it changes with the pose. The sigma of the bar includes the remainder.",
+    "backlash-varies": warning(
+        "One backlash per joint does not explain the differences between sides (probability {probability:.1e}): it changes with the pose. The sigma of the bar includes the remainder."
     ),
-    "settling-measured": Statement(
-        NOTE,
-        "Dwells begin {median:.2f} (median) after the joints stop, {largest:.2f} at most.[ Settled within {bands}. A visit counts if the length was, on the way, at least four times this distance from its final value, and its noise is below a sixth of it.]",
+    "settling-measured": note(
+        "Dwells begin {median:.2f} (median) after the joints stop, {largest:.2f} at most.[ Settled within {bands}. A visit counts if the length was, on the way, at least four times this distance from its final value, and its noise is below a sixth of it.]"
     ),
-    "noise-measured": Statement(
-        NOTE,
-        "Joint readings at the noisiest joint: noise {reading}, resolution {step}; sigma of a dwell's mean {mean} from the noise, {rounding} from the resolution. Sensor: noise of a sample {sample}, a sample every {period}; samples that are {independent} apart are independent[; lowest Allan deviation {floor}][ in means over {over:.2g} s].",
+    "noise-measured": note(
+        "Joint readings at the noisiest joint: noise {reading}, resolution {step}; sigma of a dwell's mean {mean} from the noise, {rounding} from the resolution. Sensor: noise of a sample {sample}, a sample every {period}; samples that are {independent} apart are independent[; lowest Allan deviation {floor}][ in means over {over:.2g} s]."
     ),
 }
 
 RECORDING: Mapping[str, Statement] = {
-    "recorded": Statement(
-        RESULT,
-        "{file}: {duration:.1f}, {samples:#sample}, {lost:#frame} lost[, {readings:#robot message}][; {dwells:#dwell}: {usable} usable][, {need_decision:#needs|need} a decision][, {unusable}]; ended: {ended}[ ({why})].",
+    "recorded": result(
+        "{file}: {duration:.1f}, {samples:#sample}, {lost:#frame} lost[, {readings:#robot message}][; {dwells:#dwell}: {usable} usable][, {need_decision:#needs|need} a decision][, {unusable}]; ended: {ended}[ ({why})]."
     ),
-    "seats-filled": Statement(
-        RESULT,
-        "{place}: {n:#row} filled with the joints of {n:#rest} of {shortest:.1f} to {longest:.1f}.",
+    "seats-filled": result("{place}: {n:#row} filled with the joints of {n:#rest} of {shortest:.1f} to {longest:.1f}."),
+    "controller-read": result(
+        "{place}: the controller computes with [{as_drawn:!}the drawing of {model}||its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f}, over {n:#random pose}][; checksums {checksums}]."
     ),
-    "controller-read": Statement(
-        RESULT,
-        "{place}: the controller computes with [{as_drawn:!}the drawing of {model}||its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f}, over {n:#random pose}][; checksums {checksums}].",
-    ),
-    "controller-unread": Statement(
-        WARNING,
+    "controller-unread": warning(
         "{reason}. The kinematics of the controller [{stored:!}could not be compared with {model}||were not read, so that the project has the drawing of {model}].",
         "Read them with truearm robot read before you correct a program for this controller.",
     ),
-    "controller-changed": Statement(
-        WARNING,
+    "controller-changed": warning(
         "{place}: the kinematics of the controller changed since {model} was read: the {joints:?checksum of joint|checksums of joints} {joints} {joints:?differs|differ}.",
         "Read them again with truearm robot read, then measure and identify again: a result corrects for the kinematics it was identified with.",
     ),
-    "recording-disturbed": Statement(WARNING, "Disturbed by: {events}.", "What was lost is shown by truearm inspect."),
+    "recording-disturbed": warning("Disturbed by: {events}.", "What was lost is shown by truearm inspect."),
 }
 
 RMS_ERRORS = "{after} RMS, and {before} without the calibration"
@@ -681,100 +583,80 @@ MORE_VARIED = "Identify from more varied poses."
 
 VALIDATION: Mapping[str, Statement] = {
     # the verdict
-    "validation-holds": Statement(
-        RESULT,
-        f"The calibration holds: errors of {RMS_ERRORS}, in {{n:#row}}. They are consistent with declared noise and the calibration's uncertainty ({{expected:.3f}}).",
+    "validation-holds": result(
+        f"The calibration holds: errors of {RMS_ERRORS}, in {{n:#row}}. They are consistent with declared noise and the calibration's uncertainty ({{expected:.3f}})."
     ),
-    "validation-uncertain": Statement(
-        WARNING,
+    "validation-uncertain": warning(
         f"The calibration holds, but its uncertainty here is {{parameters:.3f}}: errors of {RMS_ERRORS}, in {{n:#row}}.",
         MORE_VARIED,
     ),
-    "validation-changed": Statement(
-        WARNING,
-        f"The calibration helps, but {{unexplained:.3f}} RMS is unexplained[, most of it in {{region}}]: errors of {RMS_ERRORS}, in {{n:#row}}. Declared noise and the calibration's uncertainty explain {{expected:.3f}}. The arm, its tool or its load has changed, the rig is not as described, here or in the identification, or the arm has errors that the parameters do not model.",
+    "validation-changed": warning(
+        f"The calibration helps, but {{unexplained:.3f}} RMS is unexplained[, most of it in {{region}}]: errors of {RMS_ERRORS}, in {{n:#row}}. Declared noise and the calibration's uncertainty explain {{expected:.3f}}. The arm, its tool or its load has changed, the rig is not as described, here or in the identification, or the arm has errors that the parameters do not model."
     ),
-    "validation-unjudged": Statement(
-        WARNING,
+    "validation-unjudged": warning(
         f"The calibration helps, but these rows cannot show how accurate it is: errors of {RMS_ERRORS}, in {{n:#row}}.",
         "Declare the noise in the rig, or measure more rows.",
     ),
-    "validation-own-rows": Statement(
-        WARNING,
+    "validation-own-rows": warning(
         f"No verdict, because the identification used {{files}} too: errors of {RMS_ERRORS}, in {{n:#row}}.",
         "Validate with other measurements.",
     ),
-    "validation-no-help": Statement(
-        REFUSAL,
+    "validation-no-help": refusal(
         f"The calibration does not help here: errors of {RMS_ERRORS}, in {{n:#row}}[{{implausible:!}}; more than those of any plausible arm].",
         "Check that these measurements are of this robot, with this rig, and in these units, or identify again, from measurements of this place and tool.",
     ),
     # its limits
-    "rig-missing": Statement(
-        WARNING,
+    "rig-missing": warning(
         "No rig was given, but the identification used one ({rig}). What it says of the fixtures and of the points on the end is not used here.",
         "Give the rig of these measurements.",
     ),
-    "rows-unseen": Statement(
-        WARNING,
+    "rows-unseen": warning(
         "{n:#row depends|rows depend} on combinations of parameters that the identification could not determine, such as the pose of base or tool, or a joint that did not move.",
         MORE_VARIED,
     ),
-    "regions-worse": Statement(WARNING, "Worse than without the calibration: {regions}."),
-    "few-rows": Statement(
-        WARNING,
+    "regions-worse": warning("Worse than without the calibration: {regions}."),
+    "few-rows": warning(
         "{n:#row} cannot show how accurate the calibration is at other poses.",
         "Validate with {enough} or more.",
     ),
     # notes
-    "validation-terms": Statement(
-        NOTE,
+    "validation-terms": note(
         '"Expected" is the error that declared noise and the calibration\'s uncertainty explain.[{by_place:!} "Radius" is the distance of the end from the z axis of the base frame, "z" its height in this frame; each is split at its median.][ χ² per degree of freedom {chi2}; declared noise alone leaves it below {limit:.3g} (99 %).]',
     ),
 }
 
 CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
-    "mounting-held": Statement(
-        WARNING,
+    "mounting-held": warning(
         "The {what} ({names}) was held at its nominal value, because [{items:!}the positions of the {items} are unknown||such observations cannot determine it in any pose]. An error in it [{base:!}moves and turns all targets together, as one body||is the same offset in the end's frame at every pose].",
         "[{items:!}Measure the {items}, write them into the rig with their standard deviations, and identify again.||To determine it, use another kind of observation.]",
     ),
-    "own-frames-next": Statement(
-        ADVICE,
-        "For targets relative to the robot's own base, run truearm correct or truearm map with {@own_frames}.",
+    "own-frames-next": advice(
+        "For targets relative to the robot's own base, run truearm correct or truearm map with {@own_frames}."
     ),
-    "null-space-moves-end": Statement(
-        WARNING,
+    "null-space-moves-end": warning(
         "Unidentifiable combinations of parameters move the end (weights in m, rad and 1): {terms}[; and {more} more]. Their nominal values are used.",
         "Measure what the lines “Next:” of truearm identify propose.",
     ),
-    "other-payload": Statement(
-        WARNING,
+    "other-payload": warning(
         "{n} of {rows:#row have|rows have} another payload ({payload} kg) than the rows of the calibration ({masses} kg), which does not know how a payload acts on the robot.",
         "Identify with rows under different payloads.",
     ),
 }
 
 MAP: Mapping[str, Statement] = {
-    "map-error": Statement(
-        RESULT,
-        "Error without calibration: {least:.3f} to {most:.3f}, RMS {rms:.3f}, over {cells:#cell} of {cell:g}.",
+    "map-error": result(
+        "Error without calibration: {least:.3f} to {most:.3f}, RMS {rms:.3f}, over {cells:#cell} of {cell:g}."
     ),
-    "task-place": Statement(
-        RESULT, "Best place for a task of {task} mm: {place}; error at most {most:.3f}, RMS {rms:.3f}."
-    ),
-    "task-nowhere": Statement(
-        REFUSAL,
+    "task-place": result("Best place for a task of {task} mm: {place}; error at most {most:.3f}, RMS {rms:.3f}."),
+    "task-nowhere": refusal(
         "A task of {task} mm fits nowhere in the part of this section that the arm reaches.",
         "Give a smaller task, a larger {@within}, or another section with {@at}.",
     ),
-    "map-sigma": Statement(
-        RESULT,
-        "Error with calibration, from the parameters' covariance: {least:.3f} to {most:.3f} (standard deviation[, relative to {relative_to}]).",
+    "map-sigma": result(
+        "Error with calibration, from the parameters' covariance: {least:.3f} to {most:.3f} (standard deviation[, relative to {relative_to}])."
     ),
-    "map-sigma-unknown": Statement(WARNING, "Error with calibration: unknown in {n} of {cells:#cell}."),
-    "joints-outside": Statement(
-        WARNING,
+    "map-sigma-unknown": warning("Error with calibration: unknown in {n} of {cells:#cell}."),
+    "joints-outside": warning(
         '[Outside in every cell: {joints}.||In {n:#cell} a joint is outside the readings that the calibration was identified from ("covered" is 0 in the table; pale in the picture).]',
         "[{joints:!}Give other readings with {@at}, or the other {@elbow}, or neither.]",
     ),
@@ -785,124 +667,99 @@ TARGETS = "Targets are poses of {end_frame} in {base_frame}"
 
 CORRECTION: Mapping[str, Statement] = {
     # the verdict
-    "corrected": Statement(
-        RESULT,
-        "{n:#target} corrected: by the identified robot, the errors of {point} are {before} RMS before and {after} after. Its own uncertainty is not included.",
+    "corrected": result(
+        "{n:#target} corrected: by the identified robot, the errors of {point} are {before} RMS before and {after} after. Its own uncertainty is not included."
     ),
-    "partly-corrected": Statement(
-        WARNING,
-        "{n:#target} corrected, but {refused:#move} not: by the identified robot, the errors of {point} are {before} RMS before and {after} after, at the corrected ones.",
+    "partly-corrected": warning(
+        "{n:#target} corrected, but {refused:#move} not: by the identified robot, the errors of {point} are {before} RMS before and {after} after, at the corrected ones."
     ),
     # before the program is run
-    "correction-worse": Statement(
-        WARNING,
+    "correction-worse": warning(
         "The corrected targets are farther off than the uncorrected ones, {after} RMS and not {before}.",
         "Use another {@method}.",
     ),
-    "fit-not-converged": Statement(
-        WARNING,
+    "fit-not-converged": warning(
         "The fit of this result did not converge.",
         "Check the result with truearm report before you use the corrected targets.",
     ),
-    "range-unknown": Statement(
-        WARNING,
+    "range-unknown": warning(
         "The result does not say which joint readings it was identified from.",
         "Identify again, so that targets outside them can be named.",
     ),
-    "targets-outside": Statement(
-        WARNING,
-        "{n:#target} outside the joint readings that the calibration was identified from, in {joints}: {places}.[{curves:!} Error curves are unknown there. Their corrections fade to zero; geometry and sag are still corrected.]",
+    "targets-outside": warning(
+        "{n:#target} outside the joint readings that the calibration was identified from, in {joints}: {places}.[{curves:!} Error curves are unknown there. Their corrections fade to zero; geometry and sag are still corrected.]"
     ),
-    "moves-bent": Statement(
-        WARNING,
+    "moves-bent": warning(
         "{n:#straight move} [{worst:!}will deviate from a straight path by more than {limit:.1f}||may pass a joint limit, a singularity or another configuration between the ends]: {places}.[ The largest deviation is {worst:.2f} ({place}).]",
         "Add targets between the ends.",
     ),
-    "moves-unchecked": Statement(
-        WARNING,
+    "moves-unchecked": warning(
         "{n:#straight move was|straight moves were} not checked between the ends, because the program does not say at which joints it starts.",
         "Begin the program with a joint move.",
     ),
-    "home-decides": Statement(
-        WARNING,
-        "The program does not determine the position from which the robot moves to line {lines}. The arm's configuration there is the one nearest to {@home}.",
+    "home-decides": warning(
+        "The program does not determine the position from which the robot moves to line {lines}. The arm's configuration there is the one nearest to {@home}."
     ),
-    "configuration-data": Statement(
-        WARNING,
+    "configuration-data": warning(
         "The configuration data of {n:#robtarget differs|robtargets differ} from the quarter turns of the axes by this model: {details}.",
         "Correct the data before you run the program, or the controller may stop.",
     ),
-    "other-configurations": Statement(
-        WARNING,
-        "Only the joints near the first target determine the configuration; in the arm's other ones the corrections would differ by up to {spread}[, and the expected error is between {least} and {most}].",
+    "other-configurations": warning(
+        "Only the joints near the first target determine the configuration; in the arm's other ones the corrections would differ by up to {spread}[, and the expected error is between {least} and {most}]."
     ),
     # frames, and what is left as it is
-    "targets-frames": Statement(
-        NOTE,
-        f"[{{own:!}}Targets are in the robot's own base and flange frames||{TARGETS}].[{{own:!}} These mountings are not corrected: {MOUNTINGS}][{{held:!}} The mountings of robot and tool were held at their nominal values, so they are not corrected.][{{corrected:!}} The mountings are corrected as far as they were identified: {MOUNTINGS}]",
+    "targets-frames": note(
+        f"[{{own:!}}Targets are in the robot's own base and flange frames||{TARGETS}].[{{own:!}} These mountings are not corrected: {MOUNTINGS}][{{held:!}} The mountings of robot and tool were held at their nominal values, so they are not corrected.][{{corrected:!}} The mountings are corrected as far as they were identified: {MOUNTINGS}]"
     ),
-    "controller-frames": Statement(NOTE, "The controller's base is {base}. Its flange is {flange}."),
-    "routines-absent": Statement(
-        WARNING,
+    "controller-frames": note("The controller's base is {base}. Its flange is {flange}."),
+    "routines-absent": warning(
         "None of the files defines {names}: taken not to displace the program and not to change its data. Moves within them are not corrected.",
         "Give {@strict} if that may be wrong.",
     ),
-    "joint-moves-kept": Statement(NOTE, "{n:#move} to joint values kept as {n:?it is|they are}."),
-    "moves-in-texts": Statement(WARNING, "{n:#text} with moves, such as in {place}: texts are not corrected."),
+    "joint-moves-kept": note("{n:#move} to joint values kept as {n:?it is|they are}."),
+    "moves-in-texts": warning("{n:#text} with moves, such as in {place}: texts are not corrected."),
 }
 
 EXPORT: Mapping[str, Statement] = {
-    "exported": Statement(
-        RESULT,
-        "[{exact:!}The file holds everything that was identified; no refit was needed.||The file differs from the identified robot by {left:.3f} RMS ({largest:.3f} at most) and {left_turn:.4f} RMS][{refitted:!}, after a refit over {n:#pose}; without it by {dropped:.3f} and {dropped_turn:.4f}][{exact:!}||.]",
+    "exported": result(
+        "[{exact:!}The file holds everything that was identified; no refit was needed.||The file differs from the identified robot by {left:.3f} RMS ({largest:.3f} at most) and {left_turn:.4f} RMS][{refitted:!}, after a refit over {n:#pose}; without it by {dropped:.3f} and {dropped_turn:.4f}][{exact:!}||.]"
     ),
-    "format-lacks": Statement(WARNING, "The format {format} has no place for {names}."),
-    "file-mountings": Statement(
-        RESULT, f"Mountings, which the file [{{contained:!}}contains||does not contain]: {MOUNTINGS}"
-    ),
-    "refit-next": Statement(
-        ADVICE, "For the best fit where you work, give {@over} FILE, a plan or a table of poses there."
-    ),
+    "format-lacks": warning("The format {format} has no place for {names}."),
+    "file-mountings": result(f"Mountings, which the file [{{contained:!}}contains||does not contain]: {MOUNTINGS}"),
+    "refit-next": advice("For the best fit where you work, give {@over} FILE, a plan or a table of poses there."),
 }
 
 PLAN: Mapping[str, Statement] = {
     # the verdict
-    "planned": Statement(
-        RESULT,
-        "[{poses:#pose}][{lines:#line}] in {minutes:#minute}[, with {mounts:#mount} of the bar][ and {via_points:#via point}][, every mount visited {visits} times][, {checks:#pose} of the first mount visited again half-way and at the end, and as many of another at the end]: the error in the region will be [{rms} RMS and {largest} at the worst pose||unknown, because an unidentifiable combination moves the tool][{relative:!} (excluding the pose of the base)].",
+    "planned": result(
+        "[{poses:#pose}][{lines:#line}] in {minutes:#minute}[, with {mounts:#mount} of the bar][ and {via_points:#via point}][, every mount visited {visits} times][, {checks:#pose} of the first mount visited again half-way and at the end, and as many of another at the end]: the error in the region will be [{rms} RMS and {largest} at the worst pose||unknown, because an unidentifiable combination moves the tool][{relative:!} (excluding the pose of the base)]."
     ),
-    "planned-seats": Statement(
-        RESULT,
-        "{seats:#seat} at {places:#place} that are up to {span:.0f} apart: the tool error over these seats will be [{rms} RMS and {largest} at the worst pose, excluding the pose of the base||unknown, because an unidentifiable combination moves the tool]. From all of them, identify will state about the same if seats repeat to {sigma} per coordinate, the rig is as accurate as rig.toml declares, and the arm has errors in its geometry only.",
+    "planned-seats": result(
+        "{seats:#seat} at {places:#place} that are up to {span:.0f} apart: the tool error over these seats will be [{rms} RMS and {largest} at the worst pose, excluding the pose of the base||unknown, because an unidentifiable combination moves the tool]. From all of them, identify will state about the same if seats repeat to {sigma} per coordinate, the rig is as accurate as rig.toml declares, and the arm has errors in its geometry only."
     ),
-    "planned-approaches": Statement(
-        RESULT,
+    "planned-approaches": result(
         "{poses:#pose} of bar {bar} from {chuck} to {sphere} in {minutes:#minute}, with {via_points:#approach point}.",
         "Record the plan, then run truearm characterize on the session.",
     ),
     # what it determines
-    "planned-rank": Statement(
-        RESULT,
-        "Rank {rank} after {rows:#observation}[; {unseen:#combination is|combinations are} unidentifiable][; {weak:#combination is|combinations are} weakly identifiable].",
+    "planned-rank": result(
+        "Rank {rank} after {rows:#observation}[; {unseen:#combination is|combinations are} unidentifiable][; {weak:#combination is|combinations are} weakly identifiable]."
     ),
-    "few-poses": Statement(
-        WARNING,
+    "few-poses": warning(
         "{n:#pose is|poses are} fewer than the unknowns.",
         "Plan more {@poses}, or fewer mounts with {@bar} NAME.",
     ),
-    "planned-held": Statement(
-        NOTE,
-        "[Held, because their joints hardly move: {lost}. ][With a weak prior, because they are weakly identifiable: {believed}.]",
+    "planned-held": note(
+        "[Held, because their joints hardly move: {lost}. ][With a weak prior, because they are weakly identifiable: {believed}.]"
     ),
-    "fewer-checks": Statement(
-        WARNING,
-        "{@check_poses} {asked}: {planned:#check pose} planned[{visits:!}: with several visits of every mount there are none||: at most one per 36 poses, and none below 108 poses].",
+    "fewer-checks": warning(
+        "{@check_poses} {asked}: {planned:#check pose} planned[{visits:!}: with several visits of every mount there are none||: at most one per 36 poses, and none below 108 poses]."
     ),
 }
 
 STATEMENTS: Mapping[str, Statement] = {
     **IDENTIFICATION,
-    **{code: Statement(ERROR, *texts) for code, texts in ERRORS.items()},
+    **{code: error(*texts) for code, texts in ERRORS.items()},
     **SESSION,
     **RECORDING,
     **REPEATABILITY,
