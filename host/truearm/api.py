@@ -27,7 +27,6 @@ from truearm.export.formats import FORMATS
 from truearm.file_names import missing_file
 from truearm.files import observation_table, result_file, rig_file, robot_file
 from truearm.files.disk import write_atomic
-from truearm.kinds.registry import with_every_name
 from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
@@ -39,7 +38,7 @@ from truearm.workflows import identify as identification
 from truearm.workflows import map as maps
 from truearm.workflows.calibration import Calibration, Identification, read_calibration
 from truearm.workflows.identify import IdentifyOptions, Progress
-from truearm.workflows.inputs import Sources, read_sources
+from truearm.workflows.inputs import Sources, completed_rigs, read_sources
 from truearm.workflows.plan import BallBarOptions, Budget
 from truearm.workflows.requests import CorrectOptions
 from truearm.workflows.session_observations import channel_samples, is_session, joint_readings
@@ -546,7 +545,7 @@ def correct_poses(
     poses : array (n, 4, 4) or (4, 4)
         Target poses of the end frame in the base frame: rotation matrix and position [m].
     method : str
-        {method}. The first is the full inverse; the others are those of Renders 1991.
+        "newton", "false-target", "joints" or "offsets". The first is the full inverse; the others are those of Renders 1991.
     own_frames : bool
         The poses are given in the robot's own base and flange frames: do not correct the mounting of base and tool.
     home : sequence of float, optional
@@ -601,7 +600,8 @@ def export_robot(
     result : Calibration
         Return value of ``identify`` or ``read_result``.
     format : str
-        {format}, as for ``truearm export --format``.
+        "urdf", "mjcf", "ur", "calibration-conf", "dh", "dh-hayati", "mdh", "evaluator-c", "evaluator-python",
+        "sheth-uicker" or a format that was added, as for ``truearm export --format``.
     path : str or path, optional
         File to write; an existing file is replaced. Default: return the text without writing a file.
     own_frames : bool
@@ -726,25 +726,12 @@ def _read_rigs(rig: RigsArgument) -> Rigs:
     return rig if isinstance(rig, Rig | Mapping) else read_rig(rig)
 
 
-def _rigs(given: RigsArgument | None, table: ObservationTable) -> Rigs:
+def _rigs(rig: RigsArgument | None, table: ObservationTable) -> Rigs:
     """Return the rig, or the rigs by name, checked against the rows that refer to them."""
-    rig = Rig() if given is None else _read_rigs(given)
-    if isinstance(rig, Rig):
-        rig = with_every_name(rig, table)
-        try:
-            observation_table.check_against_rig(table, rig)
-        except TableError as exc:
-            raise exc if given is not None else InputError(Argument("rig"), f": is needed: {exc}") from None
-        return rig
-    missing = sorted(set(table.rig.tolist()) - set(rig))
-    if missing:
-        raise InputError(
-            f"rig: has no rig {missing[0]!r}, which the table's rows name; it has {', '.join(sorted(rig)) or 'none'}"
-        )
-    rigs = {name: with_every_name(one, table.select(table.rig == name)) for name, one in rig.items()}
-    for name, one in rigs.items():
-        observation_table.check_against_rig(table.select(table.rig == name), one)
-    return rigs
+    try:
+        return completed_rigs(Rig() if rig is None else _read_rigs(rig), table)
+    except TableError as exc:
+        raise exc if rig is not None else InputError(Argument("rig"), f": is needed: {exc}") from None
 
 
 def _mask(hold_out: NDArray[np.bool_], table: ObservationTable) -> NDArray[np.bool_]:

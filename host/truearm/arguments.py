@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import inspect
 import numbers
-import os
+import re
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -25,23 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 from truearm.bounds import SHOWN, FileName, OneOf, Within
 from truearm.errors import Argument, InputError
 from truearm.schema import SchemaError, Value
-from truearm.text import with_article
 
 P = ParamSpec("P")
 R = TypeVar("R")
-D = TypeVar("D", bound=Callable[..., Any])
-
-WORDS: Mapping[Any, str] = {
-    bool: "True or False",
-    int: "a whole number",
-    float: "a number",
-    str: "a text",
-    type(None): "None",
-    os.PathLike: "a path",
-    np.ndarray: "an array",
-    Callable: "a function",
-}
-MANY: Mapping[Any, str] = {str: "texts", float: "numbers", int: "whole numbers"}
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
@@ -58,23 +44,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
             given.arguments[name] = converted(name, value, _hints(function)[name])
         return function(*given.args, **given.kwargs)
 
-    return with_choices(called)
-
-
-def with_choices(described: D) -> D:
-    """Replace ``{name}`` in the docstring of a function or a class by the names that this argument can have."""
-    if "{" in (described.__doc__ or ""):
-        for name, hint in get_type_hints(described, include_extras=True).items():
-            for one in _alternatives(hint):
-                for rule in getattr(one, "__metadata__", ()):
-                    if isinstance(rule, OneOf):
-                        described.__doc__ = str(described.__doc__).replace(f"{{{name}}}", _quoted(tuple(rule.names)))
-    return described
-
-
-def _quoted(names: Sequence[str]) -> str:
-    *others, last = (f'"{name}"' for name in names)
-    return f"{', '.join(others)} or {last}"
+    return called
 
 
 @dataclass(frozen=True)
@@ -200,22 +170,14 @@ def _any(value: Any, hint: Any) -> bool:
 
 
 def _words(hint: Any) -> str:
-    """Return a readable description of the values that an annotation allows."""
-    origin, parts = get_origin(hint), get_args(hint)
-    if origin is Annotated:
+    """Return the values that an annotation allows, as Python writes types, and which functions make them."""
+    if get_origin(hint) is Annotated:
         made_by = [text for text in hint.__metadata__ if isinstance(text, str)]
-        return " or ".join(map(_words, _alternatives(parts[0]))) + (f" (see {' or '.join(made_by)})" if made_by else "")
-    if hint == tuple[()]:
-        return "an empty tuple"
-    if origin is tuple and parts[-1] is not Ellipsis:
-        return f"a tuple of {len(parts)} {MANY.get(parts[0], 'items')}"
-    if origin in (tuple, Sequence):
-        return f"a {origin.__name__.lower()} of {MANY.get(parts[0], 'items')}"
-    if origin is Mapping:
-        return f"a mapping of names to {getattr(parts[1], '__name__', 'mappings')}s"
-    is_choice = origin is Literal or (isinstance(hint, type) and issubclass(hint, StrEnum))
-    kind = str if is_choice else origin or hint
-    return WORDS.get(kind) or with_article(kind.__name__)
+        return " or ".join(map(_words, _alternatives(hint.__origin__))) + f" (see {' or '.join(made_by)})" * bool(
+            made_by
+        )
+    kind = np.ndarray if get_origin(hint) is np.ndarray else hint
+    return re.sub(r"\w+\.(?=\w)", "", inspect.formatannotation(kind)).replace("NoneType", "None")
 
 
 def _shown(value: Any) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from truearm.arguments import Checked, with_choices
+from truearm.arguments import Checked
 from truearm.checks.alternatives import Robots
 from truearm.checks.examination import MEAN, Examination, examined
 from truearm.checks.inputs import checked_inputs
@@ -62,7 +62,6 @@ from truearm.workflows.selection import (
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
-@with_choices
 @dataclass(frozen=True)
 class IdentifyOptions(FitOptions, Checked):
     """Which parameters an identification estimates, and how.
@@ -80,9 +79,9 @@ class IdentifyOptions(FitOptions, Checked):
         "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "where-needed": the weak one,
         but only for parameters that the observations determine less accurately. None: chosen by robot and solver.
     solver : str
-        {solver}.
+        "lm", "map", "recursive", "renders-1991" or "ls".
     loss : str
-        {loss}. All but the first require a solver with robust losses, such as "lm".
+        "linear", "huber" or "cauchy". All but the first require a solver with robust losses, such as "lm".
     max_iterations : int
         The solver stops after this many iterations, converged or not; at most 10000.
     seed : int

@@ -30,7 +30,7 @@ from truearm.progress import step
 from truearm.report.certificate import Facts, Recording, between
 from truearm.session.dwells import DOUBTFUL
 from truearm.text import one_line
-from truearm.types import Rig
+from truearm.types import Rig, Rigs, rigs_by_name
 from truearm.units import NS, UM, US
 from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
@@ -84,8 +84,6 @@ def check_files(
 
     A repeated input would make its sigmas too small. Raises InputError.
     """
-    if Path("-") in sources.inputs:
-        raise InputError("wrong-suffix", place="-")
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, earlier) for earlier in counted[:i]):
@@ -116,7 +114,7 @@ class DwellCount(NamedTuple):
 class Observed(NamedTuple):
     """The rig, or the rigs by name, the observations, and of each session the account of its dwells and how it was recorded."""
 
-    rigs: Rig | dict[str, Rig]
+    rigs: Rigs
     table: ObservationTable
     counts: tuple[DwellCount, ...]
     recordings: tuple[Recording, ...]
@@ -160,17 +158,33 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     rigs = named_rigs | dict(session_rig.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
-    if "" in rigs or not rigs:
-        single_rig = with_every_name(rigs.get("", with_noise(Rig(), noise)), table)
-        check_against_rig(table, single_rig)
-        _say_doubts(table, single_rig, sources.say)
-        return Observed(single_rig, table, counts, recordings)
-    _check_names(table, rigs, sources.rigs)
-    rigs = {name: with_every_name(rig, table.select(table.rig == name)) for name, rig in rigs.items()}
-    for name, rig in rigs.items():
-        check_against_rig(table.select(table.rig == name), rig)
-        _say_doubts(table.select(table.rig == name), rig, sources.say)
-    return Observed(rigs, table, counts, recordings)
+    _check_named(table, sources.rigs)
+    completed = completed_rigs(rigs.get("", with_noise(Rig(), noise)) if "" in rigs or not rigs else rigs, table)
+    for name, rig in rigs_by_name(completed).items():
+        _say_doubts(table.select(table.rig == name) if name else table, rig, sources.say)
+    return Observed(completed, table, counts, recordings)
+
+
+def completed_rigs(rigs: Rigs, table: ObservationTable) -> Rigs:
+    """Return the rig, or the rigs by name, with what a name "*" in it stands for, checked against the rows that refer to it.
+
+    Raises InputError, TableError.
+    """
+    if isinstance(rigs, Rig):
+        return _completed(rigs, table)
+    for name, source in zip(table.rig.tolist(), table.source, strict=True):
+        if name not in rigs:
+            text = (
+                f": {source} names rig {name!r} in its column rig, which is none of {', '.join(sorted(rigs)) or 'them'}"
+            )
+            raise InputError(Argument("rig"), text)
+    return {name: _completed(rig, table.select(table.rig == name)) for name, rig in rigs.items()}
+
+
+def _completed(rig: Rig, table: ObservationTable) -> Rig:
+    rig = with_every_name(rig, table)
+    check_against_rig(table, rig)
+    return rig
 
 
 def _is_reordered(table: ObservationTable) -> bool:
@@ -186,18 +200,14 @@ def _say_doubts(table: ObservationTable, rig: Rig, say: Say) -> None:
             say(one_line(sentence))
 
 
-def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[str, Path | Rig]) -> None:
-    """Check that every row names one of the rigs, and that every given rig is named. Raises InputError."""
+def _check_named(table: ObservationTable, files: Mapping[str, Path | Rig]) -> None:
+    """Raise InputError for a rig whose name no row has."""
     for name, file in files.items():
-        if not (table.rig == name).any():
+        if name and not (table.rig == name).any():
             raise InputError(
                 Argument("rig"),
                 f" {name}={file}: no row has that name in its column rig, and no session has that name; correct the name",
             )
-    for name, source in zip(table.rig, table.source, strict=True):
-        if name not in rigs:
-            whose = f"belongs to rig {str(name)!r}" if name else "names no rig in its column rig"
-            raise InputError(f"{source}: {whose}; the rigs given are {', '.join(sorted(rigs))}")
 
 
 class _SessionRead(NamedTuple):
