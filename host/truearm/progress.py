@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 T = TypeVar("T")
 Advance = Callable[[float], None]  # takes the completed share of a step, 0 to 1
@@ -66,47 +66,3 @@ def steps_of(items: Sequence[T], what: str) -> Iterator[T]:
         for done, item in enumerate(items):
             advance(done / len(items))
             yield item
-
-
-@contextmanager
-def part_of(advance: Advance, begin: float, end: float) -> Iterator[None]:
-    """Let the steps inside this context advance the step around it from share ``begin`` to ``end``.
-
-    Steps that follow one another inside the context do not move it backwards.
-    """
-    listener = _LISTENER.get()
-    advance(begin)
-    if listener is None:
-        yield
-        return
-    with listening(_Part(listener, lambda share: advance(begin + (end - begin) * share))):
-        yield
-    advance(end)
-
-
-class _Part:
-    """A listener that passes the largest share of its steps on."""
-
-    def __init__(self, listener: Listener, advance: Advance) -> None:
-        self._listener, self._advance, self._share = listener, advance, 0.0
-
-    def begin(self, what: str) -> Running:
-        return _Both(self._listener.begin(what), self._reached)
-
-    def _reached(self, share: float) -> None:
-        self._share = max(self._share, share)
-        self._advance(self._share)
-
-
-class _Both(NamedTuple):
-    """A step in progress whose shares are passed on."""
-
-    running: Running
-    reached: Advance
-
-    def advance(self, share: float) -> None:
-        self.running.advance(share)
-        self.reached(share)
-
-    def end(self) -> None:
-        self.running.end()

@@ -67,7 +67,6 @@ def test_every_word_of_the_page_is_an_option():
         ("box info --device /dev/ttyACM0", "--box"),
         ("simulate --robot rtde", "--protocol"),
         ("simulate --rig-file rig.toml", "--rig"),
-        ("demo --experiment line", "--lines 5"),
         ("identify t.csv --save-table x.csv", "--table-out"),
         ("identify t.csv --allow joint1", "--apply"),
         ("inspect s.mcap --allow-truncated", "--allow-damaged"),

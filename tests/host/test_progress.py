@@ -11,7 +11,7 @@ from rich.console import Console
 from truearm.cli import progress_line
 from truearm.cli.main import main
 from truearm.cli.progress_line import Shown
-from truearm.progress import listening, part_of, step, steps_of
+from truearm.progress import listening, step, steps_of
 
 SESSION = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
 
@@ -43,17 +43,6 @@ def test_a_listener_hears_of_steps_and_shares():
     assert heard == ["outer", "inner", 0.0, 0.25, 0.5, 0.75, "end", "end"]
     assert list(steps_of([1], "nobody hears this")) == [1]
     assert len(heard) == 8
-
-
-def test_steps_inside_move_the_step_around_them_forwards_only():
-    heard = Heard()
-    with listening(heard), step("outer") as advance, part_of(advance, 0.5, 1.0):
-        for _ in range(2):
-            assert list(steps_of([1, 2], "inner")) == [1, 2]
-    inner = ["inner", 0.0, 0.5, 0.5, 0.75, "end"]
-    assert heard == ["outer", 0.5, *inner, "inner", 0.0, 0.75, 0.5, 0.75, "end", 1.0, "end"]
-    with step("nobody") as advance, part_of(advance, 0.0, 1.0):
-        assert list(steps_of([1], "hears")) == [1]
 
 
 def test_a_step_that_fails_ends():

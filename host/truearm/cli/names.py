@@ -26,21 +26,6 @@ EARLIER = {
     "--long-s": "--long-dwell-s",
     "--known-mm": "--measured-with",
 }
-REMOVED = {
-    "reproduce": "the papers are notebooks in the documentation: notebooks/goswami_1993.ipynb and renders_1991.ipynb",
-    **{
-        f"--{word}": f"write {word} = … into truearm.toml"
-        for word in ("name", "serial", "operator", "controller", "customer")
-    },
-    "--experiment": "give --lines 5 for lines along a line device; without it, a ball-bar measures the robot",
-    "--all-free": "give --free '*'",
-    "--residuals-out": "the corrected table and --json have the error of every target",
-    "--zero-sigma-mm": "give --measured-with, or write zero_sigma_mm of the bar into rig.toml",
-    "--split": "moves that need different numbers of one target always get their own; leave it out",
-    "--undo": "delete the NAME.labels.json that session relabel wrote",
-    "--harmless": "routines in none of the files are taken to be harmless, unless --strict is given; for data or an axis "
-    "that nothing outside changes, give --unchanged NAME",
-}
 # What people call the work of a command. Names of subcommands ("gauge") need no entry: the tree has them.
 MEANINGS = {
     "identify": "calibrate calibration fit solve estimate optimize optimise",
@@ -63,8 +48,6 @@ MEANINGS = {
 
 def command_for(root: Any, word: str) -> str | None:
     """Return why there is no command ``word`` and which one is meant, None if nothing is known about it."""
-    if word in REMOVED:
-        return f"truearm {word}: {REMOVED[word]}"
     if word in EARLIER:
         return f"truearm {word} is now truearm {EARLIER[word]}"
     subcommands = [path for path, _ in _commands(root) if path.endswith(f" {word}")]
@@ -75,8 +58,6 @@ def command_for(root: Any, word: str) -> str | None:
 
 def option_for(command: Any, path: str, word: str) -> str:
     """Return why the command at ``path`` has no option ``word``, and which one like it is used instead."""
-    if word in REMOVED:
-        return f"{word}: {REMOVED[word]}"
     options = [name for option in command.params for name in option.opts]
     if (new_name := EARLIER.get(f"{path} {word}", EARLIER.get(word))) in options:
         return f"{word} is now {new_name}"

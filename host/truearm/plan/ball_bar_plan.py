@@ -23,7 +23,7 @@ from truearm.plan.region import Region, around, poses_in
 from truearm.plan.roadmap import roadmaps
 from truearm.plan.route import ONCE, Route, Visits, n_checks, route
 from truearm.plan.shells import candidates
-from truearm.progress import Advance, part_of, step
+from truearm.progress import Advance, step
 from truearm.text import counted
 from truearm.types import Floats, Plan, Rig
 from truearm.units import UNITS
@@ -142,10 +142,10 @@ def _planned(
     advance: Advance,
 ) -> BallBarPlan:
     looked, linked = LOOKING if wanted.n_poses is None else LOOKING_ONCE
-    with part_of(advance, 0.0, looked):
-        candidate_poses = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
-    with part_of(advance, looked, linked):
-        candidate_poses, graphs = roadmaps(site, candidate_poses)
+    candidate_poses = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
+    advance(looked)
+    candidate_poses, graphs = roadmaps(site, candidate_poses)
+    advance(linked)
     if (wanted.n_poses or 0) > len(candidate_poses):
         raise PlanError(
             f"only {len(candidate_poses)} of {wanted.n_candidates} candidates are within reach with the bar attached, too few for "
