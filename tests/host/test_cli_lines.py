@@ -114,9 +114,8 @@ def test_export_session_has_every_row_of_the_plan_and_every_pass(folder, said, t
     for title, key in (("line", "line"), ("pose", "pose"), ("speed_m_s", "speed_m_s"), ("points", "points")):
         assert passes[title].tolist() == [one[key] for one in listed]
     assert plan["line"][passes["pose"]].tolist() == passes["line"].tolist()
-    np.testing.assert_array_equal(
-        [passes[f"noise_{axis}_m"] for axis in "xyz"], np.transpose([one["noise_m"] for one in listed])
-    )
+    for title in ("noise_x_m", "noise_y_m", "noise_z_m", "window_s"):
+        np.testing.assert_array_equal(passes[title], [one[title] for one in listed])
     assert set(passes["reason"]) == {""}
     assert passes["points"].sum() == rows["kind"].size
     assert (passes["host_start_ns"] < passes["host_end_ns"]).all()

@@ -264,11 +264,13 @@ def dwell_columns(survey: Survey, dwells: Sequence[Dwell], joint_units: Sequence
     return {
         "dwell": np.arange(1, len(dwells) + 1),
         "reason": _of(dwells, "reason", np.str_),
+        "detail": _of(dwells, "detail", np.str_),
         "host_start_ns": _of(dwells, "start_host_ns", int),
         "host_end_ns": _of(dwells, "end_host_ns", int),
         "segment": _of(dwells, "segment", int),
         "controller_start_s": _of(dwells, "start_s"),
         "controller_end_s": _of(dwells, "end_s"),
+        "settling_s": _of(dwells, "start_s") - _of(dwells, "stood_s"),
         "pose": _poses(dwells),
         **_mounted([dwell.mounted for dwell in dwells], ("shell", *BAR_MOUNTED)),
         "readings": _of(dwells, "n_readings", int),
@@ -304,12 +306,22 @@ def pass_columns(passes: Sequence[LinePass]) -> Columns:
         "speed_m_s": _of(passes, "speed"),
         "points": np.array([len(line_pass.xyz) for line_pass in passes], dtype=np.int64),
         "points_dropped": np.array([sum(line_pass.dropped.values()) for line_pass in passes], dtype=np.int64),
+        "dropped": np.array([", ".join(line_pass.dropped) for line_pass in passes], dtype=np.str_),
+        "window_s": 2e-9 * _of(passes, "window_ns"),
         "samples": _of(passes, "n_samples", int),
         **{f"noise_{axis}_m": noise[:, k] for k, axis in enumerate("xyz")},
         "correlation_s": _of(passes, "correlation_s"),
+        "joint_noise_si": np.array([line_pass.q_noise.max(initial=0.0) for line_pass in passes]),
         "time_sigma_s": _of(passes, "time_sigma_s"),
         "clock_bound_ns": _of(passes, "clock_bound_ns"),
     }
+
+
+def rows_of(columns: Columns) -> list[dict[str, Any]]:
+    """Return dwells or passes as one mapping per row, whose ``pose`` is None if it is unknown."""
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    entries = (dict(zip(columns, row, strict=True)) for row in rows)
+    return [{**entry, "pose": None if entry["pose"] == UNKNOWN else entry["pose"]} for entry in entries]
 
 
 def _of(items: Sequence[object], name: str, kind: type = float) -> NDArray[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +14,13 @@ from truearm.findings import entries
 from truearm.progress import step
 from truearm.report.session_findings import session_findings
 from truearm.session.joint_format import parse_line
+from truearm.session.session_tables import dwell_columns, pass_columns, rows_of
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM
 from truearm.workflows.session_observations import attached_rig, surveyed
 
 if TYPE_CHECKING:
-    from truearm.session.dwells import Dwell
-    from truearm.session.line_passes import LinePass
     from truearm.session.observations import Survey
     from truearm.session.session_file import Messages, Session
     from truearm.session.streams import Silences
@@ -162,7 +161,7 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
         "observations": None,
         "samples_used": None,
         "not_paired": None,
-        "table": _dwell_rows(survey.dwells),
+        "table": rows_of(dwell_columns(survey, survey.dwells)),
     }
     planned = sum(row.move == Move.LINE for row in survey.marks.rows)
     passes: dict[str, Any] = {"planned": planned, "found": None, "rejected": {}, "points": None, "table": []}
@@ -183,57 +182,15 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
         "observations": sum(not dwell.reason for dwell in result.dwells),
         "samples_used": result.samples_used,
         "clock_bound_ns": max(bounds, default=None),
-        "table": _dwell_rows(result.dwells),
+        "table": rows_of(dwell_columns(survey, result.dwells)),
     }
     passes |= {
         "found": len(result.passes),
         "rejected": result.pass_reasons,
         "points": sum(len(line_pass.xyz) for line_pass in result.passes),
-        "table": [_pass_row(number, line_pass) for number, line_pass in enumerate(result.passes, start=1)],
+        "table": rows_of(pass_columns(result.passes)),
     }
     return document
-
-
-def _pass_row(number: int, line_pass: LinePass) -> dict[str, Any]:
-    """Describe a pass: time, line and direction, what was measured and how well, or why not."""
-    return {
-        "pass": number,
-        "t_robot_s": line_pass.leg.start_s,
-        "line": line_pass.mounted["line"],
-        "pose": line_pass.pose,
-        "direction": line_pass.direction,
-        "speed_m_s": line_pass.speed,
-        "points": len(line_pass.xyz),
-        "dropped": line_pass.dropped,
-        "window_s": 2e-9 * line_pass.window_ns,
-        "noise_m": line_pass.noise.tolist(),
-        "correlation_s": line_pass.correlation_s,
-        "joint_noise": line_pass.q_noise.tolist(),
-        "joint_error": line_pass.q_error,
-        "time_sigma_s": line_pass.time_sigma_s,
-        "clock_bound_ns": line_pass.clock_bound_ns,
-        "reason": line_pass.reason,
-    }
-
-
-def _dwell_rows(dwells: Collection[Dwell]) -> list[dict[str, Any]]:
-    """Describe every stop: time, how long it is used and took to settle, what it measures, and why it is rejected."""
-    return [
-        {
-            "dwell": number,
-            "t_robot_s": dwell.stood_s,
-            "settling_s": dwell.start_s - dwell.stood_s,
-            "used_s": 0.0 if dwell.reason else dwell.end_s - dwell.start_s,
-            "pose": dwell.pose,
-            **dwell.mounted,
-            "length_m": dwell.value,
-            "noise_m": dwell.noise,
-            "drift_m": dwell.drift,
-            "reason": dwell.reason,
-            "detail": dwell.detail,
-        }
-        for number, dwell in enumerate(dwells, start=1)
-    ]
 
 
 def _tally(words: list[str]) -> dict[str, int]:
