@@ -302,7 +302,7 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     ),
     "wrong-suffix": (
         "{place}: is not a name for this kind of file",
-        "give [a name that ends in {suffixes}||the name of a file][; {@as_json} prints {what} to standard output]",
+        "give [a name that ends in {suffixes}||the name of a file][{stream:!}; {@as_json} prints to standard output]",
     ),
     "in-use": ("{place}: is still being written", "end that recording first, or give another name"),
     # names and options

@@ -266,7 +266,6 @@ OPTIONS = {
     f"{CORRECT} --model ur5e": "robot ur5e",
     f"{CORRECT} --method magic": "magic",
     f"{CORRECT} --mark": "--mark needs --partial",
-    f"{CORRECT} --harmless=grip": "give --unchanged NAME",
     CORRECT.replace("new.csv", "-"): "wrong-suffix",
     CORRECT.replace(
         "targets.csv", "targets.urdf"
@@ -278,9 +277,7 @@ OPTIONS = {
     f"{CORRECT} --work 1e9,0,0,0,0,0": "--work",
     f"{CORRECT} --margin nan": "--margin",
     f"{CORRECT} --margin 1.0": "too near",
-    f"{CORRECT} --residuals-out new.csv": "--json have",
     f"{CORRECT} --steps 3": "--steps: 3",
-    f"{CORRECT} --split": "one target always get their own",
     f"{CORRECT} --strict": "targets.csv:",
     f"{CORRECT} --joint-moves keep": "--joint-moves",
     f"{CORRECT} --partial": "--partial",

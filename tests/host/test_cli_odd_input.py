@@ -82,7 +82,6 @@ CASES = {
     "nothing between commas": ((*IDENTIFY, "--also-free", ","), "matches no parameter"),
     "an open bracket": ((*IDENTIFY, "--free", "["), "matches no parameter"),
     "a fraction of nothing": ((*IDENTIFY, "--hold-out", "1e-300"), "less than one row"),
-    "papers that are notebooks": (("reproduce", "goswami"), "notebooks/goswami_1993.ipynb"),
     "a demo into the folder of no name": (("demo", "--out", ""), "file-exists"),
     "a demo into a file": (("demo", "--out", "t.csv"), "cannot be used as"),
     "a demo into a stranger's folder": (("demo", "--out", "."), "file-exists"),

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 from truearm.bounds import Within
 from truearm.cli.command import Answer, command
-from truearm.errors import InputError
 from truearm.units import MM
 from truearm.workflows.requests import CharacterizeFiles
 
@@ -42,8 +40,6 @@ def characterize(
     from truearm.report.repeatability_findings import joint_table
     from truearm.workflows.characterize import characterize_files
 
-    if files.out == Path("-"):
-        raise InputError("wrong-suffix", place="-", what="the result")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     document = characterize_files(files, bands)
     return Answer(document, tables=[joint_table(document)], written=[files.out])

@@ -79,12 +79,14 @@ class ProjectCommand(TyperCommand):
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. Raises InputError for an option that is nan or inf, which typer accepts, and for a file of another kind."""
+        """Run the command. Raises InputError for nan, inf and "-", which typer accepts, and for a file of another kind."""
         for parameter in self.params:
             argument = ctx.params[parameter.name or ""]
             for value in argument if isinstance(argument, list | tuple) else (argument,):
                 if isinstance(value, float) and not math.isfinite(value):
                     raise InputError(f"{parameter.opts[0]} must be a finite number, is {value}")
+                if value in ("-", Path("-")) and parameter.type.name == "path":
+                    raise InputError("wrong-suffix", place=parameter.opts[0], stream=True)
                 if parameter.name in TAKES and isinstance(value, str | Path):
                     _check_kind(parameter.name, value, self.params)
         project_words = [

@@ -199,17 +199,13 @@ def check_writable(
         raise InputError("wrong-suffix", place=path, suffixes=" or ".join(suffixes))
 
 
-def check_outputs(
-    outputs: Iterable[tuple[str, Path | None]], force: bool, inputs: Iterable[Path], shown: str = "the result"
-) -> None:
+def check_outputs(outputs: Iterable[tuple[str, Path | None]], force: bool, inputs: Iterable[Path]) -> None:
     """Raise InputError if a file to write, of a kind, cannot be written or would replace an input or another output.
 
-    None stands for a file that is not wanted. ``shown``: what a command prints in place of a file.
+    None stands for a file that is not wanted.
     """
     earlier = list(inputs)
     for kind, path in outputs:
-        if path == Path("-"):
-            raise InputError("wrong-suffix", place=path, what=shown)
         if path is not None:
             check_writable(path, force, inputs=earlier, kind=kind)
             earlier.append(path)

@@ -232,7 +232,6 @@ def read_calibration(result: Path, choice: RobotChoice = NO_ROBOT) -> Calibratio
 
     Raises InputError if the two do not belong together.
     """
-    check_names(result)
     stored = read_result(result)
     frames = stored.robot
     name, base, tip = choice
@@ -302,12 +301,6 @@ def _laws_of(stored: Result, robot: Robot, result: str) -> tuple[Law, ...]:
         if not (law.joint < joints and all(law.joint < frame <= joints for frame in frames)):
             raise InputError(f"{result}: a joint law belongs to a joint that the robot does not have; identify again")
     return stored.laws
-
-
-def check_names(*paths: Path | None) -> None:
-    """Raise InputError for "-": these arguments cannot be standard input or standard output."""
-    if Path("-") in paths:
-        raise InputError("wrong-suffix", place="-")
 
 
 def chosen_mountings(calibration: Calibration, own_frames: bool) -> Mountings:

@@ -29,7 +29,6 @@ from truearm.types import Floats
 from truearm.workflows.calibration import (
     Calibration,
     check_joints,
-    check_names,
     chosen_mountings,
     mounting_values,
     undetermined,
@@ -74,7 +73,6 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
 
     Raises InputError with a one-line message, and then writes nothing.
     """
-    check_names(files.targets, files.out, files.report)
     _refuse_steps(options)
     read = [files.result, files.targets, *files.robot.files]
     programs = read_program_files(files.targets) if is_program(files.targets) else None

@@ -26,7 +26,6 @@ from truearm.types import CurveKnots, Floats, rms, thinned
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import (
     Calibration,
-    check_names,
     check_within,
     largest_readings,
     mounting_values,
@@ -118,7 +117,6 @@ def export_findings(form: str, fitted: FormatFit, is_default: bool = False) -> l
 @step("exporting the robot")
 def export_file(files: ExportFiles) -> ExportedRobot:
     """Write the calibrated robot. Raises InputError, and then writes nothing."""
-    check_names(files.result, files.out, files.over, files.curves_out)
     inputs = [files.result, *files.robot.files, *filter(None, [files.over])]
     check_writable(files.out, files.force, inputs=inputs, kind="exported", suffixes=[FORMATS[files.format].suffix])
     check_outputs([("curves", files.curves_out)], files.force, [*inputs, files.out])

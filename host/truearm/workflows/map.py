@@ -26,7 +26,6 @@ from truearm.units import MM, key, number
 from truearm.workflows.calibration import (
     Calibration,
     check_joints,
-    check_names,
     chosen_mountings,
     undetermined,
     unseen_within,
@@ -80,7 +79,6 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
 
     Raises InputError with a one-line message.
     """
-    check_names(files.out, files.picture_out, files.report)
     outputs = [("map", files.out), ("picture", files.picture_out), ("page", files.report)]
     check_outputs(outputs, files.force, [files.result, *files.robot.files])
     grid = mapped(calibration, section)

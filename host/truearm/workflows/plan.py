@@ -322,7 +322,7 @@ def _check(files: PlanFiles) -> None:
         check_suffix(path.suffix.lower())
     read = [*files.robot.files, files.rig, files.result, *files.measured]
     outputs = [("plan", files.out), ("rig", files.rig_out), *(("program", path) for path in files.program_out)]
-    check_outputs(outputs, files.force, filter(None, read), "the forecast")
+    check_outputs(outputs, files.force, filter(None, read))
 
 
 def _read_knowledge(files: PlanFiles) -> Knowledge:
