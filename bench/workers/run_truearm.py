@@ -16,8 +16,7 @@ from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solution import Options
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import point_forward
-from truearm.model.constant_folding import _folded
+from truearm.model.chain import _folded, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.types import BallBar, Device, Point, Rig
 from truearm.workflows.identify import Selection, identified
