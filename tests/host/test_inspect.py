@@ -17,8 +17,9 @@ from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.report.session_findings import REJECTED
 from truearm.session import dwells, line_passes
+from truearm.session.session_file import columns_of
 from truearm.types import Message
-from truearm.workflows.inspect import printable
+from truearm.workflows.inspect import Contents, printable
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
 
 EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
@@ -281,3 +282,15 @@ def test_readings_of_other_joints_are_malformed(stream, tmp_path, run):
 )
 def test_shown(data, text):
     assert printable(data) == text
+
+
+@pytest.mark.parametrize("batch", [1, 3, 1000])
+def test_silences_of_the_box(batch):
+    """Longer than two seconds, or however short if the recorder lost the box."""
+    times = [t for k in range(400) if not 20.05e9 < (t := k * 10**8) < 25.95e9]
+    rows = [Message("/box/adc", t, b"") for t in times] + [Message("/events", 35_050_000_000, b'{"kind":"link-lost"}')]
+    rows = [*sorted(rows, key=lambda m: m.t_host_ns), Message("/events", 41_950_000_000, b"{}")]
+    contents = Contents()
+    list(contents.watched(columns_of(rows[at : at + batch]) for at in range(0, len(rows), batch)))
+    expected = [(20_000_000_000, 26_000_000_000), (35_000_000_000, 35_100_000_000), (39_900_000_000, 41_950_000_000)]
+    assert contents.silences == expected

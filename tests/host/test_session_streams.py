@@ -13,7 +13,7 @@ from session_stream import CHANNELS, PERIOD_NS, Box, ident_document
 from truearm.session import streams
 from truearm.session.box_ident import parse_ident
 from truearm.session.session_file import columns_of
-from truearm.session.streams import BoxReader, Silences
+from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire
 
@@ -191,19 +191,6 @@ def test_counts_of_frames_of_several_lengths():
     (blocks,) = reader.feed(columns_of(box.messages)) + reader.finish()
     np.testing.assert_array_equal(blocks.counts, np.concatenate(sent))
     assert blocks.within_ns().tolist() == [k * PERIOD_NS for counts in sent for k in range(len(counts))]
-
-
-@pytest.mark.parametrize("batch", [1, 3, 1000])
-def test_silences_of_the_box(batch):
-    """Longer than two seconds, or however short if the recorder lost the box."""
-    times = [t for k in range(400) if not 20.05e9 < (t := k * 10**8) < 25.95e9]
-    rows = [Message("/box/adc", t, b"") for t in times] + [Message("/events", 35_050_000_000, b'{"kind":"link-lost"}')]
-    rows = [*sorted(rows, key=lambda m: m.t_host_ns), Message("/events", 41_950_000_000, b"{}")]
-    silences = Silences()
-    for at in range(0, len(rows), batch):
-        silences.take(columns_of(rows[at : at + batch]))
-    expected = [(20_000_000_000, 26_000_000_000), (35_000_000_000, 35_100_000_000), (39_900_000_000, 41_950_000_000)]
-    assert silences.finish() == expected
 
 
 @pytest.mark.parametrize("seed", range(20))

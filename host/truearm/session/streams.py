@@ -35,7 +35,7 @@ WRAP = 2**30
 _ELEMENTS = [entry.partition(":")[::2] for entry in wire.LAYOUT[wire.HEARTBEAT][1:]]  # name and type, after seq
 COUNTERS = tuple(name for name, kind in _ELEMENTS if kind == "counter")
 # element → what is kept of it, and the name of the result
-EXTREMES: Mapping[str, tuple[Callable[[int, int], int], str]] = {
+EXTREMES: Mapping[str, tuple[Callable[..., Any], str]] = {
     name: (max, name) if kind == "largest" else (min, f"{name}_min")
     for name, kind in _ELEMENTS
     if kind in ("largest", "smallest")
@@ -67,23 +67,18 @@ def summary_of(boots: Sequence[tuple[Heartbeats, bool]]) -> Summary:
 
     ``boots``: the heartbeats of each boot, and whether it began in the session.
     """
-    total: Counter[str] = Counter()
-    worst: dict[str, int | None] = {key: None for _, key in EXTREMES.values()}
-    for beats, booted in boots:
-        total["heartbeats"] += beats.count
-        for name in COUNTERS:
-            begin = beats.first.get(name, 0)
-            total[name] += (beats.last.get(name, 0) - begin) % WRAP + (begin if booted else 0)
-        for extreme, key in EXTREMES.values():
-            values = [value for value in (worst[key], beats.worst.get(key)) if value is not None]
-            worst[key] = extreme(*values) if len(values) == 2 else values[0] if values else None
-    return {"heartbeats": total["heartbeats"], **{name: total[name] for name in COUNTERS}, **worst}
+    counters = dict.fromkeys(COUNTERS, 0)
+    for (beats, booted), name in product(boots, COUNTERS):
+        begin = beats.first.get(name, 0)
+        counters[name] += (beats.last.get(name, 0) - begin) % WRAP + (begin if booted else 0)
+    worst: dict[str, int | None] = {
+        key: extreme((beats.worst[key] for beats, _ in boots if key in beats.worst), default=None)
+        for extreme, key in EXTREMES.values()
+    }
+    return {"heartbeats": sum(beats.count for beats, _ in boots), **counters, **worst}
 
 
 # ------------------------------------------------------------------------------------------------------------- accounts
-
-SILENT_NS = 2_000_000_000  # a healthy box sends a heartbeat every second
-_GONE = (b'"link-lost"', b'"box-gone"')  # counted however short the silence was
 
 
 @dataclass(frozen=True)
@@ -113,41 +108,6 @@ class Losses:
     sync_requests: int = 0
     sync_unanswered: int = 0
     box: Summary = field(default_factory=lambda: summary_of([]))  # the box's own counters, from its heartbeats
-
-
-class Silences:
-    """Times in a session when the box sent nothing at all: the link was lost or the box hung.
-
-    ``gaps`` holds the host times [ns] of the last message before and the first one after, or of the session's last
-    message. Frames that a box sent meanwhile and the link lost also show in ``seq``, if the box came back. ``last_ns``:
-    of the session's newest message.
-    """
-
-    def __init__(self) -> None:
-        self.gaps: list[tuple[int, int]] = []
-        self.last_ns = 0
-        self._box_ns: Ints = np.empty(0, np.int64)  # of the box's last message
-        self._gone_ns: list[int] = []  # the recorder reported that it lost the box
-
-    def take(self, messages: Messages) -> None:
-        """Take a batch of messages of the session, on any topics."""
-        events = messages.rows(lambda topic: topic == "/events").tolist()
-        loss_rows = [row for row in events if any(kind in messages.payload(row) for kind in _GONE)]
-        self._gone_ns += messages.t_host_ns[loss_rows].tolist()
-        self._close(messages.t_host_ns[messages.rows(lambda topic: topic.startswith("/box/"))])
-        self.last_ns = max(self.last_ns, int(messages.t_host_ns.max(initial=0)))
-
-    def finish(self) -> list[tuple[int, int]]:
-        """Return all gaps at the end of the session."""
-        self._close(np.array([self.last_ns]))
-        return self.gaps
-
-    def _close(self, t_ns: Ints) -> None:
-        t_ns = np.append(self._box_ns, t_ns)
-        losses_before = np.searchsorted(self._gone_ns, t_ns)
-        silent = np.flatnonzero((np.diff(t_ns) > SILENT_NS) | ((np.diff(losses_before) > 0) & (np.diff(t_ns) > 0)))
-        self.gaps += zip(t_ns[silent].tolist(), t_ns[silent + 1].tolist(), strict=True)
-        self._box_ns = t_ns[-1:]
 
 
 COUNTED = ("blocks", "samples", "samples_lost", "samples_overrun", "converter_faults", "starts")  # see Losses

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from truearm.errors import InputError
 from truearm.files.labels_file import read_labels
 from truearm.files.strict_json import without_nan
@@ -23,23 +25,29 @@ from truearm.workflows.session_observations import attached_rig, surveyed
 if TYPE_CHECKING:
     from truearm.session.observations import Survey
     from truearm.session.session_file import Messages, Session
-    from truearm.session.streams import Silences
+    from truearm.types import Ints
 
 CONSOLE_RUNS = 10  # displayed of the box's text
 CONSOLE_BYTES = 400  # displayed of each run
+SILENT_NS = 2_000_000_000  # a healthy box sends a heartbeat every second
+GONE = (b'"link-lost"', b'"box-gone"')  # counted however short the silence was
 
 
 class Contents:
-    """Takes what only inspection wants of messages as they pass: their times, and the texts of box and robot."""
+    """Takes what only inspection wants of messages as they pass: their times, and the texts of box and robot.
+
+    ``silences``: when the box sent nothing at all, as its link was lost or it hung. They are pairs of host times [ns], of
+    the last message before and of the first one after, or of the session's last message.
+    """
 
     def __init__(self) -> None:
-        from truearm.session.streams import Silences
-
         self.first_ns, self.last_ns = 2**63 - 1, 0
         self.console: list[bytes] = []  # the first texts of the box
         self.robot_bytes = 0  # of what is no joint reading
         self.other_joints = 0  # readings with a different number of joints, which the recorder did not accept
-        self.silences = Silences()
+        self.silences: list[tuple[int, int]] = []
+        self._box_ns = np.empty(0, np.int64)  # of the box's last message
+        self._gone_ns: list[int] = []  # the recorder reported that it lost the box
         self._watched = False
 
     def watched(self, batches: Iterator[Messages]) -> Iterator[Messages]:
@@ -50,8 +58,8 @@ class Contents:
         self._watched = True
         for messages in batches:
             self._take(messages)
-            self.silences.take(messages)
             yield messages
+        self._box_heard(np.array([self.last_ns]))
 
     def _take(self, messages: Messages) -> None:
         self.first_ns = int(messages.t_host_ns.min(initial=self.first_ns))
@@ -61,6 +69,18 @@ class Contents:
         self.other_joints += sum(parse_line(line) is not None for line in robot)
         rows = messages.rows("/box/console".__eq__)[: CONSOLE_RUNS - len(self.console)]
         self.console += [data[:CONSOLE_BYTES] for data in messages.payloads(rows)]
+        events = messages.rows("/events".__eq__).tolist()
+        losses = [row for row in events if any(kind in messages.payload(row) for kind in GONE)]
+        self._gone_ns += messages.t_host_ns[losses].tolist()
+        self._box_heard(messages.t_host_ns[messages.rows(lambda topic: topic.startswith("/box/"))])
+
+    def _box_heard(self, t_ns: Ints) -> None:
+        """Take the times of the box's messages, at the end that of the session's last message."""
+        t_ns = np.append(self._box_ns, t_ns)
+        losses_before = np.searchsorted(self._gone_ns, t_ns)
+        silent = np.flatnonzero((np.diff(t_ns) > SILENT_NS) | ((np.diff(losses_before) > 0) & (np.diff(t_ns) > 0)))
+        self.silences += zip(t_ns[silent].tolist(), t_ns[silent + 1].tolist(), strict=True)
+        self._box_ns = t_ns[-1:]
 
 
 @step("inspecting the session")
@@ -83,7 +103,7 @@ def describe(session: Session) -> dict[str, Any]:
         "simulated": any(ident.simulated for ident in survey.idents.values()),
         "firmware": sorted({ident.firmware for ident in survey.idents.values()}),
         "streams": [_stream(stream, survey) for stream in survey.streams],
-        "losses": asdict(survey.losses) | _silences(contents.silences, contents.first_ns, survey),
+        "losses": asdict(survey.losses) | _silences(contents, survey),
         "console": [printable(data) for data in contents.console],
         "clock": [asdict(report) for report in survey.clock_reports],
         "temperature_degc": {
@@ -117,16 +137,16 @@ def _stream(stream: Any, survey: Survey) -> dict[str, Any]:
     }
 
 
-def _silences(silences: Silences, begin_ns: int, survey: Survey) -> dict[str, Any]:
+def _silences(contents: Contents, survey: Survey) -> dict[str, Any]:
     """Return the times when nothing came from the box, in seconds of the session, and the number of samples lost in them.
 
     After a silence the indices of the samples tell what is missing: a computer that slept receives everything late. They
     do not where the box began again, or the silence never ended; then it is what the box would have taken.
     """
-    gaps, losses = silences.finish(), survey.losses
+    gaps, begin_ns, losses = contents.silences, contents.first_ns, survey.losses
     rate_hz = sum(NS.factor / stream.period_ns for stream in survey.streams if stream.period_ns)
     begun_again = losses.restarts or losses.starts
-    ended_ns = sum(end - start for start, end in gaps if end < silences.last_ns and not begun_again)
+    ended_ns = sum(end - start for start, end in gaps if end < contents.last_ns and not begun_again)
     endless_ns = sum(end - start for start, end in gaps) - ended_ns
     counted = min(losses.samples_lost + losses.samples_overrun, round(NS.to_si(ended_ns) * rate_hz))
     return {
