@@ -10,12 +10,12 @@ A table is written by the robot or its logger, and read row by row: a day at 500
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from io import TextIOWrapper
-from itertools import chain
+from itertools import chain, cycle
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from truearm.errors import Argument, InputError, TableError
 from truearm.file_names import open_input, reading
@@ -23,7 +23,7 @@ from truearm.files.csv_cells import MAX_COLUMNS, NUMBER, Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted
-from truearm.session.joint_format import MAX_JOINTS, format_reading, parse_line
+from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_line
 from truearm.units import SUFFIXES
 
 # to divide by: 1e-9 is not exact in binary
@@ -34,32 +34,63 @@ _TIME = re.compile(r"t_(s|ms|us|ns)")
 _JOINT = re.compile(r"(q|qd)([1-9]\d?)(_cmd)?_(rad|deg|m|mm)(_s)?")
 _WHOLE = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
-Place = tuple[int, float]  # position of a column, and the factor to SI
+QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
+CONVERTED = ("q", "q_cmd", "qd")  # of joints, with units
+MAX_TIME = 2**63  # in any unit: nanoseconds since 1970 are 2⁶¹
+
+Name = str | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Names:
+    """The names and units in a robot's rows.
+
+    ``keys``: the key of a quantity, or the keys of its joints. ``scale``: factors of a quantity to SI, one for all joints or
+    one each. Time is divided by ``t_per_second``.
+    """
+
+    keys: Mapping[str, Name] = field(default_factory=dict)
+    scale: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    t_per_second: int = 1
+
+    def line(self, row: Mapping[str, Any], **more: object) -> bytes | None:
+        """Return a row as a line of a session, with ``more`` entries; None if it is not a reading."""
+        values = {quantity: self._value(row, quantity) for quantity in QUANTITIES}
+        t, seq, q = (values.pop(name) for name in ("t", "seq", "q"))
+        if type(t) not in (int, float) or not abs(t) < MAX_TIME or q is None:
+            return None
+        return format_reading(t / self.t_per_second, seq, q, **values, **more)
+
+    def _value(self, row: Mapping[str, Any], quantity: str) -> Any:
+        """Return a value of a row, joints in SI; None if it is invalid, or the number of joints is not that of the units."""
+        key = self.keys.get(quantity, quantity)
+        value = row.get(key) if isinstance(key, str) else [row.get(name) for name in key]
+        if quantity in ("t", "seq"):
+            return value
+        if quantity == "inputs":
+            return value if type(value) is int else None
+        scale = self.scale.get(quantity, (1.0,))
+        if not are_joints(value) or len(scale) not in (1, len(value)):
+            return None
+        return [factor * number for factor, number in zip(cycle(scale), value, strict=False)]
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Positions of the columns in a row."""
+    """The columns of a table: titles, each with the function that reads its cells, None for one that is skipped."""
 
-    width: int
-    t: tuple[int, int]  # position, and how many units make a second
-    q: tuple[Place, ...]
-    q_cmd: tuple[Place, ...]
-    qd: tuple[Place, ...]
-    seq: int | None
-    inputs: int | None
+    titles: tuple[tuple[str, Callable[[str], float] | None], ...]
+    names: Names
 
-    def line(self, cells: Sequence[str], **optional: object) -> bytes | None:
-        """Return the reading in a row as a line of a session, with ``optional`` values added; None if the row is not a reading."""
-        if len(cells) != self.width:
+    def line(self, cells: Sequence[str], **more: object) -> bytes | None:
+        """Return a row as a line of a session, with ``more`` entries; None if it is not a reading."""
+        if len(cells) != len(self.titles):
             return None
         try:
-            t = _number(cells[self.t[0]]) / self.t[1]
-            q, q_cmd, qd = ([_scaled(cells, place) for place in part] or None for part in (self.q, self.q_cmd, self.qd))
-            seq, inputs = (None if at is None else _whole(cells[at]) for at in (self.seq, self.inputs))
+            row = {title: read(cell) for (title, read), cell in zip(self.titles, cells, strict=True) if read}
         except ValueError:
             return None
-        return format_reading(t, seq, q or [], q_cmd=q_cmd, qd=qd, inputs=inputs, **optional)
+        return self.names.line(row, **more)
 
 
 NUMBERED = "{}"  # stands for the number of a joint
@@ -126,23 +157,27 @@ def read_columns(titles: Sequence[str]) -> Columns:
     """Return the columns named by a header. Raises InputError."""
     if len(titles) > MAX_COLUMNS:
         raise InputError(f"{len(titles)} columns; the maximum is {MAX_COLUMNS}")
-    single: dict[str, Place] = {}
-    joints: dict[str, dict[int, Place]] = {"q": {}, "q_cmd": {}, "qd": {}}
-    for position, title in enumerate(titles):
-        if title == "note" or title.startswith("x_"):
-            continue
-        quantity, number, scale = _quantity(title)
-        known: dict[str, Place] | dict[int, Place] = joints[quantity] if number else single
-        key = number or quantity
-        if key in known:
-            raise InputError("given-twice", place=f"column {quoted(title)}", what=f"{quantity}{number or ''}")
-        known[key] = (position, scale)  # type: ignore[index]
-    if "t" not in single:
+    places: dict[tuple[str, int], tuple[str, float]] = {}  # quantity and joint: title and factor
+    for title in titles:
+        if title != "note" and not title.startswith("x_"):
+            quantity, number, factor = _quantity(title)
+            if (quantity, number) in places:
+                raise InputError("given-twice", place=f"column {quoted(title)}", what=f"{quantity}{number or ''}")
+            places[quantity, number] = title, factor
+    if ("t", 0) not in places:
         raise InputError("missing-column", column="t_s", example=EXAMPLE)
-    q, q_cmd, qd = (_in_order(quantity, joints[quantity], len(joints["q"])) for quantity in joints)
-    places = {name: single[name][0] if name in single else None for name in ("seq", "inputs")}
-    t = (single["t"][0], int(single["t"][1]))
-    return Columns(len(titles), t, q, q_cmd, qd, places["seq"], places["inputs"])
+    t_title, t_per_second = places["t", 0]
+    keys: dict[str, Name] = {"t": t_title}
+    scale: dict[str, tuple[float, ...]] = {}
+    n = sum(name == "q" for name, _ in places)
+    for quantity in CONVERTED:
+        numbers = sorted(number for name, number in places if name == quantity)
+        if numbers not in ([], [*range(1, n + 1)]) or not 1 <= n <= MAX_JOINTS:
+            raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}")
+        if numbers:
+            keys[quantity], scale[quantity] = zip(*(places[quantity, number] for number in numbers), strict=True)
+    readers = {title: _whole if name in ("seq", "inputs") else _number for (name, _), (title, _) in places.items()}
+    return Columns(tuple((title, readers.get(title)) for title in titles), Names(keys, scale, int(t_per_second)))
 
 
 def _quantity(title: str) -> tuple[str, int, float]:
@@ -159,19 +194,6 @@ def _quantity(title: str) -> tuple[str, int, float]:
             remedy=f"expected a header such as {EXAMPLE}; columns x_... are ignored",
         )
     return match[1] + (match[3] or ""), int(match[2]), SUFFIXES[match[4]].scale
-
-
-def _in_order(quantity: str, places: dict[int, Place], n: int) -> tuple[Place, ...]:
-    """Return the positions of a quantity in joint order, for all n joints or (except for q) for none."""
-    if ((places or quantity == "q") and sorted(places) != list(range(1, n + 1))) or (
-        quantity == "q" and not 1 <= n <= MAX_JOINTS
-    ):
-        raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}")
-    return tuple(places[number] for number in sorted(places))
-
-
-def _scaled(cells: Sequence[str], place: Place) -> float:
-    return _number(cells[place[0]]) * place[1]
 
 
 def _number(cell: str) -> float:
@@ -232,7 +254,7 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
             reading = None if line is None else parse_line(line)
             if line is None or reading is None:
                 raise TableError(
-                    f"{path} row {number}: is not a reading: it needs {columns.width} numbers, with t not negative"
+                    f"{path} row {number}: is not a reading: it needs {len(columns.titles)} numbers, with t not negative"
                 )
             if reading.t < last:
                 raise TableError(

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import json
 import socket
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 from urllib.parse import parse_qsl
 
@@ -38,9 +38,9 @@ from truearm.record.links import (
     backlog_of,
     host_and_port,
 )
-from truearm.record.robots.joint_table import PER_SECOND, Columns, read_columns
+from truearm.record.robots.joint_table import CONVERTED, PER_SECOND, QUANTITIES, Columns, Name, Names, read_columns
 from truearm.schema import quoted
-from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_line
+from truearm.session.joint_format import MAX_JOINTS, parse_line
 from truearm.units import SUFFIXES
 
 MAX_DATAGRAM = 8192  # bytes; a longer one is truncated, and the rest is not a reading
@@ -88,58 +88,7 @@ class UdpLink(StreamLink):
         return datagram
 
 
-QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
-MAX_TIME = 2**63  # in any unit: nanoseconds since 1970 are 2⁶¹
 OVERLONG = b"of a line that is too long: "  # before its pieces, so that none is taken for a reading
-
-Name = str | tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Names:
-    """Names and units in a robot's JSON: factors to SI, one for all joints or one each; time is divided."""
-
-    of: dict[str, Name] = field(default_factory=dict)  # quantity → key, or the keys of its joints
-    scale: tuple[float, ...] = (1.0,)
-    t_per_second: int = 1
-
-    @property
-    def ours(self) -> bool:
-        """Whether the lines need no conversion."""
-        return self == Names()
-
-    def line(self, text: str) -> bytes | None:
-        """Return the reading in a line as a line of a session; None if it is not a reading."""
-        try:
-            row = json.loads(text)
-        except (ValueError, RecursionError):
-            return None
-        if not isinstance(row, dict):
-            return None
-        values = {quantity: self._value(row, quantity) for quantity in QUANTITIES}
-        t, seq, q = (values.pop(name) for name in ("t", "seq", "q"))
-        joints = self._scaled(q)
-        if type(t) not in (int, float) or not abs(t) < MAX_TIME or joints is None:
-            return None
-        more = {name: self._scaled(values[name]) for name in ("q_cmd", "qd")}
-        more |= {name: values[name] if are_joints(values[name]) else None for name in ("current", "effort")}
-        inputs = values["inputs"] if type(values["inputs"]) is int else None
-        return format_reading(t / self.t_per_second, seq, joints, **more, inputs=inputs, line=text)
-
-    def _value(self, row: dict[str, Any], quantity: str) -> Any:
-        name = self.of.get(quantity, quantity)
-        return row.get(name) if isinstance(name, str) else _all_of(row, name)
-
-    def _scaled(self, values: Any) -> list[float] | None:
-        """Return joints in SI; None if they are invalid or their number differs from that of the units."""
-        if not are_joints(values) or len(self.scale) not in (1, len(values)):
-            return None
-        scale = self.scale if len(self.scale) > 1 else self.scale * len(values)
-        return [factor * value for factor, value in zip(scale, values, strict=True)]
-
-
-def _all_of(row: dict[str, Any], names: tuple[str, ...]) -> list[Any] | None:
-    return [row[name] for name in names] if all(name in row for name in names) else None
 
 
 def read_names(declaration: dict[str, Any], names: Names | None = None) -> Names:
@@ -155,13 +104,13 @@ def read_names(declaration: dict[str, Any], names: Names | None = None) -> Names
             raise InputError(
                 f"unit {quoted(str(declaration['unit']))} is not known; use rad, deg, m or mm, one for all joints or one per joint"
             )
-        names = replace(names, scale=tuple(SUFFIXES[unit].scale for unit in units))
+        names = replace(names, scale=dict.fromkeys(CONVERTED, tuple(SUFFIXES[unit].scale for unit in units)))
     if declaration.get("t_unit") is not None:
         unit = str(declaration["t_unit"])
         if unit not in PER_SECOND:
             raise InputError(f"t_unit {quoted(unit)} is not known; use s, ms, us or ns")
         names = replace(names, t_per_second=PER_SECOND[unit])
-    return replace(names, of=names.of | {quantity: _name(name) for quantity, name in keys.items()})
+    return replace(names, keys={**names.keys, **{quantity: _name(name) for quantity, name in keys.items()}})
 
 
 def _name(name: Any) -> Name:
@@ -199,21 +148,16 @@ class LineDialect:
         return line if self._columns is None else self._columns.line(cells, line=text) or line
 
     def _json(self, text: str, line: bytes) -> bytes:
-        if self._names.ours and parse_line(line) is not None:
+        if self._names == Names() and parse_line(line) is not None:
             return line
-        if ('unit"' in text or '"names"' in text) and (declaration := _declaration(text)) is not None:
-            self._names = read_names(declaration, self._names)
+        try:
+            row = json.loads(text)
+        except (ValueError, RecursionError):
             return line
-        return line if self._names.ours else self._names.line(text) or line
-
-
-def _declaration(text: str) -> dict[str, Any] | None:
-    """Return the declaration of names and units in a line, None if there is none."""
-    try:
-        declaration = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    return declaration if isinstance(declaration, dict) and set(declaration) <= {"names", "unit", "t_unit"} else None
+        if row and row.keys() <= {"names", "unit", "t_unit"}:
+            self._names = read_names(row, self._names)
+            return line
+        return line if self._names == Names() else self._names.line(row, line=text) or line
 
 
 def _declared(specified: dict[str, str]) -> tuple[Names, Columns | None]:
