@@ -76,7 +76,7 @@ def test_samples_of_a_stream(box):
     assert counts.shape[1] == 4
     shots = sample(box, streams[1], 0.5)
     assert shots.shape[1] == 1
-    assert box.lost_frames == 0
+    assert box.frame_count.lost == 0
 
 
 def test_a_lost_command_and_a_lost_answer_are_repeated_with_the_same_id(lab):

@@ -8,9 +8,10 @@ from record_live import box
 
 from truearm.box.control import Sent
 from truearm.box.monitor import Watch, clock_words, rows_of
+from truearm.record.frame_splitter import FrameCount
 from truearm_wire.messages import HEARTBEAT, TEMPERATURE
 
-LINK = SimpleNamespace(lost_frames=0)
+LINK = SimpleNamespace(frame_count=FrameCount())
 CALIBRATED = {"unit": "m", "poly": [[0, 0], [4, -2]], "serial": "", "date": "2026-01-01", "temperature_mdegc": 21_000}
 
 

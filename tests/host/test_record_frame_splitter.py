@@ -11,6 +11,7 @@ from record_box import array, data, frame, heartbeat, run_of, u32, u64
 
 from truearm.record.frame_splitter import (
     MAX_RUN,
+    FrameCount,
     FrameSplitter,
     Runs,
     frame_head,
@@ -138,6 +139,25 @@ class TestPayload:
     def test_any_bytes_are_looked_at_safely(self, raw):
         for look in (payload_of, frame_head, data_frame, decode):
             look(raw)
+
+
+@pytest.mark.parametrize(
+    ("counts", "lost", "odd"),
+    [
+        ([7, 8, 10, 11], 1, 0),
+        ([7, 8, 8, 9], 0, 1),
+        ([7, 8, 5000, 9, 10], 0, 1),  # 4991 frames were once said to be lost
+        ([7, 8, 5000, 11, 12], 2, 1),
+        ([7, 8, 5000, 5000, 5001], 4991, 1),
+        ([2**32 - 2, 40, 2**32 - 1, 0], 0, 1),
+        ([7, 8, 0, 1], 0, 2),  # restarted
+    ],
+)
+def test_frames_that_are_lost_or_out_of_place(counts, lost, odd):
+    count = FrameCount()
+    for seq in counts:
+        count.take(seq)
+    assert (count.lost, count.odd) == (lost, odd)
 
 
 class TestData:

@@ -15,7 +15,7 @@ import cbor2
 
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.progress import step
-from truearm.record.frame_splitter import FrameSplitter, frame_head
+from truearm.record.frame_splitter import FrameCount, FrameSplitter, frame_head
 from truearm.record.links import Clock, Link
 from truearm.record.requests import Requests
 from truearm.session.box_ident import Ident, decode_ident, load_document
@@ -30,7 +30,6 @@ SELF_TEST_RETRY_NS = 4 * SECOND  # it takes measurements for about a second
 CONFIG_PAGES_MAX = 16  # accepted by a box
 MAX_WAITING = 20_000  # unread frames; the oldest are dropped
 _READ_S = 0.05
-_SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
 
 NAMES = {
     wire.IDENTIFY: "identify",
@@ -62,16 +61,15 @@ class NoAnswer(LinkError):
 class BoxControl:
     """The host's side of the communication with a box.
 
-    ``ident`` is the box's latest description of itself. ``console_bytes`` counts bytes outside frames, ``lost_frames``
-    the gaps in the box's frame count. ``heartbeat`` is the latest one, by name.
+    ``ident`` is the box's latest description of itself. ``console_bytes`` counts bytes outside frames, ``frame_count``
+    the frames that are lost. ``heartbeat`` is the latest one, by name.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self.ident: Ident | None = None
         self.console_bytes = 0
-        self.lost_frames = 0
+        self.frame_count = FrameCount()
         self.heartbeat: dict[str, Any] = {}
-        self._next_seq: int | None = None
         self._link = link
         self._clock = clock
         self._requests = Requests(clock.now_ns())
@@ -198,7 +196,8 @@ class BoxControl:
 
     def _take(self, t_host_ns: int, payload: bytes) -> None:
         kind, seq = frame_head(payload)
-        self._count(seq)
+        if seq is not None and not self.frame_count.take(seq):
+            self.frame_count.clear()  # of a restarted box
         if kind == wire.DATA:
             data = data_frame(payload)
             if data is not None:
@@ -220,15 +219,6 @@ class BoxControl:
             if kind == wire.HEARTBEAT:
                 self.heartbeat = fields
             self._waiting.append(Sent(t_host_ns, kind, None, fields))
-
-    def _count(self, seq: int | None) -> None:
-        """Count gaps. A count that goes back means a late frame or a restarted box."""
-        if seq is None:
-            return
-        gap = 0 if self._next_seq is None else (seq - self._next_seq) & _SEQ_MASK
-        if gap < _SEQ_HALF:
-            self.lost_frames += gap
-        self._next_seq = (seq + 1) & _SEQ_MASK
 
     def _take_ident(self, fields: dict[str, Any]) -> None:
         document = self._ident_pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])

@@ -224,7 +224,7 @@ def losses(watch: Watch, box: BoxControl) -> str:
     """Return the counts of everything that went wrong, including zeros."""
     beat = watch.heartbeat
     counts = [
-        f"{counted(box.lost_frames, 'frame')} on the link",
+        f"{counted(box.frame_count.lost, 'frame')} on the link",
         f"{counted(beat.get('overruns', 0), 'sample')} in the box",
     ]
     words = {

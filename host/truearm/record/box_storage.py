@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from truearm.errors import ProtocolError
-from truearm.record.frame_splitter import FrameSplitter, frame_head
+from truearm.record.frame_splitter import FrameCount, FrameSplitter, frame_head
 from truearm.record.operator import Counters, Operator
 from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
@@ -74,7 +74,6 @@ _TOPICS = {
     REPLY: "/box/reply",
     ERROR: "/box/reply",
 }
-_SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
 _BEAT_WRAP = 2**30  # of a heartbeat's counters
 _SAMPLE_BYTES = 4
 _LARGEST_UNNAMED_STREAM = 255
@@ -98,7 +97,7 @@ class BoxStorage:
     stopped: bool = False  # it reports that it is not streaming, though it was started
     heard_ns: int | None = None  # time of its last message, or since when it could be heard again
     spoke_ns: int | None = None  # time of its last message
-    _expected_seq: int | None = None
+    _frame_count: FrameCount = field(default_factory=FrameCount)
     _idle_us: int | None = None  # box time of the first such report
     _beat: tuple[int, int, int] | None = None  # the last heartbeat's boot id, dropped and overruns
     _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes per sample
@@ -133,7 +132,7 @@ class BoxStorage:
     def cleared(self) -> None:
         """Note that the box was asked and has not restarted: its frames are counted from the next one on."""
         self.suspect = False
-        self._expected_seq = None
+        self._frame_count.clear()
 
     def _take_console(self, t_host_ns: int, data: bytes) -> None:
         self.counters.console_bytes += len(data)
@@ -169,15 +168,9 @@ class BoxStorage:
 
     def _count(self, seq: int | None) -> None:
         self.counters.frames += 1
-        if seq is None:
-            return
-        gap = 0 if self._expected_seq is None else (seq - self._expected_seq) & _SEQ_MASK
-        if gap >= _SEQ_HALF:
+        if seq is not None and not self._frame_count.take(seq):
             self.suspect = True
-            self.counters.odd_frames += 1
-        else:
-            self.counters.lost_frames += gap
-            self._expected_seq = (seq + 1) & _SEQ_MASK
+        self.counters.lost_frames, self.counters.odd_frames = self._frame_count.lost, self._frame_count.odd
 
     def _interpret(self, t_host_ns: int, kind: int, fields: Mapping[str, Any]) -> None:
         if kind == SYNC_REPLY:

@@ -20,6 +20,7 @@ from truearm_wire.messages import SYNC_REQUEST
 MAX_RUN = 4096  # bytes; a longer run is not a frame and is returned in pieces of this size
 _ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stuffing
 _LARGEST_TYPE = 255
+_SEQ_END, _SEQ_HALF = 2**32, 2**31
 _FROM_HOST = frozenset({SYNC_REQUEST, *range(48, 64)})  # SPEC §6: requests, and commands of any minor version
 
 _UINT_WIDTH = dict.fromkeys(range(0x18), 0) | {0x18: 1, 0x19: 2, 0x1A: 4, 0x1B: 8}  # bytes after the first
@@ -62,6 +63,35 @@ class Runs:
 
     def _pieces(self, run: bytes) -> list[bytes]:
         return [run[i : i + self._limit] for i in range(0, len(run), self._limit)]
+
+
+class FrameCount:
+    """Counts the frames that a link lost, and those out of place, by the frames' own count.
+
+    A frame ahead of the count shows a loss, unless the next frame does not follow it: then it was damaged, and nothing is lost.
+    """
+
+    def __init__(self) -> None:
+        self.lost = self.odd = 0
+        self._next: int | None = None
+        self._jump = 0  # of the last frame
+
+    def clear(self) -> None:
+        """Count from the next frame on."""
+        self._next = None
+
+    def take(self, seq: int) -> bool:
+        """Count a frame; return whether it continues the count."""
+        ahead = 0 if self._next is None else (seq - self._next + _SEQ_HALF) % _SEQ_END - _SEQ_HALF
+        if ahead < 0:
+            self.odd += 1
+            skipped = ahead + self._jump + 1  # since the frame before the last one
+            if skipped < 0 or ahead == -1:
+                return False
+            ahead, self.lost = skipped, self.lost - self._jump
+        self.lost += ahead
+        self._next, self._jump = seq + 1, ahead
+        return True
 
 
 class FrameSplitter:
