@@ -192,17 +192,17 @@ def _dwell(bins: Bins, run: slice, rules: DwellRules, at_rest: _Rest) -> Dwell:
     )
     if not inside.size:
         remaining_s = max(0.0, float(bins.t_last_s[run.stop - 1]) - stood - rules.settle_s - rules.guard_s)
-        return _of_bins(bins, run, rules, at_rest.step, stood, "too short", f"{remaining_s:.2f} s")
+        return of_bins(bins, run, rules, at_rest.step, stood, "too short", f"{remaining_s:.2f} s")
     span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1)
     lasts_s = _seconds(bins, span, rules)
     if lasts_s < rules.shortest_s:
-        return _of_bins(bins, span, rules, at_rest.step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
+        return of_bins(bins, span, rules, at_rest.step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
     first, late = _settled(bins, span, at_rest)
     settled = slice(min(span.start + first, span.stop - 1), span.stop)
     if first and _seconds(bins, settled, rules) < rules.shortest_s:
         swing = float(np.ptp(bins.mean[span][:, late]))
-        return _of_bins(bins, span, rules, at_rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
-    return _of_bins(bins, settled, rules, at_rest.step, stood)
+        return of_bins(bins, span, rules, at_rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
+    return of_bins(bins, settled, rules, at_rest.step, stood)
 
 
 def _settled(bins: Bins, span: slice, resting: _Rest) -> tuple[int, int]:
@@ -222,7 +222,7 @@ def _seconds(bins: Bins, span: slice, rules: DwellRules) -> float:
     return float(bins.t_last_s[span.stop - 1]) - rules.guard_s - float(bins.t_first_s[span.start])
 
 
-def _of_bins(
+def of_bins(
     bins: Bins, span: slice, rules: DwellRules, step: Floats, stood: float, reason: str = "", detail: str = ""
 ) -> Dwell:
     return Dwell(

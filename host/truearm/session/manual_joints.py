@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from truearm.session.dwells import Dwell, DwellRules, find_stops
+from truearm.session.dwells import Dwell, DwellRules, find_stops, of_bins
 from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream
 from truearm.session.samples import ChannelSamples, extension, railed
 
@@ -34,29 +34,26 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRule
     if bins is None:
         return []
     sensor = sensor_bins(samples)
-    rests = (
-        [] if sensor is None else [stop for stop in find_stops(sensor, NO_STEP, rules) if stop.reason != "too short"]
-    )
-    begin = np.array([rest.stood_s for rest in rests])
-    end = np.array([rest.end_s + rules.guard_s for rest in rests])
-    noted = stream.to_host_ns(bins.segment, bins.t_first_s)
-    rest_of = np.searchsorted(begin, 1e-9 * noted, side="right") - 1
-    inside = np.array([i >= 0 and 1e-9 * t <= end[i] for i, t in zip(rest_of, noted, strict=True)])
+    stops = [] if sensor is None else find_stops(sensor, NO_STEP, rules)
+    rests = [stop for stop in stops if stop.reason != "too short"]
+    end_s = np.array([*(rest.end_s + rules.guard_s for rest in rests), -np.inf])
+    noted_ns = stream.to_host_ns(bins.segment, bins.t_first_s)
+    rest_of = np.searchsorted([rest.stood_s for rest in rests], 1e-9 * noted_ns, side="right") - 1
+    rest_of[1e-9 * noted_ns > end_s[rest_of]] = -1
     dwells = []
-    for k, (rest, t_ns) in enumerate(zip(rest_of.tolist(), noted.tolist(), strict=True)):
-        if not inside[k]:
-            dwells.append(
-                _noted(stream, bins, k, t_ns, "still moving", "the bar did not rest when the joints were noted")
-            )
-            continue
-        alike = np.flatnonzero((rest_of == rest) & inside)
+    for k, (rest, t_ns) in enumerate(zip(rest_of.tolist(), noted_ns.tolist(), strict=True)):
+        alike = np.flatnonzero(rest_of == rest)
         span = float(np.max(np.abs(bins.mean[alike] - bins.mean[k])))
-        if span > rules.pose_tolerance:
-            dwells.append(
-                _noted(stream, bins, k, t_ns, "ambiguous", f"{len(alike)} readings in one rest, {span:.3f} rad apart")
-            )
+        dwell = of_bins(bins, slice(k, k + 1), rules, stream.step, float(bins.t_first_s[k]))
+        dwell = replace(dwell, end_s=dwell.start_s, start_host_ns=t_ns, end_host_ns=t_ns)
+        if rest < 0:
+            detail = "the bar did not rest when the joints were noted"
+            dwells.append(replace(dwell, reason="still moving", detail=detail))
+        elif span > rules.pose_tolerance:
+            detail = f"{len(alike)} readings in one rest, {span:.3f} rad apart"
+            dwells.append(replace(dwell, reason="ambiguous", detail=detail))
         elif k == alike[0]:
-            dwells.append(_resting(_noted(stream, bins, k, t_ns), rests[rest], t_ns))
+            dwells.append(_resting(dwell, rests[rest], t_ns))
     return dwells
 
 
@@ -89,25 +86,6 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
     gap |= first_s - np.append(-np.inf, last_s[:-1]) > 2.0 * BIN_S
     scatter = np.zeros((len(n), 1), np.float32)
     return Bins(segment, first_s, last_s, n, mean[:, None], (mean - low)[:, None], (high - mean)[:, None], scatter, gap)
-
-
-def _noted(stream: JointStream, bins: Bins, k: int, t_host_ns: int, reason: str = "", detail: str = "") -> Dwell:
-    """Return a dwell from reading k alone, at the time at which it was noted."""
-    t = float(bins.t_first_s[k])
-    return Dwell(
-        segment=int(bins.segment[k]),
-        start_s=t,
-        end_s=t,
-        q=bins.mean[k],
-        q_var=stream.step**2 / 12.0,
-        n_readings=int(bins.n[k]),
-        stood_s=t,
-        bins=(k, k + 1),
-        reason=reason,
-        detail=detail,
-        start_host_ns=t_host_ns,
-        end_host_ns=t_host_ns,
-    )
 
 
 def _resting(dwell: Dwell, rest: Dwell, t_host_ns: int) -> Dwell:
