@@ -24,7 +24,7 @@ def test_a_hidden_delay_is_found_through_the_whole_chain(tmp_path):
     )
     assert recorded.summary.reason == "robot closed"
     result = observations_of_session(recorded.path)
-    assert result.losses.frames_lost == 0
+    assert result.survey.losses.frames_lost == 0
     assert result.pass_reasons == {}
     assert len(result.passes) == 10
     rig, robot = attached_rig(open_session(recorded.path), recorded.path), builtin_robot("puma560")

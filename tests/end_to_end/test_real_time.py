@@ -64,10 +64,15 @@ def test_recorded_over_a_real_port(simulator, tmp_path):
     assert counts["/box/heartbeat"] >= 6
     assert "/box/console" not in counts
     result = observations_of_session(session)
-    assert result.losses.frames_lost == result.losses.samples_lost == result.losses.samples_overrun == 0
+    assert (
+        result.survey.losses.frames_lost
+        == result.survey.losses.samples_lost
+        == result.survey.losses.samples_overrun
+        == 0
+    )
     assert len(result.table) >= 1
     # the host against the crystal that the simulator drew (the opposite sign), within the bound at both ends
-    (report,) = result.clock_reports
+    (report,) = result.survey.clock_reports
     span_us = report.device_us[1] - report.device_us[0]
     truth = -draw_clocks(1).device.ppm
     assert abs(report.rate_ppm - truth) <= 1e6 * 2 * report.bound_ns / (1e3 * span_us)

@@ -248,7 +248,7 @@ def test_only_dwells_of_a_plan_are_poses_to_be_matched():
     ):
         marks.feed("/plan", 0, row)
     assert marks.malformed == 1
-    assert marks.dwells == [1, 3]
+    assert marks.dwells == (1, 3)
     assert marks.plan().q.tolist() == [[1.0, 0.0], [3.0, 0.0]]
     assert marks.rows[2].mounted == {"line": "left", "target": "ball"}
 

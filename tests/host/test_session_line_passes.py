@@ -179,7 +179,7 @@ def test_no_row_across_a_lost_block(clean, found, topic):
     n = {"/box/mag": 52, "/box/adc": 13}[topic]
     end_ns = clean.messages[gone].t_host_ns - 300_000 - (1_500_000 if topic == "/box/adc" else 0)
     result = synced([m for i, m in enumerate(clean.messages) if i != gone])
-    assert (result.losses.frames_lost, result.losses.samples_lost) == (1, n)
+    assert (result.survey.losses.frames_lost, result.survey.losses.samples_lost) == (1, n)
     assert result.passes[0].reason == ""
     # The last sample of the block lies one period before its end; a microsecond is the stamps'.
     assert_clear(result.passes[0], end_ns - n * PERIOD_NS + 2_000, end_ns - PERIOD_NS - 2_000)
@@ -228,7 +228,7 @@ def test_no_row_across_a_restart_of_the_box(clean):
     new = renumber([box.messages[0], *sorted(box.messages[1:], key=lambda m: m.t_host_ns)])
     old = [m for m in clean.messages if m.t_host_ns < at or not (m.topic.startswith("/box") or m.topic == "/sync")]
     result = synced(sorted(old + new, key=lambda m: m.t_host_ns))
-    assert result.losses.restarts == 1
+    assert result.survey.losses.restarts == 1
     assert [one.reason for one in result.passes] == [""] * 4
     assert_clear(result.passes[0], at - 40_000_000, begin - 3_000_000)  # the last whole blocks before, the first after
     error = np.concatenate([one.xyz - truth.xyz(1e-9 * one.t_host_ns) for one in result.passes])

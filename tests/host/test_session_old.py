@@ -51,7 +51,7 @@ class TestOldSessions:
         assert sum(not one.reason for one in result.passes) == passes
         joints = result.survey.joints
         assert (joints.readings, joints.lost, joints.malformed, joints.restarts) == (readings, 0, 0, 0)
-        assert (result.losses.frames_lost, result.losses.samples_lost) == (0, 0)
+        assert (result.survey.losses.frames_lost, result.survey.losses.samples_lost) == (0, 0)
 
 
 @pytest.mark.parametrize("name", KNOWN)

@@ -47,7 +47,6 @@ def test_every_dwell_gives_its_length(clean):
     assert set(table.kind) == {"ball_bar"}
     assert (set(table.bar), set(table.chuck), set(table.sphere), set(table.shell)) == ({"b46"}, {"c1"}, {"s1"}, {"s46"})
     assert list(table.source[:2]) == ["s.mcap dwell 1", "s.mcap dwell 2"]
-    assert result.samples_seen == result.losses.samples
     assert result.samples_used == sum(dwell.n_samples for dwell in result.dwells) > 10 * 1000
 
 
@@ -72,8 +71,8 @@ def test_a_short_gap_leaves_the_longest_whole_piece(clean):
     lost = blocks_between(messages, truth.start_ns[3] + 6.3e8, truth.end_ns[3] - 1.3e9)[:2]
     result = synced([m for i, m in enumerate(messages) if i not in lost])
     whole = synced(messages)
-    assert result.losses.frames_lost == len(lost) == 2
-    assert result.losses.samples_lost == 26
+    assert result.survey.losses.frames_lost == len(lost) == 2
+    assert result.survey.losses.samples_lost == 26
     assert result.reasons == {}
     before, after = whole.dwells[3], result.dwells[3]
     assert after.n_samples < before.n_samples - 26
@@ -111,9 +110,9 @@ def test_reboot_inside_a_dwell(clean):
     old = [m for m in messages if m.t_host_ns < cut or m.topic.startswith("/robot")]
     new = renumber(sorted(box.messages, key=lambda m: m.t_host_ns))
     result = synced(sorted(old + new, key=lambda m: m.t_host_ns))
-    assert result.losses.restarts == 1
+    assert result.survey.losses.restarts == 1
     assert [segment.boot_id for segment in result.survey.segments] == [7, 99]
-    assert [report.segment for report in result.clock_reports] == [0, 1]
+    assert [report.segment for report in result.survey.clock_reports] == [0, 1]
     assert [dwell.reason for dwell in result.dwells] == [""] * 5 + ["gap"] + [""] * 4
     # noise-free in the second segment: half a count is 2.5 nm
     assert np.allclose(result.table.value[5:], truth.length[6:], rtol=0, atol=5e-9)

@@ -85,18 +85,7 @@ class SyncResult:
     dwells: tuple[Dwell, ...]
     passes: tuple[LinePass, ...]
     survey: Survey
-    samples_seen: int
     samples_used: int
-
-    @property
-    def losses(self) -> Losses:
-        """The exact account of what did not arrive."""
-        return self.survey.losses
-
-    @property
-    def clock_reports(self) -> tuple[ClockReport, ...]:
-        """Device-to-host clock reports, one per segment."""
-        return self.survey.clock_reports
 
     @property
     def reasons(self) -> dict[str, int]:
@@ -196,7 +185,10 @@ def observations(
     if rig.line_travel is not None:
         line_rules = replace(line_rules, reach=0.5 * rig.line_travel)
     surveyed = surveyed or survey(source, ident, rules)
-    dwells = _pair(surveyed, rig, rules) if labels is None else _settled(surveyed, rig, labels)
+    dwells = _pair(surveyed, rules) if labels is None else labelled(surveyed.dwells, labels)
+    for dwell in dwells:
+        if not dwell.reason:
+            check_rig(dwell.mounted, rig)
     dwells = with_mountings(dwells, surveyed.marks, rules.pose_tolerance)
     passes = passes_of(surveyed.legs, surveyed.marks, rig, line_rules.pose_tolerance)
     by_kind: dict[str, list[Dwell]] = {}
@@ -224,7 +216,7 @@ def observations(
         temperature=surveyed.temperature.at(t_host_ns),
         simulated="yes" if simulated else None,
     )
-    return SyncResult(table, tuple(dwells), driven, surveyed, surveyed.losses.samples, sum(counts))
+    return SyncResult(table, tuple(dwells), driven, surveyed, sum(counts))
 
 
 def _measured(
@@ -252,58 +244,47 @@ def _measured(
     return without_noisy(dwells)
 
 
-def _pair(surveyed: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
+def _pair(surveyed: Survey, rules: DwellRules) -> list[Dwell]:
     """Return the dwells with what was mounted. A rejected dwell takes no pose from its neighbour."""
     dwells = list(surveyed.dwells)
     good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     confirmed = [surveyed.marks.mounted_at(dwells[i].start_host_ns) for i in good]
-    plan, rows = surveyed.marks.plan(), surveyed.marks.dwells
+    plan = surveyed.marks.plan()
     if plan is None or not good:
         for i, words in zip(good, confirmed, strict=True):
-            dwells[i] = _mounted(dwells[i], None, words, rig)
+            dwells[i] = _mounted(dwells[i], None, words)
         return dwells
     matches = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, confirmed)
     for k, (i, pose) in enumerate(zip(good, matches.poses, strict=True)):
         if k in matches.ambiguous:
             dwells[i] = replace(dwells[i], reason="ambiguous", detail=" or ".join(matches.ambiguous[k]))
         elif pose is None:
-            reason, detail = _unmatched(dwells[i], plan, rows, rules, confirmed[k])
+            reason, detail = _unmatched(dwells[i], plan, rules, confirmed[k])
             dwells[i] = replace(dwells[i], reason=reason, detail=detail)
         else:
-            dwells[i] = _mounted(dwells[i], rows[pose], plan.mounted[pose], rig)
+            dwells[i] = _mounted(dwells[i], plan.rows[pose], plan.mounted[pose])
     return dwells
 
 
-def _settled(surveyed: Survey, rig: Rig, labels: Sequence[DwellLabel]) -> list[Dwell]:
-    dwells = labelled(surveyed.dwells, labels)
-    for dwell in dwells:
-        if not dwell.reason:
-            check_rig(dwell.mounted, rig)
-    return dwells
-
-
-def _unmatched(
-    dwell: Dwell, plan: PlannedPoses, rows: list[int], rules: DwellRules, confirmed: Mapping[str, str]
-) -> tuple[str, str]:
+def _unmatched(dwell: Dwell, plan: PlannedPoses, rules: DwellRules, confirmed: Mapping[str, str]) -> tuple[str, str]:
     """Return the reason why a dwell is not a pose of the plan, and its distance."""
-    distance_to_pose = distances(dwell.q, plan)
-    nearest, distance = int(np.argmin(distance_to_pose)), float(distance_to_pose.min())
-    if np.isinf(distance):
+    distance = distances(dwell.q, plan)
+    nearest = int(np.argmin(distance))
+    row, planned = plan.rows[nearest], plan.mounted[nearest]
+    if np.isinf(distance[nearest]):
         return "no plan match", f"the plan is of {plan.q.shape[1]} joints"
-    if distance > rules.pose_tolerance:
-        return "no plan match", f"{distance:.3f} rad from pose {rows[nearest]}"
-    if contradict(confirmed, plan.mounted[nearest]):
-        needed, named = (" ".join(m.get(key) or "?" for key in BAR_MOUNTED) for m in (plan.mounted[nearest], confirmed))
-        return "contradiction", f"pose {rows[nearest]} needs {needed}; {named} was confirmed"
-    return "no plan match", f"pose {rows[nearest]} is not next in the order of the plan"
+    if distance[nearest] > rules.pose_tolerance:
+        return "no plan match", f"{distance[nearest]:.3f} rad from pose {row}"
+    if contradict(confirmed, planned):
+        needed, named = (" ".join(m.get(key) or "?" for key in BAR_MOUNTED) for m in (planned, confirmed))
+        return "contradiction", f"pose {row} needs {needed}; {named} was confirmed"
+    return "no plan match", f"pose {row} is not next in the order of the plan"
 
 
-def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) -> Dwell:
+def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str]) -> Dwell:
     """Return the dwell with its fittings, or with the reason why some are missing."""
-    if any(key not in mounted for key in BAR_MOUNTED):
-        return replace(dwell, pose=pose, mounted=mounted, reason="no plan match")
-    check_rig(mounted, rig)
-    return replace(dwell, pose=pose, mounted=mounted)
+    reason = "no plan match" if any(key not in mounted for key in BAR_MOUNTED) else ""
+    return replace(dwell, pose=pose, mounted=mounted, reason=reason)
 
 
 def table_of(

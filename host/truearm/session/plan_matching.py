@@ -11,7 +11,6 @@ fittings is **ambiguous**. Distances do not decide here.
 
 from __future__ import annotations
 
-import json
 from bisect import bisect_right, insort
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,11 +18,12 @@ from itertools import groupby
 from operator import itemgetter
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from truearm.errors import Argument, RigError
 from truearm.session.dwells import MOUNTING, Dwell
-from truearm.session.joint_format import MAX_JOINTS
+from truearm.session.joint_format import are_joints
 from truearm.session.line_passes import LONGEST_S, Leg, LinePass
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, DwellLabel, Floats, Move, Plan, Rig
 
@@ -35,10 +35,14 @@ BACK = 1.125
 
 @dataclass(frozen=True)
 class PlannedPoses:
-    """The poses at which the ball-bar is read, or the ends of lines, in order: q (p, j) and what is mounted at each."""
+    """The poses at which the ball-bar is read, or the ends of lines, in order.
+
+    ``q`` (p, j), of a line the joints at both ends. ``mounted``: what is mounted at each. ``rows``: its row in the plan.
+    """
 
     q: Floats
     mounted: tuple[dict[str, str], ...]
+    rows: tuple[int, ...] = ()
 
 
 class PlanRow(NamedTuple):
@@ -62,10 +66,12 @@ class Marks:
         """Take one message of either topic; others are ignored."""
         if topic not in ("/plan", "/events"):
             return
-        document = _document(data)
-        if document is None:
+        try:
+            document = msgspec.json.decode(data, type=dict[str, Any])
+        except (msgspec.MsgspecError, ValueError, RecursionError):
             self.malformed += 1
-        elif topic == "/plan":
+            return
+        if topic == "/plan":
             self._plan(document)
         else:
             kind = document.get("kind")
@@ -75,14 +81,11 @@ class Marks:
                 insort(self.mountings, (t_host_ns, _fittings(document)), key=itemgetter(0))
 
     def _plan(self, document: Mapping[str, Any]) -> None:
-        q = document.get("q")
-        numbers = isinstance(q, list) and 1 <= len(q) <= MAX_JOINTS
-        numbers = numbers and all(type(value) in (int, float) and abs(value) < 1e6 for value in q or [])
-        move = document.get("move", Move.DWELL)
-        if not numbers or move not in tuple(Move) or (self.rows and len(self.rows[0].q) != len(q or [])):
+        q, move = document.get("q"), document.get("move", Move.DWELL)
+        if not are_joints(q) or move not in tuple(Move) or (self.rows and len(self.rows[0].q) != len(q)):
             self.malformed += 1
-            return
-        self.rows.append(PlanRow([float(value) for value in q or []], _fittings(document), move))
+        else:
+            self.rows.append(PlanRow([float(value) for value in q], _fittings(document), move))
 
     def with_plan(self, plan: Plan) -> Marks:
         """Return the same with the rows of another plan."""
@@ -91,16 +94,23 @@ class Marks:
         return replace(self, rows=[PlanRow(*row) for row in rows])
 
     @property
-    def dwells(self) -> list[int]:
+    def dwells(self) -> tuple[int, ...]:
         """Return the rows at which the ball-bar is read."""
-        return [number for number, row in enumerate(self.rows) if row.move == Move.DWELL]
+        return tuple(number for number, row in enumerate(self.rows) if row.move == Move.DWELL)
 
     def plan(self) -> PlannedPoses | None:
         """Return the poses of ``dwells``; None if there are none."""
         poses = [self.rows[number] for number in self.dwells]
-        if not poses:
-            return None
-        return PlannedPoses(np.array([row.q for row in poses], order="F"), tuple(row.mounted for row in poses))
+        q = np.array([row.q for row in poses], order="F")
+        return PlannedPoses(q, tuple(row.mounted for row in poses), self.dwells) if poses else None
+
+    def lines(self) -> PlannedPoses | None:
+        """Return the lines of the plan; None if there are none."""
+        numbered = list(enumerate(self.rows))[1:]
+        rows = tuple(k for k, row in numbered if row.move == Move.LINE and "line" in row.mounted)
+        ends = np.array([[*self.rows[k - 1].q, *self.rows[k].q] for k in rows])
+        mounted = tuple({key: self.rows[k].mounted.get(key, "") for key in LINE_MOUNTED} for k in rows)
+        return PlannedPoses(ends, mounted, rows) if rows else None
 
     @property
     def names_lines(self) -> bool:
@@ -218,14 +228,6 @@ def _ambiguous(pairs: list[_Pair], plan: PlannedPoses) -> dict[int, tuple[str, .
     return {dwell: tuple(fittings) for dwell, fittings in suits.items() if len(fittings) > 1}
 
 
-def _document(data: bytes) -> dict[str, Any] | None:
-    try:
-        document = json.loads(data)
-    except (ValueError, RecursionError):
-        return None
-    return document if isinstance(document, dict) else None
-
-
 def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
     named = {key: document.get(key) for key in FITTINGS}
     return {key: str(value)[:MAX_NAME] for key, value in named.items() if isinstance(value, str) and value}
@@ -239,11 +241,11 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     mounted, the device shows whether the magnet moved along it. Raises RigError if a line or target is not in the rig.
     """
     confirmed = [_mounted(marks, leg) for leg in legs]
-    plan, rows = planned_lines(marks)
+    plan = marks.lines()
     if plan is None:
         passes = [LinePass(leg, words) for leg, words in zip(legs, confirmed, strict=True) if "line" in words]
     else:
-        passes = _matched(legs, plan, rows, tolerance, confirmed)
+        passes = _matched(legs, plan, tolerance, confirmed)
     for k, line_pass in enumerate(passes):
         check_rig(line_pass.mounted, rig)
         if line_pass.leg.end_s - line_pass.leg.start_s > LONGEST_S:
@@ -251,26 +253,15 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     return passes
 
 
-def planned_lines(marks: Marks) -> tuple[PlannedPoses | None, list[int]]:
-    """Return the lines of the plan and their rows; None if there are none. q (p, 2j) holds the joints at both ends."""
-    rows = [k for k, row in enumerate(marks.rows) if row.move == Move.LINE and k > 0 and "line" in row.mounted]
-    if not rows:
-        return None, rows
-    ends = np.array([[*marks.rows[k - 1].q, *marks.rows[k].q] for k in rows])
-    return PlannedPoses(
-        ends, tuple({key: marks.rows[k].mounted.get(key, "") for key in LINE_MOUNTED} for k in rows)
-    ), rows
-
-
 def _matched(
-    legs: Sequence[Leg], plan: PlannedPoses, rows: list[int], tolerance: float, confirmed: Sequence[Mapping[str, str]]
+    legs: Sequence[Leg], plan: PlannedPoses, tolerance: float, confirmed: Sequence[Mapping[str, str]]
 ) -> list[LinePass]:
     ends = np.array([np.concatenate([leg.q_start, leg.q_end]) for leg in legs]).reshape(len(legs), -1)
     matches = match_plan(ends, plan, tolerance, confirmed)
     passes = []
     for k, (leg, pose, words) in enumerate(zip(legs, matches.poses, confirmed, strict=True)):
         if pose is not None:
-            passes.append(LinePass(leg, plan.mounted[pose], "ambiguous" * (k in matches.ambiguous), rows[pose]))
+            passes.append(LinePass(leg, plan.mounted[pose], "ambiguous" * (k in matches.ambiguous), plan.rows[pose]))
         elif "line" in words:
             passes.append(LinePass(leg, dict(words), "gap" if leg.cut else "no plan match"))
     return passes
@@ -330,39 +321,23 @@ def may_be_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> tu
 
 def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Said]:
     """Return the statements of plan and operator about dwells in order of time; the two are independent."""
-    plan, rows = marks.plan(), marks.dwells
-    near_poses, planned = _of_plan(dwells, plan, tolerance)
+    plan = marks.plan()
+    matches = None if plan is None else match_plan(np.array([d.q for d in dwells]), plan, tolerance, [{}] * len(dwells))
     times = [t for t, _ in marks.mountings]
-    ends = [bisect_right(times, dwell.start_host_ns) for dwell in dwells]
     words = [pairing_of(mounted) for _, mounted in marks.mountings]
-    statements = []
-    for k, end in enumerate(ends):
-        since = words[ends[k - 1] if k else 0 : end]
-        typed = tuple(pairing for pairing in since if pairing is not None)
-        confirmed = words[end - 1] if end else None
-        statements.append(Said(tuple(rows[pose] for pose in near_poses[k]), planned[k], typed, confirmed))
+    statements, begin = [], 0
+    for k, dwell in enumerate(dwells):
+        end = bisect_right(times, dwell.start_host_ns)
+        typed, confirmed = tuple(filter(None, words[begin:end])), words[end - 1] if end else None
+        begin, rows, planned = end, list[int](), list[Pairing | None]()
+        if plan is not None and matches is not None:
+            distance, pose = distances(dwell.q, plan), matches.poses[k]
+            poses = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= tolerance)].tolist()
+            rows = [plan.rows[p] for p in sorted(poses, key=lambda p: p != pose)]
+            alike = [] if pose is None else poses if k in matches.ambiguous else [pose]
+            planned = [pairing_of(plan.mounted[p]) for p in alike]
+        statements.append(Said(tuple(rows), tuple(dict.fromkeys(filter(None, planned))), typed, confirmed))
     return statements
-
-
-def _of_plan(
-    dwells: Sequence[Dwell], plan: PlannedPoses | None, tolerance: float
-) -> tuple[list[list[int]], list[tuple[Pairing, ...]]]:
-    """Return the poses near each dwell, the matched one first, and the pairings planned for it."""
-    nothing: list[tuple[Pairing, ...]] = [()] * len(dwells)
-    if plan is None or not dwells or dwells[0].q.size != plan.q.shape[1]:
-        return [[] for _ in dwells], nothing
-    q = np.array([dwell.q for dwell in dwells])
-    matches = match_plan(q, plan, tolerance, [{}] * len(dwells))
-    near_poses, planned = [], nothing
-    for k, pose in enumerate(matches.poses):
-        distance = distances(q[k], plan)
-        poses: list[int] = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= tolerance)].tolist()
-        near_poses.append(sorted(poses, key=lambda p: p != pose))
-        if pose is not None:
-            alike = poses if k in matches.ambiguous else [pose]
-            pairings = (pairing_of(plan.mounted[p]) for p in alike)
-            planned[k] = tuple(dict.fromkeys(pairing for pairing in pairings if pairing is not None))
-    return near_poses, planned
 
 
 def label_of(dwell: Dwell, statement: Said, marks: Marks, pairing: Pairing | None, detail: str = "") -> DwellLabel:

@@ -288,7 +288,7 @@ def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
 
 def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Recording:
     """Return the facts of one session; ``count`` has its dwells."""
-    idents, losses, reports = list(result.survey.idents.values()), result.losses, result.clock_reports
+    idents, losses, reports = list(result.survey.idents.values()), result.survey.losses, result.survey.clock_reports
     uid = ", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents))
     firmware = ", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents))
     begun = _utc(session.metadata.get("session", {}).get("utc_ns", ""))
@@ -299,7 +299,7 @@ def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Rec
         facts.append(("dwells", f"{count.dwells}, of these rejected: {rejected}"))
         facts += [("stops for mounting", str(count.mountings))] if count.mountings else []
     facts += [("passes along lines", str(count.lines))] if count.lines else []
-    facts.append(("samples", f"{result.samples_seen:,} received, {lost:,} lost; {losses.frames_lost:,} frames lost"))
+    facts.append(("samples", f"{losses.samples:,} received, {lost:,} lost; {losses.frames_lost:,} frames lost"))
     bound = US.text(max(NS.to_si(report.bound_ns) for report in reports), ".0f") if reports else "not known"
     facts.append(("error of the box's clock, at most", bound))
     read = [
