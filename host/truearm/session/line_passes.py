@@ -21,6 +21,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
@@ -64,8 +65,11 @@ def find_legs(stream: JointStream) -> list[Leg]:
     speed = np.max(np.abs(step), axis=1) / seconds
     moving = joined & ~_slow(speed, seconds, stream.step)
     turns = np.einsum("ij,ij->i", step[1:], step[:-1]) < 0.0  # at bin k + 1
-    ends = [_ends(run, moving, joined) for run in _runs(moving, turns)]
-    legs = [_leg(bins, *end) for end in ends if _travel(bins, *end[:2]) >= LEAST_MOVE]
+    legs = []
+    for a, b, cut in (_ends(run, moving, joined) for run in _runs(moving, turns)):
+        start, end = bins.mean[a], bins.mean[b]
+        if float(np.max(np.abs(end - start))) >= LEAST_MOVE:
+            legs.append(Leg(int(bins.segment[a]), float(bins.t_first_s[a]), float(bins.t_last_s[b]), start, end, cut))
     segment = np.array([leg.segment for leg in legs], np.int64)
     times = np.array([(leg.start_s, leg.end_s) for leg in legs]).reshape(-1, 2)
     host = zip(legs, stream.to_host_ns(segment, times).tolist(), strict=True)
@@ -84,17 +88,14 @@ def _steps(bins: Bins) -> tuple[Floats, Floats, NDArray[np.bool_]]:
 def _slow(speed: Floats, seconds: Floats, quantum: Floats) -> NDArray[np.bool_]:
     """Return the steps (b − 1,) at which a leg ends."""
     reach = max(1, round(HORIZON_S / float(np.median(seconds))))
-    highest_before, highest_after = _highest_before(speed, reach), _highest_before(speed[::-1], reach)[::-1]
+    before, after = _highest_before(speed, reach), _highest_before(speed[::-1], reach)[::-1]
     lowest = SLOW + np.max(quantum, initial=0.0) / seconds
-    return np.asarray((speed <= lowest) | (speed <= SLOW_SHARE * np.minimum(highest_before, highest_after)))
+    return np.asarray((speed <= lowest) | (speed <= SLOW_SHARE * np.minimum(before, after)))
 
 
 def _highest_before(speed: Floats, reach: int) -> Floats:
     """Return the maximum of each step and the ``reach`` steps before it."""
-    highest = speed.copy()
-    for k in range(1, min(reach, speed.size - 1) + 1):
-        np.maximum(highest[k:], speed[:-k], out=highest[k:])
-    return highest
+    return np.asarray(sliding_window_view(np.append(np.zeros(reach), speed), reach + 1).max(axis=1))
 
 
 def _runs(moving: NDArray[np.bool_], turns: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -118,15 +119,6 @@ def _ends(run: tuple[int, int], moving: NDArray[np.bool_], joined: NDArray[np.bo
     a = first - int(begins and not moving[first - 1])
     b = last + 1 + int(ends and not moving[last + 1])
     return a, b, not (begins and ends)
-
-
-def _travel(bins: Bins, a: int, b: int) -> float:
-    return float(np.max(np.abs(bins.mean[b] - bins.mean[a])))
-
-
-def _leg(bins: Bins, a: int, b: int, cut: bool) -> Leg:
-    start, end = float(bins.t_first_s[a]), float(bins.t_last_s[b])
-    return Leg(int(bins.segment[a]), start, end, bins.mean[a], bins.mean[b], cut)
 
 
 DEGREE = 3
@@ -253,21 +245,31 @@ class LinePass:
         return f"{self.mounted['line']}-{'up' if self.direction > 0 else 'down'}"
 
 
+class _Signal(NamedTuple):
+    """Samples (n,) in order: times [s] since the start of the leg, values (n, c), and gap-free pieces."""
+
+    t: Floats
+    values: Floats
+    piece: Ints
+
+    def where(self, mask: Mask) -> _Signal:
+        """Return a selection of the samples."""
+        return _Signal(self.t[mask], self.values[mask], self.piece[mask])
+
+
 @dataclass(frozen=True)
 class _Signals:
-    """Signals during a leg, in seconds since its start: times, values and gap-free pieces."""
+    """Signals during a leg.
 
-    y_t: Floats
-    y: Floats  # (n, 1), of answered interrogations
-    shots_t: Floats
-    shots_piece: Ints
-    across_t: Floats
-    across: Floats  # (m, 2)
-    across_piece: Ints
-    off_t: Floats  # (k,) samples of the transducers at a rail or beyond their reach
-    q_t: Floats
-    q: Floats
-    q_piece: Ints
+    ``shots``: all interrogations, and ``y`` those that were answered. ``across``: without samples at a rail or beyond the
+    reach of the transducers, which are at ``off_t`` (k,). ``half_s``: half of the window of a row.
+    """
+
+    y: _Signal
+    shots: _Signal
+    across: _Signal
+    off_t: Floats
+    q: _Signal
     half_s: float
 
 
@@ -287,15 +289,14 @@ def measure(
     along, across = (_without_faults(channels.during(leg.start_host_ns, leg.end_host_ns)) for channels in samples)
     if along is None or across is None:
         return replace(passing, reason="no samples" if any_clock else "no clock")
-    readings = _readings(leg, joints)
     bound_ns = max(along.bound_ns, across.bound_ns)
-    passing = replace(passing, clock_bound_ns=bound_ns, time_sigma_s=_time_sigma(bound_ns, passing.leg, joints))
-    signals = _signals(along, across, readings, passing.leg.start_host_ns, rules.reach)
+    passing = replace(passing, clock_bound_ns=bound_ns, time_sigma_s=_time_sigma(bound_ns, leg, joints))
+    signals = _signals(leg, along, across, joints, rules.reach)
     if signals is None:
         return replace(passing, reason="gap")
-    grid = np.arange(signals.half_s, 1e-9 * (passing.leg.end_host_ns - passing.leg.start_host_ns), signals.half_s)
+    grid = np.arange(signals.half_s, 1e-9 * (leg.end_host_ns - leg.start_host_ns), signals.half_s)
     why = _wrong(signals, grid)
-    coarse = fit_locally(signals.y_t, signals.y, grid, signals.half_s)
+    coarse = fit_locally(*signals.y[:2], grid, signals.half_s)
     good = (why == "") & np.isfinite(coarse.rate[:, 0])
     if good.sum() < 2:
         return _without_rows(passing, Counter(why[~good].tolist()))
@@ -316,24 +317,22 @@ def measure(
     return _rows(passing, signals, span, beyond, along.period_ns, joints.step, rules)
 
 
-class _Readings(NamedTuple):
-    """Readings of the robot in order: host time [ns] (n,), joints (n, j), index of the gap-free piece (n,)."""
-
-    t_ns: Ints
-    q: Floats
-    piece: Ints
-
-
-def _readings(leg: Leg, joints: JointStream) -> _Readings:
-    """Return the robot's readings of a leg by time."""
+def _readings(leg: Leg, joints: JointStream) -> tuple[_Signal, float]:
+    """Return the robot's readings of a leg by time, and their period [s], NaN with fewer than two."""
     t, seq, q = joints.between(leg.segment, leg.start_s, leg.end_s)
     t, first = np.unique(t, return_index=True)
     seq, q = seq[first], q[first]
-    intervals = np.diff(t)
-    broken = intervals > LOST * float(np.median(intervals)) if intervals.size else np.zeros(0, dtype=bool)
+    if t.size < 2:
+        return _Signal(t, q, seq), float("nan")
+    intervals, t_ns = np.diff(t), joints.clocks[leg.segment].to_host_ns(t)
     numbered = (seq[1:] != UNNUMBERED) & (seq[:-1] != UNNUMBERED)
-    piece = np.cumsum(np.append(False, broken | (numbered & (np.diff(seq) != 1))))[: t.size]
-    return _Readings(joints.clocks[leg.segment].to_host_ns(t), q, piece)
+    broken = (intervals > LOST * float(np.median(intervals))) | (numbered & (np.diff(seq) != 1))
+    piece = np.cumsum(np.append(False, broken))
+    return _Signal(_seconds(t_ns, leg), q, piece), 1e-9 * float(np.median(np.diff(t_ns)))
+
+
+def _seconds(t_ns: Ints, leg: Leg) -> Floats:
+    return np.asarray(1e-9 * (t_ns - leg.start_host_ns))
 
 
 def _without_faults(samples: Samples | None) -> Samples | None:
@@ -354,40 +353,31 @@ def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
     return 1e-9 * float(np.hypot(bound_ns, robot_ns) / np.sqrt(3.0))
 
 
-def _signals(along: Samples, across: Samples, readings: _Readings, start_ns: int, reach: float) -> _Signals | None:
-    if readings.t_ns.size < LEAST:
+def _signals(leg: Leg, along: Samples, across: Samples, joints: JointStream, reach: float) -> _Signals | None:
+    readings, period_s = _readings(leg, joints)
+    if readings.t.size < LEAST:
         return None
-
-    def seconds(t_ns: Ints) -> Floats:
-        return np.asarray(1e-9 * (t_ns - start_ns))
-
-    answered = along.counts[:, 0] > 0
+    shots = _Signal(_seconds(along.t_ns, leg), extension(along.counts, along.channels[0]), along.piece)
     aside = np.stack([extension(across.counts[:, k], channel) for k, channel in enumerate(across.channels)], axis=1)
+    beside = _Signal(_seconds(across.t_ns, leg), aside, across.piece)
     on = ~railed(across.counts).any(axis=1) & (np.abs(aside) <= reach).all(axis=1)
-    period = 1e-9 * float(np.median(np.diff(readings.t_ns)))
     return _Signals(
-        y_t=seconds(along.t_ns[answered]),
-        y=extension(along.counts[answered], along.channels[0]),
-        shots_t=seconds(along.t_ns),
-        shots_piece=along.piece,
-        across_t=seconds(across.t_ns[on]),
-        across=aside[on],
-        across_piece=across.piece[on],
-        off_t=seconds(across.t_ns[~on]),
-        q_t=seconds(readings.t_ns),
-        q=readings.q,
-        q_piece=readings.piece,
-        half_s=0.5 * max(LEAST_WINDOW_S, READINGS * period),
+        y=shots.where(along.counts[:, 0] > 0),
+        shots=shots,
+        across=beside.where(on),
+        off_t=beside.t[~on],
+        q=readings,
+        half_s=0.5 * max(LEAST_WINDOW_S, READINGS * period_s),
     )
 
 
 def _wrong(s: _Signals, centres: Floats) -> NDArray[np.str_]:
     """Return why no row can be made at each instant (r,); "" where one can."""
     why = np.full(centres.size, "", dtype="U20")
-    why[_count(s.y_t, centres, s.half_s) < STOPPED * _count(s.shots_t, centres, s.half_s)] = "no stop pulses"
+    why[_count(s.y.t, centres, s.half_s) < STOPPED * _count(s.shots.t, centres, s.half_s)] = "no stop pulses"
     why[_count(s.off_t, centres, s.half_s) > 0] = "out of range"
-    complete = _whole(s.shots_t, s.shots_piece, centres, s.half_s) & _whole(s.q_t, s.q_piece, centres, s.half_s)
-    complete &= _whole(s.across_t, s.across_piece, centres, s.half_s) | (why == "out of range")
+    complete = _whole(s.shots, centres, s.half_s) & _whole(s.q, centres, s.half_s)
+    complete &= _whole(s.across, centres, s.half_s) | (why == "out of range")
     why[~complete] = "gap"
     return why
 
@@ -396,8 +386,9 @@ def _count(t: Floats, centres: Floats, half_s: float) -> Ints:
     return np.asarray(np.searchsorted(t, centres + half_s, side="right") - np.searchsorted(t, centres - half_s))
 
 
-def _whole(t: Floats, piece: Ints, centres: Floats, half_s: float) -> Mask:
+def _whole(signal: _Signal, centres: Floats, half_s: float) -> Mask:
     """Return where the window is filled from end to end by a single gap-free piece."""
+    t, _, piece = signal
     if t.size < LEAST:
         return np.zeros(centres.size, dtype=bool)
     low = np.searchsorted(t, centres - half_s)
@@ -430,11 +421,9 @@ def _rows(
     first, last = span
     correlation, correlation_s = _correlation(s, first, last, 1e-9 * period_ns)
     passing = replace(passing, correlation_s=correlation_s, window_ns=round(1e9 * s.half_s))
-    centres = _instants(s.y_t, first + s.half_s, last - s.half_s, 2.0 * s.half_s, FORGOTTEN * correlation_s, rules)
+    centres = _instants(s.y.t, first + s.half_s, last - s.half_s, 2.0 * s.half_s, FORGOTTEN * correlation_s, rules)
     why = _wrong(s, centres)
-    along = fit_locally(s.y_t, s.y, centres, s.half_s)
-    aside = fit_locally(s.across_t, s.across, centres, s.half_s)
-    joints = fit_locally(s.q_t, s.q, centres, s.half_s)
+    along, aside, joints = (fit_locally(*signal[:2], centres, s.half_s) for signal in (s.y, s.across, s.q))
     rms = _beside(along.rms, aside.rms)
     sound = np.isfinite(rms).all(axis=1) & np.isfinite(joints.rms).all(axis=1)
     why[(why == "") & ~sound] = "gap"
@@ -484,9 +473,10 @@ def _correlation(s: _Signals, first: float, last: float, period_s: float) -> tup
     """Return how many samples of x, y, z (3,) it takes for the noise to be independent, and the longest of these times
     [s].
     """
-    channels = ((s.across_t, s.across[:, 0]), (s.y_t, s.y[:, 0]), (s.across_t, s.across[:, 1]))
+    channels = ((s.across, 0), (s.y, 0), (s.across, 1))
     count, longest = np.ones(3), period_s
-    for k, (t, values) in enumerate(channels):
+    for k, (signal, column) in enumerate(channels):
+        t, values = signal.t, signal.values[:, column]
         residuals, fitted = _noise(t, values, np.arange(first, last, 2.0 * STRETCH * s.half_s))
         if fitted:
             variance, noise = mean_variance(residuals, fitted)
