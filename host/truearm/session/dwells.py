@@ -186,16 +186,14 @@ def _runs(quiet: NDArray[np.bool_], b: int) -> Iterator[tuple[int, int]]:
 
 def _dwell(bins: Bins, run: slice, rules: DwellRules, at_rest: _Rest) -> Dwell:
     stood = float(bins.t_first_s[run.start])
-    inside = np.flatnonzero(
-        (bins.t_first_s[run] >= stood + rules.settle_s)
-        & (bins.t_last_s[run] <= stood + rules.settle_s + rules.longest_s)
-    )
-    if not inside.size:
-        remaining_s = max(0.0, float(bins.t_last_s[run.stop - 1]) - stood - rules.settle_s - rules.guard_s)
-        return of_bins(bins, run, rules, at_rest.step, stood, "too short", f"{remaining_s:.2f} s")
-    span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1)
-    lasts_s = _seconds(bins, span, rules)
-    if lasts_s < rules.shortest_s:
+    begin_s = stood + rules.settle_s
+    inside = np.flatnonzero((bins.t_first_s[run] >= begin_s) & (bins.t_last_s[run] <= begin_s + rules.longest_s))
+    if inside.size:
+        span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1)
+        lasts_s = _seconds(bins, span, rules)
+    else:
+        span, lasts_s = run, float(bins.t_last_s[run.stop - 1]) - begin_s - rules.guard_s
+    if not inside.size or lasts_s < rules.shortest_s:
         return of_bins(bins, span, rules, at_rest.step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
     first, late = _settled(bins, span, at_rest)
     settled = slice(min(span.start + first, span.stop - 1), span.stop)

@@ -13,7 +13,7 @@ the old level and the first with the new one: two controller times, one cycle ap
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -243,8 +243,7 @@ class JointReader:
         self._order = SegmentedReadings()
         self._arrivals: list[Arrivals] = []
         self._inputs: list[InputTrack] = []
-        self._bins = Spool()
-        self._lengths: list[int] = []  # numbers of bins
+        self._bins: list[tuple[NDArray[Any], ...]] = []
         self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the open bin
         self._last: tuple[float, int] | None = None
         self._latest_s = -np.inf
@@ -286,14 +285,9 @@ class JointReader:
         )
 
     def _all_bins(self) -> Bins | None:
-        places = [slice(begin, end) for begin, end in pairwise(np.cumsum([0, *self._lengths]).tolist())]
-        columns: list[NDArray[Any]] = []
-        for number, place in enumerate(places):
-            arrays = self._bins.load(number)
-            columns = columns or [np.empty((places[-1].stop, *array.shape[1:]), array.dtype) for array in arrays]
-            for column, array in zip(columns, arrays, strict=True):
-                column[place] = array
-        return Bins(*columns) if columns else None
+        columns = [list(column) for column in zip(*self._bins, strict=True)]
+        self._bins.clear()
+        return Bins(*(np.concatenate(columns.pop(0)) for _ in fields(Bins))) if columns else None
 
     def _begin(self, joints: int) -> None:
         self._step = np.full(joints, np.inf)
@@ -367,9 +361,7 @@ class JointReader:
         segment = np.full(starts.size, len(self._arrivals) - 1)
         last = np.concatenate([starts[1:], [t.size]]) - 1
         small = (column.astype(np.float32) for column in (mean - low, high - mean, scatter))
-        columns = [segment.astype(np.int32), t[starts], t[last], n.astype(np.int32), mean, *small, gap]
-        self._bins.append(columns, (len(self._arrivals) - 1, float(t[0]), float(t[-1])))
-        self._lengths.append(starts.size)
+        self._bins.append((segment.astype(np.int32), t[starts], t[last], n.astype(np.int32), mean, *small, gap))
 
 
 def restarts(t: Floats, latest_s: float) -> NDArray[np.intp]:

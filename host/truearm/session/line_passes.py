@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -252,9 +252,9 @@ class _Signal(NamedTuple):
     values: Floats
     piece: Ints
 
-    def where(self, mask: Mask) -> _Signal:
+    def where(self, rows: NDArray[Any]) -> _Signal:
         """Return a selection of the samples."""
-        return _Signal(self.t[mask], self.values[mask], self.piece[mask])
+        return _Signal(self.t[rows], self.values[rows], self.piece[rows])
 
 
 @dataclass(frozen=True)
@@ -360,9 +360,9 @@ def _signals(leg: Leg, along: Samples, across: Samples, joints: JointStream, rea
     shots = _Signal(_seconds(along.t_ns, leg), extension(along.counts, along.channels[0]), along.piece)
     aside = np.stack([extension(across.counts[:, k], channel) for k, channel in enumerate(across.channels)], axis=1)
     beside = _Signal(_seconds(across.t_ns, leg), aside, across.piece)
-    on = ~railed(across.counts).any(axis=1) & (np.abs(aside) <= reach).all(axis=1)
+    on = np.asarray(~railed(across.counts).any(axis=1) & (np.abs(aside) <= reach).all(axis=1), dtype=bool)
     return _Signals(
-        y=shots.where(along.counts[:, 0] > 0),
+        y=shots.where(np.flatnonzero(along.counts[:, 0] > 0)),
         shots=shots,
         across=beside.where(on),
         off_t=beside.t[~on],

@@ -135,24 +135,20 @@ def chunk_records(body: bytes, zstd: zstandard.ZstdDecompressor) -> bytes:
         raise Unreadable
     chunk = parse(Chunk, body)
     try:
-        data = _decompress(chunk, zstd)
+        # If the frame states its size, zstandard allocates that much regardless of max_output_size.
+        if chunk.compression not in ("zstd", "") or (
+            chunk.compression
+            and MAX_CHUNK_BYTES
+            < zstandard.get_frame_parameters(chunk.data).content_size
+            != zstandard.CONTENTSIZE_UNKNOWN
+        ):
+            raise Unreadable
+        data = zstd.decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES) if chunk.compression else bytes(chunk.data)
     except zstandard.ZstdError as exc:
         raise Unreadable from exc
     if len(data) != chunk.uncompressed_size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
         raise Unreadable
     return data
-
-
-def _decompress(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes:
-    """Decompress a chunk, unless it claims to be larger than the bound."""
-    if chunk.compression == "zstd":
-        # If the frame states its size, zstandard allocates that much regardless of max_output_size.
-        claimed = zstandard.get_frame_parameters(chunk.data).content_size
-        if claimed <= MAX_CHUNK_BYTES or claimed == zstandard.CONTENTSIZE_UNKNOWN:
-            return zstd.decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES)
-    elif chunk.compression == "":
-        return bytes(chunk.data)
-    raise Unreadable
 
 
 # ------------------------------------------------------------------------------------------------------------- messages
@@ -600,10 +596,9 @@ class RecordWalk:
 
 def _messages_of_copy(copy: bytes) -> Messages | None:
     """Return the messages in the copy of the plan; None if it cannot be read."""
-    file = io.BytesIO(copy)
-    places = [(offset, length) for opcode, offset, length in records(file, len(copy)) if opcode == Opcode.CHUNK]
+    copied = records(io.BytesIO(copy), len(copy))
     try:
-        chunks = [chunk_records(copy[offset : offset + length], ZstdDecompressor()) for offset, length in places]
+        chunks = [chunk_records(copy[at : at + n], ZstdDecompressor()) for op, at, n in copied if op == Opcode.CHUNK]
         return columns_of_records(chunks, {}) if chunks else None
     except Unreadable:
         return None
