@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from truearm.errors import SessionError
 from truearm.session.box_ident import Channel
 from truearm.session.dwells import Dwell
-from truearm.session.frames import decode, parse_exchange
+from truearm.session.frames import fields_of, parse_exchange
 from truearm.session.joint_format import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, concatenate
 from truearm.session.joint_readings import SegmentedReadings
 from truearm.session.line_passes import LinePass
@@ -62,10 +62,11 @@ def tabulate(survey: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]
     robot, messages_before = _Robot(survey, joint_units), 0
     for messages, blocks in read_blocks(survey.source, BoxReader(survey.ident)):
         tables = ((f"box_{released.stream.name}", samples(released, survey)) for released in blocks)
-        for name, columns in chain(tables, _small_tables(messages, messages_before, survey), robot.take(messages)):
+        readings = robot.table(robot.order.take(messages))
+        for name, columns in chain(tables, _small_tables(messages, messages_before, survey), readings):
             yield _table_of(name, columns, titles), columns
         messages_before += len(messages)
-    for name, columns in robot.finish():
+    for name, columns in robot.table(robot.order.finish()):
         yield _table_of(name, columns, titles), columns
 
 
@@ -96,14 +97,12 @@ def _small_tables(messages: Messages, messages_before: int, survey: Survey) -> I
             exchange = parse_exchange(message.data) or (UNKNOWN,) * 4
             row |= {"segment": segment, **dict(zip(("t0_ns", "t1_us", "t2_us", "t3_ns"), exchange, strict=True))}
         else:
-            frame, layout = decode(message.data), wire.names(_SMALL[message.topic])
-            if frame is None or any(type(value) is not int or abs(value) >= 2**63 for value in frame):
+            kind = _SMALL[message.topic]
+            elements = fields_of(kind, message.data)
+            if elements is None or max(elements.values()) >= 2**63:
                 continue  # malformed: counted by the survey
-            elements = dict(zip(layout, frame[1:], strict=False))
-            if "t_us" not in elements:
-                continue
             row |= {"segment": segment, "host_time_ns": UNKNOWN, "host_bound_ns": np.nan}
-            row |= {name: elements.get(name, UNKNOWN) for name in layout}
+            row |= {name: elements.get(name, UNKNOWN) for name in wire.names(kind)}
             if message.topic == "/box/temperature":
                 row["name"] = _thermometer(survey, segment, elements)
         tables.setdefault(message.topic.removeprefix("/").replace("/", "_"), []).append(row)
@@ -185,19 +184,11 @@ class _Robot:
         self._units = tuple(units) or ("rad",) * n
         if n and len(self._units) != n:
             raise SessionError("other-robot", place="session", joints=n, expected=len(self._units))
-        self._order = SegmentedReadings(len(self._units) or None)
+        self.order = SegmentedReadings(len(self._units) or None)
         self._segment = -1
         self._keys: list[JointBatch] = []  # of no readings, with the optional keys so far
 
-    def take(self, messages: Messages) -> Iterator[Batch]:
-        """Return the readings that are due."""
-        return self._table(self._order.take(messages))
-
-    def finish(self) -> Iterator[Batch]:
-        """Return the remaining readings at the end of the session."""
-        return self._table(self._order.finish())
-
-    def _table(self, pieces: Sequence[tuple[bool, JointBatch]]) -> Iterator[Batch]:
+    def table(self, pieces: Sequence[tuple[bool, JointBatch]]) -> Iterator[Batch]:
         """Yield the table of pieces of one segment each."""
         if not pieces:
             return

@@ -13,7 +13,7 @@ counted and not used, as are edges that contradict the others: wrong matches, or
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,8 +78,7 @@ def match(expected_s: Floats, level: NDArray[np.bool_], changes: Changes) -> Mat
     return Matched(change, unseen, n - alone.size - unseen + changes.level.size - alone.size - stray, stray)
 
 
-@dataclass(frozen=True)
-class EdgeFit:
+class EdgeFit(NamedTuple):
     """The clock from the edges, how many contradict the others, and how much later falling edges are seen than rising ones.
 
     ``to_box_ns`` (k,): the part of the bound at the clock's nodes that is between controller and box. ``falling_later_ns``:
@@ -174,15 +173,12 @@ def with_edges(
     )
     if not len(edges):
         return joints
-    fits = [_of_segment(k, joints, edges, wander) for k in range(len(joints.clocks))]
-    return replace(
-        joints,
-        clocks=tuple(clock for clock, _ in fits),
-        reports=tuple(
-            replace(report, edges=edges, bound_ns=float(np.max(clock.bound_ns)))
-            for report, (clock, edges) in zip(joints.reports, fits, strict=True)
-        ),
-    )
+    clocks_in_use, reports = [], []
+    for k, report in enumerate(joints.reports):
+        clock, edge_report = _of_segment(k, joints, edges, wander)
+        clocks_in_use.append(clock)
+        reports.append(replace(report, edges=edge_report, bound_ns=float(np.max(clock.bound_ns))))
+    return replace(joints, clocks=tuple(clocks_in_use), reports=tuple(reports))
 
 
 def _edges(output: Output, clock: DeviceClock) -> NDArray[Any]:
