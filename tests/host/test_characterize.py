@@ -25,9 +25,8 @@ from truearm.plan.first_rig import REPEATABILITY
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.observations import observations
-from truearm.session.pose_visits import visits
 from truearm.types import Message
-from truearm.workflows.characterize import characterized
+from truearm.workflows.characterize import characterized, visits
 from truearm.workflows.session_parts import SETUP
 from truearm_sim import robot, sensors
 from truearm_sim.arm import Arm

@@ -8,6 +8,7 @@ from truearm.errors import ProblemError
 from truearm.estimate.repeatability import (
     LEVEL,
     Visits,
+    allan,
     mean_interval,
     poses_of,
     quantile_interval,
@@ -16,7 +17,6 @@ from truearm.estimate.repeatability import (
     sigma_interval,
 )
 from truearm.plan.approaches import approach_directions
-from truearm.session.sample_noise import allan
 
 JOINTS, POSES, ROUNDS = 6, 4, 3
 BACKLASH = np.array([4e-4, 2e-4, 3e-4, 5e-4, 0.0, 8e-4])

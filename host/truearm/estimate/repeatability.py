@@ -11,11 +11,16 @@ a linear regression. Visits to one pose from one side differ by e alone, so an F
 differences between the sides (lack of fit).
 
 Intervals are 95 %: χ² for standard deviations, t for means and regressions, order statistics for quantiles.
+
+The Allan deviation shows how a sensor's mean wanders with the averaging time. Its degrees of freedom are those of white noise
+(Riley, NIST SP 1065, 2008, §5.4.1).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, fdtrc, stdtrit
@@ -29,6 +34,7 @@ LEVEL = 0.95
 TAILS = np.array([0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
 MISFIT = 1e-3  # a smaller probability of the lack of fit is reported
 SAME_POSE = 2e-3  # rad or m in each joint; servo and settling errors are far smaller, and poses differ by more
+LEAST_FREEDOM = 5.0  # of an Allan deviation
 UNSEEN = 1e-4  # of the largest: below it, a joint's effect on the bar per radian is negligible
 
 
@@ -179,6 +185,41 @@ def rounding_variance(step: Floats, sigma: Floats) -> Floats:
     share = np.divide(sigma, step, out=np.full(step.shape, np.inf), where=step > 0.0)
     terms = np.exp(-4.0 * np.pi**2 * np.square(k * share)) / (2.0 * np.pi**2 * k**2)
     return np.asarray(np.square(step) * np.sum(terms, axis=0))
+
+
+class Allan(NamedTuple):
+    """Averaging times (k,) [s], deviations (k,) [unit of the samples], and degrees of freedom (k,)."""
+
+    tau_s: Floats
+    deviation: Floats
+    freedom: Floats
+
+
+def allan(pieces: Sequence[Floats], period_s: float) -> Allan:
+    """Return the Allan deviation of several gap-free pieces of evenly spaced samples (n,).
+
+    The averaging times are 1, 2, 4 … samples, at most a third of a piece.
+    """
+    longest = max((piece.size for piece in pieces), default=0)
+    rows = []
+    for k in range(longest.bit_length()):
+        m = 1 << k
+        variances = [_allan_variance(piece, m) for piece in pieces if piece.size >= 3 * m]
+        freedom = sum(f for _, f in variances)
+        if freedom >= LEAST_FREEDOM:
+            rows.append((m * period_s, np.sqrt(sum(v * f for v, f in variances) / freedom), freedom))
+    return Allan(*np.array(rows).reshape(-1, 3).T)
+
+
+def _allan_variance(samples: Floats, m: int) -> tuple[float, float]:
+    """Return the variance of means of m samples, and its degrees of freedom if the noise is white."""
+    n = samples.size
+    sums = np.concatenate([[0.0], np.cumsum(samples - np.mean(samples))])
+    means = (sums[m:] - sums[:-m]) / m
+    variance = 0.5 * float(np.mean(np.square(means[m:] - means[:-m])))
+    points = n + 1  # of the phase; the samples are its differences
+    freedom = (1.5 * (points - 1) / m - 2.0 * (points - 2) / points) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    return variance, max(float(freedom), 1.0)
 
 
 def _regression(y: Floats, columns: Floats, group: Ints) -> tuple[tuple[Interval, ...], tuple[float, ...], float, int]:

@@ -7,14 +7,10 @@ first lag that is five times the integrated correlation time (Sokal, "Monte Carl
 **Rest** is defined by a stop's second half. Stretches of 1, 2, 4 … blocks are compared with its level: short ones show
 ringing, long ones creep. Rest begins after the last stretch that deviates by more than noise or ``floor`` explains. Noise
 alone truncates a fraction FALSE_ALARM of stops.
-
-**The Allan deviation** shows how the mean wanders with the averaging time. Its degrees of freedom are those of white noise
-(Riley, NIST SP 1065, 2008, §5.4.1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from statistics import NormalDist
 from typing import NamedTuple
@@ -179,41 +175,3 @@ def rings(settled: Settled) -> bool:
     """
     side = np.sign(settled.deviation[np.abs(settled.deviation) > settled.bound])
     return int(np.count_nonzero(np.diff(side))) >= 2
-
-
-LEAST_FREEDOM = 5.0
-
-
-class Allan(NamedTuple):
-    """Averaging times (k,) [s], deviations (k,) [unit of the samples], and degrees of freedom (k,)."""
-
-    tau_s: Floats
-    deviation: Floats
-    freedom: Floats
-
-
-def allan(pieces: Sequence[Floats], period_s: float) -> Allan:
-    """Return the Allan deviation of several gap-free pieces of evenly spaced samples (n,).
-
-    The averaging times are 1, 2, 4 … samples, at most a third of a piece.
-    """
-    longest = max((piece.size for piece in pieces), default=0)
-    rows = []
-    for k in range(longest.bit_length()):
-        m = 1 << k
-        variances = [_variance(piece, m) for piece in pieces if piece.size >= 3 * m]
-        freedom = sum(f for _, f in variances)
-        if freedom >= LEAST_FREEDOM:
-            rows.append((m * period_s, np.sqrt(sum(v * f for v, f in variances) / freedom), freedom))
-    return Allan(*np.array(rows).reshape(-1, 3).T)
-
-
-def _variance(samples: Floats, m: int) -> tuple[float, float]:
-    """Return the variance of means of m samples, and its degrees of freedom if the noise is white."""
-    n = samples.size
-    sums = np.concatenate([[0.0], np.cumsum(samples - np.mean(samples))])
-    means = (sums[m:] - sums[:-m]) / m
-    variance = 0.5 * float(np.mean(np.square(means[m:] - means[:-m])))
-    points = n + 1  # of the phase; the samples are its differences
-    freedom = (1.5 * (points - 1) / m - 2.0 * (points - 2) / points) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
-    return variance, max(float(freedom), 1.0)
