@@ -288,69 +288,11 @@ def check_rig(mounted: Mapping[str, str], rig: Rig) -> None:
 Pairing = tuple[str, str, str]  # bar, chuck, sphere
 
 
-@dataclass(frozen=True)
-class Said:
-    """Statements about one dwell.
-
-    ``rows``: the plan rows that it may be, likeliest first. ``planned``: the pairings planned for it; () if it is out
-    of order or not in the plan. ``typed``: the pairings typed since the previous dwell. ``confirmed``: the last
-    confirmed pairing.
-    """
-
-    rows: tuple[int, ...]
-    planned: tuple[Pairing, ...]
-    typed: tuple[Pairing, ...]
-    confirmed: Pairing | None
-
-
 def pairing_of(mounted: Mapping[str, str]) -> Pairing | None:
     """Return bar, chuck and sphere; None if one of them is not named."""
     if not all(mounted.get(key) for key in BAR_MOUNTED):
         return None
     return mounted["bar"], mounted["chuck"], mounted["sphere"]
-
-
-def may_be_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> tuple[int, ...]:
-    """Return the numbers of the stops that are complete and, if there is a plan, at one of its poses."""
-    plan = marks.plan()
-    complete = [i for i, dwell in enumerate(dwells) if not dwell.reason]
-    if plan is None or not complete:
-        return tuple(complete)
-    return tuple(i for i in complete if distances(dwells[i].q, plan).min() <= tolerance)
-
-
-def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Said]:
-    """Return the statements of plan and operator about dwells in order of time; the two are independent."""
-    plan = marks.plan()
-    matches = None if plan is None else match_plan(np.array([d.q for d in dwells]), plan, tolerance, [{}] * len(dwells))
-    times = [t for t, _ in marks.mountings]
-    words = [pairing_of(mounted) for _, mounted in marks.mountings]
-    statements, begin = [], 0
-    for k, dwell in enumerate(dwells):
-        end = bisect_right(times, dwell.start_host_ns)
-        typed, confirmed = tuple(filter(None, words[begin:end])), words[end - 1] if end else None
-        begin, rows, planned = end, list[int](), list[Pairing | None]()
-        if plan is not None and matches is not None:
-            distance, pose = distances(dwell.q, plan), matches.poses[k]
-            poses = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= tolerance)].tolist()
-            rows = [plan.rows[p] for p in sorted(poses, key=lambda p: p != pose)]
-            alike = [] if pose is None else poses if k in matches.ambiguous else [pose]
-            planned = [pairing_of(plan.mounted[p]) for p in alike]
-        statements.append(Said(tuple(rows), tuple(dict.fromkeys(filter(None, planned))), typed, confirmed))
-    return statements
-
-
-def label_of(dwell: Dwell, statement: Said, marks: Marks, pairing: Pairing | None, detail: str = "") -> DwellLabel:
-    """Return the label of a dwell measured with ``pairing``; None leaves the dwell out.
-
-    The pose is one that was planned with this pairing, if there is one.
-    """
-    rows = sorted(statement.rows, key=lambda row: pairing_of(marks.rows[row].mounted) != pairing)
-    row = rows[0] if rows else None
-    mounted = {} if pairing is None else dict(zip(BAR_MOUNTED, pairing, strict=True))
-    if pairing is not None and row is not None and pairing_of(marks.rows[row].mounted) == pairing:
-        mounted = dict(marks.rows[row].mounted)
-    return DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted, row, detail=detail)
 
 
 def labelled(dwells: Sequence[Dwell], labels: Sequence[DwellLabel]) -> list[Dwell]:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,7 +20,7 @@ from truearm.files.labels_file import labels_path, write_labels
 from truearm.live.session_progress import check_mounted
 from truearm.model.mimic import completed
 from truearm.progress import step
-from truearm.session.plan_matching import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
+from truearm.session.plan_matching import Pairing, distances, match_plan, pairing_of
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.session_observations import recorded_rig, surveyed
 from truearm.workflows.session_parts import open_finished, session_parts
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.session.dwells import Dwell
     from truearm.session.observations import Survey, SyncResult
-    from truearm.session.plan_matching import Marks
 
 
 @step("examining the session")
@@ -81,7 +81,7 @@ def _measured(path: Path, rig: Rig | None) -> tuple[Rig, list[Stop]]:
 
 def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing | None, p: float) -> DwellLabel:
     """Return the label of a dwell, without a pairing if nothing settles it. ``likely``: by evidence, with probability ``p``."""
-    planned, typed = stop.said.planned, stop.said.confirmed
+    planned, typed = stop.planned, stop.confirmed
     plan = planned[0] if planned and (len(planned) == 1 or stop.dwell.reason) else None
     sure = likely if p >= SURE else None
     agreed = plan if {typed, sure} <= {None, plan} else None
@@ -93,7 +93,12 @@ def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing
         f"evidence ({p:.2%}; {SURE:.2%} is needed)": p and " ".join(likely or ("nothing of the rig",)),
     }
     detail = "; ".join(f"{source} {words}" for source, words in statements.items() if words)
-    label = label_of(stop.dwell, stop.said, stop.marks, pairing, "" if pairing else detail)
+    rows = sorted(stop.rows, key=lambda row: pairing_of(row[1]) != pairing)  # one that was planned with this pairing
+    mounted = {} if pairing is None else dict(zip(BAR_MOUNTED, pairing, strict=True))
+    if pairing is not None and rows and pairing_of(rows[0][1]) == pairing:
+        mounted = dict(rows[0][1])
+    label = DwellLabel(stop.dwell.start_host_ns, stop.dwell.end_host_ns, mounted, rows[0][0] if rows else None)
+    label = label._replace(detail="" if pairing else detail)
     return label._replace(probability=p) if pairing and pairing == likely else label
 
 
@@ -114,12 +119,19 @@ LEAST_DWELLS = 3  # fewer cannot support one another
 
 
 class Stop(NamedTuple):
-    """A stop that may be a dwell, with its file and its number there, from 1, and what was said about it."""
+    """A stop that may be a dwell, with its file and its number there, from 1, and what plan and operator say about it.
+
+    ``rows``: the rows of the plan that it may be, likeliest first, with what is mounted there. ``planned``: the pairings
+    planned for it; () if it is out of order or not in the plan. ``typed``: the pairings typed since the previous stop.
+    ``confirmed``: the last confirmed pairing.
+    """
 
     place: tuple[Path, int]
     dwell: Dwell
-    said: Said
-    marks: Marks
+    rows: list[tuple[int, dict[str, str]]]
+    planned: tuple[Pairing, ...]
+    typed: tuple[Pairing, ...]
+    confirmed: Pairing | None
 
 
 def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
@@ -130,14 +142,33 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
     from truearm.session.dwells import DwellRules
     from truearm.session.observations import observations
 
-    dwells, marks, tolerance = survey.dwells, survey.marks, DwellRules().pose_tolerance
-    numbers = may_be_dwells(dwells, marks, tolerance)
-    statements = said_of_dwells([dwells[i] for i in numbers], marks, tolerance)
+    dwells, tolerance, plan = survey.dwells, DwellRules().pose_tolerance, survey.marks.plan()
     bar = max(rig.bars.values(), key=lambda bar: bar.travel).name
     mounted = dict(zip(BAR_MOUNTED, (bar, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
     labels = [DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted) for dwell in dwells]
     measured = observations(lambda: iter(()), rig, surveyed=survey, labels=labels).dwells
-    return [Stop((path, i + 1), measured[i], words, marks) for i, words in zip(numbers, statements, strict=True)]
+    numbers = [i for i, dwell in enumerate(dwells) if not dwell.reason]
+    if plan is not None:
+        numbers = [i for i in numbers if distances(dwells[i].q, plan).min() <= tolerance]
+        q = np.array([dwells[i].q for i in numbers])
+        matches = match_plan(q, plan, tolerance, [{}] * len(numbers))
+    times = [t for t, _ in survey.marks.mountings]
+    words = [pairing_of(pairing) for _, pairing in survey.marks.mountings]
+    stops, begin = list[Stop](), 0
+    for k, i in enumerate(numbers):
+        end = bisect_right(times, dwells[i].start_host_ns)
+        typed, confirmed = tuple(filter(None, words[begin:end])), words[end - 1] if end else None
+        rows, planned, begin = list[tuple[int, dict[str, str]]](), list[Pairing | None](), end
+        if plan is not None:
+            distance, pose = distances(dwells[i].q, plan), matches.poses[k]
+            poses = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= tolerance)].tolist()
+            rows = [(plan.rows[p], plan.mounted[p]) for p in sorted(poses, key=lambda p: p != pose)]
+            alike = [] if pose is None else poses if k in matches.ambiguous else [pose]
+            planned = [pairing_of(plan.mounted[p]) for p in alike]
+        stops.append(
+            Stop((path, i + 1), measured[i], rows, tuple(dict.fromkeys(filter(None, planned))), typed, confirmed)
+        )
+    return stops
 
 
 def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances:
@@ -151,7 +182,7 @@ def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances
             bar = rig.bars[dwell.mounted["bar"]]
             extension[i] = (dwell.value - bar.zero) / bar.gain
         beyond[i] = dwell.reason == "out of travel" or (dwell.reason == "rail" and "fault" not in dwell.detail)
-    words = Words([stop.said.planned for stop in stops], [stop.said.typed for stop in stops])
+    words = Words([stop.planned for stop in stops], [stop.typed for stop in stops])
     readings = Readings(completed(np.array([dwell.q for dwell in dwells]), mimics, n_joints), extension, beyond)
     return mountings(robot.chain, rig, readings, words, robot.free)
 
