@@ -12,9 +12,7 @@ from measure import tell, timed
 
 from data import CHUCKS, SIGMA, SPHERES, TARGET
 from truearm.estimate.fit import fit
-from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import build_problem
-from truearm.estimate.solution import Options
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import _folded, point_forward
 from truearm.model.robot import builtin_robot
@@ -65,7 +63,7 @@ def main(what: str, kind: str, path: str, runs: int) -> None:
         if what == "identify":
             return identified(robot, rig, table, Selection(free, named=free)).estimate
         problem = build_problem(chain, rig, table)
-        return fit(problem, free, problem.start, Options(), DAMPING_START)
+        return fit(problem, free, problem.start)
 
     found, seconds = timed(run, runs, forget)
     x = found.value if what == "identify" else found.x

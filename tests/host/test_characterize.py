@@ -15,7 +15,7 @@ from world_stream import HOST_NS, messages_of
 
 from truearm.estimate.identify import identify
 from truearm.estimate.problem import build_problem
-from truearm.estimate.recursive import rows_of
+from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.files.noise_file import NoiseFile, read_noise, with_noise
 from truearm.files.plan_file import write_plan
 from truearm.files.rig_file import format_rig
@@ -205,7 +205,7 @@ class Calibration:
         problem = build_problem(PUMA.chain, rig, table)
         columns = np.zeros(len(problem.names), bool)
         columns[: PUMA.free.size] = PUMA.free
-        rows = rows_of(problem, fit.value, columns)
+        (rows,) = whitened_blocks(problem, fit.value, columns)
         sigma = rows.noise_root[:, 0, 0]
         points = [
             [getattr(rig, kind)[name].xyz for name in getattr(table, kind[:-1])] for kind in ("spheres", "chucks")

@@ -26,10 +26,8 @@ from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import seen, spectrum, weighed
-from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import build_problem
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov, whiten
-from truearm.estimate.solution import Options
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation, rotation_vector
@@ -48,7 +46,7 @@ def matrix(diagonal):
 def solve(problem, x):
     """Return lm's estimate x (P,) with the robot's paper set and all of the rig free, and the indices of these columns."""
     columns = np.concatenate([FREE, np.ones(len(problem.names) - FREE.size, bool)])
-    found = fit(problem, columns, x, Options(), DAMPING_START)
+    found = fit(problem, columns, x)
     assert found.status == "converged"
     return found.information, found.x, columns
 

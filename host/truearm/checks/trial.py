@@ -20,7 +20,7 @@ from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.information import half, observe, spectrum
-from truearm.estimate.levenberg_marquardt import idle
+from truearm.estimate.levenberg_marquardt import DAMPING_START, Damping, idle
 from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, build_problem, modelled_of
 from truearm.estimate.solution import Options, of_data
@@ -173,7 +173,7 @@ def _trial(
             n = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
             log_jacobian = sum(np.isfinite(table[name]).sum() * math.log(factor) for name, factor in rescaled)
             price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike fit in any larger unit
-            solution = fit(problem, columns, problem.at(start or {}), idle_options(steps), DAMPING)
+            solution = fit(problem, columns, problem.at(start or {}), idle_options(steps, DAMPING))
             shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
             quality = goodness(*of_data(problem, columns, solution), shares)
     except (ProblemError, np.linalg.LinAlgError):
@@ -193,9 +193,9 @@ def _trial(
     )
 
 
-def idle_options(steps: int) -> Options:
+def idle_options(steps: int, damping: float = DAMPING_START) -> Options:
     """Return the options of a fit that only distinguishes right from wrong inputs."""
-    return Options(max_iterations=steps, correctors=0, ends=idle(WORTH))
+    return Options(max_iterations=steps, damping=Damping(damping, correctors=0), ends=idle(WORTH))
 
 
 def misfit(chain: Chain, rig: Rigs, table: ObservationTable, parameters: Mapping[str, float]) -> Floats:

@@ -30,17 +30,15 @@ MANY = 20_000
 USUAL_ITERATIONS = 8  # of a fit that converges, to estimate the remaining time
 
 
-def fit(
-    problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options, damping: float = lm.DAMPING_START
-) -> Solution:
-    """Minimise from x (P,) over x[columns], starting with ``damping``; the prior's mean is the problem's start.
+def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options = Options()) -> Solution:  # noqa: B008 (frozen)
+    """Minimise from x (P,) over x[columns]; the prior's mean is the problem's start.
 
     Of more than MANY observations, every so manieth is fitted first: this costs little, and ends close to the minimum.
     """
     every = sum(len(group.sensor_cov) for group in problem.groups) // MANY
     if every > 1:
         few = (group if group.row is None else group.take(slice(None, None, every)) for group in problem.groups)
-        x = fit(replace(problem, groups=tuple(few)), columns, x, options._replace(on_step=None), damping).x
+        x = fit(replace(problem, groups=tuple(few)), columns, x, options._replace(on_step=None)).x
     part, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
     for loss in stages(options.loss):
         linearise, cost = _callbacks(problem, columns, x, loss)
@@ -50,7 +48,7 @@ def fit(
                 part,
                 options.max_iterations,
                 _counted(iterations, options, advance),
-                damping=lm.Damping(damping, options.plain, options.correctors),
+                damping=options.damping,
                 cost=cost,
                 move=stepper(problem, columns),
                 ends=options.ends,
@@ -69,9 +67,7 @@ def fit(
     return Solution(x, minimum.status, message, iterations, information, claimed, weights, prior)
 
 
-def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
-    """The solver ``lm``: minimise over x[columns] from x (P,), damped from the first step on."""
-    return fit(problem, columns, x, options)
+solve = fit  # the solver ``lm``
 
 
 def _counted(before: int, options: Options, advance: Advance) -> Callable[[int, Information], None]:

@@ -29,7 +29,7 @@ from truearm.estimate.identifiability import (
     suggested_free,
 )
 from truearm.estimate.information import half, observe, of_rows, spectrum, with_prior
-from truearm.estimate.levenberg_marquardt import idle
+from truearm.estimate.levenberg_marquardt import Damping, idle
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.other_fits import with_all_rows, without_bad
@@ -41,7 +41,6 @@ from truearm.estimate.problem import (
     modelled_of,
     settled,
     without_effect_priors,
-    without_knowledge,
 )
 from truearm.estimate.row_errors import left_out_errors, row_errors
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
@@ -49,7 +48,7 @@ from truearm.estimate.solution import Options, Solution, of_data, solver_named
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
-from truearm.estimate.validation import has_freedom
+from truearm.estimate.validation import judge_problem
 from truearm.estimate.whitened_rows import only, weighted_chi2
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
@@ -323,7 +322,7 @@ def _solved(
 ) -> _Solved:
     """Solve with all rows, and without outliers where these are to be rejected or are given."""
     problem, columns, gross = task.problem, task.columns, nominal.gross
-    how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
+    how_to = Options(options.max_iterations, Loss(options.loss), Damping(plain=options.damping == "plain"), on_step)
     # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
     start = nominal.x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
     solve = solver_named(options.solver)
@@ -366,7 +365,11 @@ def _quality(task: _Task, solved: _Solved, root: Floats, options: SolverOptions)
     bad = None
     if _rejects(options) and found is solved.every and found.status == "converged" and not quality.explained:
         bad = without_bad_rows(
-            problem, columns, found, quality, Options(options.max_iterations, plain=options.damping == "plain")
+            problem,
+            columns,
+            found,
+            quality,
+            Options(options.max_iterations, damping=Damping(plain=options.damping == "plain")),
         )
     distance, beyond = (rows.distance, rows.beyond) if bad is None else (bad.distance, bad.bad)
     return _Quality(quality, bad, distance, beyond, rows.left_out, solved.taken(problem), rows.parts)
@@ -502,18 +505,14 @@ def judged(
     if modelled:  # the items that these rows use
         names = build_problem(fitted.chain, rig, rows).errors.names
         modelled = [effect.select(held) for effect in modelled if effect.column in names]
-    # The known distance between sockets must not help to place them: the error is the spread about each socket.
-    problem = without_knowledge(build_problem(fitted.chain, rig, rows, None, modelled))
-    known = dict(zip(fitted.names, x_fit, strict=True))
-    columns = np.array([name not in known for name in problem.names])
-    solution = fit(problem, columns, problem.at(known), Options())
-    error, x = solution.information.residual, solution.x
-    judging = has_freedom(problem, columns, x)
-    error = {unit: np.where(judging, of, np.nan) for unit, of in error.items()}
+    problem = build_problem(fitted.chain, rig, rows, None, modelled)
+    judgement = judge_problem(problem, dict(zip(fitted.names, x_fit, strict=True)))
+    judging = judgement.judging
+    error = {unit: np.where(judging, residual, np.nan) for unit, residual in judgement.residual.items()}
     if not judging.any():
         return None, error
-    settled_here, left_out = int(columns.sum()), int((~judging).sum())
-    return HeldOut(Figures.by_unit(error, judging), int(judging.sum()), settled_here, left_out), error
+    count, left_out = int(judging.sum()), int((~judging).sum())
+    return HeldOut(Figures.by_unit(error, judging), count, int(judgement.settled.sum()), left_out), error
 
 
 def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -> NDArray[np.bool_]:

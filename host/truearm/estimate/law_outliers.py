@@ -16,8 +16,7 @@ import numpy as np
 
 from truearm.estimate.law_choice import LawChoice
 from truearm.estimate.law_rows import LawRows
-from truearm.estimate.outliers import matter, misfit, single
-from truearm.estimate.recursive import within
+from truearm.estimate.outliers import matter, misfit, single, within
 from truearm.estimate.whitened_rows import gate
 from truearm.model.chain import Chain
 from truearm.results import Estimate

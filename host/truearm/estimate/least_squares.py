@@ -24,7 +24,9 @@ P0 = 1e6  # m² and rad², "an arbitrary large number"
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
     """Solve by least squares over x[columns] from x (P,)."""
-    found = fit(unweighted(problem), columns, x, options._replace(loss=Loss.LINEAR, plain=False), 0.0)
+    found = fit(
+        unweighted(problem), columns, x, options._replace(loss=Loss.LINEAR, damping=options.damping.from_full_steps())
+    )
     data = observe(problem, found.x, columns)
     rank = int(seen(spectrum(data.root)).sum())
     square = found.information.chi2 - float((((problem.start - found.x)[columns]) ** 2).sum()) / P0

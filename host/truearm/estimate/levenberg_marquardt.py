@@ -58,6 +58,10 @@ class Damping(NamedTuple):
     plain: bool = False
     correctors: int = CORRECTORS
 
+    def from_full_steps(self) -> Damping:
+        """Return a damping that begins with full steps, of scaled columns."""
+        return self._replace(start=0.0, plain=False)
+
 
 class Minimum(NamedTuple):
     """The end point of the iteration; ``status`` is "converged", "max_iterations" or "stalled"."""

@@ -23,4 +23,4 @@ from truearm.types import Floats
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
     """Maximise the posterior over x[columns] from x (P,)."""
-    return fit(problem, columns, x, options._replace(plain=False), 0.0)
+    return fit(problem, columns, x, options._replace(damping=options.damping.from_full_steps()))

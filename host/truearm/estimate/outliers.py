@@ -21,7 +21,6 @@ from scipy import special
 from truearm.estimate.fit import fit
 from truearm.estimate.information import half, observe, spectrum
 from truearm.estimate.problem import Problem
-from truearm.estimate.recursive import within
 from truearm.estimate.solution import Options, Solution
 from truearm.estimate.whitened_rows import gate, only, squared_distances, whitened_blocks
 from truearm.types import Floats, Indices, Mask
@@ -29,6 +28,7 @@ from truearm.types import Floats, Indices, Mask
 MOST = 0.05  # of the rows
 LONGEST_RUN = 3
 MATTERING = 0.3  # of all squared distances: without such rows, the noise is smaller by a sixth
+NEAR_FARTHEST = 0.25  # of the farthest squared distance: half the distance
 MAX_ROUNDS = 50
 GROSS = 10.0  # times the median row of its kind: beyond the errors of a robot that is merely uncalibrated
 GROSS_ROUNDS = 5
@@ -113,6 +113,15 @@ def without_outliers(
         return None
     without = weightless(problem, columns, here._replace(iterations=found.iterations, message=found.message), used)
     return Rejection(without, explained)
+
+
+def within(distance: Floats, limit: Floats, used: Mask) -> Mask:
+    """Return the rows for the next round: without the farthest, and with those that are back within the gate."""
+    far = distance / limit
+    worst = far[used].max(initial=0.0)
+    leaving = used & (far > 1.0) & (far >= NEAR_FARTHEST * worst)
+    returning = ~used & (far <= 1.0)
+    return np.asarray((used & ~leaving) | returning)
 
 
 def matter(square: Floats, out: Mask) -> bool:

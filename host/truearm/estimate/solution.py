@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.information import Information
-from truearm.estimate.levenberg_marquardt import CORRECTORS, Ends
+from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.problem import Problem
 from truearm.estimate.solvers import SOLVERS, Loss
 from truearm.types import Floats, Residuals
@@ -21,9 +21,8 @@ class Options(NamedTuple):
 
     max_iterations: int = 50
     loss: Loss = Loss.LINEAR  # for lm and map
-    plain: bool = False  # damp by λI, for lm
+    damping: Damping = Damping()  # for lm; map and ls begin with full steps
     on_step: Callable[[int, Residuals], None] | None = None  # called with the iteration and the residuals
-    correctors: int = CORRECTORS  # for lm, map and ls (``levenberg_marquardt.Damping``)
     ends: Ends | None = None  # for lm, map and ls: whether to end before the minimum
 
 

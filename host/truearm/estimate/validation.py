@@ -23,9 +23,7 @@ from scipy import special
 from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
-from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import Problem, build_problem, settled, without_knowledge
-from truearm.estimate.solution import Options
 from truearm.estimate.systematic_effects import modelled_effects
 from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
@@ -44,11 +42,16 @@ LEAST_FREEDOM = 1e-6  # share of a row's residuals that must remain for validati
 class Judgement(NamedTuple):
     """The errors of a robot on n rows."""
 
-    error: Residuals  # magnitudes of the rows' residuals by unit
+    residual: Residuals
     judging: NDArray[np.bool_]  # (n,) False for rows that fit whatever the reading
     problem: Problem
     x: Floats  # (P,)
     settled: NDArray[np.bool_]  # (P,) unknowns of the rig estimated on these rows; all others are as identified
+
+    @property
+    def error(self) -> Residuals:
+        """Return the magnitudes of the residuals."""
+        return {unit: np.abs(residual) for unit, residual in self.residual.items()}
 
     @property
     def identified(self) -> tuple[str, ...]:
@@ -84,21 +87,27 @@ def judge(
     place : (p,) parameters of the robot that are fitted to these rows like the rig's unknowns: the pose of base and
     tool.
     """
-    # The known distance between sockets must not help to place them: the error is the spread about each socket.
     plain = build_problem(chain, rig, table)
     causes = {cause.name: cause for cause in plain.causes}
     mine = [one for one in allowed if one.what in causes and set(causes[one.what].numbers) <= set(kept)]
     effects = modelled_effects(plain.causes, mine, Circumstances.of(table, chain))
-    problem = without_knowledge(build_problem(chain, rig, table, None, effects) if effects else plain)
-    p = problem.n_robot
-    values = [kept.get(name, start) for name, start in zip(problem.names[p:], problem.start[p:], strict=True)]
-    x = np.concatenate([params, values])
-    settle = np.array([i >= p and name not in kept for i, name in enumerate(problem.names)])
+    problem = build_problem(chain, rig, table, None, effects) if effects else plain
+    return judge_problem(problem, {**dict(zip(chain.parameter_names, params, strict=True)), **kept}, place)
+
+
+def judge_problem(problem: Problem, known: Mapping[str, float], place: NDArray[np.bool_] | None = None) -> Judgement:
+    """Evaluate the rows of a problem with the robot, and the unknowns of the rig, that are ``known`` by name.
+
+    place : (p,) parameters of the robot that are fitted nevertheless.
+    """
+    # The known distance between sockets must not help to place them: the error is the spread about each socket.
+    problem = without_knowledge(problem)
+    settle = np.array([name not in known for name in problem.names])
     columns = settle.copy()
-    columns[:p] |= np.zeros(p, dtype=bool) if place is None else place
-    found = fit(problem, columns, x, Options(), DAMPING_START)
-    error = {unit: np.abs(residual) for unit, residual in found.information.residual.items()}
-    return Judgement(error, has_freedom(problem, columns, found.x), problem, found.x, settle)
+    columns[: problem.n_robot] |= False if place is None else place
+    found = fit(problem, columns, problem.at(known))
+    judging = has_freedom(problem, columns, found.x)
+    return Judgement(found.information.residual, judging, problem, found.x, settle)
 
 
 def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mapping[str, Expected]:
@@ -114,7 +123,7 @@ def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mappin
     left = jac[:, ~rig] - taken @ (taken.T @ jac[:, ~rig])
     due = {
         unit: Expected(np.full(problem.n_rows, np.nan), np.full(problem.n_rows, np.nan), np.zeros(problem.n_rows, bool))
-        for unit in judgement.error
+        for unit in judgement.residual
     }
     at = 0
     for part in parts:
