@@ -429,7 +429,7 @@ def check(language, files, **surroundings):
             source = census.program.files[move.place.file]
             start, end = source.data.rfind(b"\n", 0, move.place.offset) + 1, source.line_end(move.end)
             marks += MARK.findall(source.data[start:end].decode("latin-1"))
-            outcomes.append("R" if move.reason else "O" if move in census.own else "K")
+            outcomes.append("R" if move.reason else "O" if move in census.replaced else "K")
     assert outcomes == marks
     assert len(marks) == sum(len(MARK.findall(text)) for text in texts.values())
     if "O" not in marks:

@@ -101,12 +101,12 @@ def flat(config: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
     }
 
 
-def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return (key, before, after) for every change; "" for a value that is not there."""
-    names = channel_names(before)
+def differences(previous: Mapping[str, Any], current: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Return (key, previous, current) for every change; "" for a value that is not there."""
+    names = channel_names(previous)
     if len(set(names)) < len(names):
         names = [str(index) for index in range(len(names))]
-    a, b = flat(before, names), flat(after, names)
+    a, b = flat(previous, names), flat(current, names)
     return [
         (key, a.get(key, ""), b.get(key, "")) for key in [*a, *(k for k in b if k not in a)] if a.get(key) != b.get(key)
     ]
@@ -152,10 +152,10 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
 def check_ratios(config: Mapping[str, Any]) -> None:
     """Raise ConfigError for a channel that is divided by a channel that the box does not have, or by itself."""
     for channel in config["channels"]:
-        others = [name for name in channel_names(config) if name != channel["name"]]
-        if channel.get("over", others[0]) not in others:
+        other_names = [name for name in channel_names(config) if name != channel["name"]]
+        if channel.get("over", other_names[0]) not in other_names:
             raise ConfigError(
-                f"channel {channel['name']}: over is {channel['over']!r:.60}; it can be one of {', '.join(others)}"
+                f"channel {channel['name']}: over is {channel['over']!r:.60}; it can be one of {', '.join(other_names)}"
             )
 
 
@@ -245,6 +245,8 @@ def checked_config(box: BoxControl) -> Values:
         raise ProtocolError(f"the box's own configuration cannot be used: {exc}") from exc
 
 
-def change_lines(before: Values, after: Values) -> list[str]:
+def change_lines(previous: Values, current: Values) -> list[str]:
     """Return one line per changed key."""
-    return [one_line(f"{key}: {old or '(none)'} → {new or '(none)'}") for key, old, new in differences(before, after)]
+    return [
+        one_line(f"{key}: {old or '(none)'} → {new or '(none)'}") for key, old, new in differences(previous, current)
+    ]

@@ -76,8 +76,8 @@ class ConfigKey(Key):
     comment: str = ""
 
 
-def _key(name: str, value: WireValue, comment: str = "", **more: Any) -> ConfigKey:
-    return ConfigKey(name, value, comment=comment, **more)
+def _key(name: str, value: WireValue, comment: str = "", **fields: Any) -> ConfigKey:
+    return ConfigKey(name, value, comment=comment, **fields)
 
 
 def _microseconds(name: str, comment: str = "") -> ConfigKey:
@@ -169,7 +169,7 @@ def as_table(value: Any) -> dict[str, Any]:
 
 def decimal_of(pair: Any) -> Decimal | None:
     """Return the number in [mantissa, exponent]; None if it is invalid or cannot be represented in a file."""
-    if not isinstance(pair, list) or len(pair) != 2 or any(type(part) is not int for part in pair):
+    if not isinstance(pair, list) or len(pair) != 2 or any(type(number) is not int for number in pair):
         return None
     mantissa, exponent = pair
     return Decimal(f"{mantissa}E{exponent}") if abs(mantissa) < 2**64 and abs(exponent) <= MAX_EXPONENT else None

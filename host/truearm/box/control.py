@@ -151,15 +151,15 @@ class BoxControl:
 
     # --- transport
 
-    def _document(self, data: bytes, what: str) -> dict[str, Any]:
+    def _document(self, data: bytes, title: str) -> dict[str, Any]:
         try:
             document = load_document(data)
         except cbor2.CBORError as exc:
             raise ProtocolError(
-                "old-firmware", place=self._link.name, reason=f"sends a {what} that cannot be decoded ({exc})"
+                "old-firmware", place=self._link.name, reason=f"sends a {title} that cannot be decoded ({exc})"
             ) from exc
         if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
-            raise ProtocolError("old-firmware", place=self._link.name, reason=f"sends a {what} that is not a table")
+            raise ProtocolError("old-firmware", place=self._link.name, reason=f"sends a {title} that is not a table")
         return document
 
     def _send(

@@ -135,14 +135,14 @@ def _continued(places_file: Path, ident: Ident, channel: Channel, operator: Gaug
 
 @dataclass(frozen=True)
 class GaugeRun:
-    """The measurement of places, which are ``kept`` in a file."""
+    """The measurement of places, which are kept in ``places_file``."""
 
     box: BoxControl
     stream: Stream
     channel: Channel
     options: GaugeOptions
     operator: GaugeOperator
-    kept: Path
+    places_file: Path
     places: Places
 
     @property
@@ -191,7 +191,7 @@ class GaugeRun:
         if line == "undo":
             say(f"  dropped place {len(places.places)}" if places.places else "  there is none")
             del places.places[-1:]
-            places.write(self.kept, say)
+            places.write(self.places_file, say)
             return
         try:
             reference = parse_reference(line, UNITS[unit])
@@ -218,7 +218,7 @@ class GaugeRun:
         temperature = self.box.heartbeat.get("temperature_mdegc")
         degc = None if temperature is None else temperature / 1000
         self.places.places.append(Place(reference, mean_of(readings), degc))
-        self.places.write(self.kept, say)
+        self.places.write(self.places_file, say)
         say(self.places.line(len(self.places.places)))
         return True
 

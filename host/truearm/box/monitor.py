@@ -131,13 +131,13 @@ def _watch(
             if ident_of(box).boot_id != watch.ident.boot_id:
                 watch = Watch(ident_of(box), restarts=watch.restarts + 1)
                 box.command(START)
-            now = time.monotonic()
-            if now >= next_probe:
-                next_probe = now + PROBE_S
+            time_s = time.monotonic()
+            if time_s >= next_probe:
+                next_probe = time_s + PROBE_S
                 watch.asked(*box.probe())
-            if now >= next_show:
-                next_show = now + every_s
-                show(rows_of(watch, now - begun, box))
+            if time_s >= next_show:
+                next_show = time_s + every_s
+                show(rows_of(watch, time_s - begun, box))
     return watch
 
 

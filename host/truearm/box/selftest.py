@@ -97,7 +97,7 @@ def _finding(name: str, result: Any, device: str) -> Finding:
     item = _ITEMS.get(
         name, _Item(name[:40], "the box's firmware is newer than this truearm; update truearm", (-(2.0**63), 2.0**63))
     )
-    what = item.what.format(name[-1])
+    title = item.what.format(name[-1])
     advice = item.advice.format(
         off=box_command("config set magnetostrictive.period_us=0", device),
         get=box_command("config get", device),
@@ -105,11 +105,11 @@ def _finding(name: str, result: Any, device: str) -> Finding:
         address=box_command("config set thermometers.NAME=ADDRESS", device),
     )
     if result is None:
-        return Finding(name, WARN, what, "", f"the box did not measure it; {advice}")
+        return Finding(name, WARN, title, "", f"the box did not measure it; {advice}")
     value = result.get("value") if isinstance(result, dict) else None
     if type(value) is not int or abs(value) >= 2**63 or result.get("ok") not in (0, 1):
         return Finding(
-            name, FAIL, what, "", "the box's answer cannot be read; update its firmware with truearm box flash"
+            name, FAIL, title, "", "the box's answer cannot be read; update its firmware with truearm box flash"
         )
     unit = item.unit if name in _ITEMS else str(result.get("unit", ""))[:10]
     shown = f"{_scaled(value, item)} {unit}".strip()
@@ -118,9 +118,9 @@ def _finding(name: str, result: Any, device: str) -> Finding:
             _scaled(v, item) for v in (result.get("low"), result.get("high")) if type(v) is int and abs(v) < 2**63
         ]
         between = f" (allowed: {' to '.join(limits)} {unit}".rstrip() + ")" if len(limits) == 2 else ""
-        return Finding(name, FAIL, what, shown + between, advice)
-    near = not item.inner[0] <= value <= item.inner[1]
-    return Finding(name, WARN if near else PASS, what, shown, f"near its limit; {advice}" if near else "")
+        return Finding(name, FAIL, title, shown + between, advice)
+    is_near = not item.inner[0] <= value <= item.inner[1]
+    return Finding(name, WARN if is_near else PASS, title, shown, f"near its limit; {advice}" if is_near else "")
 
 
 def _scaled(value: int, item: _Item) -> str:

@@ -114,14 +114,14 @@ def correct(
         value of targets that are accepted. Raises ValueError for an unknown method.
     """
     nominal = _nominal(pair, targets, oriented, configuration)
-    q, near, singular = nominal
+    q, reached_nominal, singular = nominal
     chunks = [slice(first, first + CHUNK) for first in range(0, max(len(targets), 1), CHUNK)]
     return joined(
         [
             _at(
                 pair,
                 targets[rows],
-                Inverse(q[rows], near[rows], singular[rows]),
+                Inverse(q[rows], reached_nominal[rows], singular[rows]),
                 Method(method),
                 steps,
                 oriented,
@@ -153,11 +153,11 @@ def at_tools(pair: ModelPair, done: Correction, tools: Floats) -> Correction:
         (poses @ tools)[:, :3, 3]
         for poses in (believed(pair, done.q_nominal), reached(pair, done.q_nominal), reached(pair, done.q))
     )
-    before, after = (
+    error_before, error_after = (
         np.column_stack([np.linalg.norm(end - goal, axis=1), error[:, 1]])
         for end, error in zip(ends, (done.before, done.after), strict=True)
     )
-    return replace(done, before=before, after=after)
+    return replace(done, before=error_before, after=error_after)
 
 
 def _at(
@@ -165,9 +165,9 @@ def _at(
 ) -> Correction:
     """Return ``correct`` for joints where the controller would go."""
     q_nominal = nominal.q
-    before = _error(pair, targets, q_nominal, oriented)
+    error_before = _error(pair, targets, q_nominal, oriented)
     q, grew, singular_values = _corrected(pair, targets, q_nominal, method, steps, oriented)
-    after = _error(pair, targets, q, oriented)
+    error_after = _error(pair, targets, q, oriented)
     identified = (
         singular_value(pair.chain, pair.identified, q, oriented) if singular_values is None else singular_values
     )
@@ -176,8 +176,8 @@ def _at(
 
     q = completed(q, pair.chain.mimics, q.shape[1])
 
-    def refuse(where: Any, words: str) -> None:
-        for i in np.flatnonzero(where):
+    def refuse(refused: Any, words: str) -> None:
+        for i in np.flatnonzero(refused):
             problem[i] = problem[i] or words.format(singular[i])
 
     refuse(
@@ -191,7 +191,7 @@ def _at(
     refuse(grew, "the correction does not converge")
     refuse(np.abs(q - q_nominal).max(axis=-1) > MOST_TURN, "the correction leads to another configuration of the arm")
     refuse(~within(pair.chain, q), "the corrected joints are outside the joint limits")
-    return Correction(q_nominal, q, believed(pair, q), before, after, tuple(problem))
+    return Correction(q_nominal, q, believed(pair, q), error_before, error_after, tuple(problem))
 
 
 def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Configuration) -> Inverse:

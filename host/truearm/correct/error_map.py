@@ -238,7 +238,7 @@ def _sigma(pair: ModelPair, q: Floats, covariance: Floats, unseen: Floats) -> Fl
 
 
 def best_region(
-    found: ErrorMap, width: float, height: float, within: tuple[float, float, float, float] | None = None
+    section: ErrorMap, width: float, height: float, within: tuple[float, float, float, float] | None = None
 ) -> BestRectangle | None:
     """Return the rectangle of this size (along u and v) [m] with the smallest largest error, or None if it fits
     nowhere.
@@ -246,16 +246,16 @@ def best_region(
     ``within``: u0, u1, v0, v1 [m], the part of the section in which it may lie. The map does not account for
     collisions, of the arm with itself or with the table for example.
     """
-    cell = found.u[1] - found.u[0] if found.u.size > 1 else np.inf
+    cell = section.u[1] - section.u[0] if section.u.size > 1 else np.inf
     k, n = max(1, int(np.ceil(width / cell - 1e-9))), max(1, int(np.ceil(height / cell - 1e-9)))
-    if k > found.u.size or n > found.v.size:
+    if k > section.u.size or n > section.v.size:
         return None
-    error = found.error
+    error = section.error
     if within is not None:
         u0, u1, v0, v1 = np.array(within) + 0.5 * cell * np.array([1.0, -1.0, 1.0, -1.0])
         inside = (
-            (found.u > u0 - ROUNDING) & (found.u < u1 + ROUNDING),
-            (found.v > v0 - ROUNDING) & (found.v < v1 + ROUNDING),
+            (section.u > u0 - ROUNDING) & (section.u < u1 + ROUNDING),
+            (section.v > v0 - ROUNDING) & (section.v < v1 + ROUNDING),
         )
         error = np.where(inside[1][:, None] & inside[0], error, np.nan)
     windows = sliding_window_view(error, (n, k))
@@ -263,7 +263,7 @@ def best_region(
     if np.isnan(largest).all():
         return None
     i, j = np.unravel_index(int(np.nanargmin(largest)), largest.shape)
-    u, v = found.u[j : j + k], found.v[i : i + n]
+    u, v = section.u[j : j + k], section.v[i : i + n]
     half = 0.5 * cell
     return BestRectangle(
         (float(u[0] - half), float(u[-1] + half)),

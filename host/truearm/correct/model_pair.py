@@ -32,8 +32,8 @@ def believed(pair: ModelPair, q: Floats) -> Floats:
 
 def reached(pair: ModelPair, q: Floats) -> Floats:
     """Return f_i(q), (n, 4, 4): the actual pose of the end (Renders 1991, (30))."""
-    there = forward(pair.chain, pair.identified, q)
-    return np.asarray(inverted(pair.mountings.base) @ there @ inverted(pair.mountings.tool))
+    pose = forward(pair.chain, pair.identified, q)
+    return np.asarray(inverted(pair.mountings.base) @ pose @ inverted(pair.mountings.tool))
 
 
 def in_rig(pair: ModelPair, targets: Floats) -> Floats:

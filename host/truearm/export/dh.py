@@ -40,12 +40,12 @@ class DhRows(NamedTuple):
 
 def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhRows:
     """Return the rows of a robot. ``hayati``: with β where the nominal axes are nearly parallel."""
-    ways, parallel = _ways(nominal)
+    directions, parallel = _ways(nominal)
     axes = _axes(robot)
     base = _frame_on(axes[0], np.eye(4))
     frame, rows = base, []
     for i in range(len(robot.joints) - 1):
-        row, frame = _row(frame, axes[i + 1], ways[i], hayati and parallel[i])
+        row, frame = _row(frame, axes[i + 1], directions[i], hayati and parallel[i])
         rows.append(row)
     end = _end(robot)
     last = _frame_on(frame, end)
@@ -58,41 +58,41 @@ def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhR
 def _ways(nominal: LinkFrames) -> tuple[list[Floats], list[bool]]:
     """Return the nominal x axes of frames 1 to n − 1 with the smallest θ, and whether axes are nearly parallel there."""
     axes = _axes(nominal)
-    frame, ways, parallel = _frame_on(axes[0], np.eye(4)), [], []
+    frame, directions, parallel = _frame_on(axes[0], np.eye(4)), [], []
     for axis in axes[1:]:
         _, x, sine = _normal(frame, axis)
         parallel.append(sine < NEARLY)
         x = _toward(frame, axis)[1] if parallel[-1] else x
         theta = _angle_about(frame, x)
         # A quarter turn either way is equally small: then choose a positive a.
-        ways.append(-x if abs(theta) > 0.5 * math.pi + 1e-6 else x)
-        frame = _row(frame, axis, ways[-1], parallel[-1])[1]
-    return ways, parallel
+        directions.append(-x if abs(theta) > 0.5 * math.pi + 1e-6 else x)
+        frame = _row(frame, axis, directions[-1], parallel[-1])[1]
+    return directions, parallel
 
 
 def _axes(robot: LinkFrames) -> list[Floats]:
     """Return frames (4, 4) whose z axes are those of the joints, in the robot's base frame, at joint variables 0."""
-    here, out = np.eye(4), []
+    frame, out = np.eye(4), []
     for link in robot.links[:-1]:
-        here = here @ link
-        out.append(here)
+        frame = frame @ link
+        out.append(frame)
     return out
 
 
 def _end(robot: LinkFrames) -> Floats:
-    here = np.eye(4)
+    frame = np.eye(4)
     for link in robot.links:
-        here = here @ link
-    return here
+        frame = frame @ link
+    return frame
 
 
-def _frame_on(axis: Floats, near: Floats) -> Floats:
+def _frame_on(axis: Floats, neighbour: Floats) -> Floats:
     """Return the frame on an axis nearest to another frame: at its origin's foot, x along its x (or y) projected."""
     z = axis[:3, 2]
-    origin = axis[:3, 3] + z * (z @ (near[:3, 3] - axis[:3, 3]))
-    x = near[:3, 0] - z * (z @ near[:3, 0])
+    origin = axis[:3, 3] + z * (z @ (neighbour[:3, 3] - axis[:3, 3]))
+    x = neighbour[:3, 0] - z * (z @ neighbour[:3, 0])
     if np.linalg.norm(x) < 1e-3:
-        x = near[:3, 1] - z * (z @ near[:3, 1])
+        x = neighbour[:3, 1] - z * (z @ neighbour[:3, 1])
     return _frame(origin, x / np.linalg.norm(x), z)
 
 
@@ -110,26 +110,26 @@ def _normal(frame: Floats, axis: Floats) -> tuple[Floats, Floats, float]:
     between = axis[:3, 3] - frame[:3, 3]
     if sine < PARALLEL:
         return frame[:3, 3], _toward(frame, axis)[1], sine
-    way = across / sine
+    direction = across / sine
     foot = frame[:3, 3] + z * (np.cross(between, z_next) @ across / sine**2)
-    return foot, way if way @ between >= -1e-9 else -way, sine
+    return foot, direction if direction @ between >= -1e-9 else -direction, sine
 
 
 def _toward(frame: Floats, axis: Floats) -> tuple[float, Floats]:
     """Return distance and direction to the point where a nearly parallel axis meets the plane across the frame's z axis."""
     z, z_next = frame[:3, 2], axis[:3, 2]
-    way = axis[:3, 3] + z_next * (z @ (frame[:3, 3] - axis[:3, 3])) / (z @ z_next) - frame[:3, 3]
-    distance = float(np.linalg.norm(way))
-    return distance, way / distance if distance > 1e-6 else frame[:3, 0]
+    vector = axis[:3, 3] + z_next * (z @ (frame[:3, 3] - axis[:3, 3])) / (z @ z_next) - frame[:3, 3]
+    distance = float(np.linalg.norm(vector))
+    return distance, vector / distance if distance > 1e-6 else frame[:3, 0]
 
 
-def _row(frame: Floats, axis: Floats, way: Floats, with_beta: bool) -> tuple[tuple[float, ...], Floats]:
+def _row(frame: Floats, axis: Floats, direction: Floats, with_beta: bool) -> tuple[tuple[float, ...], Floats]:
     """Return θ, d, a, α, β of a joint, and the frame after it, whose x axis points in the nominal direction."""
     if with_beta:
-        row = _hayati_row(frame, axis, way)
+        row = _hayati_row(frame, axis, direction)
     else:
         foot, x, sine = _normal(frame, axis)
-        x = x if x @ way >= 0.0 else -x
+        x = x if x @ direction >= 0.0 else -x
         z, z_next = frame[:3, 2], axis[:3, 2]
         to_axis = axis[:3, 3] - foot
         end = axis[:3, 3] + z_next * (-(z_next @ to_axis) if sine < PARALLEL else _foot_along(to_axis, z, z_next))
@@ -146,15 +146,15 @@ def _foot_along(to_axis: Floats, z: Floats, z_next: Floats) -> float:
     return float(np.cross(to_axis, z) @ across / (across @ across))
 
 
-def _hayati_row(frame: Floats, axis: Floats, way: Floats) -> tuple[float, ...]:
+def _hayati_row(frame: Floats, axis: Floats, direction: Floats) -> tuple[float, ...]:
     """Return a row with d = 0: the next axis meets the plane across this one, and x points from here to that point."""
     z, z_next = frame[:3, 2], axis[:3, 2]
-    far, x = _toward(frame, axis)
-    x, far = (x, far) if x @ way >= 0.0 else (-x, -far)
+    distance, x = _toward(frame, axis)
+    x, distance = (x, distance) if x @ direction >= 0.0 else (-x, -distance)
     y = np.cross(z, x)
     beta = math.asin(float(np.clip(x @ z_next, -1.0, 1.0)))
     alpha = math.atan2(-float(y @ z_next), float(z @ z_next))
-    return _angle_about(frame, x), 0.0, far, alpha, beta
+    return _angle_about(frame, x), 0.0, distance, alpha, beta
 
 
 def _angle_about(frame: Floats, x: Floats) -> float:

@@ -17,15 +17,15 @@ from truearm.export.writing import RobotToWrite
 from truearm.types import Floats
 
 
-def write_python(what: RobotToWrite) -> str:
+def write_python(source: RobotToWrite) -> str:
     """Return the evaluator in Python."""
-    lines = [f"{name} = {value!r}" for name, value in _tables(what).items()]
-    return _filled("py", [f"# {line}" for line in what.comment.splitlines()], lines)
+    lines = [f"{name} = {value!r}" for name, value in _tables(source).items()]
+    return _filled("py", [f"# {line}" for line in source.comment.splitlines()], lines)
 
 
-def write_c(what: RobotToWrite) -> str:
+def write_c(source: RobotToWrite) -> str:
     """Return the evaluator in C99."""
-    tables = _tables(what)
+    tables = _tables(source)
     curves, sags = tables.pop("CURVES"), tables.pop("SAG")
     lines = [f"#define JOINTS {tables.pop('JOINTS')}", f"#define CURVES {len(curves)}", f"#define SAGS {len(sags)}"]
     empty_curve, empty_sag = (0, 0.0, 1.0, False, (0.0,)), (0, 0, (0.0, 0.0, 0.0), 0.0)  # C has no empty tables
@@ -36,7 +36,7 @@ def write_c(what: RobotToWrite) -> str:
     tables |= {
         "CURVE_START": tuple(starts),
         "CURVE_COUNT": counts,
-        "COEFFICIENTS": tuple(v for of in values for v in of),
+        "COEFFICIENTS": tuple(v for curve in values for v in curve),
     }
     names = ("SAG_JOINT", "SAG_POINT", "SAG_GRAVITY", "SAG_COMPLIANCE")
     tables |= dict(zip(names, zip(*sags or [empty_sag], strict=True), strict=True))
@@ -44,7 +44,7 @@ def write_c(what: RobotToWrite) -> str:
         shape = "".join(f"[{n}]" for n in np.shape(value))
         kind = "double" if np.asarray(value).dtype.kind == "f" else "int"
         lines.append(f"static const {kind} {name}{shape} = {_braces(value)};")
-    comment = [f"/* {line.replace('*/', '* /')} */" for line in what.comment.splitlines()]
+    comment = [f"/* {line.replace('*/', '* /')} */" for line in source.comment.splitlines()]
     return _filled("c", comment, lines)
 
 
@@ -62,9 +62,9 @@ def _braces(value: Any) -> str:
     return repr(int(value)) if isinstance(value, bool) else repr(value)
 
 
-def _tables(what: RobotToWrite) -> dict[str, Any]:
+def _tables(source: RobotToWrite) -> dict[str, Any]:
     """Return the tables by name: numbers and nested tuples of them."""
-    robot, nominal, chain = what.robot, what.described, what.chain
+    robot, nominal, chain = source.robot, source.described, source.chain
     values = robot.params.tolist()
     lower, upper = np.clip(chain.limits, -NO_LIMIT, NO_LIMIT).tolist()
     laws = [(p.term, p.joint or 0, p.basis, values[i]) for i, p in enumerate(chain.parameters)]

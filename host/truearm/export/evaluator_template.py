@@ -68,50 +68,50 @@ def correct(pose: list[list[float]], q: list[float]) -> tuple[list[float], float
         return q, error
     for index in range(STEPS + 1):
         frames = _frames(LINKS, true_angles(q))
-        here = frames[-1]
-        apart = [pose[k][3] - here[k][3] for k in range(3)]
-        turn = [[sum(pose[r][k] * here[c][k] for k in range(3)) for c in range(3)] for r in range(3)]
-        apart += [0.5 * (turn[(k + 2) % 3][(k + 1) % 3] - turn[(k + 1) % 3][(k + 2) % 3]) for k in range(3)]
-        changes = [pose[r][k] - here[r][k] for r in range(3) for k in range(3)]
-        error = max(math.hypot(*apart[:3]), math.sqrt(0.5) * math.hypot(*changes))
+        end = frames[-1]
+        difference = [pose[k][3] - end[k][3] for k in range(3)]
+        turn = [[sum(pose[r][k] * end[c][k] for k in range(3)) for c in range(3)] for r in range(3)]
+        difference += [0.5 * (turn[(k + 2) % 3][(k + 1) % 3] - turn[(k + 1) % 3][(k + 2) % 3]) for k in range(3)]
+        changes = [pose[r][k] - end[r][k] for r in range(3) for k in range(3)]
+        error = max(math.hypot(*difference[:3]), math.sqrt(0.5) * math.hypot(*changes))
         if index == STEPS:
             break
         columns = []
         for joint in range(JOINTS):
             axis = [row[2] * GAINS[joint] for row in frames[joint]]
-            arm = [here[k][3] - frames[joint][k][3] for k in range(3)]
+            arm = [end[k][3] - frames[joint][k][3] for k in range(3)]
             columns.append([*axis, 0.0, 0.0, 0.0] if SLIDES[joint] else [*_cross(axis, arm), *axis])
         # the squared error: short steps where the arm is singular, Newton's near the pose (Sugihara 2011)
         damping = DAMPING + error * error
         square = [[sum(c[r] * c[s] for c in columns) + damping * (r == s) for s in range(6)] for r in range(6)]
-        weights = _solved(square, apart)
+        weights = _solved(square, difference)
         step = [sum(a * b for a, b in zip(column, weights)) for column in columns]
         if not all(map(math.isfinite, step)):
             break
         scale = LARGEST_STEP / max(LARGEST_STEP, *map(abs, step))
-        before = q
+        previous = q
         q = [min(max(a + scale * b, low), high) for a, b, low, high in zip(q, step, lower, upper)]
-        if max(abs(a - b) for a, b in zip(q, before)) < STEP_END:
+        if max(abs(a - b) for a, b in zip(q, previous)) < STEP_END:
             break
     return q, error
 
 
 def _frames(links: tuple[tuple[tuple[float, ...], ...], ...], angles: list[float]) -> list[list[list[float]]]:
     """Return the frame of each joint after its motion along or about z, then the end's."""
-    here, frames = [list(row) for row in links[0]], []
+    frame, frames = [list(row) for row in links[0]], []
     for joint, angle in enumerate(angles):
         if SLIDES[joint]:
-            here = [[x, y, z, p + angle * z] for x, y, z, p in here]
+            frame = [[x, y, z, p + angle * z] for x, y, z, p in frame]
         else:
             c, s = math.cos(angle), math.sin(angle)
-            here = [[c * x + s * y, c * y - s * x, z, p] for x, y, z, p in here]
-        frames.append(here)
+            frame = [[c * x + s * y, c * y - s * x, z, p] for x, y, z, p in frame]
+        frames.append(frame)
         link = links[joint + 1]
-        here = [
+        frame = [
             [sum(row[k] * link[k][column] for k in range(3)) + (row[3] if column == 3 else 0.0) for column in range(4)]
-            for row in here
+            for row in frame
         ]
-    return [*frames, here]
+    return [*frames, frame]
 
 
 def _spline(reading: float, first: float, spacing: float, periodic: bool, coefficients: tuple[float, ...]) -> float:
@@ -135,9 +135,9 @@ def _cross(a: list[float] | tuple[float, ...], b: list[float]) -> list[float]:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
-def _solved(square: list[list[float]], right: list[float]) -> list[float]:
+def _solved(square: list[list[float]], vector: list[float]) -> list[float]:
     """Return the solution of six linear equations, by elimination with pivots."""
-    rows = [[*row, value] for row, value in zip(square, right)]
+    rows = [[*row, value] for row, value in zip(square, vector)]
     for i in range(6):
         pivot = max(range(i, 6), key=lambda k: abs(rows[k][i]))
         rows[i], rows[pivot] = rows[pivot], rows[i]

@@ -72,18 +72,18 @@ def link_frames(chain: Chain, nominal: Floats, calibrated: Floats, with_mounting
     """
     links = own_links(chain, nominal, calibrated)
     axes = [_TO_AXIS[motion[1]] for motion in chain.motions]
-    before = [np.eye(4), *axes]
-    after = [*axes, np.eye(4)]
-    turned = np.stack([a.T @ link @ b for a, link, b in zip(before, links, after, strict=True)])
-    found = mountings(chain, nominal, calibrated)
+    inner = [np.eye(4), *axes]
+    outer = [*axes, np.eye(4)]
+    turned = np.stack([a.T @ link @ b for a, link, b in zip(inner, links, outer, strict=True)])
+    mounted = mountings(chain, nominal, calibrated)
     return LinkFrames(
         name=chain.name,
         joints=chain.joints,
         links=turned,
         law=chain.law,
         params=own_law(chain, nominal, calibrated),
-        base=found.base if with_mountings else np.eye(4),
-        tool=found.tool if with_mountings else np.eye(4),
+        base=mounted.base if with_mountings else np.eye(4),
+        tool=mounted.tool if with_mountings else np.eye(4),
         base_frame=chain.base_frame,
         end_frame=chain.end_frame,
     )
@@ -101,8 +101,8 @@ def joint_motion(joint: Joint, amount: float) -> Floats:
     return elementary("tz" if joint.kind == "prismatic" else "rz", amount)
 
 
-def check_gains(robot: LinkFrames, what: str) -> None:
-    """Raise RobotError for a gain other than 1, which ``what`` cannot store."""
+def check_gains(robot: LinkFrames, format_name: str) -> None:
+    """Raise RobotError for a gain other than 1, which ``format_name`` cannot store."""
     for joint, gain in zip(robot.joints, robot.gains, strict=True):
         if gain != 1.0:
-            raise RobotError(f"joint {joint.name} has gain {gain:g}, but {what} has no gains; refit with gain 1")
+            raise RobotError(f"joint {joint.name} has gain {gain:g}, but {format_name} has no gains; refit with gain 1")

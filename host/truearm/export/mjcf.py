@@ -13,9 +13,9 @@ from truearm.model.poses import position_and_rotation
 from truearm.types import Floats
 
 
-def write(what: RobotToWrite) -> str:
+def write(source: RobotToWrite) -> str:
     """Return an MJCF. Raises RobotError for gains, which it cannot hold."""
-    robot = what.robot
+    robot = source.robot
     check_gains(robot, "an MJCF")
     names = link_names(robot)
     motions = [
@@ -29,8 +29,8 @@ def write(what: RobotToWrite) -> str:
         robot.tool,
     ]
     lines = [f"<mujoco model={quoteattr(robot.name)}>"]
-    if what.comment:
-        lines.append(f"  <!-- {what.comment.replace('--', '- -')} -->")
+    if source.comment:
+        lines.append(f"  <!-- {source.comment.replace('--', '- -')} -->")
     lines += ['  <compiler angle="radian" boundmass="0.01" boundinertia="1e-5"/>', "  <worldbody>"]
     for depth, (name, origin) in enumerate(zip(names, origins, strict=True)):
         lines.append(f"{'  ' * (depth + 2)}<body name={quoteattr(name)}{_place(origin)}>")

@@ -26,24 +26,24 @@ SIX = ("x_m", "y_m", "z_m", "alpha_rad", "beta_rad", "gamma_rad")
 NO_LIMIT = UNITS["rad"].largest  # for a joint without limits
 
 
-def write_sheth_uicker(what: RobotToWrite) -> str:
+def write_sheth_uicker(source: RobotToWrite) -> str:
     """Return a robot file of links."""
-    return sheth_uicker_table(what.robot, what.comment)
+    return sheth_uicker_table(source.robot, source.comment)
 
 
-def write_dh(what: RobotToWrite) -> str:
+def write_dh(source: RobotToWrite) -> str:
     """Return a robot file of distal rows."""
-    return dh_table(what.robot, what.described, comment=what.comment)
+    return dh_table(source.robot, source.described, comment=source.comment)
 
 
-def write_dh_hayati(what: RobotToWrite) -> str:
+def write_dh_hayati(source: RobotToWrite) -> str:
     """Return a robot file of distal rows, with β where it is needed."""
-    return dh_table(what.robot, what.described, hayati=True, comment=what.comment)
+    return dh_table(source.robot, source.described, hayati=True, comment=source.comment)
 
 
-def write_mdh(what: RobotToWrite) -> str:
+def write_mdh(source: RobotToWrite) -> str:
     """Return a robot file of Craig's rows."""
-    return modified_dh_table(what.robot, what.described, what.comment)
+    return modified_dh_table(source.robot, source.described, source.comment)
 
 
 def sheth_uicker_table(robot: LinkFrames, comment: str = "") -> str:
@@ -140,10 +140,10 @@ def _joint(i: int, robot: LinkFrames, offset: float) -> list[str]:
 def _further_terms(i: int, robot: LinkFrames) -> list[str]:
     """Return the terms of a joint's law other than offset and gain, unless they are neutral."""
     return [
-        _parameter(f"{term.name}_{term.unit_of(robot.joints[i].kind)}".removesuffix("_1"), robot.params[at])
+        _parameter(f"{term.name}_{term.unit_of(robot.joints[i].kind)}".removesuffix("_1"), robot.params[index])
         for term in robot.further_terms
-        for at in term.parameters[term.joints == i]
-        if robot.params[at] != term.neutral
+        for index in term.parameters[term.joints == i]
+        if robot.params[index] != term.neutral
     ]
 
 

@@ -25,31 +25,31 @@ AS_BUILT = 0.1  # rad, of the axes of an arm as built from those of its drawing
 SMALL = 1e-6  # m, rad
 
 
-def write(what: RobotToWrite) -> str:
+def write(source: RobotToWrite) -> str:
     """Return a kinematics file. Raises RobotError as ``ur_yaml`` does."""
-    return ur_yaml(what.robot, what.described, what.comment)
+    return ur_yaml(source.robot, source.described, source.comment)
 
 
-def write_conf(what: RobotToWrite) -> str:
+def write_conf(source: RobotToWrite) -> str:
     """Return the part [mounting] of a controller's calibration.conf: differences from the drawing.
 
     Raises RobotError unless the robot is an arm of Universal Robots between its controller's base and flange.
     """
-    ur_yaml(what.robot, what.described)  # which checks the arrangement of the axes
-    drawing = what.nominal if what.drawing is None else what.drawing
-    drawn = link_frames(what.chain, drawing, drawing)
-    rows, design = (dh_rows(robot, drawn) for robot in (what.robot, drawn))
-    at_ends = [pose - np.eye(4) for of in (rows, design) for pose in (of.base, of.tool)]
+    ur_yaml(source.robot, source.described)  # which checks the arrangement of the axes
+    drawing = source.nominal if source.drawing is None else source.drawing
+    drawn = link_frames(source.chain, drawing, drawing)
+    rows, design = (dh_rows(robot, drawn) for robot in (source.robot, drawn))
+    at_ends = [pose - np.eye(4) for rows_of in (rows, design) for pose in (rows_of.base, rows_of.tool)]
     straight = np.abs(np.sin(2.0 * design.alpha))
     if max(np.abs(end).max() for end in at_ends) > SMALL or straight.max() > SMALL:
         raise RobotError(
             "unsuited-robot",
-            place=f"robot {what.chain.name}",
+            place=f"robot {source.chain.name}",
             reason="its values are not those of a drawing from the controller's base to its flange; identify with a built-in UR, or with the file of truearm robot read",
         )
-    theta = rows.theta + what.robot.offsets - design.theta - drawn.offsets
+    theta = rows.theta + source.robot.offsets - design.theta - drawn.offsets
     lists = {"theta": theta, "a": rows.a - design.a, "d": rows.d - design.d, "alpha": rows.alpha - design.alpha}
-    lines = [f"# {line}" for line in what.comment.splitlines()] + ["[mounting]"]
+    lines = [f"# {line}" for line in source.comment.splitlines()] + ["[mounting]"]
     return "\n".join([*lines, *(f"delta_{name} = {values.tolist()}" for name, values in lists.items()), ""])
 
 
@@ -64,18 +64,18 @@ def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
         )
     shifts = [elementary("tz", float(link[2, 3])) for link in robot.links[1:]]
     out = []
-    before = np.eye(4)
+    inverse_shift = np.eye(4)
     for link, offset, shift in zip(robot.links, robot.offsets, shifts, strict=False):
-        out.append(before @ link @ elementary("rz", float(offset)) @ shift)
-        before = inverted(shift)
-    return np.stack(out), before @ robot.links[-1]
+        out.append(inverse_shift @ link @ elementary("rz", float(offset)) @ shift)
+        inverse_shift = inverted(shift)
+    return np.stack(out), inverse_shift @ robot.links[-1]
 
 
 def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     """Return the text of a kinematics file. Raises RobotError unless nominally a Universal Robots arm."""
-    described, rest = ur_segments(nominal)
+    described, remainder = ur_segments(nominal)
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])
-    if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > AS_BUILT or np.abs(rest - np.eye(4)).max() > SMALL:
+    if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > AS_BUILT or np.abs(remainder - np.eye(4)).max() > SMALL:
         raise RobotError(
             "unsuited-robot",
             place=f"robot {robot.name}",

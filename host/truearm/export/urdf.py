@@ -41,11 +41,11 @@ class _PathJoint(NamedTuple):
     motion: tuple[Element, ...]  # empty for a fixed joint
 
 
-def write(what: RobotToWrite) -> str:
+def write(source: RobotToWrite) -> str:
     """Return the robot's URDF with other origins, or a new one. Raises RobotError for what neither can express."""
-    if what.urdf is None:
-        return new_urdf(what.robot, what.comment)
-    return edited(what.urdf, joint_origins(what.chain, what.nominal, what.params, what.mountings))
+    if source.urdf is None:
+        return new_urdf(source.robot, source.comment)
+    return edited(source.urdf, joint_origins(source.chain, source.nominal, source.params, source.mountings))
 
 
 def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> dict[str, Floats]:
@@ -77,18 +77,18 @@ def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mounti
 def _path(chain: Chain) -> list[_PathJoint]:
     """Return the joints of the path by the names of their parameters, ``<joint>.x`` and so on."""
     path: list[_PathJoint] = []
-    at, elements = 0, chain.elements
-    while at < len(elements):
-        origin = elements[at : at + 6]
+    index, elements = 0, chain.elements
+    while index < len(elements):
+        origin = elements[index : index + 6]
         names = [chain.parameter_names[e.parameter].rpartition(".") for e in origin if e.parameter is not None]
         if [name[2] for name in names] != ["x", "y", "z", "yaw", "pitch", "roll"]:
             raise RobotError(f"robot {chain.name} was not read from a URDF; a new URDF can be written for it")
-        at += 6
-        end = at
+        index += 6
+        end = index
         while end < len(elements) and elements[end].parameter is None:
             end += 1
-        path.append(_PathJoint(names[0][0], origin, elements[at:end]))
-        at = end
+        path.append(_PathJoint(names[0][0], origin, elements[index:end]))
+        index = end
     return path
 
 
@@ -118,15 +118,15 @@ def edited(text: str, origins: Mapping[str, Floats]) -> str:
     missing = sorted(set(origins) - set(places))
     if missing:
         raise RobotError(f"URDF has no joint {missing[0]!r}; give the URDF that the result was identified with")
-    pieces, at = [], 0
+    pieces, offset = [], 0
     for name, place in sorted(places.items(), key=lambda item: item[1].start):
         if name in origins:
             pieces += [
-                data[at : place.start],
+                data[offset : place.start],
                 _with_origin(data[place.start : place.end].decode(), origins[name]).encode(),
             ]
-            at = place.end
-    return b"".join([*pieces, data[at:]]).decode()
+            offset = place.end
+    return b"".join([*pieces, data[offset:]]).decode()
 
 
 class _Place(NamedTuple):
@@ -146,13 +146,13 @@ def _origin_places(data: bytes) -> dict[str, _Place]:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal joint
         stack.append(tag)
-        here = parser.CurrentByteIndex
+        offset = parser.CurrentByteIndex
         if stack == ["robot", "joint"]:
             joint = attributes.get("name", "")
-            end = _tag_end(data, here)
+            end = _tag_end(data, offset)
             places[joint] = _Place(end, end)
         elif stack == ["robot", "joint", "origin"] and places[joint].start == places[joint].end:
-            places[joint] = _Place(here, _tag_end(data, here))
+            places[joint] = _Place(offset, _tag_end(data, offset))
 
     def end(tag: str) -> None:
         stack.pop()
@@ -184,7 +184,7 @@ def _with_origin(tag: str, origin: Floats) -> str:
     if not tag:
         return f"<origin{''.join(f' {key}={_numbers(three)}' for key, three in values.items())}/>"
     for key, three in values.items():
-        match = next((found for found in _ATTRIBUTE.finditer(tag) if found[1] == key), None)
+        match = next((attribute for attribute in _ATTRIBUTE.finditer(tag) if attribute[1] == key), None)
         old = _read(match[2][1:-1]) if match else np.zeros(3)
         if key == "xyz" and np.abs(old - three).max() <= 1e-15:
             continue
@@ -225,8 +225,8 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
     if comment:
         lines.append(f"  <!-- {comment.replace('--', '- -')} -->")
     lines += [f"  <link name={quoteattr(name)}/>" for name in names]
-    taken = {joint.name for joint in robot.joints}
-    ends = [_other_than(taken, name) for name in ("base_mounting", "flange", "tool_mounting")]
+    joint_names = {joint.name for joint in robot.joints}
+    ends = [_other_than(joint_names, name) for name in ("base_mounting", "flange", "tool_mounting")]
     lines += _joint(ends[0], "fixed", names[0], names[1], robot.base)
     for i, (joint, origin) in enumerate(zip(robot.joints, origins, strict=True)):
         kind, limit = joint.kind, ""
@@ -239,8 +239,8 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
                 f"joint {joint.name} is prismatic without limits, which a URDF cannot express; add its lower_mm and upper_mm to the robot file"
             )
         moving = f'    <axis xyz="0 0 1"/>\n{limit}'
-        at = origin @ joint_motion(joint, float(robot.offsets[i]))
-        lines += _joint(joint.name, kind, names[i + 1], names[i + 2], at, moving)
+        pose = origin @ joint_motion(joint, float(robot.offsets[i]))
+        lines += _joint(joint.name, kind, names[i + 1], names[i + 2], pose, moving)
     lines += _joint(ends[1], "fixed", names[-3], names[-2], robot.links[-1])
     lines += _joint(ends[2], "fixed", names[-2], names[-1], robot.tool)
     return "\n".join([*lines, "</robot>", ""])
@@ -253,19 +253,19 @@ def link_names(robot: LinkFrames) -> list[str]:
     return [first, *inner, _other_than({first, *inner}, robot.end_frame)]
 
 
-def _other_than(taken: set[str], name: str) -> str:
-    while name in taken:
+def _other_than(names: set[str], name: str) -> str:
+    while name in names:
         name += "_"
     return name
 
 
-def _joint(name: str, kind: str, parent: str, child: str, origin: Floats, more: str = "") -> list[str]:
+def _joint(name: str, kind: str, parent: str, child: str, origin: Floats, content: str = "") -> list[str]:
     x, y, z, yaw, pitch, roll = six_of(origin)
     return [
         f"  <joint name={quoteattr(name)} type={quoteattr(kind)}>",
         f"    <origin xyz={_numbers((x, y, z))} rpy={_numbers((roll, pitch, yaw))}/>",
         f"    <parent link={quoteattr(parent)}/>",
         f"    <child link={quoteattr(child)}/>",
-        *([more.rstrip("\n")] if more else []),
+        *([content.rstrip("\n")] if content else []),
         "  </joint>",
     ]

@@ -70,8 +70,8 @@ Writer = Callable[[RobotToWrite], str]
 def writer(name: str) -> Writer:
     """Return the function that writes a format, loading its module. Raises KeyError for an unknown name."""
     module, _, function = FORMATS[name].writer.partition(":")
-    found: Writer = getattr(import_module(module, __package__), function)
-    return found
+    write: Writer = getattr(import_module(module, __package__), function)
+    return write
 
 
 class FormatFit(NamedTuple):
@@ -121,11 +121,11 @@ def fit_to(
     neutral = {term.name: term.neutral for term in joint_law.terms()}
     without = np.where(has_place, nominal, [neutral.get(p.term, np.nan) for p in chain.parameters])
     start = np.where(adjustable & has_place, identified, without)
-    lost = [p for p, gone in zip(chain.parameters, ~has_place & (identified != without), strict=True) if gone]
+    lost = [p for p, is_lost in zip(chain.parameters, ~has_place & (identified != without), strict=True) if is_lost]
     missing = tuple(dict.fromkeys(_called(p) for p in lost))
     refitted = not np.array_equal(start, identified)
     params = refit(chain, identified, start, adjustable & has_place, q) if refitted else identified
-    wanted = forward(chain, identified, q)
+    identified_poses = forward(chain, identified, q)
     poses, simply = predicted(link_frames(chain, nominal, params), q), forward(chain, start, q)
     if missing and adjustable.all():
         _check_worth(name, chain, nominal, identified, poses, lost, q)
@@ -133,11 +133,11 @@ def fit_to(
         params=params,
         missing=missing,
         refitted=refitted,
-        dropped=_distance(simply, wanted),
-        left=_distance(poses, wanted),
-        dropped_turn=_turn(simply, wanted),
-        left_turn=_turn(poses, wanted),
-        exact=bool(np.abs(poses - wanted).max(initial=0.0) <= EXACT),
+        dropped=_distance(simply, identified_poses),
+        left=_distance(poses, identified_poses),
+        dropped_turn=_turn(simply, identified_poses),
+        left_turn=_turn(poses, identified_poses),
+        exact=bool(np.abs(poses - identified_poses).max(initial=0.0) <= EXACT),
     )
 
 
@@ -165,16 +165,18 @@ def _check_worth(
 
     Without a gain of −1, for example, no links are useful.
     """
-    wanted, mounted = forward(chain, identified, q), mountings(chain, nominal, identified)
+    identified_poses, mounted = forward(chain, identified, q), mountings(chain, nominal, identified)
     as_described = mounted.base @ forward(chain, nominal, q) @ mounted.tool
-    if _marks_apart(poses, wanted) <= _marks_apart(as_described, wanted):
+    if _marks_apart(poses, identified_poses) <= _marks_apart(as_described, identified_poses):
         return
-    cost, nominal_cost = (MM.text(rms(_distance(one, wanted)), ".3f") for one in (poses, as_described))
+    cost, nominal_cost = (
+        MM.text(rms(_distance(written_poses, identified_poses)), ".3f") for written_poses in (poses, as_described)
+    )
     terms, missing = {p.term for p in lost}, tuple(dict.fromkeys(map(_called, lost)))
-    others = [other for other, form in FORMATS.items() if terms <= set(form.holds)]
+    alternatives = [format_name for format_name, form in FORMATS.items() if terms <= set(form.holds)]
     raise RobotError(
         f"{name} has no place for {named(missing)}; without {'it' if len(missing) == 1 else 'them'}, the file would be no better "
-        f"than the nominal robot ({cost} RMS, nominal {nominal_cost}): {'use ' + ' or '.join(others) if others else 'no format holds this robot'}"
+        f"than the nominal robot ({cost} RMS, nominal {nominal_cost}): {'use ' + ' or '.join(alternatives) if alternatives else 'no format holds this robot'}"
     )
 
 
@@ -201,9 +203,9 @@ def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[n
     """
     params = np.array(start, dtype=float)
     unit = np.array([UNITS[p.unit].weak_sigma for p in chain.parameters])[adjustable]
-    wanted = _marks(chain, identified, q)
+    identified_marks = _marks(chain, identified, q)
     for _ in range(MAX_STEPS):
-        error = (wanted - _marks(chain, params, q)).ravel()
+        error = (identified_marks - _marks(chain, params, q)).ravel()
         columns = [point_jacobians(chain, params, q, mark)[1][..., adjustable] for mark in MARKS]
         jac = np.stack(columns, axis=1).reshape(error.size, -1) * unit
         step = np.linalg.lstsq(jac, error, rcond=SINGULAR)[0]

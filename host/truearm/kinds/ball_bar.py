@@ -186,25 +186,25 @@ def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Ge
     """Propose further poses, each unmeasured pairing, and one more chuck or sphere."""
     bars = table.select(table.kind == "ball_bar")
     bar = str(bars.bar[0])
-    used = list(dict.fromkeys(zip(bars.chuck.tolist(), bars.sphere.tolist(), strict=True)))
-    chucks, spheres = list(dict.fromkeys(c for c, _ in used)), list(dict.fromkeys(s for _, s in used))
-    few = bars.q[:: max(len(bars) // TRIES, 1)][:TRIES]
+    pairings = list(dict.fromkeys(zip(bars.chuck.tolist(), bars.sphere.tolist(), strict=True)))
+    chucks, spheres = list(dict.fromkeys(c for c, _ in pairings)), list(dict.fromkeys(s for _, s in pairings))
+    readings = bars.q[:: max(len(bars) // TRIES, 1)][:TRIES]
 
     def rows(q: Floats, pairs: Sequence[tuple[str, str]]) -> ObservationTable:
         return _trial(np.tile(q, (len(pairs), 1)), bar, [pair for pair in pairs for _ in range(len(q))])
 
-    varied = rows(anywhere(chain, TRIES, rng), used)
+    varied = rows(anywhere(chain, TRIES, rng), pairings)
     yield Proposal("poses", "measure more varied poses with the same chucks and spheres", rig, varied)
     for chuck in rig.chucks:
         for sphere in rig.spheres:
-            if (chuck, sphere) not in used:
+            if (chuck, sphere) not in pairings:
                 text = f"measure with chuck {chuck}, sphere {sphere} too"
-                yield Proposal("pairing", text, rig, rows(few, [(chuck, sphere)]), (chuck, sphere))
+                yield Proposal("pairing", text, rig, rows(readings, [(chuck, sphere)]), (chuck, sphere))
     more_chucks = replace(rig, chucks={**rig.chucks, NEW: _another([p.xyz for p in rig.chucks.values()])})
     more_spheres = replace(rig, spheres={**rig.spheres, NEW: _another([p.xyz for p in rig.spheres.values()])})
     text = "measure with one more {}, not in line with the others,"
-    yield Proposal("chuck", text.format("chuck"), more_chucks, rows(few, [(NEW, s) for s in spheres]))
-    yield Proposal("sphere", text.format("sphere"), more_spheres, rows(few, [(c, NEW) for c in chucks]))
+    yield Proposal("chuck", text.format("chuck"), more_chucks, rows(readings, [(NEW, s) for s in spheres]))
+    yield Proposal("sphere", text.format("sphere"), more_spheres, rows(readings, [(c, NEW) for c in chucks]))
 
 
 def _trial(q: Floats, bar: str, pairs: Sequence[tuple[str, str]]) -> ObservationTable:

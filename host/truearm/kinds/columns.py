@@ -52,8 +52,8 @@ class KindColumns:
 @cache
 def declared() -> Mapping[str, KindColumns]:
     """Return what every kind declares, by its name."""
-    own = {name: import_module(f"{__package__}.{name}").KIND for name in NAMES}
-    return with_additions("kinds", own) | ADDED
+    bundled = {name: import_module(f"{__package__}.{name}").KIND for name in NAMES}
+    return with_additions("kinds", bundled) | ADDED
 
 
 @cache
@@ -72,8 +72,8 @@ def quantities() -> tuple[Quantity, ...]:
     """Return the quantities that a table may have, one for each field."""
     from truearm.kinds.quantities import CIRCUMSTANCES
 
-    every = (quantity for kind in declared().values() for quantity in kind.quantities)
-    return tuple({quantity.field: quantity for quantity in (*every, *CIRCUMSTANCES)}.values())
+    declared_quantities = (quantity for kind in declared().values() for quantity in kind.quantities)
+    return tuple({quantity.field: quantity for quantity in (*declared_quantities, *CIRCUMSTANCES)}.values())
 
 
 @cache

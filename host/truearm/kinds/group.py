@@ -75,8 +75,8 @@ class Group(ABC):
     def take(self, which: slice | NDArray[Any]) -> Self:
         """Return some of the observations."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "constants"}
-        taken: dict[str, Any] = {name: None if array is None else array[which] for name, array in arrays.items()}
-        return replace(self, **taken)
+        values: dict[str, Any] = {name: None if array is None else array[which] for name, array in arrays.items()}
+        return replace(self, **values)
 
     def by_unit(self, residual: Floats) -> dict[str, Floats]:
         """Return the residuals (n·w,) as figures (n,) by unit."""

@@ -51,7 +51,7 @@ def place(
         case _:
             assert_never(rule)
     middle_device, middle_base = xyz.mean(axis=0), p_base.mean(axis=0)
-    rot = nearest_rotation((p_base - middle_base).T @ (xyz - middle_device), about, most=1)
+    rot = nearest_rotation((p_base - middle_base).T @ (xyz - middle_device), about, largest_rank=1)
     return middle_base - rot @ middle_device, rot
 
 
@@ -79,9 +79,9 @@ def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Ge
     if len(q):
         p_base = point_forward(chain, chain.params_nominal, q, np.array(ball.xyz))
         cov = tuple(tuple(TRIAL_SIGMA**2 * (i == k) for k in range(3)) for i in range(3))
-        more = replace(rig, lines={**rig.lines, NEW: Device(NEW, cov)} if rig.lines else rig.lines)
+        rig_with_line = replace(rig, lines={**rig.lines, NEW: Device(NEW, cov)} if rig.lines else rig.lines)
         rows = trial_rows(q, "line", xyz=p_base, line=NEW, target=ball.name)
-        yield Proposal("line", "measure a new line with the line device", more, rows)
+        yield Proposal("line", "measure a new line with the line device", rig_with_line, rows)
 
 
 def facts(rows: ObservationTable) -> tuple[tuple[str, str], ...]:

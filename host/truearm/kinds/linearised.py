@@ -64,8 +64,8 @@ def scatter(jac_rig: Floats, index: Indices, values: Floats) -> None:
         if (index[:, k] == index[0, k]).all():  # usually one device
             jac_rig[:, :, index[0, k]] += values[:, :, k]
             continue
-        some = np.flatnonzero(unknown[:, k])
-        jac_rig[:, some, index[some, k]] += values[:, some, k]
+        rows = np.flatnonzero(unknown[:, k])
+        jac_rig[:, rows, index[rows, k]] += values[:, rows, k]
 
 
 def _by_observation(derivatives: Floats) -> Floats:

@@ -77,12 +77,12 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     A row's own standard deviation of the orientation takes precedence over that of its tracker.
     """
     trackers = scope.rig.trackers
-    used, make_points = points_of(scope, rows, "tracker", trackers)
+    items, make_points = points_of(scope, rows, "tracker", trackers)
     labels, which = look_up(scope, rows, "tracker", trackers)
     turns = measured(scope, rows, TURN)
-    own = scope.table[TURN_SIGMA.field][rows]
+    row_sigma = scope.table[TURN_SIGMA.field][rows]
     of_tracker = np.array([trackers[str(label)].rotation_sigma or 0.0 for label in labels])[which]
-    sigma = np.where(np.isnan(own), of_tracker, own)
+    sigma = np.where(np.isnan(row_sigma), of_tracker, row_sigma)
     message = f"a pose row needs a rotation_sigma, its own or its tracker's, of {SMALLEST:g} rad or more"
     refuse(scope, rows, ~((sigma >= SMALLEST) & np.isfinite(sigma)), message)
 
@@ -91,7 +91,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
         cov = _beside(points["sensor_cov"], sigma**2)
         return [PoseRows(**{**points, "sensor_cov": cov}, rotation=turns)]
 
-    return RigUse(used, make)
+    return RigUse(items, make)
 
 
 def _beside(cov: Floats, variance: Floats) -> Floats:

@@ -121,17 +121,17 @@ def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, F
     return middle_base - rot @ middle_device, rot
 
 
-def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Floats:
+def nearest_rotation(correlation: Floats, declared: Floats, largest_rank: int = 2) -> Floats:
     """Return the rotation R (3, 3) that maximises tr(Rᵀ H); among equals, the one closest to ``declared`` R_r.
 
     With ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ and two significant singular values, R = U diag(1, 1,
     ±1) Vᵀ (Arun, Huang, Blostein 1987; the sign ensures a rotation). Points on a line give one significant value: H
     only requires that v₁ is rotated to u₁, so R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, with Q (2, 2) in the same way closest to R_r in
-    that plane. A single point gives none, and R = R_r. ``most`` 1 uses at most one: the roll about the line is then the
+    that plane. A single point gives none, and R = R_r. ``largest_rank`` 1 uses at most one: the roll about the line is then the
     declared one, regardless of the points.
     """
     u, size, vt = np.linalg.svd(correlation)
-    k = min(most, int((size > STRAIGHT * size[0]).sum()), 2)
+    k = min(largest_rank, int((size > STRAIGHT * size[0]).sum()), 2)
     left, _, right = np.linalg.svd(u[:, k:].T @ declared @ vt[k:].T)
     left[:, -1] *= np.sign(np.linalg.det(u) * np.linalg.det(vt) * np.linalg.det(left) * np.linalg.det(right))
     return np.asarray(u[:, :k] @ vt[:k] + u[:, k:] @ left @ right @ vt[k:])
@@ -148,15 +148,15 @@ def _placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats
 
 
 def points_of(
-    scope: Scope, rows: Indices, what: str, entries: Mapping[str, Device], placed: Placing = _placed
+    scope: Scope, rows: Indices, column: str, entries: Mapping[str, Device], placed: Placing = _placed
 ) -> tuple[tuple[Used, ...], Callable[[Layout], PositionRows]]:
-    """Return what the rows use for points in the axes of the devices named in column ``what``, and how to group them.
+    """Return what the rows use for points in the axes of the devices named in a column, and how to group them.
 
     ``placed`` computes the pose of a device that the rig does not place, from its readings.
     """
     table = scope.table
     xyz = measured(scope, rows, POINT)
-    labels, which = look_up(scope, rows, what, entries)
+    labels, which = look_up(scope, rows, column, entries)
     devices = [entries[str(label)] for label in labels]
     targets = use_points(scope, rows, "target", scope.rig.targets)
 
@@ -167,7 +167,7 @@ def points_of(
 
     numbers = [
         _device_numbers(
-            scope.prefix + ".".join(filter(None, (what, str(label)))), devices[i], partial(placed_by_rows, i)
+            scope.prefix + ".".join(filter(None, (column, str(label)))), devices[i], partial(placed_by_rows, i)
         )
         for i, label in enumerate(labels)
     ]
@@ -175,11 +175,11 @@ def points_of(
     scales = Used(
         labels,
         [
-            [RigNumber(scope.prefix + ".".join(filter(None, (what, str(label), "scale"))), "1", 1.0, 0.0)]
+            [RigNumber(scope.prefix + ".".join(filter(None, (column, str(label), "scale"))), "1", 1.0, 0.0)]
             for label in labels
         ],
         which,
-        (Fault(slice(None), step=False),) if what == "tracker" else (),
+        (Fault(slice(None), step=False),) if column == "tracker" else (),
     )
     offset = RigNumber(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
     number = offset if _moving(scope) else offset._replace(sigma=0.0)
@@ -229,13 +229,13 @@ def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: I
     """
     device_cov = np.array([device.sensor_cov for device in devices])
     variances = np.diagonal(device_cov, axis1=1, axis2=2)
-    own = np.isfinite(scope.column("sigma", rows)[:, None])
+    has_sigma = np.isfinite(scope.column("sigma", rows)[:, None])
     of_row = sigmas(scope, rows, np.ones((1, 3))) ** 2
     of_point = np.nan_to_num(scope.column("xyz_sigma", rows), nan=0.0) ** 2
     if np.array_equal(device_cov, variances[:, :, None] * np.eye(3)):
-        return np.asarray(np.where(own, of_row, rows_of(variances, which)) + of_point)
+        return np.asarray(np.where(has_sigma, of_row, rows_of(variances, which)) + of_point)
     diagonal = np.eye(3)
-    full = np.where(own[:, :, None], of_row[:, :, None] * diagonal, rows_of(device_cov, which))
+    full = np.where(has_sigma[:, :, None], of_row[:, :, None] * diagonal, rows_of(device_cov, which))
     return np.asarray(full + of_point[:, :, None] * diagonal)
 
 

@@ -27,8 +27,8 @@ class Quantity:
     @property
     def words(self) -> str:
         """Return its name for display: "length", "x, y and z"."""
-        *others, last = self.columns
-        return f"{', '.join(others)} and {last}" if others else last
+        *earlier, last = self.columns
+        return f"{', '.join(earlier)} and {last}" if earlier else last
 
     @property
     def most(self) -> float:
@@ -47,11 +47,11 @@ class Quantity:
     @property
     def title(self) -> str:
         """Return the columns as a person writes them: "length_mm or length_m", "x_mm, y_mm, z_mm (or _m)"."""
-        first, *others = sorted(units.suffixes(self.unit), key=lambda suffix: suffix == self.unit)
+        first, *further_units = sorted(units.suffixes(self.unit), key=lambda suffix: suffix == self.unit)
         if len(self.columns) == 1:
-            return " or ".join(units.named(self.columns[0], suffix) for suffix in (first, *others))
-        rest = " ".join(f"(or _{suffix})" for suffix in others)
-        return f"{', '.join(units.named(column, first) for column in self.columns)} {rest}".rstrip()
+            return " or ".join(units.named(self.columns[0], suffix) for suffix in (first, *further_units))
+        alternatives = " ".join(f"(or _{suffix})" for suffix in further_units)
+        return f"{', '.join(units.named(column, first) for column in self.columns)} {alternatives}".rstrip()
 
 
 LARGEST_NOISE = 0.1  # m: a decimetre of noise indicates another unit

@@ -52,13 +52,15 @@ class RigUse(NamedTuple):
     bodies: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
 
-def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) -> tuple[list[Hashable], Indices]:
-    """Return the distinct names in the column ``what``, checked against the rig, and the index of each row's name.
+def look_up(
+    scope: Scope, rows: Indices, column_name: str, entries: Mapping[str, Any]
+) -> tuple[list[Hashable], Indices]:
+    """Return the distinct names in the column ``column_name``, checked against the rig, and the index of each row's name.
 
     An empty name stands for the only entry there is. Raises ProblemError that names the first row with a name that the
     rig does not have.
     """
-    column = scope.column(what, rows)
+    column = scope.column(column_name, rows)
     first = np.flatnonzero(
         np.append(True, column[1:] != column[:-1])[: column.size]
     )  # rows of a name follow each other
@@ -66,10 +68,10 @@ def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) ->
     which = np.repeat(which, np.diff(first, append=column.size))
     labels: list[Hashable] = []
     for i, name in enumerate(names):
-        label = next(iter(known)) if name == "" and len(known) == 1 else str(name)
-        if label not in known:
+        label = next(iter(entries)) if name == "" and len(entries) == 1 else str(name)
+        if label not in entries:
             source = scope.table.source[rows[int(np.argmax(which == i))]]
-            raise ProblemError("not-in-rig", place=source, what=what, name=label, names=sorted(known))
+            raise ProblemError("not-in-rig", place=source, what=column_name, name=label, names=sorted(entries))
         labels.append(label)
     return labels, which
 
@@ -77,8 +79,8 @@ def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) ->
 def use(
     scope: Scope,
     rows: Indices,
-    what: str,
-    known: Mapping[str, Entry],
+    column_name: str,
+    entries: Mapping[str, Entry],
     numbers: Callable[[str, Entry], list[RigNumber]],
     faults: tuple[Fault, ...] = MOVED,
     *,
@@ -86,25 +88,27 @@ def use(
 ) -> Used:
     """Look up a column's names in the rig (``look_up``); ``numbers`` maps a name and its entry to the entry's numbers.
 
-    ``item``: what the rig calls the entry, if the column ``what`` is called otherwise. An item that rows name in two
+    ``item``: what the rig calls the entry, if the column ``column_name`` is called otherwise. An item that rows name in two
     columns then has its numbers once.
     """
-    labels, which = look_up(scope, rows, what, known)
-    every = [numbers(f"{scope.prefix}{item or what}.{label}", known[str(label)]) for label in labels]
-    return Used(labels, every, which, faults)
+    labels, which = look_up(scope, rows, column_name, entries)
+    numbers_of_items = [
+        numbers(f"{scope.prefix}{item or column_name}.{label}", entries[str(label)]) for label in labels
+    ]
+    return Used(labels, numbers_of_items, which, faults)
 
 
-def use_points(scope: Scope, rows: Indices, what: str, known: Mapping[str, Point], *, item: str = "") -> Used:
+def use_points(scope: Scope, rows: Indices, column_name: str, entries: Mapping[str, Point], *, item: str = "") -> Used:
     """Return the points named in a column (``use``); the end frame's origin if the rig has none."""
-    return use(scope, rows, what, known or ORIGIN, point_numbers, item=item)
+    return use(scope, rows, column_name, entries or ORIGIN, point_numbers, item=item)
 
 
 def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:
     """Return the measured values (n,) or (n, c) of the rows. Raises ProblemError for the first row without a value."""
     values = scope.column(quantity.field, rows)
     lacks = ~np.isfinite(values.reshape(len(rows), -1)).all(axis=1)
-    what = quantity.words if len(quantity.columns) > 1 else with_article(quantity.words)
-    refuse(scope, rows, lacks, f"{with_article(str(scope.table.kind[rows[0]]))} row needs {what}")
+    words = quantity.words if len(quantity.columns) > 1 else with_article(quantity.words)
+    refuse(scope, rows, lacks, f"{with_article(str(scope.table.kind[rows[0]]))} row needs {words}")
     return np.asarray(values)
 
 
@@ -113,8 +117,8 @@ def sigmas(scope: Scope, rows: Indices, default: Floats, unit: str = "m") -> Flo
 
     ``unit`` is the SI unit of both. Raises ProblemError for the first row whose σ is not a number or is too small.
     """
-    own = scope.column("sigma", rows)[:, None]
-    sigma = np.where(np.isnan(own), default, own)
+    row_sigma = scope.column("sigma", rows)[:, None]
+    sigma = np.where(np.isnan(row_sigma), default, row_sigma)
     bad = np.flatnonzero(~((sigma >= SMALLEST) & np.isfinite(sigma)).all(axis=1))
     if bad.size:
         worst = sigma[bad[0]].min()  # NaN if any is

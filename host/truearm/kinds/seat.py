@@ -114,10 +114,10 @@ def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
     total = np.zeros((len(names), 3))
     np.add.at(total, which, nominal_points(scope, rows, balls))
     mean = total / np.bincount(which)[:, None]
-    near = (np.abs(mean) <= UNITS["m"].largest).all(axis=1)
-    if not near.all():
+    is_near = (np.abs(mean) <= UNITS["m"].largest).all(axis=1)
+    if not is_near.all():
         raise ProblemError(
-            f"{names[int(np.argmin(near))]}: the nominal robot has its seats more than {UNITS['m'].largest:g} m from the base; "
+            f"{names[int(np.argmin(is_near))]}: the nominal robot has its seats more than {UNITS['m'].largest:g} m from the base; "
             "correct the unit of the joints, the robot's lengths or the rig's spheres"
         )
     points = [

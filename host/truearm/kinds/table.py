@@ -69,19 +69,19 @@ class ObservationTable(Displayed):
     columns: Mapping[str, NDArray[Any]]
 
     def __init__(self, columns: Mapping[str, Any] = MappingProxyType({}), **named: Any) -> None:
-        given = {**converted("columns", columns, Mapping[str, Any]), **named}
-        q = as_column("q", given.get("q"), text=False)
+        contents = {**converted("columns", columns, Mapping[str, Any]), **named}
+        q = as_column("q", contents.get("q"), text=False)
         if q.ndim != 2:
             raise InputError(Argument("q"), f" must be (n, j), is {q.shape}")
-        if given.get("source") is None:
-            given["source"] = [f"table[{i}]" for i in range(len(q))]
-        blank = {**blank_row(q.shape[1]), **dict.fromkeys(filter(is_label, given), np.array(""))}
-        if undeclared := given.keys() - blank.keys():
+        if contents.get("source") is None:
+            contents["source"] = [f"table[{i}]" for i in range(len(q))]
+        blank = {**blank_row(q.shape[1]), **dict.fromkeys(filter(is_label, contents), np.array(""))}
+        if undeclared := contents.keys() - blank.keys():
             raise TypeError(f"{min(undeclared)}: is not a column of observations; help(ObservationTable) lists them")
         columns = {}
         for name, row in blank.items():
-            if given.get(name) is not None or name == "kind":
-                column, shape = as_column(name, given.get(name), row.dtype.kind == "U"), (len(q), *row.shape)
+            if contents.get(name) is not None or name == "kind":
+                column, shape = as_column(name, contents.get(name), row.dtype.kind == "U"), (len(q), *row.shape)
                 columns[name] = column if column.ndim else np.broadcast_to(column, shape)
                 if columns[name].shape != shape:
                     raise InputError(Argument(name), f" must be {shape}, is {column.shape}")
@@ -137,16 +137,16 @@ class ObservationTable(Displayed):
 
         All rows in their order are the table itself, not a copy.
         """
-        every = np.arange(len(self))
+        numbers = np.arange(len(self))
         try:
-            index = every[rows]
+            index = numbers[rows]
         except (IndexError, TypeError, ValueError):
             index = np.array(0)
         if index.ndim != 1:
             raise InputError(
                 Argument("rows"), f": must be a mask of {len(self)} rows, an array of row numbers or a slice"
             )
-        if np.array_equal(index, every):
+        if np.array_equal(index, numbers):
             return self
         return ObservationTable({name: column[index] for name, column in self.columns.items()})
 

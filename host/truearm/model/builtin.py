@@ -14,16 +14,16 @@ SUFFIX = ".toml"
 def builtin_names() -> tuple[str, ...]:
     """Return the names of the built-in robots, sorted."""
     files = resources.files(__package__).joinpath("robots").iterdir()
-    own = (file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX))
-    return tuple(sorted({*own, *additions("robots")}))
+    bundled = (file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX))
+    return tuple(sorted({*bundled, *additions("robots")}))
 
 
 def builtin_text(name: str) -> str:
     """Return the robot file of a built-in robot. Raises RobotError for an unknown name."""
     if name not in builtin_names():
         raise RobotError("wrong-value", place="built-in robot", value=name, names=list(builtin_names()))
-    own = resources.files(__package__).joinpath("robots", name + SUFFIX)
-    file = own if own.is_file() else resources.files(additions("robots")[name].load()).joinpath(name + SUFFIX)
+    bundled = resources.files(__package__).joinpath("robots", name + SUFFIX)
+    file = bundled if bundled.is_file() else resources.files(additions("robots")[name].load()).joinpath(name + SUFFIX)
     return file.read_text("utf-8")
 
 

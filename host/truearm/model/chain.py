@@ -44,8 +44,8 @@ class Chain(Structure):
 
     def __post_init__(self) -> None:
         _check_motions(self)
-        used = [e.parameter for e in self.elements if e.parameter is not None]
-        if sorted(used) != [i for i, p in enumerate(self.parameters) if p.term == GEOMETRY]:
+        indices = [e.parameter for e in self.elements if e.parameter is not None]
+        if sorted(indices) != [i for i, p in enumerate(self.parameters) if p.term == GEOMETRY]:
             raise RobotError(f"robot {self.name}: every parameter of a link must be used by exactly one transform")
         _check_law(self)
         if len(set(self.parameter_names)) != len(self.parameters):
@@ -231,34 +231,34 @@ def about(trace: PointTrace, direction: Floats) -> PointDerivatives:
 def _carried(trace: PointTrace, force: Floats, moment: Floats) -> PointDerivatives:
     """Carry wrenches at the base's origin, (3, …), outwards through the chain."""
     law, carries, twists = trace.law, trace.folded.carries, trace.folded.twists
-    near = np.stack([force, moment], axis=1)  # (3, 2, …): on each axis, force and moment
-    lead = near.shape[2:]
-    wrenches = np.empty((len(twists), *lead), np.result_type(near, law.angles, twists))
+    wrench = np.stack([force, moment], axis=1)  # (3, 2, …): on each axis, force and moment
+    lead = wrench.shape[2:]
+    wrenches = np.empty((len(twists), *lead), np.result_type(wrench, law.angles, twists))
     jac_joints = np.empty((len(carries) - 1, *lead), wrenches.dtype)
     by_joints, columns = law.by_joints, law.law.columns
     diagonal = by_joints.ndim == 2
     by_parameters = law.by_parameters.reshape(len(law.law.of_column), *(1,) * (len(lead) - 1), lead[-1])
-    wrenches[:6] = near.reshape(6, *lead)
-    at = 6
+    wrenches[:6] = wrench.reshape(6, *lead)
+    row = 6
     for i, motion in enumerate(trace.chain.motions):
-        far = (carries[i] @ near.reshape(6, -1)).reshape(near.shape)
-        felt = far.reshape(6, *lead)[on_axis(motion)]
+        carried = (carries[i] @ wrench.reshape(6, -1)).reshape(wrench.shape)
+        felt = carried.reshape(6, *lead)[on_axis(motion)]
         if diagonal:
             np.multiply(felt, by_joints[i], out=jac_joints[i])
         else:
             jac_joints[i] = felt
-        near = _moved(motion, law.angles[i], trace.cos_sin[0][i], trace.cos_sin[1][i], far)
+        wrench = _moved(motion, law.angles[i], trace.cos_sin[0][i], trace.cos_sin[1][i], carried)
         new = new_numbers(motion)
-        near.reshape(6, *lead).take(new, axis=0, out=wrenches[at : at + len(new)], mode="clip")
-        at += len(new)
-        end = at + columns[i].stop - columns[i].start
-        np.multiply(felt, by_parameters[columns[i]], out=wrenches[at:end])
-        at = end
-    far = (carries[-1][::2] @ near.reshape(6, -1)).reshape(3, *lead)
+        wrench.reshape(6, *lead).take(new, axis=0, out=wrenches[row : row + len(new)], mode="clip")
+        row += len(new)
+        end = row + columns[i].stop - columns[i].start
+        np.multiply(felt, by_parameters[columns[i]], out=wrenches[row:end])
+        row = end
+    carried = (carries[-1][::2] @ wrench.reshape(6, -1)).reshape(3, *lead)
     if not diagonal:
         jac_joints = np.einsum("i...n,ikn->k...n", jac_joints, by_joints)
     return PointDerivatives(
-        np.moveaxis(wrenches, 0, -1), twists, np.moveaxis(jac_joints, 0, -1), np.moveaxis(far, 0, -1)
+        np.moveaxis(wrenches, 0, -1), twists, np.moveaxis(jac_joints, 0, -1), np.moveaxis(carried, 0, -1)
     )
 
 
@@ -291,17 +291,17 @@ def _columns(chain: Chain) -> Columns:
     """Return the columns of the chain's wrenches."""
     motions, law = chain.motions, chain.law
     b = 6 + sum(len(new_numbers(m)) for m in motions) + len(law.of_column)
-    own, changed, at = np.zeros((len(chain.parameters), b)), [], 6
-    for motion, mine in zip(motions, law.columns, strict=True):
+    of_law, changed, column = np.zeros((len(chain.parameters), b)), [], 6
+    for motion, law_columns in zip(motions, law.columns, strict=True):
         new = new_numbers(motion)
-        changed.append((new, np.eye(len(new), b, at)))
-        at += len(new)
-        parameters = law.of_column[mine]
-        own[parameters, at + np.arange(len(parameters))] = 1.0
-        at += len(parameters)
+        changed.append((new, np.eye(len(new), b, column)))
+        column += len(new)
+        parameters = law.of_column[law_columns]
+        of_law[parameters, column + np.arange(len(parameters))] = 1.0
+        column += len(parameters)
     parameters, joints = np.array(law.constant, dtype=np.intp).reshape(-1, 2).T
     axes = np.array([on_axis(motions[joint]) for joint in joints.tolist()], dtype=np.intp)
-    return Columns(own, changed, (parameters, joints, axes))
+    return Columns(of_law, changed, (parameters, joints, axes))
 
 
 def _far_frames(chain: Chain, params: Floats, q: Floats) -> list[Floats]:
@@ -340,12 +340,12 @@ def _check_law(chain: Chain) -> None:
     for parameter in chain.parameters:
         if parameter.term == GEOMETRY:
             continue
-        where = f"robot {chain.name}: parameter {parameter.name}"
+        label = f"robot {chain.name}: parameter {parameter.name}"
         if parameter.term not in kinds:
-            raise RobotError(f"{where} is of an unknown term {parameter.term!r} of the joint law")
+            raise RobotError(f"{label} is of an unknown term {parameter.term!r} of the joint law")
         if parameter.joint is None or not 0 <= parameter.joint < len(chain.joints):
-            raise RobotError(f"{where} belongs to joint index {parameter.joint}, which does not exist")
+            raise RobotError(f"{label} belongs to joint index {parameter.joint}, which does not exist")
         use = parameter.term, parameter.joint
         if kinds[parameter.term].affine and use in single:
-            raise RobotError(f"{where} is a second {parameter.term} of its joint")
+            raise RobotError(f"{label} is a second {parameter.term} of its joint")
         single.add(use)

@@ -16,10 +16,10 @@ def far_frames(links: Floats, motions: Sequence[str], angles: Floats) -> list[Fl
     links : (j + 1, 4, 4) constants before, between and after the joints. motions : "tx" … "rz" of each joint. angles :
     (…, j) true angles or positions [rad or m].
     """
-    here = np.broadcast_to(links[0], (*angles.shape[:-1], 4, 4))
+    frame = np.broadcast_to(links[0], (*angles.shape[:-1], 4, 4))
     frames = []
     for i, motion in enumerate(motions):
-        here = here @ elementary(motion, angles[..., i])
-        frames.append(here)
-        here = here @ links[i + 1]
-    return [*frames, here]
+        frame = frame @ elementary(motion, angles[..., i])
+        frames.append(frame)
+        frame = frame @ links[i + 1]
+    return [*frames, frame]

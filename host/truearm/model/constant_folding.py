@@ -31,7 +31,7 @@ class Constants(NamedTuple):
 class Columns(NamedTuple):
     """The b columns of ``wrenches``: the six in the base frame, then those that each joint adds, then those of its law."""
 
-    own: Floats  # (p, b) 1 where a column is the derivative by a parameter of a joint's law
+    of_law: Floats  # (p, b) 1 where a column is the derivative by a parameter of a joint's law
     changed: Sequence[
         tuple[list[int], Floats]
     ]  # of each joint: the wrench components that it changes, and their columns
@@ -53,16 +53,16 @@ def constants_of(elements: Sequence[Element]) -> Constants:
     """Return the elements that are not joints, as arrays."""
     constant = np.array([e.joint is None for e in elements], dtype=bool)
     link = np.cumsum(~constant)[constant]
-    some = [e for e in elements if e.joint is None]
-    runs = [np.flatnonzero(link == i)[::-1] for i in range(len(elements) - len(some) + 1)]
-    inwards = np.full((max(map(len, runs)), len(runs)), len(some), dtype=np.intp)
+    fixed = [e for e in elements if e.joint is None]
+    runs = [np.flatnonzero(link == i)[::-1] for i in range(len(elements) - len(fixed) + 1)]
+    inwards = np.full((max(map(len, runs)), len(runs)), len(fixed), dtype=np.intp)
     for i, run in enumerate(runs):
         inwards[: len(run), i] = run
-    parameter = np.array([-1 if e.parameter is None else e.parameter for e in some], dtype=np.intp)
+    parameter = np.array([-1 if e.parameter is None else e.parameter for e in fixed], dtype=np.intp)
     return Constants(
-        axis=np.array([axis_of(e.motion) for e in some], dtype=np.intp),
-        turns=np.array([e.motion[0] == "r" for e in some], dtype=bool),
-        value=np.array([e.value for e in some]),
+        axis=np.array([axis_of(e.motion) for e in fixed], dtype=np.intp),
+        turns=np.array([e.motion[0] == "r" for e in fixed], dtype=bool),
+        value=np.array([e.value for e in fixed]),
         parameter=parameter,
         inwards=inwards,
         named=[np.flatnonzero((link == i) & (parameter >= 0)) for i in range(len(runs))],
@@ -94,22 +94,22 @@ def multiplied(constants: Constants, params: Floats) -> tuple[Floats, Floats]:
     long.
     """
     amount = _amounts(constants, params)
-    own = np.concatenate([mixed(constants.axis, constants.turns, amount), np.eye(4)[None]])
-    beyond = np.empty_like(own)
-    here = np.broadcast_to(np.eye(4, dtype=own.dtype), (constants.inwards.shape[1], 4, 4))
-    for which in constants.inwards:
-        beyond[which] = here
-        here = own[which] @ here
-    return here.copy(), beyond[:-1]
+    transforms = np.concatenate([mixed(constants.axis, constants.turns, amount), np.eye(4)[None]])
+    beyond = np.empty_like(transforms)
+    product = np.broadcast_to(np.eye(4, dtype=transforms.dtype), (constants.inwards.shape[1], 4, 4))
+    for row in constants.inwards:
+        beyond[row] = product
+        product = transforms[row] @ product
+    return product.copy(), beyond[:-1]
 
 
 def _twists_beyond(constants: Constants, beyond: Floats) -> Floats:
     """Return Ad(B⁻¹)ξ (c, 6) for unit motions: w' = Rᵀw, v' = Rᵀ(v − t × w) with B = (R, t)."""
     rot, shift = beyond[:, :3, :3], beyond[:, :3, 3:]
-    each, k, turns = np.arange(len(beyond)), constants.axis, constants.turns[:, None]
+    index, k, turns = np.arange(len(beyond)), constants.axis, constants.turns[:, None]
     a, b = (k + 1) % 3, (k + 2) % 3  # t × e_k = t_b e_a − t_a e_b
-    axis = rot[each, k]
-    lever = shift[each, a] * rot[each, b] - shift[each, b] * rot[each, a]
+    axis = rot[index, k]
+    lever = shift[index, a] * rot[index, b] - shift[index, b] * rot[index, a]
     return np.stack([np.where(turns, lever, axis), np.where(turns, axis, 0.0)], axis=2).reshape(-1, 6)
 
 
@@ -125,18 +125,18 @@ def _carries(transforms: Floats) -> Floats:
 
 def _combined(constants: Constants, columns: Columns, twists_beyond: Floats, carries: Floats) -> tuple[Floats, Floats]:
     """Return ``twists`` (b, p), each parameter's twist times the wrench in its frame by the b columns of ``wrenches``, and ``end``."""
-    far = np.zeros((len(carries), 6, columns.own.shape[1]), dtype=twists_beyond.dtype)
-    far[0, :, :6] = carries[0]
+    wrenches = np.zeros((len(carries), 6, columns.of_law.shape[1]), dtype=twists_beyond.dtype)
+    wrenches[0, :, :6] = carries[0]
     for i, (new, unit) in enumerate(columns.changed):
-        near = far[i].copy()
-        near[new] = unit
-        np.matmul(carries[i + 1], near, out=far[i + 1])
-    twists = columns.own.astype(twists_beyond.dtype)
+        next_wrench = wrenches[i].copy()
+        next_wrench[new] = unit
+        np.matmul(carries[i + 1], next_wrench, out=wrenches[i + 1])
+    twists = columns.of_law.astype(twists_beyond.dtype)
     parameters, joints, axes = columns.constant
-    twists[parameters] = far[joints, axes]
-    for which, wrench in zip(constants.named, far, strict=True):
-        twists[constants.parameter[which]] = twists_beyond[which] @ wrench
-    return np.ascontiguousarray(twists.T), np.ascontiguousarray(far[-1].T)
+    twists[parameters] = wrenches[joints, axes]
+    for members, wrench in zip(constants.named, wrenches, strict=True):
+        twists[constants.parameter[members]] = twists_beyond[members] @ wrench
+    return np.ascontiguousarray(twists.T), np.ascontiguousarray(wrenches[-1].T)
 
 
 def on_axis(motion: str) -> int:

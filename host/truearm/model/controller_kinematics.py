@@ -93,8 +93,8 @@ def _numbers(name: str, text: str | None) -> list[float]:
 
 def _of_rows(rows: Floats, checksums: tuple[int, ...]) -> ControllerKinematics:
     """Return the kinematics of θ, a, d, α (4, 6). Raises RobotError for numbers that no arm has."""
-    most = np.array([[LARGEST_RAD], [LARGEST_M], [LARGEST_M], [LARGEST_RAD]])
-    if not (np.abs(rows) <= most).all():  # NaN too
+    largest = np.array([[LARGEST_RAD], [LARGEST_M], [LARGEST_M], [LARGEST_RAD]])
+    if not (np.abs(rows) <= largest).all():  # NaN too
         raise RobotError("the kinematics have numbers that no arm has; restart the controller and read them again")
     links = [_product(("rz", "tz", "tx", "rx"), (theta, d, a, alpha)) for theta, a, d, alpha in rows.T]
     return ControllerKinematics(np.stack([np.eye(4), *links]), checksums)

@@ -46,8 +46,8 @@ GOOD = 1e-9  # rad, m: largest error of a valid inverse
 @cache
 def terms() -> tuple[type[Term], ...]:
     """Return the terms in the order of TERM_FILES, then those of other packages (entry points "truearm.joint_terms")."""
-    own = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
-    return tuple(with_additions("joint_terms", own).values())
+    bundled = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
+    return tuple(with_additions("joint_terms", bundled).values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +91,12 @@ class JointLaw:
     """The terms that a chain has parameters of; always includes offset and gain."""
 
     def __init__(self, structure: Structure) -> None:
-        used = {parameter.term for parameter in structure.parameters}
+        term_names = {parameter.term for parameter in structure.parameters}
         self.n_parameters, self.mimics = len(structure.parameters), structure.mimics
         self.offset, self.gain = Offset.of_chain(structure), Gain.of_chain(structure)
-        further = (term.of_chain(structure) for term in terms() if term not in (Offset, Gain) and term.name in used)
+        further = (
+            term.of_chain(structure) for term in terms() if term not in (Offset, Gain) and term.name in term_names
+        )
         self.terms: tuple[Term, ...] = (self.offset, self.gain, *further)
         self.affine = all(term.affine for term in self.terms)
         # parameters with ∂θ/∂parameter = 1, and those where it varies: (parameter, joint) and by joint
@@ -146,24 +148,24 @@ class JointLaw:
         Offset and gain are inverted in closed form. Starting from there, or from readings ``near`` (…, j), further
         terms are inverted by Newton's method. NaN where it does not converge.
         """
-        wanted = flat(angles)
+        targets = flat(angles)
         with np.errstate(all="ignore"):
             if near is None or self.affine:
-                q = (wanted - self.offset.of(params)[:, None]) / self.gain.of(params)[:, None]
+                q = (targets - self.offset.of(params)[:, None]) / self.gain.of(params)[:, None]
             else:
                 q = flat(near)
             if not self.affine:
-                q = self._newton(params, wanted, q)
+                q = self._newton(params, targets, q)
         return q.T.reshape(angles.shape)
 
-    def _newton(self, params: Floats, wanted: Floats, q: Floats) -> Floats:
+    def _newton(self, params: Floats, targets: Floats, q: Floats) -> Floats:
         for _ in range(MAX_STEPS):
-            here = self.at(params, q)
-            step = np.clip(_solved(here.by_joints, wanted - here.angles), -LARGEST_STEP, LARGEST_STEP)
+            state = self.at(params, q)
+            step = np.clip(_solved(state.by_joints, targets - state.angles), -LARGEST_STEP, LARGEST_STEP)
             q = q + step
             if not np.abs(step).max(initial=0.0, where=np.isfinite(step)) > STEP_END:
                 break
-        bad = ~(np.abs(self.at(params, q).angles - wanted).max(axis=0) < GOOD)
+        bad = ~(np.abs(self.at(params, q).angles - targets).max(axis=0) < GOOD)
         return np.where(bad, np.nan, q)
 
 
@@ -176,10 +178,10 @@ def _solved(jac: Floats, error: Floats) -> Floats:
     """Return jac⁻¹·error (j, n), using the pseudo-inverse of a singular jac."""
     if jac.ndim == 2:
         return np.asarray(error / jac)
-    square, right = np.moveaxis(jac, -1, 0), error.T[..., None]
+    square, vector = np.moveaxis(jac, -1, 0), error.T[..., None]
     square = np.where(np.isfinite(square), square, 0.0)  # a failed pose must not affect the others
     try:
-        step = np.linalg.solve(square, right)
+        step = np.linalg.solve(square, vector)
     except np.linalg.LinAlgError:
-        step = np.linalg.pinv(square) @ right
+        step = np.linalg.pinv(square) @ vector
     return np.asarray(step[..., 0].T)

@@ -27,8 +27,8 @@ PAYLOAD = "payload"  # last part of the name of the parameter that is multiplied
 
 def with_laws(chain: Chain, laws: Sequence[Law]) -> Chain:
     """Return the chain with the parameters of these laws after its own."""
-    more = tuple(parameter for law in laws for parameter in _parameters(chain, law))
-    return replace(chain, parameters=(*chain.parameters, *more))
+    added = tuple(parameter for law in laws for parameter in _parameters(chain, law))
+    return replace(chain, parameters=(*chain.parameters, *added))
 
 
 def robot_with_laws(robot: Robot, laws: Sequence[Law]) -> Robot:
@@ -71,25 +71,25 @@ def _carries(chain: Chain, payload: Payload) -> Chain:
 
 def has_payload_law(chain: Chain) -> bool:
     """Return whether a payload acts on the joints."""
-    return any(one.term == Sag.name and one.name.endswith(f".{PAYLOAD}") for one in chain.parameters)
+    return any(parameter.term == Sag.name and parameter.name.endswith(f".{PAYLOAD}") for parameter in chain.parameters)
 
 
 def distal_frames(chain: Chain, joint: int) -> tuple[int, ...]:
     """Return the frames beyond a joint at whose origins masses are distinguishable by their torque about it."""
     motions = len(chain.joints)
-    every = replace(
+    extended = replace(
         chain,
         parameters=(*chain.parameters, *_parameters(chain, SagMasses(joint, tuple(range(joint + 1, motions + 1))))),
     )
     rng = np.random.default_rng(0)
     q = completed(rng.uniform(-np.pi, np.pi, (motions, 64)).T, chain.mimics, motions).T
-    sag = Sag.of_chain(every)
+    sag = Sag.of_chain(extended)
     # about three directions of gravity, so that none is unlucky for the torque
-    kept: list[int] = []
+    frames: list[int] = []
     rows: list[np.ndarray] = []
     for k, frame in enumerate(range(joint + 1, motions + 1)):
-        torque = sag.by_parameters(every.params_nominal, q)[k]
+        torque = sag.by_parameters(extended.params_nominal, q)[k]
         if np.abs(torque).max() > 1e-6 and not any(np.abs(torque - row).max() < 1e-6 for row in rows):
-            kept.append(frame)
+            frames.append(frame)
             rows.append(torque)
-    return tuple(kept)
+    return tuple(frames)

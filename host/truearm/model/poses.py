@@ -27,16 +27,16 @@ def _rotations() -> type[Rotation]:
     return Rotation
 
 
-def apart(goal: Floats, here: Floats) -> Floats:
-    """Return the differences (n, 6) from poses ``here`` to ``goal`` (n, 4, 4)."""
-    turn = _rotations().from_matrix(goal[:, :3, :3] @ here[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
-    return np.concatenate([goal[:, :3, 3] - here[:, :3, 3], turn], axis=-1)
+def apart(goal: Floats, start: Floats) -> Floats:
+    """Return the differences (n, 6) from poses ``start`` to ``goal`` (n, 4, 4)."""
+    turn = _rotations().from_matrix(goal[:, :3, :3] @ start[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
+    return np.concatenate([goal[:, :3, 3] - start[:, :3, 3], turn], axis=-1)
 
 
-def moved(here: Floats, by: Floats) -> Floats:
+def moved(start: Floats, by: Floats) -> Floats:
     """Return poses (n, 4, 4) moved by differences (n, 6) in base axes."""
-    out = here.copy()
-    out[:, :3, :3] = _rotations().from_rotvec(by[:, 3:]).as_matrix() @ here[:, :3, :3]
+    out = start.copy()
+    out[:, :3, :3] = _rotations().from_rotvec(by[:, 3:]).as_matrix() @ start[:, :3, :3]
     out[:, :3, 3] += by[:, :3]
     return out
 

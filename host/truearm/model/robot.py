@@ -163,12 +163,12 @@ def parse_robot(text: str) -> Robot:
     return Robot(chain, values, free, text, branch, capsules, gravity=gravity, checksums=checksums)
 
 
-def _gravity(given: Sequence[float]) -> tuple[float, float, float]:
+def _gravity(direction: Sequence[float]) -> tuple[float, float, float]:
     """Return a direction of length 1. Raises SchemaError."""
-    length = math.hypot(*given)
+    length = math.hypot(*direction)
     if not length > 0.0:
         raise SchemaError("gravity: must not be zero; give its direction in the base frame, such as [0, 0, -1]")
-    x, y, z = (component / length for component in given)
+    x, y, z = (component / length for component in direction)
     return x, y, z
 
 
@@ -177,14 +177,14 @@ def _set_names(description: Description, nominal: str) -> list[str]:
     sets = {name: amount.values.keys() for name, amount in description.amounts.items() if amount.constant is None}
     if not sets:
         raise SchemaError("no parameter can be identified; write parameters as tables, { design = 0.0 }")
-    every = sorted({nominal}.union(*sets.values()))
-    for wanted in (nominal, *every):
+    set_names = sorted({nominal}.union(*sets.values()))
+    for set_name in (nominal, *set_names):
         for name, values in sets.items():
-            if wanted not in values:
+            if set_name not in values:
                 raise SchemaError(
-                    f"{name}: has no value {wanted!r}; every parameter needs the same sets of values ({', '.join(every)})"
+                    f"{name}: has no value {set_name!r}; every parameter needs the same sets of values ({', '.join(set_names)})"
                 )
-    return every
+    return set_names
 
 
 def _chain(head: Mapping[str, str], description: Description) -> Chain:

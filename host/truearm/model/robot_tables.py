@@ -142,7 +142,7 @@ def _read_slots(
     for slot in slots:
         table, name = slot.name.split(".")
         keys.setdefault(table, []).append(_amount(name, slot.unit))
-    tables = (Key(name, Table(tuple(own), dict)) for name, own in keys.items())
+    tables = (Key(name, Table(tuple(table_keys), dict)) for name, table_keys in keys.items())
     values: dict[str, Any] = Table((*head, *tables), dict).parse(doc)
     amounts: dict[str, Amount] = {}
     for slot in slots:
@@ -233,17 +233,17 @@ def _read_elementary(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mappi
     amounts: dict[str, Amount] = {}
     for i, transform in enumerate(values["transform"], start=1):
         if transform.joint is None:
-            slot, more = Slot(transform.name or f"transform {i}", transform.motion), {}
+            slot, law = Slot(transform.name or f"transform {i}", transform.motion), {}
         else:
             slot = Slot(f"{transform.joint.name}.offset", transform.motion, len(joints))
-            more = _law(slot, transform.law)
+            law = _law(slot, transform.law)
             joints.append(transform.joint)
-        more[slot.name] = transform.amount
-        twice = sorted(set(more) & set(amounts))
+        law[slot.name] = transform.amount
+        twice = sorted(set(law) & set(amounts))
         if twice:
             raise SchemaError(f"transform: item {i}: {twice[0]} is the name of an earlier one")
         slots.append(slot)
-        amounts |= more
+        amounts |= law
     _check_count(len(joints))
     return values, Description(tuple(joints), tuple(slots), amounts)
 

@@ -101,16 +101,16 @@ def _coefficients(vector: Floats) -> tuple[Floats, Floats, Floats]:
     """Return a, b and c (…) as defined in the module docstring."""
     vector = np.asarray(vector)
     t = (vector * vector).sum(axis=-1)
-    near = np.abs(t) < SERIES_BELOW
-    if near.all():
+    is_small = np.abs(t) < SERIES_BELOW
+    if is_small.all():
         a, b, c = _taylor(t)
         return a, b, c
-    theta = np.sqrt(np.where(near, 1.0, t))
+    theta = np.sqrt(np.where(is_small, 1.0, t))
     sine, half = np.sin(theta), np.sin(theta / 2.0)
-    far = (sine / theta, 2.0 * (half / theta) ** 2, (theta - sine) / theta**3)
-    if not near.any():
-        return far
-    a, b, c = np.where(near, _taylor(t), far)
+    exact = (sine / theta, 2.0 * (half / theta) ** 2, (theta - sine) / theta**3)
+    if not is_small.any():
+        return exact
+    a, b, c = np.where(is_small, _taylor(t), exact)
     return a, b, c
 
 

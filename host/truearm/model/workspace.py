@@ -61,8 +61,8 @@ class Capsules(NamedTuple):
     radius: Floats
 
 
-def _branch(lower: tuple[float, ...], upper: tuple[float, ...], **near: float) -> Branch:
-    return Branch(np.array(lower), np.array(upper), **near)
+def _branch(lower: tuple[float, ...], upper: tuple[float, ...], **clearances: float) -> Branch:
+    return Branch(np.array(lower), np.array(upper), **clearances)
 
 
 _ANGLES, _LENGTH, _POINT = List(robot_number("rad")), robot_number("m"), List(robot_number("m"), 3)

@@ -111,7 +111,7 @@ def plan_ballbar(
     site: Site,
     knowledge: Knowledge,
     pairings: Sequence[Pairing],
-    wanted: Wanted,
+    request: Wanted,
     pace: Pace,
     region: Region | None = None,
 ) -> BallBarPlan:
@@ -119,64 +119,68 @@ def plan_ballbar(
 
     Raises PlanError for a missing budget or one that is too small, and the errors of the steps.
     """
-    if (wanted.n_poses is None) == (wanted.minutes is None):
+    if (request.n_poses is None) == (request.minutes is None):
         raise PlanError(
-            "exclusive", first=Argument("poses"), second=Argument("minutes"), neither=wanted.minutes is None
+            "exclusive", first=Argument("poses"), second=Argument("minutes"), neither=request.minutes is None
         )
-    if (wanted.n_poses or 0) > wanted.n_candidates:
+    if (request.n_poses or 0) > request.n_candidates:
         raise PlanError(
-            f"{wanted.n_poses} poses cannot be chosen from {wanted.n_candidates} candidates; ask for fewer ",
+            f"{request.n_poses} poses cannot be chosen from {request.n_candidates} candidates; ask for fewer ",
             *(Argument("poses"), " or more ", Argument("candidates")),
         )
     with step("planning poses") as advance:
-        return _planned(site, knowledge, pairings, wanted, pace, region, advance)
+        return _planned(site, knowledge, pairings, request, pace, region, advance)
 
 
 def _planned(
     site: Site,
     knowledge: Knowledge,
     pairings: Sequence[Pairing],
-    wanted: Wanted,
+    request: Wanted,
     pace: Pace,
     region: Region | None,
     advance: Advance,
 ) -> BallBarPlan:
-    looked, linked = LOOKING if wanted.n_poses is None else LOOKING_ONCE
-    candidate_poses = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
+    looked, linked = LOOKING if request.n_poses is None else LOOKING_ONCE
+    candidate_poses = candidates(site, pairings, request.n_candidates, request.seed, request.spread)
     advance(looked)
     candidate_poses, graphs = roadmaps(site, candidate_poses)
     advance(linked)
-    if (wanted.n_poses or 0) > len(candidate_poses):
+    if (request.n_poses or 0) > len(candidate_poses):
         raise PlanError(
-            f"only {len(candidate_poses)} of {wanted.n_candidates} candidates are within reach with the bar attached, too few for "
-            f"{counted(wanted.n_poses or 0, 'pose')}; ask for fewer ",
+            f"only {len(candidate_poses)} of {request.n_candidates} candidates are within reach with the bar attached, too few for "
+            f"{counted(request.n_poses or 0, 'pose')}; ask for fewer ",
             *(Argument("poses"), " or more ", Argument("candidates"), ", lower ", Argument("reserve"), ", widen "),
             *(Argument("branch"), ", or move the chucks"),
         )
-    aim = _aim(site, candidate_poses, region, wanted.seed)
+    aim = _aim(site, candidate_poses, region, request.seed)
     table = bar_table(knowledge, candidate_poses)
-    poses = wanted.n_poses if wanted.n_poses is not None else int(60.0 * (wanted.minutes or 0.0) / (pace.dwell + MOVE))
+    poses = (
+        request.n_poses if request.n_poses is not None else int(60.0 * (request.minutes or 0.0) / (pace.dwell + MOVE))
+    )
     doubted = with_doubted_bars(knowledge) if poses >= DOUBTED_FROM * int(knowledge.free.sum()) else knowledge
     rows, information = candidate_rows(doubted, table)
     blocks, root = as_blocks(rows), region_root(doubted, table, aim)
 
     pairing = np.unique(pairing_names(candidate_poses), axis=0, return_inverse=True)[1].reshape(-1)
-    setup = 0.0 if wanted.minutes is None else pace.mount / (pace.dwell + MOVE)
+    setup = 0.0 if request.minutes is None else pace.mount / (pace.dwell + MOVE)
 
     def chosen(n: int) -> Plan:
         """Return the n best, the most important first."""
         stock = np.arange(len(candidate_poses))
         while True:
-            order = choose(blocks[stock], information, n, wanted.criterion, root, wanted.passes, pairing[stock], setup)
+            order = choose(
+                blocks[stock], information, n, request.criterion, root, request.passes, pairing[stock], setup
+            )
             best = candidate_poses.select(stock[order])
             is_worth = _worth_mounting(knowledge, candidate_poses.select(stock), best)
             if is_worth.all() or is_worth.sum() < n:
                 return best
             stock = stock[is_worth]
 
-    if wanted.n_poses is not None:
-        best = _with_room(site, chosen, wanted.n_poses, wanted.visits)
-        planned_route = route(site, best, pace, graphs, wanted.visits)
+    if request.n_poses is not None:
+        best = _with_room(site, chosen, request.n_poses, request.visits)
+        planned_route = route(site, best, pace, graphs, request.visits)
     else:
         trials = (linked + (1.0 - linked) * k / TRIALS for k in count(1))
         longest: list[Plan] = []
@@ -188,12 +192,12 @@ def _planned(
             else:
                 best = chosen(n)
                 longest[:] = [best]
-            planned_route = route(site, best, pace, graphs, wanted.visits)
+            planned_route = route(site, best, pace, graphs, request.visits)
             advance(min(next(trials), 1.0))
             return planned_route
 
-        most = min(len(candidate_poses), int(60.0 * (wanted.minutes or 0.0) / pace.dwell))
-        planned_route = _within(tried, max(1, int(FIRST * poses)), most, wanted.minutes or 0.0, pace)
+        n_most = min(len(candidate_poses), int(60.0 * (request.minutes or 0.0) / pace.dwell))
+        planned_route = _within(tried, max(1, int(FIRST * poses)), n_most, request.minutes or 0.0, pace)
     return BallBarPlan(planned_route, forecast(knowledge, bar_table(knowledge, planned_route.plan), aim))
 
 

@@ -66,14 +66,14 @@ def moves_allowed(
 class _Moves(NamedTuple):
     """Straight moves (m) that are sections of ways: the way, the shares of it where a move begins and ends, and joints."""
 
-    way: NDArray[np.intp]
+    path: NDArray[np.intp]
     low: Floats
     high: Floats
     start: Floats  # (m, j)
     end: Floats
 
     def select(self, rows: NDArray[np.bool_]) -> _Moves:
-        return _Moves(self.way[rows], self.low[rows], self.high[rows], self.start[rows], self.end[rows])
+        return _Moves(self.path[rows], self.low[rows], self.high[rows], self.start[rows], self.end[rows])
 
 
 def ways_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing) -> list[Floats | None]:
@@ -84,15 +84,15 @@ def ways_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing) -> l
     n = len(start)
     lost = np.zeros(n, dtype=bool)
     moves = _Moves(np.arange(n), np.zeros(n), np.ones(n), start, end)
-    vias = [(moves.way[:0], moves.low[:0], start[:0])]
+    vias = [(moves.path[:0], moves.low[:0], start[:0])]
     for halving in range(DEEPEST + 1):
         moves = moves.select(~moves_allowed(site, moves.start, moves.end, pairing))
         if halving == DEEPEST:
-            lost[moves.way] = True
+            lost[moves.path] = True
             break
         middle = onto_shell(site, 0.5 * (moves.start + moves.end), pairing)
-        lost[moves.way[~allowed(site, middle, pairing, site.limits.tightened())]] = True
-        possible = ~lost[moves.way]
+        lost[moves.path[~allowed(site, middle, pairing, site.limits.tightened())]] = True
+        possible = ~lost[moves.path]
         moves, middle = moves.select(possible), middle[possible]
         path, low, high, start, end = moves
         share = 0.5 * (low + high)

@@ -76,8 +76,8 @@ def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool
     good &= (spheres[..., 2] > sizes.table + sizes.stud).all(axis=1)
     good &= _arm_is_clear_of_itself(shapes, ends, pose, spheres)
     tops, feet = shapes.p_posts, np.array([_foot(chuck, sizes) for chuck in shapes.p_posts]).reshape(-1, 3)
-    apart = _from(ends[:, moved, None], feet, tops)
-    good &= (apart > radius[moved][:, None] + sizes.post).all(axis=(1, 2))
+    distance = _from(ends[:, moved, None], feet, tops)
+    good &= (distance > radius[moved][:, None] + sizes.post).all(axis=(1, 2))
     studs = segment_distance(pose[:, None, None, :3, 3], spheres[:, :, None], feet, tops)
     good &= (studs > sizes.stud + sizes.post).all(axis=(1, 2))
     if mounted is not None:
@@ -94,20 +94,20 @@ def link_ends_and_pose(shapes: Shapes, q: Floats) -> tuple[Floats, Floats]:
     """Return the result of ``link_ends``, and the pose (n, 4, 4) of the end."""
     frames, pose = joint_and_end_frames(shapes.chain, shapes.params, q)
     fixed = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
-    mine = np.concatenate([fixed, frames], axis=1)[:, shapes.links.joint]
-    return np.asarray(shapes.links.ends @ mine[..., :3, :3].swapaxes(-1, -2) + mine[..., None, :3, 3]), pose
+    carriers = np.concatenate([fixed, frames], axis=1)[:, shapes.links.joint]
+    return np.asarray(shapes.links.ends @ carriers[..., :3, :3].swapaxes(-1, -2) + carriers[..., None, :3, 3]), pose
 
 
 def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres: Floats) -> NDArray[np.bool_]:
     """Check the tool against everything before the forearm: column, shoulder, upper arm."""
     joint, radius = np.array(shapes.links.joint), shapes.links.radius
-    before, tool = joint <= len(shapes.chain.joints) - BEFORE_FOREARM, joint >= tool_joint(shapes)
+    inner, tool = joint <= len(shapes.chain.joints) - BEFORE_FOREARM, joint >= tool_joint(shapes)
     flange = np.broadcast_to(pose[:, None, :3, 3], spheres.shape)
     starts = np.concatenate([ends[:, tool, 0], flange], axis=1)
     stops = np.concatenate([ends[:, tool, 1], spheres], axis=1)
     thick = np.concatenate([radius[tool], np.full(spheres.shape[1], shapes.sizes.stud)])
-    apart = _from(ends[:, before, None], starts[:, None], stops[:, None])
-    return np.asarray((apart > radius[before][:, None] + thick).all(axis=(1, 2)))
+    distance = _from(ends[:, inner, None], starts[:, None], stops[:, None])
+    return np.asarray((distance > radius[inner][:, None] + thick).all(axis=(1, 2)))
 
 
 def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) -> NDArray[np.bool_]:
@@ -116,8 +116,8 @@ def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) 
     good = _wrist_is_clear(shapes, ends, p_sphere[:, None], mounted.p_chuck, shapes.sizes.bar)
     for chuck in shapes.p_posts:
         if not np.array_equal(chuck, mounted.p_chuck):
-            apart = segment_distance(_foot(chuck, shapes.sizes), chuck, p_sphere, mounted.p_chuck)
-            good &= apart > shapes.sizes.post + shapes.sizes.bar
+            distance = segment_distance(_foot(chuck, shapes.sizes), chuck, p_sphere, mounted.p_chuck)
+            good &= distance > shapes.sizes.post + shapes.sizes.bar
     return np.asarray(good)
 
 
@@ -143,9 +143,9 @@ def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, ra
 
     The parts that carry the end of a bar or a magnet necessarily touch it.
     """
-    before = np.array(shapes.links.joint) < tool_joint(shapes)
-    apart = _from(ends[:, before], start, end)
-    return np.asarray((apart > shapes.links.radius[before] + radius).all(axis=1))
+    inner = np.array(shapes.links.joint) < tool_joint(shapes)
+    distance = _from(ends[:, inner], start, end)
+    return np.asarray((distance > shapes.links.radius[inner] + radius).all(axis=1))
 
 
 def tool_joint(shapes: Shapes) -> int:
@@ -176,8 +176,8 @@ def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
     s = np.clip(np.where(across > tiny, (b * f - c * e) / np.where(across > tiny, across, 1.0), 0.0), 0.0, 1.0)
     t = np.clip((b * s + f) / np.maximum(e, tiny), 0.0, 1.0)
     s = np.clip((b * t - c) / np.maximum(a, tiny), 0.0, 1.0)
-    apart = between + s[..., None] * along_a - t[..., None] * along_b
-    return np.asarray(np.sqrt(_dot(apart, apart)))
+    gap = between + s[..., None] * along_a - t[..., None] * along_b
+    return np.asarray(np.sqrt(_dot(gap, gap)))
 
 
 def _dot(u: Floats, v: Floats) -> Floats:
@@ -193,11 +193,11 @@ def along_joints(chain: Chain, params: Floats, radius: float) -> Capsules:
     """
     zero = np.zeros(len(chain.joints))
     frames = [np.eye(4), *joint_frames(chain, params, zero), forward(chain, params, zero)]
-    kept = [0]
+    corners = [0]
     for i in range(1, len(frames)):
-        if np.linalg.norm((frames[i] - frames[kept[-1]])[:3, 3]) > SHORT:
-            kept.append(i)
+        if np.linalg.norm((frames[i] - frames[corners[-1]])[:3, 3]) > SHORT:
+            corners.append(i)
     # The part between two kept origins moves with the last joint before the second.
-    joint = tuple(i - 1 for i in kept[1:])
-    ends = [[np.zeros(3), frames[i - 1][:3, :3].T @ (frames[i] - frames[i - 1])[:3, 3]] for i in kept[1:]]
+    joint = tuple(i - 1 for i in corners[1:])
+    ends = [[np.zeros(3), frames[i - 1][:3, :3].T @ (frames[i] - frames[i - 1])[:3, 3]] for i in corners[1:]]
     return Capsules(joint, np.array(ends), np.full(len(joint), radius))

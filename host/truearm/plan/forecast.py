@@ -115,7 +115,7 @@ def forecast(knowledge: Knowledge, planned: ObservationTable, aim: Aim | None = 
     problem, x, columns = compiled(knowledge, planned)
     n_robot = int(knowledge.free.sum())
     seen_by_rows = of_rows(settled(problem, x), x, columns)
-    root, parts = seen_by_rows.root, spectrum(seen_by_rows.root)
+    root, decomposition = seen_by_rows.root, spectrum(seen_by_rows.root)
     names = problem.names_of(columns)
     sight = identifiability(root, n_robot, names)
     believed = np.full(len(names), np.inf)
@@ -126,7 +126,7 @@ def forecast(knowledge: Knowledge, planned: ObservationTable, aim: Aim | None = 
     unit = weak_prior(knowledge.chain)[knowledge.free]
     cartesian, relative = None, False
     if aim is not None:
-        null = parts.vt[~seen(parts)].T / parts.scale[:, None]
+        null = decomposition.vt[~seen(decomposition)].T / decomposition.scale[:, None]
         cartesian, relative = _cartesian(knowledge, problem, x, columns, aim, matrix, null, bool(defaults.base))
     return Forecast(
         names=problem.names,

@@ -26,14 +26,14 @@ def text(stops: Sequence[Stop], task: Task) -> str:
         lines.append(f"    ! row {number}: {stop.move}")
         if stop.before:
             lines += _ask(stop.before)
-        there = _ask(stop.there) if stop.there else []
+        at_stop = _ask(stop.there) if stop.there else []
         match stop.move:
             case Move.LINE:
-                lines += [*_line(stop, task), *there]
+                lines += [*_line(stop, task), *at_stop]
             case Move.VIA:
-                lines += [_move(stop, tool), *there]
+                lines += [_move(stop, tool), *at_stop]
             case Move.DWELL:
-                lines += [_move(stop, tool), *there, *_at_pose(task)]
+                lines += [_move(stop, tool), *at_stop, *_at_pose(task)]
             case _:
                 assert_never(stop.move)
     return "\n".join([*lines, "  ENDPROC", "ENDMODULE", ""])

@@ -26,14 +26,14 @@ def text(stops: Sequence[Stop], task: Task) -> str:
         lines.append(f"  # row {number}: {stop.move}")
         if stop.before:
             lines.append(_ask(stop.before))
-        there = [_ask(stop.there)] if stop.there else []
+        at_stop = [_ask(stop.there)] if stop.there else []
         match stop.move:
             case Move.LINE:
-                lines += [*_line(stop, task), *there]
+                lines += [*_line(stop, task), *at_stop]
             case Move.VIA:
-                lines += [_move(stop), *there]
+                lines += [_move(stop), *at_stop]
             case Move.DWELL:
-                lines += [_move(stop), *there, *_at_pose(task)]
+                lines += [_move(stop), *at_stop, *_at_pose(task)]
             case _:
                 assert_never(stop.move)
     return "\n".join([*lines, "end", ""])

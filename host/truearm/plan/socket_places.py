@@ -87,7 +87,7 @@ class _Arm:
         usable = (np.linalg.norm(self.p_ball(q) - socket, axis=1) < SEATED) & self.is_clear(q)
         usable &= np.all((q > lower + MARGIN) & (q < upper - MARGIN), axis=1)
         q = q[usable]
-        q = q[_spread(q, count, least=DIFFERENT)]
+        q = q[_spread(q, count, min_distance=DIFFERENT)]
         distance = np.abs(q[:, None] - q).max(axis=2)
         return q[short_tour(np.abs(q).max(axis=1), distance)] if len(q) else q
 
@@ -120,7 +120,7 @@ def plans_of_sites(
         return _site(arm, block, q, p_ball, np.array(bottom), n_seats)
 
     levels = [_level(block, p_ball, table + round(step * RAISED * reach, 2), reach) for step in range(N_HEIGHTS)]
-    most = 0
+    n_best = 0
     for pair in sorted(combinations(range(N_HEIGHTS), 2), key=sum):
         sites: list[Site] = []
         for bottoms, count in zip((levels[step] for step in pair), (n_sites - n_sites // 2, n_sites), strict=True):
@@ -129,12 +129,12 @@ def plans_of_sites(
             for bottom in bottoms[order - len(sites)].tolist():
                 if len(sites) < count and (site := site_at(tuple(bottom))) is not None:
                     sites.append(site)
-        most = max(most, len(sites))
+        n_best = max(n_best, len(sites))
         if len(sites) == n_sites:
             yield sites
-    if most < n_sites:
+    if n_best < n_sites:
         raise PlanError(
-            f"robot {chain.name} reaches {most} of {n_sites} places on a table at {MM.text(table)} in {n_seats} "
+            f"robot {chain.name} reaches {n_best} of {n_sites} places on a table at {MM.text(table)} in {n_seats} "
             "postures that differ; ask for fewer ",
             *(Argument("places"), " or ", Argument("seats"), ", or correct ", Argument("ball_xyz_mm")),
             *(" or ", Argument("table_mm")),
@@ -157,12 +157,12 @@ def _arm(robot: Robot, ball: Floats, block: SocketBlock, table: float) -> _Arm:
 
 def _level(block: SocketBlock, p_ball: Floats, height: float, reach: float) -> Floats:
     """Return the spots (n, 3) at a height to which more postures lead than to half of all."""
-    near = p_ball[np.abs(p_ball[:, 2] - height - block.centre_height) < SLAB * reach, :2]
-    if not len(near):
+    nearby = p_ball[np.abs(p_ball[:, 2] - height - block.centre_height) < SLAB * reach, :2]
+    if not len(nearby):
         return np.empty((0, 3))
-    tree = KDTree(near)
-    count = tree.query_ball_point(near, SLAB * reach, return_length=True)
-    spots = near[count >= np.median(count)].round(2)
+    tree = KDTree(nearby)
+    count = tree.query_ball_point(nearby, SLAB * reach, return_length=True)
+    spots = nearby[count >= np.median(count)].round(2)
     return np.column_stack([spots, np.full(len(spots), height)])
 
 
@@ -180,17 +180,17 @@ def _site(arm: _Arm, block: SocketBlock, q: Floats, p_ball: Floats, place: Float
     return Site(place, direction, tuple(seats))
 
 
-def _spread(points: Floats, count: int, n_taken: int = 0, least: float = 0.0) -> NDArray[np.intp]:
+def _spread(points: Floats, count: int, n_taken: int = 0, min_distance: float = 0.0) -> NDArray[np.intp]:
     """Return up to ``count`` of the points (n, d), always the one farthest from all others taken.
 
-    The first ``n_taken`` count as taken. No two are equal, or as close as ``least``.
+    The first ``n_taken`` count as taken. No two are equal, or as close as ``min_distance``.
     """
-    taken = list(range(n_taken))
+    chosen = list(range(n_taken))
     distance = np.abs(points[:, None] - points[:n_taken]).max(axis=2).min(axis=1, initial=np.inf)
-    while len(points) and len(taken) < n_taken + count:
+    while len(points) and len(chosen) < n_taken + count:
         farthest = int(distance.argmax())
-        if distance[farthest] <= least:
+        if distance[farthest] <= min_distance:
             break
-        taken.append(farthest)
+        chosen.append(farthest)
         distance = np.minimum(distance, np.abs(points - points[farthest]).max(axis=1))
-    return np.array(taken[n_taken:], dtype=np.intp)
+    return np.array(chosen[n_taken:], dtype=np.intp)

@@ -27,13 +27,13 @@ SAME = 1e-6  # m, rad between corrections of one literal: below a controller's r
 class Census:
     """The moves that change their literals, and those that get numbers of their own.
 
-    ``joints_change``: literals of joint readings are corrected too. ``own``: moves whose argument is replaced.
+    ``joints_change``: literals of joint readings are corrected too. ``replaced``: moves whose argument is replaced.
     ``poses``: the new pose (4, 4) of each literal, and the goal for which it was computed.
     """
 
     program: Program
     joints_change: bool
-    own: set[Move] = field(default_factory=set)
+    replaced: set[Move] = field(default_factory=set)
     poses: dict[Place, tuple[Goal, Floats]] = field(default_factory=dict)
     _released: list[Move] = field(default_factory=list)
     _movers: dict[Datum, list[Move]] = field(default_factory=lambda: defaultdict(list))
@@ -45,15 +45,15 @@ class Census:
             for datum, _ in self.uses(move):
                 self._movers[datum].append(move)
         for datum in list(self._movers):
-            others = datum.uses - targets
-            if others:
-                self._keep(datum, min(others))
+            other_uses = datum.uses - targets
+            if other_uses:
+                self._keep(datum, min(other_uses))
 
     def refuse(self, move: Move, reason: Reason) -> None:
         """Refuse a move. Its names then have another use, so moves by these names lose their literals."""
         if move.reason is None:
             move.reason = reason
-            self.own.discard(move)
+            self.replaced.discard(move)
             self._released.append(move)
             for datum, place in self.uses(move):
                 self._keep(datum, place)
@@ -75,32 +75,32 @@ class Census:
                     continue
                 self._released.append(move)
                 if replaceable(move):
-                    self.own.add(move)
+                    self.replaced.add(move)
                 else:
                     move.reason = Reason("shared-use", {"name": datum.name, "where": self.program.where(use)})
                     waiting += self.uses(move)
 
-    def settle(self, wanted: dict[Goal, Floats]) -> None:
-        """Choose the new pose of each literal; ``wanted``: the pose (4, 4) in its frame of each goal that is a pose.
+    def settle(self, goal_poses: dict[Goal, Floats]) -> None:
+        """Choose the new pose of each literal; ``goal_poses``: the pose (4, 4) in its frame of each goal that is a pose.
 
         Where moves want different numbers of one literal, those that differ from the first get numbers of their own.
         """
         users: dict[Place, list[tuple[Move, Goal]]] = defaultdict(list)
         for move in self.program.moves:
             for goal in move.goals if move.reason is None else ():
-                if goal in wanted:
+                if goal in goal_poses:
                     users[goal.target.literal.place].append((move, goal))
         unsettled = dict.fromkeys(users)
         while unsettled:
             place, _ = unsettled.popitem()
-            for move in self._settle_literal(place, users[place], wanted):
+            for move in self._settle_literal(place, users[place], goal_poses):
                 self.refuse(move, Reason("other-numbers", {"where": self.program.where(place)}))
             for move in self._released:
-                unsettled.update((goal.target.literal.place, None) for goal in move.goals if goal in wanted)
+                unsettled.update((goal.target.literal.place, None) for goal in move.goals if goal in goal_poses)
             self._released.clear()
 
     def _settle_literal(
-        self, place: Place, users: Iterable[tuple[Move, Goal]], wanted: dict[Goal, Floats]
+        self, place: Place, users: Iterable[tuple[Move, Goal]], goal_poses: dict[Goal, Floats]
     ) -> list[Move]:
         """Choose the pose of a literal for its first user without an offset; return the moves to refuse."""
         sharing = [(move, goal) for move, goal in users if self._shares(move)]
@@ -108,9 +108,9 @@ class Census:
         if not sharing:
             return []
         if len(sharing) == 1 and sharing[0][1].target.left is sharing[0][1].target.right:
-            self.poses[place] = sharing[0][1], wanted[sharing[0][1]]
+            self.poses[place] = sharing[0][1], goal_poses[sharing[0][1]]
             return []
-        solved = np.array([inverted(g.target.left) @ wanted[g] @ inverted(g.target.right) for _, g in sharing])
+        solved = np.array([inverted(g.target.left) @ goal_poses[g] @ inverted(g.target.right) for _, g in sharing])
         plain = (row for row, (_, g) in enumerate(sharing) if g.target.left is g.target.right)
         chosen = next(plain, 0)
         self.poses[place] = sharing[chosen][1], solved[chosen]
@@ -119,7 +119,7 @@ class Census:
         for (move, _), is_other in zip(sharing, differs, strict=True):
             if is_other and self._shares(move):
                 if replaceable(move):
-                    self.own.add(move)
+                    self.replaced.add(move)
                     self._released.append(move)
                 else:
                     refused.append(move)
@@ -131,7 +131,7 @@ class Census:
         return [use for goal in goals for use in goal.target.uses]
 
     def _shares(self, move: Move) -> bool:
-        return move.reason is None and move not in self.own
+        return move.reason is None and move not in self.replaced
 
 
 def replaceable(move: Move) -> bool:

@@ -36,13 +36,13 @@ class Joints(NamedTuple):
 
 
 def changes_of(
-    census: Census, wanted: Mapping[Goal, Floats], joints: Mapping[Goal, Joints], correct_joints: bool
+    census: Census, goal_poses: Mapping[Goal, Floats], joints: Mapping[Goal, Joints], correct_joints: bool
 ) -> list[Change]:
     """Return the changes of the text that a census settled on.
 
-    ``wanted``: the poses (4, 4) in their frames of goals that are poses. ``correct_joints``: joint readings change too.
+    ``goal_poses``: the poses (4, 4) in their frames of goals that are poses. ``correct_joints``: joint readings change too.
     """
-    due = due_numbers(census, wanted, correct_joints)
+    due = due_numbers(census, goal_poses, correct_joints)
     posed = [(goal.target.literal, pose) for goal, pose, _ in due.values() if pose is not None]
     pose_texts = iter(texts_of_poses([literal for literal, _ in posed], np.array([pose for _, pose in posed])))
     changes: list[Change] = []
@@ -66,7 +66,7 @@ def changes_of(
 Due = dict[Place, tuple[Goal, Floats | None, bool]]
 
 
-def due_numbers(census: Census, wanted: Mapping[Goal, Floats], correct_joints: bool) -> Due:
+def due_numbers(census: Census, goal_poses: Mapping[Goal, Floats], correct_joints: bool) -> Due:
     """Return which numbers change, by the place of the literal, or of the argument that numbers of a move replace.
 
     Each for a goal, with the pose (4, 4) to write, None for joint readings, and whether they are the move's own.
@@ -74,10 +74,10 @@ def due_numbers(census: Census, wanted: Mapping[Goal, Floats], correct_joints: b
     due: Due = {place: (goal, pose, False) for place, (goal, pose) in census.poses.items()}
     for move in census.program.moves:
         for goal in move.goals if move.reason is None else ():
-            own = goal.argument if move in census.own else None
-            place = goal.target.literal.place if own is None else Place(move.place.file, own[0])
-            if correct_joints if goal.is_joints else own is not None and goal in wanted:
-                due.setdefault(place, (goal, wanted.get(goal), own is not None))
+            argument = goal.argument if move in census.replaced else None
+            place = goal.target.literal.place if argument is None else Place(move.place.file, argument[0])
+            if correct_joints if goal.is_joints else argument is not None and goal in goal_poses:
+                due.setdefault(place, (goal, goal_poses.get(goal), argument is not None))
     return due
 
 
@@ -120,8 +120,8 @@ def remarks_of(program: Program, changes: Iterable[Change], remark: str) -> list
     for file in sorted({change.file for change in changes} if program.language in COMMENTS else ()):
         data = program.files[file].data
         newline = "\r\n" if b"\r\n" in data else "\n"
-        before = "" if data.endswith(b"\n") else newline
-        text = f"{before}{COMMENTS[program.language]} truearm: {remark}{newline}"
+        separator = "" if data.endswith(b"\n") else newline
+        text = f"{separator}{COMMENTS[program.language]} truearm: {remark}{newline}"
         remarks.append(Change(file, len(data), len(data), text))
     return remarks
 

@@ -35,24 +35,24 @@ class _Block(Generic[T]):
 
     step: Step
     number: int
-    before: frozenset[T | None]
+    incoming: frozenset[T | None]
     ends: frozenset[T | None] = frozenset()
     is_skipped: bool = True
 
 
-def preceding(steps: Sequence[Step | T], counts: Callable[[T], bool], most: int) -> dict[T, frozenset[T | None]]:
+def preceding(steps: Sequence[Step | T], counts: Callable[[T], bool], limit: int) -> dict[T, frozenset[T | None]]:
     """Return, for every entry of ``steps``, which entries that count may be the last before it.
 
-    None among them: it is unknown, as where a routine begins, or after a call. More than ``most`` are unknown too.
+    None among them: it is unknown, as where a routine begins, or after a call. More than ``limit`` are unknown too.
     """
     loop_ends: dict[int, frozenset[T | None]] = {}
-    _followed(steps, counts, most, loop_ends)
+    _followed(steps, counts, limit, loop_ends)
     # What a loop ends with comes from its body, which this pass has followed, or from before it.
-    return _followed(steps, counts, most, loop_ends)
+    return _followed(steps, counts, limit, loop_ends)
 
 
 def _followed(
-    steps: Sequence[Step | T], counts: Callable[[T], bool], most: int, loop_ends: dict[int, frozenset[T | None]]
+    steps: Sequence[Step | T], counts: Callable[[T], bool], limit: int, loop_ends: dict[int, frozenset[T | None]]
 ) -> dict[T, frozenset[T | None]]:
     """Return the last entries that count before each entry, and note with what each loop ends, by its first step."""
     unknown: frozenset[T | None] = frozenset([None])
@@ -61,7 +61,7 @@ def _followed(
 
     def united(*alternatives: frozenset[T | None]) -> frozenset[T | None]:
         union = frozenset[T | None]().union(*alternatives)
-        return union if len(union) <= most else unknown
+        return union if len(union) <= limit else unknown
 
     for number, step in enumerate(steps):
         if not isinstance(step, Step):
@@ -75,7 +75,7 @@ def _followed(
                 last = unknown if step is Step.ROUTINE else last
             case Step.BRANCH | Step.ELSE:
                 for block in blocks[-1:]:
-                    block.ends, last = block.ends | last, block.before
+                    block.ends, last = block.ends | last, block.incoming
                     block.is_skipped &= step is not Step.ELSE or block.step is not Step.IF
             case Step.LEAVE:
                 for block in [block for block in blocks if block.step in (Step.LOOP, Step.REPEAT)][-1:]:
@@ -86,9 +86,9 @@ def _followed(
                     if block.step in (Step.LOOP, Step.REPEAT):
                         loop_ends[block.number] = ends
                     if block.step is Step.ROUTINE:
-                        last = block.before
+                        last = block.incoming
                     else:
-                        last = united(ends, block.before) if block.is_skipped else ends
+                        last = united(ends, block.incoming) if block.is_skipped else ends
             case Step.CALL:
                 last = unknown
             case _:

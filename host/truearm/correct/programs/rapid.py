@@ -76,10 +76,10 @@ def value_of(task: Task, tokens: Tokens, scope: Scope) -> Value:
     if value is not None:
         return value
     datum, element = _datum_of(task, tokens, scope)
-    value, *others = task.once(
+    value, *further_values = task.once(
         datum, lambda: set(task.all_values(datum.values, lambda tokens, scope: [value_of(task, tokens, scope)]))
     )
-    if others:
+    if further_values:
         raise Uncertain("several", name=datum.name)
     if element is None:
         return value

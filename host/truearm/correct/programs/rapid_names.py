@@ -184,7 +184,7 @@ class _ModuleReader:
             self.task.routines[self.tokens[first].text].append(parameters)
         self.blocks = (data, self.blocks[-1])
 
-    def declaration(self, kind: str, before: str) -> None:
+    def declaration(self, kind: str, prefix: str) -> None:
         """Read CONST, VAR or PERS, which may have LOCAL or TASK before it."""
         end = self.end()
         tokens = self.tokens[self.index : end]
@@ -193,12 +193,12 @@ class _ModuleReader:
             return
         sign = next((index for index, token in enumerate(tokens) if token.text == ":="), end)
         name, place = tokens[1].text, Place(self.file, tokens[1].start)
-        datum = Datum(name, tokens[0].text, kind, place, before == "local" or len(self.blocks) > 1)
+        datum = Datum(name, tokens[0].text, kind, place, prefix == "local" or len(self.blocks) > 1)
         if tokens[sign + 1 :]:
             datum.values.append((tokens[sign + 1 :], Scope(self.file, self.blocks)))
         if self.blocks[0].setdefault(name, datum) is not datum:
             self.blocks[0][name].changes.append(Change(place, "redeclared"))
-        if kind == "pers" and before != "task" and not datum.local:
+        if kind == "pers" and prefix != "task" and not datum.local:
             self.task.persistents.append(datum)
         self.add(end)
 
@@ -224,8 +224,8 @@ class _ModuleReader:
 
     def begins_statement(self, index: int) -> bool:
         """Return whether a word follows an operand."""
-        before, token = self.tokens[index - 1], self.tokens[index]
-        is_operand = (before.kind != "sign" and before.text not in OPERATORS) or before.text in (")", "]", "}")
+        previous, token = self.tokens[index - 1], self.tokens[index]
+        is_operand = (previous.kind != "sign" and previous.text not in OPERATORS) or previous.text in (")", "]", "}")
         return is_operand and token.kind == "word" and token.text not in OPERATORS
 
 
@@ -239,8 +239,8 @@ def find(task: Task, name: str, scope: Scope) -> Datum | None:
             return block[name]
     data = task.shared.get(name, ())
     if len(data) > 1 and not any(change.code == "ambiguous" for change in data[0].changes):
-        for datum, other in zip(data, [*data[1:], data[0]], strict=True):
-            datum.changes.append(Change(other.place, "ambiguous"))
+        for datum, neighbour in zip(data, [*data[1:], data[0]], strict=True):
+            datum.changes.append(Change(neighbour.place, "ambiguous"))
     return data[0] if data else None
 
 

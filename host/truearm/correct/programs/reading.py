@@ -31,8 +31,8 @@ class Uncertain(Exception):
     def within(self, program: Program, place: Place) -> Uncertain:
         """Return the same reason with the place of the value that is computed at run time, if it has none."""
         name, values = self.reason.name, self.reason.values
-        where = {"where": program.where(place)} if name == "run-time" else {}
-        return Uncertain(name, **{**where, **values})
+        location = {"where": program.where(place)} if name == "run-time" else {}
+        return Uncertain(name, **{**location, **values})
 
     def about(self, subject: str) -> Uncertain:
         """Return the same reason as one about a tool, work object or offset."""
@@ -86,8 +86,8 @@ class Reading:
             raise Uncertain("parameter", name=datum.name, kind=datum.kind)
         is_trusted = datum.name.lower() in self.surroundings.unchanged
         for place, code, function in [*datum.changes, *([] if is_trusted else datum.outside)]:
-            where = self.program.where(place)
-            raise Uncertain(code, name=datum.name, where=where, function=function, outside=not datum.changes)
+            location = self.program.where(place)
+            raise Uncertain(code, name=datum.name, where=location, function=function, outside=not datum.changes)
         is_visible = datum.kind != "const" and not datum.local
         if is_visible and not is_trusted:
             self.check_absent()

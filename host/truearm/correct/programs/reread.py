@@ -29,23 +29,27 @@ def target_poses(goals: Sequence[Goal]) -> Floats:
 
 
 def difference(
-    before: Program, after: Program, wanted: Mapping[Goal, Floats], joints: Mapping[Goal, Joints], joints_change: bool
+    original: Program,
+    corrected: Program,
+    goal_poses: Mapping[Goal, Floats],
+    joints: Mapping[Goal, Joints],
+    joints_change: bool,
 ) -> str:
     """Return how the moves of a corrected program differ from what is wanted, with file and line; "" if they do not."""
-    if len(before.moves) != len(after.moves):
+    if len(original.moves) != len(corrected.moves):
         return "the corrected program has another number of moves"
     pairs: list[tuple[Move, Goal, Goal]] = []
-    for old, new in zip(before.moves, after.moves, strict=True):
+    for old, new in zip(original.moves, corrected.moves, strict=True):
         uncertain = bool(old.reason and not old.goals)
         forms = [[goal.target.literal.form for goal in move.goals] for move in (old, new)]
         if old.name != new.name or forms[0] != forms[1] or uncertain != (new.reason is not None):
-            return f"{before.where(old.place)}: the corrected move has other targets"
+            return f"{original.where(old.place)}: the corrected move has other targets"
         pairs += [(old, first, second) for first, second in zip(old.goals, new.goals, strict=True)]
     posed = [pair for pair in pairs if not pair[1].is_joints]
     due, actual = target_poses([goal for _, goal, _ in posed]), target_poses([goal for _, _, goal in posed])
     for row, (move, goal, _) in enumerate(posed):
         if move.reason is None:
-            due[row] = wanted[goal]
+            due[row] = goal_poses[goal]
     misses = (
         dict(zip((goal for _, goal, _ in posed), np.abs(apart(actual, due)).max(axis=1), strict=True)) if posed else {}
     )
@@ -56,5 +60,5 @@ def difference(
             misses[goal] = np.abs(readings_of(again.target.literal) - readings).max()
         is_same = np.array_equal(goal.tool, again.tool) and np.array_equal(goal.frame, again.frame)
         if not misses[goal] <= CLOSE or not is_same:
-            return f"{before.where(move.place)}: the corrected move misses its target by {misses[goal]:.3g} m or rad"
+            return f"{original.where(move.place)}: the corrected move misses its target by {misses[goal]:.3g} m or rad"
     return ""

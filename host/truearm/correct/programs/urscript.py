@@ -79,8 +79,8 @@ class _Reader:
         datum = find(self.script, tokens[0].text, statement) if len(tokens) == 1 else None
         if datum is None:
             raise Uncertain("run-time")
-        first, *others = set(self.through(datum, lambda tokens, scope: [self.number(tokens, scope)], "number"))
-        if others:
+        first, *further_values = set(self.through(datum, lambda tokens, scope: [self.number(tokens, scope)], "number"))
+        if further_values:
             raise Uncertain("several", name=datum.name)
         return first
 
@@ -154,11 +154,11 @@ class _Reader:
 
     def solved(self, call: Call) -> list[Value]:
         """Return the values of get_inverse_kin(x, qnear=…, tcp=…)."""
-        near, tool = call.argument(1, "qnear"), call.argument(4, "tcp")
+        seed, tool = call.argument(1, "qnear"), call.argument(4, "tcp")
         readings: tuple[float, ...] = ()
-        source = self.script.call(near, call.statement)
-        if near and (source is None or source.name not in CURRENT_JOINTS):
-            values = self.values(near, call.statement)
+        source = self.script.call(seed, call.statement)
+        if seed and (source is None or source.name not in CURRENT_JOINTS):
+            values = self.values(seed, call.statement)
             if len(values) != 1 or values[0].readings is None:
                 raise Uncertain("several", name="its qnear")
             self.script.program.harmless.update(place for _, place in values[0].factors[0].uses)

@@ -15,15 +15,15 @@ from truearm.correct.programs.urscript_names import Border, Call, Entry, Script
 
 @dataclass(eq=False)
 class LastCalls:
-    """The calls of the functions ``names`` that may be the last before any call, if they are not more than ``most``.
+    """The calls of the functions ``names`` that may be the last before any call, if they are not more than ``limit``.
 
     ``acting``: these functions and those of the script that lead to them. ``in_thread``: whether a thread does.
-    ``ends``: of each entry, where looking back from it ends, one more than ``most`` if there are more.
+    ``ends``: of each entry, where looking back from it ends, one more than ``limit`` if there are more.
     """
 
     script: Script
     names: frozenset[str]
-    most: int
+    limit: int
 
     def __post_init__(self) -> None:
         """Find the functions that lead to the calls, and what may come before each call within its function."""
@@ -36,9 +36,9 @@ class LastCalls:
         self.last: dict[Entry, frozenset[Entry | None]] = preceding(
             self.script.steps,
             lambda entry: entry.name in self.acting if isinstance(entry, Call) else not entry.is_end,
-            self.most,
+            self.limit,
         )
-        entries = closure({entry for before in self.last.values() for entry in before}, self._earlier)
+        entries = closure({entry for predecessors in self.last.values() for entry in predecessors}, self._earlier)
         later: dict[Entry | None, list[Entry | None]] = defaultdict(list)
         for entry in entries:
             for earlier in self._earlier(entry):
@@ -48,14 +48,14 @@ class LastCalls:
             waiting = [] if self._places(end) else [end]
             while waiting:
                 ends = self.ends[entry := waiting.pop()]
-                if end not in ends and len(ends) <= self.most:
+                if end not in ends and len(ends) <= self.limit:
                     ends.add(end)
                     waiting += later[entry]
 
     def before(self, call: Call) -> frozenset[Entry | None]:
         """Return the calls that may be the last; the beginning of a file or function if none was; None: unknown."""
         ends = frozenset[Entry | None]().union(*(self.ends[entry] for entry in self.last[call]))
-        return ends if 0 < len(ends) <= self.most and not self.in_thread else frozenset([None])
+        return ends if 0 < len(ends) <= self.limit and not self.in_thread else frozenset([None])
 
     def _earlier(self, entry: Entry | None) -> Iterable[Entry | None]:
         return {earlier for place in self._places(entry) for earlier in self.last.get(place, (None,))}

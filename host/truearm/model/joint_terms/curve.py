@@ -23,10 +23,10 @@ from truearm.types import Floats
 
 @dataclass(frozen=True)
 class _Knots:
-    """The coefficients of one joint: ``some`` of the term's parameters."""
+    """The coefficients of one joint: ``members`` of the term's parameters."""
 
     joint: int
-    some: slice
+    members: slice
     first: float  # centre of the first coefficient
     spacing: float
     periodic: bool
@@ -34,7 +34,7 @@ class _Knots:
     @property
     def count(self) -> int:
         """Return the number of coefficients."""
-        return int(self.some.stop - self.some.start)
+        return int(self.members.stop - self.members.start)
 
     def weights(self, q: Floats, derivative: bool = False) -> tuple[NDArray[np.intp], Floats]:
         """Return the coefficients (4, n) that act at readings q (n,), and their weights.
@@ -44,18 +44,18 @@ class _Knots:
         turn = 2.0 * np.pi
         middle = self.first + 0.5 * (self.count - 1) * self.spacing
         with np.errstate(invalid="ignore"):
-            at = (q - turn * np.round((q.real - middle) / turn) - self.first) / self.spacing
-        cell = np.floor(np.where(np.isfinite(at.real), at.real, 0.0)).astype(np.intp)
-        u = at - cell
+            place = (q - turn * np.round((q.real - middle) / turn) - self.first) / self.spacing
+        cell = np.floor(np.where(np.isfinite(place.real), place.real, 0.0)).astype(np.intp)
+        u = place - cell
         if derivative:
             slopes = [-0.5 * (1 - u) ** 2, (1.5 * u - 2) * u, 0.5 + u - 1.5 * u**2, 0.5 * u**2]
-            parts = np.stack(slopes) / self.spacing
+            values = np.stack(slopes) / self.spacing
         else:
-            parts = np.stack([(1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * (u + u**2 - u**3), u**3]) / 6.0
-        which = cell - 1 + np.arange(4)[:, None]
+            values = np.stack([(1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * (u + u**2 - u**3), u**3]) / 6.0
+        index = cell - 1 + np.arange(4)[:, None]
         if self.periodic:
-            return which % self.count, parts
-        return np.where((which >= 0) & (which < self.count), which, self.count), parts
+            return index % self.count, values
+        return np.where((index >= 0) & (index < self.count), index, self.count), values
 
 
 class Curve(Term):
@@ -82,31 +82,31 @@ class Curve(Term):
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
         n = q.shape[1]
         out = np.zeros((self.parameters.size + 1, n), q.dtype)
-        each = np.arange(n)
-        for which, weights in self._weights(q):
-            for row, weight in zip(which, weights, strict=True):
-                out[row, each] += weight
+        sample = np.arange(n)
+        for indices, weights in self._weights(q):
+            for row, weight in zip(indices, weights, strict=True):
+                out[row, sample] += weight
         return out[:-1]
 
     def mean_by_parameters(self, q: Floats) -> Floats:
         """Return the mean (k,) of ``by_parameters`` over readings q (j, n); with many, that would be hundreds of megabytes."""
         out = np.zeros(self.parameters.size + 1)
-        for which, weights in self._weights(q):
-            out += np.bincount(which.ravel(), weights.ravel(), out.size)
+        for indices, weights in self._weights(q):
+            out += np.bincount(indices.ravel(), weights.ravel(), out.size)
         return np.asarray(out[:-1] / q.shape[1])
 
     def _weights(self, q: Floats) -> Iterator[tuple[NDArray[np.intp], Floats]]:
         """Return each joint's ``_Knots.weights``, with coefficients counted through all joints."""
         for knots in self._knots:
-            which, weights = knots.weights(q[knots.joint])
-            yield np.where(which < knots.count, which + knots.some.start, self.parameters.size), weights
+            indices, weights = knots.weights(q[knots.joint])
+            yield np.where(indices < knots.count, indices + knots.members.start, self.parameters.size), weights
 
     def _summed(self, params: Floats, q: Floats, *, derivative: bool) -> Floats:
         out = np.zeros(q.shape, np.result_type(params, q))
         for knots in self._knots:
-            which, weights = knots.weights(q[knots.joint], derivative)
-            coefficients = np.append(params[self.parameters[knots.some]], 0.0)
-            out[knots.joint] = (coefficients[which] * weights).sum(axis=0)
+            indices, weights = knots.weights(q[knots.joint], derivative)
+            coefficients = np.append(params[self.parameters[knots.members]], 0.0)
+            out[knots.joint] = (coefficients[indices] * weights).sum(axis=0)
         return out
 
 

@@ -52,17 +52,17 @@ class Sag(Term):
         for row, (i, k) in enumerate(zip(self.joints, self._frames, strict=True)):
             gravity = self._gravity[row, :, None]
             pull, moment = cross(gravity, axes[i]), cross(axes[i], origins[k] - origins[i])
-            for at, motion in enumerate(self._arm.motions[:k] if k < len(q) else self._arm.motions):
-                if motion[0] == "t" and at <= i:  # a slide before the joint moves joint and mass
+            for mover, motion in enumerate(self._arm.motions[:k] if k < len(q) else self._arm.motions):
+                if motion[0] == "t" and mover <= i:  # a slide before the joint moves joint and mass
                     continue
                 if motion[0] == "t":
-                    by = pull * axes[at]
-                elif at >= i:
-                    by = pull * cross(axes[at], origins[k] - origins[at])
+                    by = pull * axes[mover]
+                elif mover >= i:
+                    by = pull * cross(axes[mover], origins[k] - origins[mover])
                 else:  # rotates joint and mass equally
-                    by = cross(gravity, axes[at]) * moment
+                    by = cross(gravity, axes[mover]) * moment
                 compliance = params[self.parameters[row]] * self._mass[row]
-                out[i, at] += compliance * rates[at] * by.sum(axis=0)
+                out[i, mover] += compliance * rates[mover] * by.sum(axis=0)
         return out
 
     def by_parameters(self, params: Floats, q: Floats) -> Floats:

@@ -48,8 +48,8 @@ class Term(ABC):
     @classmethod
     def of_chain(cls, structure: Structure) -> Self:
         """Return the term with all its parameters in a chain."""
-        mine = [i for i, parameter in enumerate(structure.parameters) if parameter.term == cls.name]
-        return cls(structure, np.array(mine, dtype=np.intp))
+        indices = [i for i, parameter in enumerate(structure.parameters) if parameter.term == cls.name]
+        return cls(structure, np.array(indices, dtype=np.intp))
 
     @classmethod
     def unit_of(cls, joint_kind: str) -> str:
