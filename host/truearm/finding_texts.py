@@ -262,6 +262,10 @@ IDENTIFICATION: Mapping[str, Statement] = {
     "sag-payload": note(
         "The sag of the joints [{several:!}depends on the payload||holds for the payload of {holder}][: {mass} kg][; it was measured under {masses} kg]."
     ),
+    "payload-beyond": warning(
+        "A payload of {mass} kg is beyond those of the calibration ({masses} kg): the sag under it is extrapolated.",
+        "Identify with rows under such a payload.",
+    ),
     "law-noise": note("Noise learned from the residuals: {terms}."),
     # what to do next
     "measure-next": advice(
@@ -565,7 +569,7 @@ RECORDING: Mapping[str, Statement] = {
     ),
     "seats-filled": result("{place}: {n:#row} filled with the joints of {n:#rest} of {shortest:.1f} to {longest:.1f}."),
     "controller-read": result(
-        "{place}: the controller computes with [{as_drawn:!}the drawing of {model}||its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f}, over {n:#random pose}][; checksums {checksums}]."
+        "{place}: the controller computes with [{as_drawn:!}the drawing of {model}||its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f} and {turn:.3f}, over {n:#random pose}][; checksums {checksums}]."
     ),
     "controller-unread": warning(
         "{reason}. The kinematics of the controller [{stored:!}could not be compared with {model}||were not read, so that the project has the drawing of {model}].",

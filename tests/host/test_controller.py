@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import test_robots_rtde
 from controller_peer import Controller, built_rows, drawn_rows, info, message, state
+from scipy.spatial.transform import Rotation
 from session_stream import RIG
 from test_record_command import box_on_a_socket
 
@@ -81,10 +82,32 @@ def test_a_controller_is_read_into_a_robot_file_that_predicts_what_it_computes(r
     values = json.loads(stdout)["findings"][0]["values"]
     apart = np.linalg.norm((robot.forward(q) - drawing.forward(q))[:, :3, 3], axis=1)
     assert values["rms"]["mm"] == pytest.approx(1e3 * np.sqrt((apart**2).mean()), rel=0.1)
+    turn = Rotation.from_matrix((robot.forward(q) @ drawing.forward(q).swapaxes(1, 2))[:, :3, :3]).magnitude()
+    assert values["turn"]["deg"] == pytest.approx(np.degrees(turn.max()), rel=0.1)
     # read again into a file that has the controller's values already
     again = tmp_path / "again.toml"
     assert run("robot", "read", address, "--model", out, "--out", again)[0] == 0
     assert again.read_text() == out.read_text()
+
+
+def test_a_wrist_that_is_turned_is_another_arm(run, tmp_path, controller):
+    """Its end turns about itself, so that positions are those of the drawing."""
+    rows = drawn_rows(UR5E.chain)
+    rows[0, 5] += 0.3
+    code, _, err = run(
+        "robot", "read", controller(state(info(rows))), "--model", "ur5e", "--out", tmp_path / "arm.toml"
+    )
+    assert code == 2
+    assert "differs from ur5e by up to 0 mm and 17 deg" in " ".join(err.split())
+
+
+def test_a_robot_is_not_written_into_a_file_of_another_kind(run, tmp_path):
+    (tmp_path / "calibration.conf").write_text(conf_of(built_rows(UR5E.chain, SEED)))
+    out = tmp_path / "robot.txt"
+    code, _, err = run("robot", "read", tmp_path / "calibration.conf", "--model", "ur5e", "--out", out)
+    assert code == 2
+    assert "robot.txt: is not a name for this kind of file; give a name that ends in .toml" in " ".join(err.split())
+    assert not out.exists()
 
 
 def conf_of(rows, checksums="0x1, 0x2, 0x3, 0x4, 0x5, 0xffffffff"):

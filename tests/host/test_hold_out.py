@@ -79,6 +79,10 @@ def test_folds_are_whole_poses_and_every_row_is_in_one():
     for wanted in (["folds=1"], ["folds=x"], ["socket=*"], ["folds=3", "bar=b61"]):
         with pytest.raises(InputError, match="folds"):
             folds_of(twice, wanted, 0)
+    many = ObservationTable.joined([twice] * 4)
+    many = many.replace(q=np.random.default_rng(0).normal(size=many.q.shape))
+    with pytest.raises(InputError, match=f"folds=1000: gives {min(len(many), 1000)} folds, and 2 to 100 are needed"):
+        folds_of(many, ["folds=1000"], 0)
 
 
 def test_each_fold_has_a_fit_of_its_own(tmp_path, run, monkeypatch):

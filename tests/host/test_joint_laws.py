@@ -364,7 +364,10 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
     due = true_points(q, np.full(50, 6.0)) - true_points(q, np.zeros(50))
     assert np.linalg.norm(due, axis=1).max() > 1e-4
     np.testing.assert_allclose(full - empty, due, rtol=0.0, atol=0.1 * np.abs(due).max())
-    (sag,) = again.carrying(6.0).payload_findings()
+    assert [finding.code for finding in again.carrying(4.0).payload_findings()] == ["sag-payload"]
+    sag, beyond = again.carrying(6.0).payload_findings()
+    assert beyond == Finding("payload-beyond", {"mass": "6", "masses": ["0", "4"]})
+    assert beyond in exported(again.carrying(6.0), "evaluator-c").findings
     assert (sag.code, sag.values) == (
         "sag-payload",
         {"holder": "the robot", "mass": "6", "masses": ["0", "4"]},

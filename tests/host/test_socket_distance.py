@@ -7,9 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import truearm
+from truearm.cli.main import main
 from truearm.errors import ProblemError
 from truearm.estimate.prior import weak_prior
-from truearm.files.rig_file import parse_rig
+from truearm.files.rig_file import parse_rig, write_rig
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.plan.forecast import planned_table
@@ -81,6 +82,25 @@ def test_the_distance_is_known_as_well_as_it_was_measured(seats):
     estimate = truearm.identify(ROBOT, table, RIG_OF_BLOCK, options=truearm.IdentifyOptions(joint_laws="none")).estimate
     index = estimate.parameter_names.index("socket_distance.0.1")
     assert 0.5 * SIGMA < np.sqrt(estimate.covariance[index, index]) < SIGMA
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_a_distance_in_another_unit_is_refused(seats, factor):
+    (distance,) = RIG_OF_BLOCK.socket_distances
+    wrong = replace(distance, distance=factor * distance.distance)
+    with pytest.raises(ProblemError, match=r"sockets 0 and 1: their distance is .* correct its unit \(distance_mm or"):
+        truearm.identify(ROBOT, seats[0], replace(RIG_OF_BLOCK, socket_distances=(wrong,)))
+
+
+def test_a_block_in_two_rigs_is_said_to_count_twice(seats, tmp_path, capsys):
+    table, *_ = seats
+    write_rig(tmp_path / "rig.toml", RIG_OF_BLOCK)
+    days = np.where(np.arange(len(table)) % 2, "monday", "tuesday")
+    truearm.write_table(tmp_path / "seats.csv", table.replace(rig=days), ROBOT)
+    rigs = [f"--rig={day}={tmp_path / 'rig.toml'}" for day in ("monday", "tuesday")]
+    assert main(["identify", str(tmp_path / "seats.csv"), "--model", ROBOT.chain.name, *rigs]) in (0, 3)
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "rigs monday, tuesday: each has the same distance of sockets 0, 1" in shown
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -13,7 +13,7 @@ from command_line import told
 from ros_bags import joint_state, write_bag
 
 from truearm.files.robot_file import load_robot
-from truearm.model.chain import point_forward, point_jacobians
+from truearm.model.chain import joint_and_end_frames, point_forward, point_jacobians
 from truearm.plan.socket_block import SocketBlock
 from truearm.workflows.socket_project import stl
 
@@ -182,6 +182,23 @@ def test_an_arm_with_four_axes_is_planned_and_one_with_three_is_not(tmp_path, ru
     assert len(rows(tmp_path / "a" / "places.csv")) == 18
     told(run("init", tmp_path / "b", "--method", "sockets", "--model", three), "3 joints; a plan of sockets needs four")
     assert not (tmp_path / "b").exists()
+
+
+def test_no_link_touches_a_table_that_is_higher_than_the_base(tmp_path, run):
+    """The table begins at 0.3 of the arm's length of 336 mm from the base's axis, and the shoulder is below it."""
+    arm = urdf(tmp_path / "five.urdf", FIVE)
+    options = ["--method", "sockets", "--model", arm, "--table-mm", 120, "--places", 3, "--seats", 8]
+    assert run("init", tmp_path / "a", *options).code == 0
+    plan, chain = rows(tmp_path / "a" / "places.csv"), load_robot(str(arm)).chain
+    q = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, 6)] for row in plan])
+    joints, end = joint_and_end_frames(chain, chain.params_nominal, q)
+    points = np.concatenate([joints, end[:, None]], axis=1)[:, :, :3, 3]
+    over = points[np.hypot(points[..., 0], points[..., 1]) > 0.3 * 0.336]
+    assert (points[:, 1, 2] < 0.12).all()
+    assert len(over) > len(q)
+    assert over[:, 2].min() > 0.12
+    ball = np.array([[1e-3 * float(row[f"ball_{axis}_mm"]) for axis in "xyz"] for row in plan])
+    assert np.hypot(*ball.T[:2]).min() > 0.3 * 0.336
 
 
 @pytest.mark.parametrize(

@@ -75,12 +75,13 @@ def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     """Return the text of a kinematics file. Raises RobotError unless nominally a Universal Robots arm."""
     described, remainder = ur_segments(nominal)
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])
-    if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > AS_BUILT or np.abs(remainder - np.eye(4)).max() > SMALL:
-        raise RobotError(
-            "unsuited-robot",
-            place=f"robot {robot.name}",
-            reason="its axes are not arranged like those of a Universal Robots arm in its drawing; use another format, such as urdf",
-        )
+    reason = "its axes are not arranged like those of a Universal Robots arm in its drawing"
+    is_arranged = np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() <= AS_BUILT
+    if is_arranged:
+        reason = "its flange is not in the frame after joint 6 (a6 or α6 is not 0), which the file cannot express"
+    if not is_arranged or np.abs(remainder - np.eye(4)).max() > SMALL:
+        reason += "; use another format, such as urdf"
+        raise RobotError("unsuited-robot", place=f"robot {robot.name}", reason=reason)
     segments, _ = ur_segments(robot)
     lines = [f"# {line}" for line in comment.splitlines()] + ["kinematics:"]
     for name, segment in zip(SEGMENTS, segments, strict=True):

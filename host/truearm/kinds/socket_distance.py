@@ -17,7 +17,9 @@ from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.unknowns import Fault, Layout, RigNumber, Used
 from truearm.model.chain import Chain, folded
 from truearm.types import Floats, Indices, Rig
+from truearm.units import MM
 
+FAR = 5.0  # times another distance: not by an error of the robot
 RIGID = 1e-5  # m: how equal the distance is at all places; a printed block of 50 mm expands as much in 3 K
 
 
@@ -50,7 +52,7 @@ class SocketDistanceRows(Group):
 def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
     """Return the declared distances that places use, and the sockets (n, 2) by index of each such place.
 
-    Raises ProblemError for a distance that is declared twice.
+    Raises ProblemError for a distance that is declared twice, or that must be in another unit.
     """
     pairs = [".".join(sorted(measured.sockets)) for measured in rig.socket_distances]
     if len({*pairs}) < len(pairs):
@@ -67,6 +69,15 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
         if index.keys() >= {(place, a), (place, b)}
     ]
     measurements = list(dict.fromkeys(measured for measured, *_ in rows))
+    point = [np.array([number.value for number in numbers]) for numbers in sockets.numbers]
+    for measured in measurements:
+        by_joints = float(np.median([np.linalg.norm(point[a] - point[b]) for row, a, b in rows if row == measured]))
+        if not measured.distance / FAR < by_joints < measured.distance * FAR:
+            declared, nominal = (MM.text(length, ".6g") for length in (measured.distance, by_joints))
+            raise ProblemError(
+                f"sockets {' and '.join(measured.sockets)}: their distance is {declared} in the rig, and about {nominal} by the "
+                "nominal robot and the joints; correct its unit (distance_mm or distance_m), or the unit or order of the joints"
+            )
     numbers = [
         [RigNumber(f"{prefix}socket_distance.{'.'.join(measured.sockets)}", "m", measured.distance, measured.sigma)]
         for measured in measurements

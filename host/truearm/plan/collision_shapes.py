@@ -20,6 +20,7 @@ from truearm.types import Floats, Rig
 
 UPPER_ARM = 2  # the joint that moves it first
 BEFORE_FOREARM = 4  # joints from the elbow on: the tool can be folded into the links before them
+ALONG = np.linspace(0.0, 1.0, 9)  # points of a capsule that are compared with a table
 SHORT = 0.02  # m; joints with origins closer than this share a segment
 
 
@@ -29,7 +30,7 @@ class Sizes:
     table's height z.
 
     The radii are those of the links of an arm whose file has no capsules, of studs that hold spheres, of bars, of chuck
-    posts and of a line device's rod.
+    posts and of a line device's rod. A table with an ``edge`` begins at this distance from the base's z axis.
     """
 
     link: float = 0.05
@@ -39,6 +40,7 @@ class Sizes:
     rod: float = 0.02
     rod_end: float = 0.05
     table: float = 0.0
+    edge: float = 0.0
 
 
 class Mounted(NamedTuple):
@@ -72,7 +74,7 @@ def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool
     ends, pose = link_ends_and_pose(shapes, q)
     spheres = shapes.p_spheres @ pose[:, :3, :3].swapaxes(1, 2) + pose[:, None, :3, 3]
     moved = joint >= UPPER_ARM
-    good = (ends[:, moved][..., 2].min(axis=2) > sizes.table + radius[moved]).all(axis=1)
+    good = _is_above_table(ends[:, moved], radius[moved], sizes)
     good &= (spheres[..., 2] > sizes.table + sizes.stud).all(axis=1)
     good &= _arm_is_clear_of_itself(shapes, ends, pose, spheres)
     tops, feet = shapes.p_posts, np.array([_foot(chuck, sizes) for chuck in shapes.p_posts]).reshape(-1, 3)
@@ -83,6 +85,14 @@ def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool
     if mounted is not None:
         good &= _bar_is_clear(shapes, ends, pose, mounted)
     return np.asarray(good)
+
+
+def _is_above_table(ends: Floats, radius: Floats, sizes: Sizes) -> NDArray[np.bool_]:
+    """Return whether capsules with ends (n, m, 2, 3) are above the table, as far as they are over it."""
+    if sizes.edge:
+        ends = ends[..., :1, :] + ALONG[:, None] * np.diff(ends, axis=2)
+    is_over = np.hypot(ends[..., 0], ends[..., 1]) > sizes.edge - radius[:, None]
+    return np.asarray(((ends[..., 2] > sizes.table + radius[:, None]) | ~is_over).all(axis=(1, 2)))
 
 
 def link_ends(shapes: Shapes, q: Floats) -> Floats:

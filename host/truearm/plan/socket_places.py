@@ -38,6 +38,7 @@ LINK, SLENDER = (
     0.08,
 )  # m, radius of the links of an arm whose file has none; of a small arm, in lengths of the arm
 NEAREST = 0.35  # of the reach: least distance of a place from the base
+EDGE = 0.3  # of the length: distance from the base at which a table higher than the base begins
 UNIT_Z = np.array([0.0, 0.0, 1.0])  # the stem of a ball in the origin of the end frame
 MARGIN = 0.03  # rad, m from the limits
 DIFFERENT = 0.1  # rad, m between the postures in a socket
@@ -112,7 +113,7 @@ def plans_of_sites(
     p_ball = arm.p_ball(q)
     distance = np.linalg.norm(p_ball[:, :2], axis=1)
     reach = float(distance.max(initial=0.0))
-    in_front = (p_ball[:, 0] > 0.0) & (distance > NEAREST * reach)
+    in_front = (p_ball[:, 0] > 0.0) & (distance > max(NEAREST * reach, arm.shapes.sizes.edge + 0.5 * block.size[0]))
     q, p_ball = q[in_front], p_ball[in_front]
 
     @cache
@@ -145,13 +146,14 @@ def _arm(robot: Robot, ball: Floats, block: SocketBlock, table: float) -> _Arm:
     chain, params, branch = robot.chain, robot.chain.params_nominal, robot.branch
     limits = np.clip(chain.limits, -np.pi, np.pi) if branch is None else np.array([branch.lower, branch.upper])
     origins = joint_frames(chain, params, np.zeros(len(chain.joints)))[:, :3, 3]
-    link = min(LINK, SLENDER * float(np.linalg.norm(np.diff(origins, axis=0), axis=1).sum()))
+    length = float(np.linalg.norm(np.diff(origins, axis=0), axis=1).sum())
+    link = min(LINK, SLENDER * length)
     links = robot.capsules
     if links is None:
         links = along_joints(chain, params, link)
         links.radius[-1] = min(link, block.radius)  # it may be the stem
     rig = Rig(spheres={"ball": Point("ball", (float(ball[0]), float(ball[1]), float(ball[2])))})
-    sizes = Sizes(link=link, stud=block.radius, table=table)
+    sizes = Sizes(link=link, stud=block.radius, table=table, edge=EDGE * length if table > 0.0 else 0.0)
     return _Arm(make_shapes(chain, params, rig, sizes, links), limits, ball)
 
 

@@ -173,7 +173,10 @@ class Calibration(Displayed):
         if has_payload_law(self.chain):
             mass = f"{self.chain.payload.mass:g}"
             holder = {"holder": "the robot", "mass": mass} if payloads is None else {"holder": "each row"}
-            return [Finding("sag-payload", {**holder, "masses": masses})]
+            heaviest = max(payload.mass for payload in payloads or [self.chain.payload])
+            is_beyond = heaviest > max((payload.mass for payload in self.stored.payloads), default=0.0) + 1e-3
+            beyond = [Finding("payload-beyond", {"mass": f"{heaviest:g}", "masses": masses})] if is_beyond else []
+            return [Finding("sag-payload", {**holder, "masses": masses}), *beyond]
         has_sag = any(isinstance(law, SagMasses) for law in self.stored.laws)
         values = {"holder": "the calibration", "masses": masses, "several": False}
         findings = [Finding("sag-payload", values)] if has_sag else []

@@ -27,17 +27,17 @@ from truearm.model.controller_kinematics import (
     kinematics_of_yaml,
 )
 from truearm.model.elementary_transforms import SIX
-from truearm.model.poses import six_of
+from truearm.model.poses import apart, six_of
 from truearm.model.robot import CONTROLLER, Robot, parse_robot
 from truearm.progress import step
 from truearm.record.robots.sources import RTDE
 from truearm.record.robots.ur_primary import kinematics_info
 from truearm.schema import load_toml, toml_text
 from truearm.types import Floats, rms
-from truearm.units import MM, SUFFIXES
+from truearm.units import DEG, MM, SUFFIXES
 
 ROBOT_FILE = "robot.toml"
-OTHER_ARM_M = 0.05  # the calibration of an arm differs from its drawing by less, other arms by more
+OTHER_ARM_M, OTHER_ARM_RAD = 0.05, 0.2  # the calibration of an arm differs from its drawing by less, other arms by more
 EXACT = 1e-9  # m, and of a rotation matrix
 N_POSES = 600
 
@@ -51,7 +51,7 @@ def read_controller(source: str, model: str, out: Path, force: bool = False) -> 
     """
     live = source.startswith(f"{RTDE}://")
     inputs = [path for path in (None if live else Path(source), robot_file(model)) if path is not None]
-    check_writable(out, force, inputs=inputs, kind="robot")
+    check_writable(out, force, inputs=inputs, kind="robot", suffixes=[".toml"])
     text = drawing_text(model)
     drawing = parse_robot(text)
     if live:
@@ -63,12 +63,14 @@ def read_controller(source: str, model: str, out: Path, force: bool = False) -> 
             kinematics = kinematics_of_conf(content, _drawn_rows(drawing)) if is_conf else kinematics_of_yaml(content)
         except RobotError as exc:
             raise exc.within(Path(source)) from exc
-    written, distances = controller_text(text, drawing, kinematics)
+    written, differences = controller_text(text, drawing, kinematics)
     write_atomic(out, written)
     checksums = as_hex(kinematics.checksums)
     values: dict[str, Any] = {"place": source, "model": drawing.chain.name, "n": N_POSES, "checksums": checksums}
-    differences = {"rms": {"mm": float(MM.of(rms(distances)))}, "largest": {"mm": float(MM.of(distances.max()))}}
-    return Finding("controller-read", {**values, **differences, "as_drawn": bool(distances.max() < EXACT)})
+    distances, turns = (np.linalg.norm(vectors, axis=1) for vectors in (differences[:, :3], differences[:, 3:]))
+    values |= {"rms": {"mm": float(MM.of(rms(distances)))}, "largest": {"mm": float(MM.of(distances.max()))}}
+    values |= {"turn": {"deg": float(DEG.of(turns.max()))}, "as_drawn": bool(np.abs(differences).max() < EXACT)}
+    return Finding("controller-read", values)
 
 
 def as_hex(checksums: tuple[int, ...]) -> list[str]:
@@ -94,7 +96,7 @@ def drawing_text(model: str) -> str:
 
 
 def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics) -> tuple[str, Floats]:
-    """Return a robot file with the controller's values as nominal ones, and its distances (n,) [m] from the drawing.
+    """Return a robot file with the controller's values as nominal ones, and how far (n, 6) [m, rad] it is from the drawing.
 
     Raises RobotError if the controller is that of another arm, or if the file's convention cannot hold its kinematics.
     """
@@ -108,11 +110,11 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
         )
     design = chain.params_nominal if drawing.drawing is None else drawing.drawing
     ends = kinematics.forward(q)
-    distances = np.linalg.norm((ends - forward(chain, design, q))[:, :3, 3], axis=1)
-    if distances.max() > OTHER_ARM_M:
-        largest = MM.text(float(distances.max()), ".0f")
+    differences = apart(ends, forward(chain, design, q))
+    distance, turn = (float(np.linalg.norm(vectors, axis=1).max()) for vectors in np.split(differences, 2, axis=1))
+    if distance > OTHER_ARM_M or turn > OTHER_ARM_RAD:
         raise RobotError(
-            f"the controller's arm differs from {chain.name} by up to {largest}; give its own drawing as ",
+            f"the controller's arm differs from {chain.name} by up to {MM.text(distance, '.0f')} and {DEG.text(turn, '.0f')}; give its own drawing as ",
             Argument("robot"),
         )
     described = link_frames(chain, design, design)
@@ -137,7 +139,7 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
             place=f"robot {chain.name}",
             reason="its rows cannot hold the controller's; give a robot file like the built-in ur5e: dh, with beta at parallel axes",
         )
-    return written, np.asarray(distances)
+    return written, differences
 
 
 def _with_set(text: str, values: dict[str, float], checksums: tuple[int, ...]) -> str:

@@ -175,7 +175,7 @@ def exported(
     contained = FORMATS[form].mountings and not own_frames
     values = mounting_values(calibration.chain, calibration.nominal, fitted.params)
     mounted = Finding("file-mountings", {**values, "contained": contained})
-    findings = ordered([*export_findings(form, fitted, over is None), mounted], calibration.simulated)
+    findings = [*export_findings(form, fitted, over is None), *calibration.payload_findings(), mounted]
     remarks = [*([Finding("simulated")] if calibration.simulated else []), mounted]
     robot = RobotToWrite(
         chain=calibration.chain,
@@ -194,7 +194,7 @@ def exported(
         raise RobotError(
             " ".join([f"{exc}.", *(finding.text() for finding in export_findings(form, fitted)[::-1])])
         ) from exc
-    return ExportedRobot(form, text, tuple(findings), fitted)
+    return ExportedRobot(form, text, tuple(ordered(findings, calibration.simulated)), fitted)
 
 
 def _urdf_text(calibration: Calibration) -> str | None:

@@ -29,8 +29,8 @@ from truearm.model.robot import Robot
 from truearm.progress import step
 from truearm.report.certificate import Facts, Recording, between
 from truearm.session.dwells import DOUBTFUL
-from truearm.text import one_line
-from truearm.types import Rig, Rigs, rigs_by_name
+from truearm.text import listed, one_line
+from truearm.types import Rig, Rigs, SocketDistance, rigs_by_name
 from truearm.units import NS, UM, US
 from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
@@ -162,6 +162,7 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     completed = completed_rigs(rigs.get("", with_noise(Rig(), noise)) if "" in rigs or not rigs else rigs, table)
     for name, rig in rigs_by_name(completed).items():
         _say_doubts(table.select(table.rig == name) if name else table, rig, sources.say)
+    _say_distances_twice(rigs_by_name(completed), sources.say)
     return Observed(completed, table, counts, recordings)
 
 
@@ -185,6 +186,20 @@ def _completed(rig: Rig, table: ObservationTable) -> Rig:
     rig = with_every_name(rig, table)
     check_against_rig(table, rig)
     return rig
+
+
+def _say_distances_twice(rigs: Mapping[str, Rig], say: Say) -> None:
+    """Say which measured distances of sockets are in several rigs, as if they had been measured several times."""
+    names: dict[SocketDistance, list[str]] = {}
+    for name, rig in rigs.items():
+        for distance in rig.socket_distances:
+            names.setdefault(distance, []).append(name)
+    for distance, holders in names.items():
+        if len(holders) > 1:
+            say(
+                f"rigs {listed(holders)}: each has the same distance of sockets {listed(distance.sockets)}, which counts as a "
+                "measurement of each; if it was measured once, give one rig for all rows"
+            )
 
 
 def _is_reordered(table: ObservationTable) -> bool:
