@@ -85,11 +85,16 @@ def test_the_distance_is_known_as_well_as_it_was_measured(seats):
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_a_distance_in_another_unit_is_refused(seats, factor):
+def test_a_distance_in_another_unit_is_named(seats, tmp_path, capsys, factor):
+    table, *_ = seats
     (distance,) = RIG_OF_BLOCK.socket_distances
     wrong = replace(distance, distance=factor * distance.distance)
-    with pytest.raises(ProblemError, match=r"sockets 0 and 1: their distance is .* correct its unit \(distance_mm or"):
-        truearm.identify(ROBOT, seats[0], replace(RIG_OF_BLOCK, socket_distances=(wrong,)))
+    write_rig(tmp_path / "rig.toml", replace(RIG_OF_BLOCK, socket_distances=(wrong,)))
+    truearm.write_table(tmp_path / "seats.csv", table, ROBOT)
+    arguments = ["--model", ROBOT.chain.name, "--rig", str(tmp_path / "rig.toml"), "--joint-laws", "none"]
+    assert main(["identify", str(tmp_path / "seats.csv"), *arguments]) in (2, 3)
+    shown = " ".join(capsys.readouterr().err.split())
+    assert f"distance is {50 * factor:g} mm in the rig, and about 50 mm by the nominal robot" in shown
 
 
 def test_a_block_in_two_rigs_is_said_to_count_twice(seats, tmp_path, capsys):

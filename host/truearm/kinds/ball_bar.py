@@ -155,7 +155,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     return RigUse((chucks, spheres, bars), make)
 
 
-def beyond_stroke(rows: ObservationTable, rig: Rig) -> list[str]:
+def beyond_stroke(rows: ObservationTable, rig: Rig, _: Chain) -> list[str]:
     """Return a sentence for each bar with lengths that its stroke does not reach, by more than its zero may be off."""
     out = []
     for name in np.unique(rows.bar).tolist():

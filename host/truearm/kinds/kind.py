@@ -64,7 +64,7 @@ class Kind(KindColumns):
         None  # (n,) [rad] at params, for a figure
     )
     check: Callable[[ObservationTable, Rig], None] | None = None  # raises TableError if rows and rig are inconsistent
-    doubts: Callable[[ObservationTable, Rig], list[str]] | None = (
+    doubts: Callable[[ObservationTable, Rig, Chain], list[str]] | None = (
         None  # sentences on rows of this kind that the device in the rig cannot have measured
     )
 

@@ -20,7 +20,7 @@ from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
 from truearm.kinds.rig_entries import POINT, SPHERE
 from truearm.kinds.rig_references import ORIGIN, RigUse, Scope, nominal_points, sigmas, use_points
-from truearm.kinds.socket_distance import distance_rows, use_distances
+from truearm.kinds.socket_distance import distance_rows, other_lengths, use_distances
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point
@@ -193,6 +193,7 @@ SOCKET_DISTANCE = Entries(
 )
 KIND = Kind(
     group=SeatRows,
+    doubts=other_lengths,
     use_rig=use_rig,
     needs=("place", "socket"),
     may=("sphere",),

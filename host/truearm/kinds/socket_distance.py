@@ -14,8 +14,10 @@ import numpy as np
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
+from truearm.kinds.rig_references import ORIGIN
+from truearm.kinds.table import ObservationTable
 from truearm.kinds.unknowns import Fault, Layout, RigNumber, Used
-from truearm.model.chain import Chain, folded
+from truearm.model.chain import Chain, folded, point_forward
 from truearm.types import Floats, Indices, Rig
 from truearm.units import MM
 
@@ -52,7 +54,7 @@ class SocketDistanceRows(Group):
 def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
     """Return the declared distances that places use, and the sockets (n, 2) by index of each such place.
 
-    Raises ProblemError for a distance that is declared twice, or that must be in another unit.
+    Raises ProblemError for a distance that is declared twice.
     """
     pairs = [".".join(sorted(measured.sockets)) for measured in rig.socket_distances]
     if len({*pairs}) < len(pairs):
@@ -69,15 +71,6 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
         if index.keys() >= {(place, a), (place, b)}
     ]
     measurements = list(dict.fromkeys(measured for measured, *_ in rows))
-    point = [np.array([number.value for number in numbers]) for numbers in sockets.numbers]
-    for measured in measurements:
-        by_joints = float(np.median([np.linalg.norm(point[a] - point[b]) for row, a, b in rows if row == measured]))
-        if not measured.distance / FAR < by_joints < measured.distance * FAR:
-            declared, nominal = (MM.text(length, ".6g") for length in (measured.distance, by_joints))
-            raise ProblemError(
-                f"sockets {' and '.join(measured.sockets)}: their distance is {declared} in the rig, and about {nominal} by the "
-                "nominal robot and the joints; correct its unit (distance_mm or distance_m), or the unit or order of the joints"
-            )
     numbers = [
         [RigNumber(f"{prefix}socket_distance.{'.'.join(measured.sockets)}", "m", measured.distance, measured.sigma)]
         for measured in measurements
@@ -85,6 +78,26 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
     which = np.array([measurements.index(measured) for measured, *_ in rows], dtype=np.intp)
     distances = Used([*measurements], numbers, which, (Fault(slice(None), step=False),))
     return distances, np.array([ends for _, *ends in rows], dtype=np.intp).reshape(-1, 2)
+
+
+def other_lengths(seats: ObservationTable, rig: Rig, chain: Chain) -> list[str]:
+    """Return a sentence for each declared distance that is far from that by the nominal robot."""
+    balls = [rig.spheres.get(name) or next(iter(rig.spheres.values()), ORIGIN[""]) for name in seats.sphere.tolist()]
+    points = point_forward(chain, chain.params_nominal, seats.q, np.array([ball.xyz for ball in balls]).reshape(-1, 3))
+    sentences = []
+    for measured in rig.socket_distances:
+        lengths = []
+        for place in np.unique(seats.place):
+            ends = [points[(seats.place == place) & (seats.socket == socket)] for socket in measured.sockets]
+            lengths += [np.linalg.norm(np.subtract(*(end.mean(axis=0) for end in ends)))] if all(map(len, ends)) else []
+        by_joints = float(np.median(lengths)) if lengths else measured.distance
+        if not measured.distance / FAR < by_joints < measured.distance * FAR:
+            declared, nominal = (MM.text(length, ".6g") for length in (measured.distance, by_joints))
+            sentences.append(
+                f"sockets {' and '.join(measured.sockets)}: their distance is {declared} in the rig, and about {nominal} by the "
+                "nominal robot; correct its unit (distance_mm or distance_m) in the rig, or the joints"
+            )
+    return sentences
 
 
 def distance_rows(distances: Used, sockets: Used, ends: Indices, layout: Layout) -> list[Group]:

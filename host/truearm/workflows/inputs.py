@@ -161,7 +161,8 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     _check_named(table, sources.rigs)
     completed = completed_rigs(rigs.get("", with_noise(Rig(), noise)) if "" in rigs or not rigs else rigs, table)
     for name, rig in rigs_by_name(completed).items():
-        _say_doubts(table.select(table.rig == name) if name else table, rig, sources.say)
+        if chain is not None:
+            _say_doubts(table.select(table.rig == name) if name else table, rig, chain, sources.say)
     _say_distances_twice(rigs_by_name(completed), sources.say)
     return Observed(completed, table, counts, recordings)
 
@@ -208,10 +209,10 @@ def _is_reordered(table: ObservationTable) -> bool:
     return rows != sorted(rows)
 
 
-def _say_doubts(table: ObservationTable, rig: Rig, say: Say) -> None:
+def _say_doubts(table: ObservationTable, rig: Rig, chain: Chain, say: Say) -> None:
     """Say which rows the devices of the rig cannot have measured."""
     for name, kind in kinds().items():
-        for sentence in kind.doubts(table.select(table.kind == name), rig) if kind.doubts else ():
+        for sentence in kind.doubts(table.select(table.kind == name), rig, chain) if kind.doubts else ():
             say(one_line(sentence))
 
 
