@@ -21,7 +21,7 @@ import numpy as np
 from scipy import special
 
 from truearm.checks.evidence import SCALES, Design, Weighed, amount_of, products, weigh
-from truearm.checks.search import Detection, Search
+from truearm.checks.search import RIVAL, Detection, Search
 from truearm.types import Floats
 
 PRIOR = 0.03  # probability that a kind of fault is there, shared by the items that it can befall
@@ -143,9 +143,11 @@ def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design,
 
 
 def explanations(detection: Detection, result: Search) -> tuple[Part, ...]:
-    """Return the finding and its rivals by their probability, beside all other findings."""
+    """Return the finding and its rivals by their probability, beside all other findings, which may have excluded some."""
     design = result.bare.extended(result.beside(detection))
     options = [weigh(weighed.hypothesis, design) for weighed in (detection.best, *detection.rivals)]
+    least = max(weighed.log_evidence for weighed in options) - RIVAL
+    options = [weighed for weighed in options if weighed.log_evidence > least]
     log = np.array([weighed.log_evidence for weighed in options])
     weights = np.exp(log - special.logsumexp(log)).tolist()
     pairs = zip(options, weights, strict=True)

@@ -37,7 +37,7 @@ class Candidates(NamedTuple):
     """Profiles (c, n) by which an item's columns are multiplied over the rows.
 
     ``spans`` (c, 2) are the first row that each concerns and the one after the last. ``drifts`` are what each is linear
-    in, None if it settles. Steps and runs are differences of ``profiles`` by their numbers in ``pairs`` (c, 2): few rows
+    in, None if it settles or returns. Steps and runs are differences of ``profiles`` by their numbers in ``pairs`` (c, 2): few rows
     begin or end many spans. ``among``: how many spans are equally probable, if these are not all of them.
     """
 
@@ -241,7 +241,7 @@ def add_loose_flange(out: Catalogue) -> None:
 
 
 def drifts_of(fit: WhitenedFit) -> Candidates:
-    """Return the profiles of a drift in each session: linear in time, settling, and linear in the temperature."""
+    """Return the profiles of a drift in each session: linear in time, settling, returning; linear in the temperature."""
     profiles, spans, drifts = [np.zeros((0, fit.n))], [np.zeros((0, 2), dtype=np.intp)], list[DriftWith | None]()
     for session in np.unique(fit.how.session):
         rows = np.flatnonzero(fit.how.session == session)
@@ -251,10 +251,10 @@ def drifts_of(fit: WhitenedFit) -> Candidates:
             if course is None or (drift is DriftWith.TEMPERATURE and np.ptp(course) < LEAST_WARMING):
                 continue
             share = (course - course[0]) / np.ptp(course)
-            shapes: dict[DriftWith | None, Floats] = {drift: share}
+            shapes: list[tuple[DriftWith | None, Floats]] = [(drift, share)]
             if drift is DriftWith.TIME:
-                shapes[None] = np.expm1(-BEND * share) / np.expm1(-BEND)
-            for linear, shape in shapes.items():
+                shapes += [(None, np.expm1(-BEND * share) / np.expm1(-BEND)), (None, np.sin(np.pi * share))]
+            for linear, shape in shapes:
                 whole = np.zeros((1, fit.n))
                 whole[0, rows] = shape[fit.how.row[rows] - first]
                 profiles.append(whole)
@@ -287,4 +287,4 @@ def kind_of(item: str, fit: WhitenedFit) -> str:
     """Return the type of an item: "chuck" for "chuck.c1", "joint" for each joint, "arm" for the robot's parameters."""
     if any(cause.name == item and cause.fault.moved for cause in fit.causes):
         return "joint"
-    return "arm" if item in fit.arm and item not in fit.errors.names else item.partition(".")[0]
+    return "arm" if item in fit.arm else item.partition(".")[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -73,7 +74,10 @@ def checked(fit: WhitenedFit) -> Search:
         return plain
     kernel = learned_noise(fit)
     if not is_small:
-        explained = sum(detection.best.log_evidence - math.log(len(hypotheses)) for detection in plain.detections)
+        price = log_counts(hypotheses)
+        explained = sum(
+            detection.best.log_evidence - price[detection.best.hypothesis.kind] for detection in plain.detections
+        )
         beside = learned_noise(fit.extended(columns_of(plain.detections, fit), WIDEST)) if still_odd else DECLARED
         kernel = beside if explained + beside.gain > kernel.gain else kernel
     if kernel.declared:
@@ -100,14 +104,14 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
     If the noise was learned, a finding must predict each block of rows from the others, or it is refused with its
     rivals and the search ends: what is less probable explains the same residuals.
     """
-    fit, log_count = bare.fit, math.log(max(len(hypotheses), 1))
+    fit, log_count = bare.fit, log_counts(hypotheses)
     block = left_out_blocks(fit.n, fit.how.place)[fit.row]
     detections: list[Detection] = []
     refused: tuple[str, ...] = ()
     while True:
         design = bare.extended(columns_of(detections, fit))
         table = tuple(weigh(hypothesis, design) for hypothesis in hypotheses)
-        significant = {weighed.name for weighed in table if is_significant(weighed, log_count)}
+        significant = {weighed.name for weighed in table if is_significant(weighed, log_count[weighed.hypothesis.kind])}
         if not significant or refused or len(detections) == MOST_FINDINGS:
             return Search(tuple(detections), design, table, bare, bare, fitted, block, refused)
         detection = detected(significant, table, design)
@@ -117,6 +121,12 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
             detections.append(detection)
         else:
             refused = tuple(weighed.name for weighed in (detection.best, *detection.rivals))
+
+
+def log_counts(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
+    """Return the logarithm of the number of hypotheses that each of a kind counts as, as if all kinds had as many."""
+    counts = Counter(hypothesis.kind for hypothesis in hypotheses)
+    return {kind: math.log(count * len(counts)) for kind, count in counts.items()}
 
 
 def is_significant(weighed: Weighed, log_count: float) -> bool:
