@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from truearm.estimate.gain import gain_of
 from truearm.estimate.kind_errors import errors_by_kind
 from truearm.estimate.scatter import is_of_arm
-from truearm.files.result_covariance import Covariance
-from truearm.files.result_file import Parameter, Result, RobotFrames
+from truearm.files.result_file import Covariance, Parameter, Result, RobotFrames
 from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.kinds.table import ObservationTable
 from truearm.results import (
@@ -51,7 +50,9 @@ def result_of(
     """
     names, free, units = np.array(estimate.parameter_names), estimate.free, residual_units(estimate)
     q = table.q[estimate.fitted]
-    parts = {si: estimate.parts.get(si, ResidualParts(math.nan, math.nan)) for si in units}
+    shares = {si: estimate.parts.get(si, ResidualParts(math.nan, math.nan)) for si in units}
+    is_held_out = any(error.held_out for error in estimate.unexplained.values())
+    change = _unfitted(estimate.mean_change, estimate.held_out is not None, "mean_", "before", "after")
     attributes = [name for name in Result.__struct_fields__ if hasattr(estimate, name)]
     other_fits = {name: getattr(estimate, name) for name in ("with_outliers", "without_bad_rows")}
     content = {
@@ -59,7 +60,7 @@ def result_of(
         **{name: fit and {**_entry(fit, units), "names": names} for name, fit in other_fits.items()},
         **_entries(units, rms_before=estimate.rms_before, rms_raw=estimate.rms_raw, rms_after=estimate.rms_after),
         **{key("rms_history", si): [shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
-        **_by_unit(parts, "rms_", "declared", "unexplained"),
+        **_by_unit(shares, "rms_", "declared", "unexplained"),
         "faults": fault_entries(estimate.faults, table),
         "claim": _claim(estimate.claim, predicted is not None),
         "truearm_version": VERSION,
@@ -76,8 +77,8 @@ def result_of(
         "explanations": [_entry(explanation, list(explanation.rms_given)) for explanation in estimate.explanations],
         "residual_units": [UNITS[si].scale.suffix for si in units],
         "suspect": _suspects(estimate, table),
-        "unexplained": _unexplained(estimate),
-        "mean_change": _mean_change(estimate),
+        "unexplained": _unfitted(estimate.unexplained, is_held_out, "", "mean", "low", "high"),
+        "mean_change": change and {"gain": gain_of(estimate.mean_change), **change},
         "predicted_error": predicted and _predicted(predicted),
         "joint_laws": _joint_laws(estimate.joint_laws, estimate.scatter, units),
         "pose_error": _pose_error(estimate.scatter),
@@ -186,40 +187,31 @@ def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -
         counts = {"fitted": int(rows.fitted.sum()), "held_out": int(rows.held_out.sum())}
         names = {f"{column}s": len(set(table[column][rows.fitted].tolist()) - {""}) for column in columns}
         errors = {"rms_before": rows.before, "rms_after": rows.after, "rms_held_out": rows.judged}
-        rms = {name: {si: figures.rms for si, figures in of.items()} for name, of in errors.items()}
+        rms = {name: {si: figures.rms for si, figures in by_unit.items()} for name, by_unit in errors.items()}
         entries.append({"rig": rows.rig, "kind": rows.kind, **counts, **names, **_entries(units, **rms)})
     return entries
 
 
 def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
-    seen, names = estimate.free & estimate.identifiable, estimate.parameter_names
-    of = np.where(np.arange(len(names)) < estimate.n_robot_parameters, "robot", "rig")
-    sigma = np.where(seen, estimate.sigma, np.nan)
-    columns = (names, estimate.units, estimate.nominal, estimate.value, sigma, estimate.free, seen, of)
+    determined, names = estimate.free & estimate.identifiable, estimate.parameter_names
+    owner = np.where(np.arange(len(names)) < estimate.n_robot_parameters, "robot", "rig")
+    sigma = np.where(determined, estimate.sigma, np.nan)
+    columns = (names, estimate.units, estimate.nominal, estimate.value, sigma, estimate.free, determined, owner)
     entries = [dict(zip(Parameter.__struct_fields__, row)) for row in zip(*columns, strict=True)]
     for i in estimate.law_parameters:
         entries[i]["law"] = True
     return entries
 
 
-def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
-    """Return the mean error where nothing was fitted, by unit; None if the declared noise explains the residuals."""
-    errors = estimate.unexplained
-    by = "held out" if any(error.held_out for error in errors.values()) else "cross-validation"
-    return {"by": by, **_by_unit(errors, "", "mean", "low", "high")} if errors else None
-
-
-def _mean_change(estimate: Estimate) -> dict[str, Any] | None:
-    """Return the mean errors where nothing was fitted, before and after, by unit; None if they are not compared."""
-    changes, gain = estimate.mean_change, gain_of(estimate.mean_change)
-    by = "cross-validation" if estimate.held_out is None else "held out"
-    return {"gain": gain, "by": by, **_by_unit(changes, "mean_", "before", "after")} if gain else None
+def _unfitted(records: Mapping[str, Any], held_out: bool, prefix: str, *names: str) -> dict[str, Any] | None:
+    """Return mean errors where nothing was fitted, by unit; None if there are none."""
+    by = "held out" if held_out else "cross-validation"
+    return {"by": by, **_by_unit(records, prefix, *names)} if records else None
 
 
 def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:
     """Return the rows beyond the gate, the farthest first."""
-    rows = np.flatnonzero(estimate.suspect)
-    rows = rows[np.argsort(-estimate.distance[rows], kind="stable")].tolist()
+    rows = sorted(np.flatnonzero(estimate.suspect).tolist(), key=lambda row: -estimate.distance[row])
     return [
         {"source": source_name(table, row), "distance": estimate.distance[row], "weight": estimate.weight[row]}
         for row in rows
@@ -228,8 +220,8 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
 
 def _predicted(predicted: PredictedError) -> dict[str, Any]:
     sizes = {"rms_mm": predicted.rms, "max_mm": predicted.largest, "scatter_mm": predicted.scatter}
-    where = {"at": os.path.basename(predicted.source), "n": predicted.n, "relative": predicted.relative}
-    return {**{name: MM.of(size) for name, size in sizes.items()}, **where}
+    place = {"at": os.path.basename(predicted.source), "n": predicted.n, "relative": predicted.relative}
+    return {**{name: MM.of(size) for name, size in sizes.items()}, **place}
 
 
 def _joint_laws(laws: JointLaws | None, scatter: Scatter | None, units: Sequence[str]) -> dict[str, Any] | None:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+import zlib
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -22,11 +23,9 @@ from numpy.typing import NDArray
 from truearm.errors import InputError
 from truearm.estimate.solvers import Loss, Prior
 from truearm.files.disk import read_text, sha256, write_atomic
-from truearm.files.earlier_results import converted
-from truearm.files.result_covariance import Covariance, Name, Names, Size
 from truearm.files.strict_json import strict_json
 from truearm.results import Addition, Defaults, NullDirection, Unusable
-from truearm.types import Law, Payload
+from truearm.types import Floats, Law, Payload
 from truearm.units import MM, UNITS
 
 if TYPE_CHECKING:
@@ -38,6 +37,10 @@ SINCE_CHECKSUM = 3  # version
 CHECKSUM = "checksum"
 MAX_BYTES = 64 * 2**20
 
+Name = Annotated[str, Meta(max_length=500)]
+Names = Annotated[tuple[Name, ...], Meta(max_length=20_000)]
+Size = Annotated[float, Meta(ge=0.0)]
+RESOLUTION = 2.0**-30  # of the numbers of a root, whose columns have the norm 1
 Count = Annotated[int, Meta(ge=0, le=10**12)]
 Residual = Size | None | UnsetType  # in the unit at the end of its name, absent if no residual has it
 Figures = dict[Name, Count | Size | None]  # by key; those of residuals end in a unit
@@ -74,6 +77,51 @@ class RobotFrames(Struct, frozen=True):
     def of(cls, chain: Chain) -> RobotFrames:
         """Return those of a chain."""
         return cls(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
+
+
+class Covariance(Struct, frozen=True):
+    """The covariance of the free parameters: their sigmas, and a root of the correlations C = RᵀR.
+
+    ``upper`` is the upper triangle of R by rows, as little-endian int32 in units of 2⁻³⁰, deflated. A root needs half the
+    digits of C, and RᵀR has no negative variance. Most of it is zeros where many coefficients of curves are not measured.
+    """
+
+    names: Names
+    units: Names
+    sigma: Annotated[tuple[Size | None, ...], Meta(max_length=20_000)]
+    upper: bytes  # in base64 in the file
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if {len(self.units), len(self.sigma)} != {n} or len(_inflated(self.upper, n)) != 2 * n * (n + 1):
+            raise ValueError(f"upper needs {n * (n + 1) // 2} numbers for {n} names, units and sigmas")
+
+    @classmethod
+    def of(cls, names: Collection[str], units: Collection[str], matrix: Floats) -> Covariance:
+        """Return that of a matrix (n, n)."""
+        sigma = np.sqrt(np.diag(matrix))
+        scale = np.where(sigma > 0.0, sigma, np.inf)
+        variance, directions = np.linalg.eigh(np.nan_to_num(matrix / scale[:, None] / scale))
+        root: Floats = np.linalg.qr((directions * np.sqrt(np.maximum(variance, 0.0))).T)[1]
+        upper = np.rint(root[np.triu_indices(len(root))] / RESOLUTION).astype("<i4")
+        sigmas = tuple(value if math.isfinite(value) else None for value in sigma.tolist())
+        return cls(tuple(names), tuple(units), sigmas, zlib.compress(upper.tobytes(), 9))
+
+    @property
+    def matrix(self) -> Floats:
+        """Return the matrix (n, n)."""
+        root = np.zeros((len(self.names), len(self.names)))
+        root[np.triu_indices(len(root))] = np.frombuffer(_inflated(self.upper, len(root)), "<i4") * RESOLUTION
+        root *= np.array(self.sigma, dtype=float)
+        return root.T @ root
+
+
+def _inflated(upper: bytes, n: int) -> bytes:
+    """Return the numbers of an upper triangle (n, n), and hardly more than these; nothing if they are damaged."""
+    try:
+        return zlib.decompressobj().decompress(upper, 2 * n * (n + 1) + 1)
+    except zlib.error:
+        return b""
 
 
 class JointRange(Struct, frozen=True):
@@ -246,8 +294,8 @@ def parse_result(text: str, name: str) -> Result:
         raise InputError(f"{name}: is nested too deeply; give a result of truearm identify") from exc
     except msgspec.ValidationError as exc:
         reason, _, place = str(exc).replace("`", "").partition(" - at $.")
-        where = f"{name}: {place}" if place else name
-        raise InputError(f"{where}: {reason[0].lower()}{reason[1:]}; copy it again or identify again") from exc
+        prefix = f"{name}: {place}" if place else name
+        raise InputError(f"{prefix}: {reason[0].lower()}{reason[1:]}; copy it again or identify again") from exc
     except msgspec.MsgspecError as exc:
         raise InputError(f"{name}: is not strict JSON: {exc}; give a result of truearm identify") from exc
 
@@ -265,9 +313,52 @@ def _checked(document: Any, name: str) -> Result:
     if (version >= SINCE_CHECKSUM or CHECKSUM in document) and document.get(CHECKSUM) != checksum(document):
         text = "was changed or damaged: its checksum does not match; copy it again or identify again"
         raise InputError(f"{name}: {text}")
-    return msgspec.convert(converted(document), Result)
+    return msgspec.convert(_converted(document), Result)
 
 
 def write_result(path: Path, result: Result) -> None:
     """Write result.json atomically. Raises InputError if it cannot be written there."""
     write_atomic(path, strict_json(result.document) + "\n")
+
+
+# results of the format versions 1 to 3, and of early versions 4
+
+
+class _Matrix(Struct, frozen=True):
+    names: Names
+    units: Names
+    matrix: tuple[tuple[float | None, ...], ...]
+
+
+class _EarlierResult(Struct, frozen=True):
+    covariance: _Matrix
+
+
+RENAMED = {  # keys of entries, also in results of version 4 that are older than the names
+    "pose_error": {"sigma_mm": "shared_mm", "row_variance": "factor"},
+    "made_with": {"allow": "apply"},
+}
+
+
+def _converted(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a result in the form of version 4. Raises msgspec.ValidationError."""
+    for field, names in RENAMED.items():
+        entry = document.get(field)
+        if isinstance(entry, dict):
+            document[field] = {names.get(key, key): value for key, value in entry.items()}
+    return document if document["format_version"] == 4 else _of_version_4(document)
+
+
+def _of_version_4(document: dict[str, Any]) -> dict[str, Any]:
+    covariance = msgspec.convert(document, _EarlierResult).covariance
+    n = len(covariance.names)
+    if [len(row) for row in covariance.matrix] != [n] * n:
+        raise msgspec.ValidationError(f"needs {n} rows of {n} numbers, one per name - at `$.covariance.matrix`")
+    packed = Covariance.of(covariance.names, covariance.units, np.array(covariance.matrix, dtype=float).reshape(n, n))
+    is_converged = document.get("status") == "converged"
+    verdict = {"usable": is_converged, "unusable_because": None if is_converged else Unusable.NOT_CONVERGED}
+    for options in (document, document.get("made_with")):
+        if isinstance(options, dict) and options.get("prior") == "default":
+            options["prior"] = Prior.WHERE_NEEDED
+    document = {**verdict, "residual_units": ["mm"], **document, "explanations": []}  # they were texts
+    return {**document, "format_version": 4, "covariance": msgspec.to_builtins(packed)}
