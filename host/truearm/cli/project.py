@@ -199,34 +199,23 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     def text(value: str) -> Answer:
         return lambda: value or None
 
-    def sessions() -> list[str] | None:
-        from truearm.workflows.project import sessions_of
+    def project_file(function: str, *arguments: Any) -> Answer:
+        """Return what a function of ``workflows.project``, which is slow to import, finds or names: files or a file."""
 
-        return [shown(path) for path in sessions_of(home / project.sessions)] or None
+        def answer() -> Any:
+            from truearm.workflows import project as project_files
 
-    def inputs() -> list[str] | None:
-        return [shown(home / project.table)] if project.table else sessions()
+            files = getattr(project_files, function)(*arguments)
+            return [shown(path) for path in files] or None if isinstance(files, list) else files and shown(files)
 
-    def table_rig() -> list[str] | None:
-        return [shown(home / project.rig)] if project.table else None  # a session has its own
+        return answer
 
-    def newest_session() -> str | None:
-        paths = sessions()
-        return paths[-1] if paths else None
-
-    def newest_result() -> str | None:
-        from truearm.workflows.project import result_in_use
-
-        result = result_in_use(home / project.results)
-        return shown(result) if result else None
-
-    def new(in_folder: str, suffix: str) -> Answer:
-        def made() -> str:
-            from truearm.workflows.project import new_file
-
-            return shown(new_file(home / in_folder, suffix))
-
-        return made
+    recordings, results = home / project.sessions, home / project.results
+    sessions = project_file("sessions_of", recordings)
+    newest_session: Answer = lambda: (sessions() or [None])[-1]  # noqa: E731
+    newest_result, plan = project_file("result_in_use", results), project_file("new_plan", home / project.plan)
+    inputs = (lambda: [shown(home / project.table)]) if project.table else sessions
+    table_rig = (lambda: [shown(home / project.rig)]) if project.table else text("")  # a session has its own
 
     def model() -> str:
         return shown(home / project.model) if (home / project.model).is_file() else project.model
@@ -236,12 +225,6 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
 
     branch = {"branch": text(project.branch)}
     planned = {"plan": there(project.plan), **rig}
-
-    def plan() -> str:
-        from truearm.workflows.project import new_plan
-
-        return shown(new_plan(home / project.plan))
-
     planning: Mapping[str, Answer] = {**robot, **branch, **rig, "out": plan}
     box: Mapping[str, Answer] = {"box": text(project.box)}
     gauging = {"gauge": {"operator": text(project.operator)}}
@@ -255,10 +238,10 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
             "address": text(project.address),
             "plan": there(project.plan),
             **rig,
-            "out": new(project.sessions, ".mcap"),
+            "out": project_file("new_file", recordings, ".mcap"),
         },
-        "identify": {"inputs": inputs, "rig": table_rig, **robot, "out": new(project.results, ".json")},
-        "report": {**result, "out": new(project.results, ".html")},
+        "identify": {"inputs": inputs, "rig": table_rig, **robot, "out": project_file("new_file", results, ".json")},
+        "report": {**result, "out": project_file("new_file", results, ".html")},
         "validate": result,
         "correct": result,
         "map": result,

@@ -203,69 +203,55 @@ def nearest_osr(rate: float) -> int:
 
 
 def _work(request: RecordOptions) -> RecordingWork:
-    """Return what to record. Raises InputError for options and files that are invalid or inconsistent."""
-    from truearm.files.disk import check_writable
+    """Return what to record, each part from its option or else from the session that is continued.
+
+    Raises InputError for options and files that are invalid or inconsistent.
+    """
+    from truearm.errors import RigError
+    from truearm.files.disk import check_writable, read_bytes
+    from truearm.files.plan_file import check_against_rig, read_plan
+    from truearm.files.rig_file import MAX_BYTES, parse_rig, read_rig
     from truearm.files.write_lock import is_held
 
     if (request.out is None) == (request.resume is None):
         raise InputError("exclusive", first=Argument("out"), second=Argument("resume"), neither=request.out is None)
-    earlier_parts = None if request.resume is None else earlier(request.resume)
-    out = request.out if earlier_parts is None else earlier_parts.out
-    assert out is not None
+    parts = Earlier(Path(), Path(), 0, "", {}) if request.resume is None else earlier(request.resume)
+    out = request.out or parts.out
     read = [path for path in (request.rig, request.plan) if path is not None]
     if not out.suffix:
         raise InputError("wrong-suffix", place=out, suffixes=SUFFIX)
-    check_writable(out, request.force and earlier_parts is None, inputs=read, kind="session")
+    check_writable(out, request.force and request.resume is None, inputs=read, kind="session")
     if out.exists() and is_held(out):
         raise InputError("in-use", place=out)
-    osr = USUAL_OSR if request.rate is None else nearest_osr(request.rate)
-    work = _with_files(RecordingWork(out, request.address, osr), request)
-    if earlier_parts is not None:
-        work = _going_on(work, request, earlier_parts)
+    osr = parts.setup.get("osr", "")
+    osr_before = int(osr) if osr in map(str, OSRS) else USUAL_OSR
+    typed = {} if request.mounted is None else parse_mounted(request.mounted)
+    plan = None if request.plan is None else read_plan(request.plan)
+    rig_name = f"{parts.first}: rig.toml" if request.rig is None else str(request.rig)
+    rig_toml = parts.rig_toml if request.rig is None else read_bytes(request.rig, MAX_BYTES, RigError)
+    rig = None if request.rig is None else read_rig(request.rig)
+    if rig is None and rig_toml is not None:
+        rig = parse_rig(rig_toml.decode(errors="replace"), rig_name)
+    if rig is not None:
+        check_mounted(typed, rig, rig_name)
+        if plan is not None:
+            check_against_rig(plan, rig, str(request.plan))
+    work = RecordingWork(
+        out,
+        request.address or parts.setup.get("robot") or None,
+        osr_before if request.rate is None else nearest_osr(request.rate),
+        parts.rows if plan is None else plan_rows(plan),
+        rig_toml,
+        rig,
+        typed or parts.mounted,
+        earlier_session=None if request.resume is None else parts,
+    )
     setup = {"robot": work.robot or "", "osr": str(work.osr)}
     if request.project_model:
         setup["model"] = Path(request.project_model).name
-    if earlier_parts is not None:
-        setup |= {"of": earlier_parts.first.name, "part": str(earlier_parts.part), "begun": earlier_parts.begun}
+    if request.resume is not None:
+        setup |= {"of": parts.first.name, "part": str(parts.part), "begun": parts.begun}
     return replace(work, setup=setup)
-
-
-def _with_files(work: RecordingWork, request: RecordOptions) -> RecordingWork:
-    """Add plan, rig and what is mounted, each checked against the rig."""
-    from truearm.errors import RigError
-    from truearm.files.disk import read_bytes
-    from truearm.files.plan_file import check_against_rig, read_plan
-    from truearm.files.rig_file import MAX_BYTES, read_rig
-
-    mounted = {} if request.mounted is None else parse_mounted(request.mounted)
-    plan = None if request.plan is None else read_plan(request.plan)
-    work = replace(work, mounted=mounted, rows=[] if plan is None else plan_rows(plan))
-    if request.rig is None:
-        return work
-    rig = read_rig(request.rig)
-    check_mounted(mounted, rig, str(request.rig))
-    if plan is not None:
-        check_against_rig(plan, rig, str(request.plan))
-    return replace(work, rig=rig, rig_toml=read_bytes(request.rig, MAX_BYTES, RigError))
-
-
-def _going_on(work: RecordingWork, request: RecordOptions, earlier_parts: Earlier) -> RecordingWork:
-    """Add data from the previous parts where the options do not specify it."""
-    from truearm.files.rig_file import parse_rig
-
-    if request.rig is None and earlier_parts.rig_toml is not None:
-        rig = parse_rig(earlier_parts.rig_toml.decode(errors="replace"), f"{earlier_parts.first}: rig.toml")
-        check_mounted(work.mounted, rig, f"{earlier_parts.first}: rig.toml")
-        work = replace(work, rig=rig, rig_toml=earlier_parts.rig_toml)
-    osr = earlier_parts.setup.get("osr", "")
-    return replace(
-        work,
-        earlier_session=earlier_parts,
-        rows=earlier_parts.rows if request.plan is None else work.rows,
-        mounted=work.mounted or earlier_parts.mounted,
-        robot=work.robot or earlier_parts.setup.get("robot") or None,
-        osr=int(osr) if request.rate is None and osr in map(str, OSRS) else work.osr,
-    )
 
 
 def _purpose(work: RecordingWork, device: str) -> Purpose:
