@@ -209,7 +209,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "χ² per degree of freedom {chi2}[ (rows weighted by the {loss} loss)], {where} its 95 % range of {low:.3g} to {high:.3g}[{less:!}: the rows scatter less than their declared noise]."
     ),
     "noise-share": note(
-        "Declared noise [{unexplained:!}explains {declared} of the RMS after; the rest, {unexplained}, {rest} (their squares add up to that of the RMS)||alone would leave {declared} RMS: nothing][{units:!} in {units}][{unexplained:!}|| is unexplained]."
+        "Declared noise [explains {declared} of the RMS after; the rest, {unexplained}, {rest} (their squares add up to that of the RMS)||alone would leave {declared} RMS: nothing is unexplained]."
     ),
     "pose-error": note(
         "The rows of a pose err alike, so the arm scatters: {terms} (σ, from {n:#pose} with several rows). The sigmas include it."

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import NamedTuple, assert_never
+from typing import NamedTuple
 
 
 class Prior(StrEnum):
@@ -64,19 +64,6 @@ class Loss(StrEnum):
     LINEAR = "linear"
     HUBER = "huber"
     CAUCHY = "cauchy"
-
-
-def loss_summary(loss: Loss) -> str:
-    """Return the description of a loss in the report."""
-    match loss:
-        case Loss.LINEAR:
-            return "every row is weighted by its σ"
-        case Loss.HUBER:
-            return "rows far from all others count less"
-        case Loss.CAUCHY:
-            return "rows far from all others hardly count"
-        case _:
-            assert_never(loss)
 
 
 def with_loss() -> tuple[str, ...]:

@@ -9,13 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import assert_never
 
 import numpy as np
 
 from truearm.estimate.kind_errors import KindErrors, errors_by_kind
 from truearm.estimate.law_curves import SampledCurve
-from truearm.estimate.solvers import Loss, Prior, loss_summary
 from truearm.findings import Finding
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
@@ -49,7 +47,7 @@ from truearm.report.tables import Table
 from truearm.results import Estimate, Figures, PredictedError
 from truearm.text import counted
 from truearm.types import Floats
-from truearm.units import shown, symbol, title, tolerances
+from truearm.units import shown, symbol, title
 
 MAX_ROWS = 40  # suspect rows that are listed
 MAX_DIRECTIONS = 40
@@ -62,8 +60,8 @@ class CalibrationPage:
 
     ``estimate`` was made from ``table``, whose n rows include fitted and held-out ones. ``longitude`` (n,) [rad] is
     that of the sphere about its chuck, NaN for rows without one. ``facts`` are labels and values about the recording,
-    ``command`` the command that makes the page again. ``prior`` is
-    the name of the robot's prior, ``predicted`` the predicted error of the tool from the parameters' covariance.
+    ``command`` the command that makes the page again. ``predicted`` is
+    the predicted error of the tool from the parameters' covariance.
     """
 
     title: str
@@ -73,7 +71,6 @@ class CalibrationPage:
     longitude: Floats  # (n,) rad
     facts: tuple[tuple[str, str], ...] = ()
     command: str = ""
-    prior: str = "none"
     predicted: PredictedError | None = None
     law_steps: tuple[Table, ...] = ()  # fits with joint laws, by unit
     curves: tuple[SampledCurve, ...] = ()
@@ -147,27 +144,12 @@ def _parameters(e: Estimate) -> Iterator[str]:
         yield folded(f"{counted(len(rig), 'parameter')} of the rig", table(parameter_table(rig), "numbers"))
 
 
-def _prior(name: str) -> str:
-    match Prior(name):
-        case Prior.NONE:
-            return "none"
-        case Prior.WHERE_NEEDED:
-            return f"where needed: nominal ± {', '.join(tolerances('weak'))}, for what the observations determine less accurately"
-        case Prior.WEAK | Prior.WIDE as of_all:
-            return f"{of_all}: nominal ± {', '.join(tolerances(of_all))}"
-        case never:
-            assert_never(never)
-
-
 def _facts(page: CalibrationPage) -> tuple[tuple[str, str], ...]:
     e = page.estimate
     return (
-        ("solver", e.solver),
-        ("loss", f"{e.loss}: {loss_summary(Loss(e.loss))}"),
-        ("prior of the robot", _prior(page.prior)),
         ("iterations", str(e.iterations)),
-        ("status", f"{e.status}: {e.message}" if e.message else e.status),
         ("χ² per degree of freedom", figures(e.chi2_reduced)),
+        ("status", f"{e.status}: {e.message}" if e.message else e.status),
         ("solver's time", f"{figures(e.seconds, 2)} s"),
     )
 

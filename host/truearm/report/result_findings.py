@@ -440,24 +440,21 @@ def tool_error(document: Document) -> list[Finding]:
     if shown is None:
         if predicted is None:
             return [Finding("tool-error-unpredictable")]
-        sizes = {"rms": {"mm": predicted["rms_mm"]}, "largest": {"mm": predicted["max_mm"]}}
+        errors = {"rms": {"mm": predicted["rms_mm"]}, "largest": {"mm": predicted["max_mm"]}}
         place = {"n": predicted["n"], "relative": predicted["relative"], "row": predicted["at"]}
-        return [Finding("tool-error", {**sizes, **place, **decomposition})]
+        return [Finding("tool-error", {**errors, **place, **decomposition})]
     bad, tool = document["without_bad_rows"], predicted["rms_mm"] if predicted else None
-    faults = "The fit has faults that it does not contain"
+    has_faults, error = document["faults"] and not document.get("applied"), sizes(shown, "mean")
+    because = (
+        "The fit has faults that it does not contain"
+        if has_faults
+        else "The declared noise does not explain the residuals"
+    )
     values = {
-        "because": faults
-        if document["faults"] and not document.get("applied")
-        else "The declared noise does not explain the residuals",
-        "error": {name[5:]: shown[name] for name in shown if name.startswith("mean_")},
-        "range": listed(
-            [
-                f"{shown[f'low_{name[5:]}']:.4f} to {shown[f'high_{name[5:]}']:.4f}"
-                for name in shown
-                if name.startswith("mean_")
-            ]
-        ),
-        "n": max(shown[name] for name in shown if name.startswith("n_")),
+        "because": because,
+        "error": error,
+        "range": listed([f"{shown[f'low_{suffix}']:.4f} to {shown[f'high_{suffix}']:.4f}" for suffix in error]),
+        "n": max(shown[f"n_{suffix}"] for suffix in error),
         "by": "held out" if shown["by"] == "held out" else "left out in turn",
         "tool": None if tool is None else {"mm": tool},
         "tool_n": predicted["n"] if predicted else None,
@@ -578,23 +575,14 @@ def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
     declared, unexplained = (
         sizes(document, name, document["residual_units"]) for name in ("rms_declared", "rms_unexplained")
     )
-    shares = {suffix: unexplained[suffix] for suffix in declared if None not in (declared[suffix], unexplained[suffix])}
-    positive = {suffix: value for suffix, value in shares.items() if value > 0.0}
-    less = {suffix: declared[suffix] for suffix in shares if suffix not in positive}
-    if less:
-        units = [SUFFIXES[suffix].symbol for suffix in less] if positive else None
-        yield Finding("noise-share", {"declared": less, "unexplained": None, "rest": None, "units": units})
-    if positive:
-        weighted = (
-            "" if document["loss"] == Loss.LINEAR else f" or lie in rows that the {document['loss']} loss weights down"
-        )
-        remainder = f"may be chance{weighted}" if by_chance else "is unexplained"
-        values = {
-            "declared": {suffix: declared[suffix] for suffix in positive},
-            "unexplained": positive,
-            "rest": remainder,
-        }
-        yield Finding("noise-share", {**values, "units": None})
+    if not unexplained:
+        return
+    weighted = (
+        "" if document["loss"] == Loss.LINEAR else f" or lie in rows that the {document['loss']} loss weights down"
+    )
+    remainder = f"may be chance{weighted}" if by_chance else "is unexplained"
+    shown = unexplained if any(unexplained.values()) else None
+    yield Finding("noise-share", {"declared": declared, "unexplained": shown, "rest": remainder})
 
 
 def outliers(document: Document) -> Iterator[Finding]:

@@ -47,7 +47,6 @@ def write_page(
         table=table,
         longitude=longitudes(identification.chain, identification.rig, table, estimate),
         command=command,
-        prior=identification.prior,
         predicted=identification.predicted
         if identification.predicted and _leads(identification.predicted, estimate)
         else None,
