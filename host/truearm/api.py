@@ -576,11 +576,11 @@ def correct_poses(
     >>> corrected.commanded.shape, bool(corrected.after[0, 0] < 1e-8)
     ((1, 4, 4), True)
     """
-    given = floats("poses", poses, None, 4, 4, or_one=True)
-    _check_rigid("poses", given)
-    near = _joints("home", home, result)
-    options = CorrectOptions(Method(method), own_frames=own_frames, near=near)
-    return correct.corrected_poses(result, given, options, partial)
+    targets = floats("poses", poses, None, 4, 4, or_one=True)
+    _check_rigid("poses", targets)
+    near_joints = _joints("home", home, result)
+    options = CorrectOptions(Method(method), own_frames=own_frames, near=near_joints)
+    return correct.corrected_poses(result, targets, options, partial)
 
 
 @checked
@@ -635,10 +635,10 @@ def export_robot(
     True
     """
     poses = None if over is None else floats("over", over, None, len(result.joint_units))
-    found = export.exported(result, format, poses, own_frames, _texts(adjust))
+    exported = export.exported(result, format, poses, own_frames, _texts(adjust))
     if path is not None:
-        write_atomic(Path(path), found.text)
-    return found
+        write_atomic(Path(path), exported.text)
+    return exported
 
 
 @checked
@@ -689,9 +689,9 @@ def error_map(
     return maps.mapped(result, section)
 
 
-def _joints(name: str, given: Joints | None, result: Calibration) -> tuple[float, ...] | None:
+def _joints(name: str, readings: Joints | None, result: Calibration) -> tuple[float, ...] | None:
     """Return the checked joint readings (j,) for the robot of a result."""
-    return None if given is None else tuple(floats(name, given, len(result.joint_units)).tolist())
+    return None if readings is None else tuple(floats(name, readings, len(result.joint_units)).tolist())
 
 
 def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:

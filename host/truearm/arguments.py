@@ -37,12 +37,12 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
-            given = signature.bind(*args, **kwargs)
+            bound = signature.bind(*args, **kwargs)
         except TypeError as exc:  # in Python's words, with the function's name
             raise TypeError(f"{function.__name__}() {exc}") from None
-        for name, value in given.arguments.items():
-            given.arguments[name] = converted(name, value, _hints(function)[name])
-        return function(*given.args, **given.kwargs)
+        for name, value in bound.arguments.items():
+            bound.arguments[name] = converted(name, value, _hints(function)[name])
+        return function(*bound.args, **bound.kwargs)
 
     return called
 
@@ -64,10 +64,10 @@ def converted(name: str, value: Any, hint: Any) -> Any:
     Raises TypeError unless the value matches the annotation, and InputError if it breaks a rule of it.
     """
     alternatives = _alternatives(hint)
-    fitting = [one for one in alternatives if _is(value, one)]
+    fitting = [alternative for alternative in alternatives if _is(value, alternative)]
     if not fitting:
-        wanted = " or ".join(dict.fromkeys(_words(one) for one in alternatives))
-        raise TypeError(f"{name}: must be {wanted}, is {_shown(value)}")
+        allowed = " or ".join(dict.fromkeys(_words(alternative) for alternative in alternatives))
+        raise TypeError(f"{name}: must be {allowed}, is {_shown(value)}")
     frozen = _frozen(name, value, fitting[0])
     for rule in () if frozen is None else getattr(fitting[0], "__metadata__", ()):
         if isinstance(rule, Within | OneOf | FileName):
@@ -104,24 +104,24 @@ def floats(name: str, value: Any, *shape: int | None, or_one: bool = False, fini
 
 
 @functools.cache
-def _hints(of: Callable[..., Any]) -> dict[str, Any]:
-    return get_type_hints(of, include_extras=True)
+def _hints(annotated: Callable[..., Any]) -> dict[str, Any]:
+    return get_type_hints(annotated, include_extras=True)
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
     """Return the alternatives of a union."""
     if get_origin(hint) in (Union, types.UnionType) and hint != ArrayLike:
-        return tuple(one for part in get_args(hint) for one in _alternatives(part))
+        return tuple(alternative for member in get_args(hint) for alternative in _alternatives(member))
     return (hint,)
 
 
 def _is(value: Any, hint: Any) -> bool:
     """Return whether a value matches one alternative of an annotation."""
-    origin, parts = get_origin(hint), get_args(hint)
+    origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any or hint == ArrayLike:
         return True
     if origin is Annotated:
-        return _any(value, parts[0])
+        return _any(value, arguments[0])
     if origin is Literal or (isinstance(hint, type) and issubclass(hint, StrEnum)):
         return isinstance(value, str)  # ``_frozen`` refuses other texts
     if hint in (int, float):
@@ -130,30 +130,39 @@ def _is(value: Any, hint: Any) -> bool:
     if hint is bool:
         return isinstance(value, bool | np.bool_)
     if origin is tuple and isinstance(value, tuple | list | np.ndarray):
-        some = parts[-1:] == (Ellipsis,)
-        return (some or len(value) == len(parts)) and all(
-            _any(one, part) for one, part in zip(value, parts[:1] * len(value) if some else parts, strict=True)
+        is_any_length = arguments[-1:] == (Ellipsis,)
+        return (is_any_length or len(value) == len(arguments)) and all(
+            _any(item, kind_of_item)
+            for item, kind_of_item in zip(
+                value, arguments[:1] * len(value) if is_any_length else arguments, strict=True
+            )
         )
     if origin is Sequence:
-        return isinstance(value, Sequence) and not isinstance(value, str) and all(_any(one, parts[0]) for one in value)
+        return (
+            isinstance(value, Sequence)
+            and not isinstance(value, str)
+            and all(_any(item, arguments[0]) for item in value)
+        )
     if origin is Mapping:
-        return isinstance(value, Mapping) and all(_any(k, parts[0]) and _any(v, parts[1]) for k, v in value.items())
+        return isinstance(value, Mapping) and all(
+            _any(k, arguments[0]) and _any(v, arguments[1]) for k, v in value.items()
+        )
     return callable(value) if origin is Callable else isinstance(value, origin or hint)
 
 
 def _frozen(name: str, value: Any, hint: Any) -> Any:
     """Return a value that matches one alternative of an annotation in its final form, without the annotation's rules."""
-    origin, parts = get_origin(hint), get_args(hint)
+    origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _frozen(name, value, next(one for one in _alternatives(parts[0]) if _is(value, one)))
+        return _frozen(name, value, next(item for item in _alternatives(arguments[0]) if _is(value, item)))
     if origin is Literal:
-        OneOf(parts).check(name, value)
+        OneOf(arguments).check(name, value)
     elif isinstance(hint, type) and issubclass(hint, StrEnum):
         OneOf(tuple(hint)).check(name, value)
         return hint(value)
     elif origin is tuple:
-        each = parts[:1] * len(value) if parts[-1:] == (Ellipsis,) else parts
-        return tuple(converted(name, one, part) for one, part in zip(value, each, strict=True))
+        kinds = arguments[:1] * len(value) if arguments[-1:] == (Ellipsis,) else arguments
+        return tuple(converted(name, item, kind) for item, kind in zip(value, kinds, strict=True))
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -166,7 +175,7 @@ def _parsed(name: str, value: Any, rule: Value) -> Any:
 
 
 def _any(value: Any, hint: Any) -> bool:
-    return any(_is(value, one) for one in _alternatives(hint))
+    return any(_is(value, alternative) for alternative in _alternatives(hint))
 
 
 def _words(hint: Any) -> str:

@@ -28,13 +28,16 @@ class Within:
 
     def check(self, name: str, value: Any) -> None:
         """Raise InputError if a value breaks the rule."""
-        several = isinstance(value, Iterable)
-        if not all(abs(one) < math.inf and self.least <= one <= self.most for one in (value if several else (value,))):
+        are_several = isinstance(value, Iterable)
+        if not all(
+            abs(number) < math.inf and self.least <= number <= self.most
+            for number in (value if are_several else (value,))
+        ):
             low, high = (f"{end:g}" if math.isfinite(end) else "" for end in (self.least, self.most))
-            wanted = f" from {low} to {high}" if low and high else f" of {low} or more" if low else ""
-            finite = "" if wanted else "finite "
-            what = f"{finite}numbers" if several else f"a {finite}number"
-            raise InputError(Argument(name), f": must be {what}{wanted}, is {str(value)[:SHOWN]}")
+            limits = f" from {low} to {high}" if low and high else f" of {low} or more" if low else ""
+            finite = "" if limits else "finite "
+            noun = f"{finite}numbers" if are_several else f"a {finite}number"
+            raise InputError(Argument(name), f": must be {noun}{limits}, is {str(value)[:SHOWN]}")
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class FileName:
         path = os.fspath(value)
         if not path or "\0" in path:
             raise InputError(Argument(name), f": {path[:SHOWN]!r} is not the name of a file")
-        if max(len(os.fsencode(part)) for part in re.split(r"[/\\]", path)) > LONGEST:
+        if max(len(os.fsencode(component)) for component in re.split(r"[/\\]", path)) > LONGEST:
             raise InputError(Argument(name), f": {path[:SHOWN]!r}… is too long for the name of a file")
 
 

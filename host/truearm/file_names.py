@@ -41,7 +41,7 @@ def missing_file(path: Path) -> MissingFileError:
     try:
         if not folder.is_dir():
             return MissingFileError("missing-file", place=path, folder=folder)
-        names = [one.name for one in islice(folder.iterdir(), MOST_NAMES) if one.name != path.name]
+        names = [entry.name for entry in islice(folder.iterdir(), MOST_NAMES) if entry.name != path.name]
         if path.suffix:  # "results" is a folder, not what "result.json" should have been
             names = [name for name in names if not (folder / name).is_dir()]
     except OSError:  # a folder that may not be listed

@@ -77,8 +77,8 @@ class Reason:
 def ordered(findings: Sequence[Finding], simulated: bool = False) -> list[Finding]:
     """Return the verdict, which is the first of the findings, and the others by severity; before it that data are simulated."""
     severities = list(Severity)
-    others = sorted(findings[1:], key=lambda finding: severities.index(finding.severity))
-    return [*([Finding("simulated")] if simulated else []), *findings[:1], *others]
+    following = sorted(findings[1:], key=lambda finding: severities.index(finding.severity))
+    return [*([Finding("simulated")] if simulated else []), *findings[:1], *following]
 
 
 def entries(findings: Iterable[Finding]) -> list[dict[str, Any]]:

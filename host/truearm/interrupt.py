@@ -16,13 +16,13 @@ def asked_to_stop() -> Iterator[Callable[[], bool]]:
 
     An exception could occur in the middle of a record of the file.
     """
-    asked = threading.Event()
-    wanted = [
+    flag = threading.Event()
+    signals = [
         n for n in _NUMBERS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN
     ]  # nohup ignores SIGHUP
-    before = {number: signal.signal(number, lambda *_: asked.set()) for number in wanted}
+    handlers = {number: signal.signal(number, lambda *_: flag.set()) for number in signals}
     try:
-        yield asked.is_set
+        yield flag.is_set
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)

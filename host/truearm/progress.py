@@ -29,7 +29,7 @@ class Running(Protocol):
 class Listener(Protocol):
     """Receives steps; steps may be nested."""
 
-    def begin(self, what: str) -> Running:
+    def begin(self, name: str) -> Running:
         """Receive the beginning of a step."""
 
 
@@ -47,22 +47,22 @@ def listening(listener: Listener) -> Iterator[None]:
 
 
 @contextmanager
-def step(what: str) -> Iterator[Advance]:
+def step(name: str) -> Iterator[Advance]:
     """Name the step inside this context; the yielded function takes its completed share."""
     listener = _LISTENER.get()
     if listener is None:
         yield lambda _: None
         return
-    running = listener.begin(what)
+    running = listener.begin(name)
     try:
         yield running.advance
     finally:
         running.end()
 
 
-def steps_of(items: Sequence[T], what: str) -> Iterator[T]:
+def steps_of(items: Sequence[T], name: str) -> Iterator[T]:
     """Yield the items one by one, and report how many are completed."""
-    with step(what) as advance:
+    with step(name) as advance:
         for done, item in enumerate(items):
             advance(done / len(items))
             yield item

@@ -54,8 +54,8 @@ class Figures(NamedTuple):
     def by_unit(cls, residuals: Residuals, rows: NDArray[Any] | slice = slice(None)) -> dict[str, Figures]:
         """Return the figures of the selected rows for each SI unit that any of them has."""
         converted("residuals", residuals, Mapping[str, Any])
-        every = {unit: cls.of(residual[rows]) for unit, residual in residuals.items()}
-        return {unit: figures for unit, figures in every.items() if figures.n}
+        figures_of_all = {unit: cls.of(residual[rows]) for unit, residual in residuals.items()}
+        return {unit: figures for unit, figures in figures_of_all.items() if figures.n}
 
 
 @dataclass(frozen=True)
@@ -104,12 +104,12 @@ MOVES = 1e-4
 
 def weights_of(directions: Sequence[NullDirection], names: Sequence[str]) -> Floats:
     """Return the weights (k, d) of k parameters in d directions; 0 for those that a direction does not contain."""
-    at = {name: i for i, name in enumerate(names)}
+    row_of = {name: i for i, name in enumerate(names)}
     weights = np.zeros((len(names), len(directions)))
     for column, direction in enumerate(directions):
         for name, weight in zip(direction.names, direction.weights, strict=True):
-            if name in at:
-                weights[at[name], column] = weight
+            if name in row_of:
+                weights[row_of[name], column] = weight
     return weights
 
 
@@ -603,10 +603,10 @@ class Estimate(Displayed):
 
         ``rms_before`` and ``rms_after`` cover these rows. Where every row was left out, they cover all fitted rows.
         """
-        used = self.fitted.copy()
+        used_rows = self.fitted.copy()
         if self.weight.size:
-            used[used] = not_left_out(self.weight[used])
-        return used
+            used_rows[used_rows] = not_left_out(self.weight[used_rows])
+        return used_rows
 
     @property
     def law_parameters(self) -> range:

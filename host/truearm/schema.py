@@ -58,12 +58,12 @@ class SchemaError(ValueError):
 
 
 @contextmanager
-def at(where: str) -> Iterator[None]:
-    """Put ``where`` in front of the text of a SchemaError."""
+def at(place: str) -> Iterator[None]:
+    """Put ``place`` in front of the text of a SchemaError."""
     try:
         yield
     except SchemaError as exc:
-        raise SchemaError(f"{where}: {exc}") from None
+        raise SchemaError(f"{place}: {exc}") from None
 
 
 def load_toml(text: str, parse_float: Callable[[str], Any] = float) -> dict[str, Any]:
@@ -79,15 +79,15 @@ def load_toml(text: str, parse_float: Callable[[str], Any] = float) -> dict[str,
 
 def toml_text(document: Mapping[str, Any]) -> str:
     """Return a document as TOML: its own entries, then its tables. Tables and lists in these are on one line."""
-    own = [f"{key} = {_toml_value(entry)}" for key, entry in document.items() if not isinstance(entry, dict)]
+    lines = [f"{key} = {_toml_value(entry)}" for key, entry in document.items() if not isinstance(entry, dict)]
     for name, table in document.items():
         if isinstance(table, dict):
-            own += [
+            lines += [
                 "",
                 f"[{_toml_key(name)}]",
                 *(f"{_toml_key(key)} = {_toml_value(entry)}" for key, entry in table.items()),
             ]
-    return "\n".join([*own, ""])
+    return "\n".join([*lines, ""])
 
 
 def _toml_key(key: str) -> str:
@@ -142,8 +142,8 @@ def _annotated(hint: Any) -> Iterator[Value]:
     if get_origin(hint) is Annotated:
         yield hint.__metadata__[0]
     elif get_origin(hint) in (Union, UnionType):
-        for part in get_args(hint):
-            yield from _annotated(part)
+        for alternative in get_args(hint):
+            yield from _annotated(alternative)
 
 
 class ReadOnly:
@@ -188,18 +188,18 @@ class Number:
             raise SchemaError("not a finite number of reasonable size")
         unit = SUFFIXES[suffix]
         value = float(raw) * unit.scale
-        most = UNITS[self.si].largest if self.most is None else self.most
-        least = 0.0 if self.positive else -most if self.least is None else self.least
+        highest = UNITS[self.si].largest if self.most is None else self.most
+        lowest = 0.0 if self.positive else -highest if self.least is None else self.least
         if self.positive and value <= 0.0:
             raise SchemaError(f"{raw:g} {unit.symbol}".rstrip() + " is not greater than 0")
-        if least == 0.0 and 0.0 < value < SMALLEST:
+        if lowest == 0.0 and 0.0 < value < SMALLEST:
             zero = "" if self.positive else ", or 0"
             raise SchemaError(
                 f"{raw:g} {unit.symbol}".rstrip() + f" is too small; give {unit.text(SMALLEST)} or more{zero}"
             )
-        if not least <= value <= most:
+        if not lowest <= value <= highest:
             raise SchemaError(
-                f"{unit.text(value)} is not between {least / unit.scale:g} and {unit.text(most)}; is the unit right?"
+                f"{unit.text(value)} is not between {lowest / unit.scale:g} and {unit.text(highest)}; is the unit right?"
             )
         return value
 
@@ -243,9 +243,9 @@ class List:
         return self.item.suffixes
 
     def parse(self, raw: Any, suffix: str = "") -> tuple[Any, ...]:
-        least, most = (self.least, self.most) if self.size is None else (self.size, self.size)
-        if not isinstance(raw, list | tuple) or not least <= len(raw) <= most:
-            count = str(most) if least == most else f"{least} to {most}"
+        fewest, greatest = (self.least, self.most) if self.size is None else (self.size, self.size)
+        if not isinstance(raw, list | tuple) or not fewest <= len(raw) <= greatest:
+            count = str(greatest) if fewest == greatest else f"{fewest} to {greatest}"
             has = str(len(raw)) if isinstance(raw, list | tuple) else quoted(raw)
             raise SchemaError(f"needs a list of {count} value{'s' * (count != '1')}, has {has}")
         values = []
@@ -367,12 +367,12 @@ class Choice:
     suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> Any:
-        found = next(
+        member = next(
             (o for o in self.options if isinstance(o, type(raw)) and raw == o and not isinstance(raw, bool)), None
         )
-        if found is None:
+        if member is None:
             raise SchemaError(f"{quoted(raw)} is not one of {', '.join(map(quoted, self.options))}")
-        return found
+        return member
 
     def format(self, value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
@@ -450,15 +450,15 @@ class Entries(Generic[T]):
             raise SchemaError(f"{self.name} must be written as [[{self.name}]] entries")
         if len(raw) > MAX_ENTRIES:
             raise SchemaError(f"has {len(raw)} [[{self.name}]] entries; the maximum is {MAX_ENTRIES}")
-        found: dict[Hashable, T] = {}
+        items: dict[Hashable, T] = {}
         for i, table in enumerate(raw, start=1):
             with at(f"[[{self.name}]] {i}"):
                 item = self.table.parse(table)
                 index = i if self.index is None else self.index(item)
-                if index in found:
+                if index in items:
                     raise SchemaError(f"{_words(index)!r} is already defined; give each entry its own name")
-                found[index] = item
-        return found if self.index else tuple(found.values())
+                items[index] = item
+        return items if self.index else tuple(items.values())
 
     def blocks(self, value: Mapping[Any, T] | tuple[T, ...]) -> list[str]:
         items = value.values() if isinstance(value, Mapping) else value
@@ -495,17 +495,17 @@ class Table(Generic[T]):
         spellings = {spelled: key for key in self.keys for spelled in key.spellings}
         if not self.unknown_keys:
             check_known(table, [*spellings, *(entries.name for entries in self.entries)])
-        given: dict[str, str] = {}
+        spelling_of: dict[str, str] = {}
         for spelled in (spelled for spelled in spellings if spelled in table):
-            before = given.setdefault(spellings[spelled].called, spelled)
-            if before != spelled:
-                raise SchemaError(f"has both {before} and {spelled}; keep one")
-        values = {field: spellings[spelled].parse(table[spelled], spelled) for field, spelled in given.items()}
+            first_spelling = spelling_of.setdefault(spellings[spelled].called, spelled)
+            if first_spelling != spelled:
+                raise SchemaError(f"has both {first_spelling} and {spelled}; keep one")
+        values = {field: spellings[spelled].parse(table[spelled], spelled) for field, spelled in spelling_of.items()}
         for key in self.keys:
-            if not key.optional and key.called not in given:
-                mine = [s for s, other in spellings.items() if other.called == key.called]
-                first, *others = sorted(mine, key=len)  # a plain sigma before a covariance
-                raise SchemaError(f"needs {first}" + (f" (or {', '.join(others)})" if others else ""))
+            if not key.optional and key.called not in spelling_of:
+                alternatives = [s for s, alternative in spellings.items() if alternative.called == key.called]
+                first, *further = sorted(alternatives, key=len)  # a plain sigma before a covariance
+                raise SchemaError(f"needs {first}" + (f" (or {', '.join(further)})" if further else ""))
         return values | {e.field: e.parse(table[e.name]) for e in self.entries if e.name in table}
 
     def lines(self, item: T) -> list[str]:
@@ -525,8 +525,10 @@ class Table(Generic[T]):
         return "\n\n".join(["\n".join(self.lines(item)), *blocks]) + "\n"
 
 
-def _is_written(value: Any, of: Value) -> bool:
-    return value != () and value != "" and (value is not None or (isinstance(of, Number) and of.unknown))
+def _is_written(value: Any, value_type: Value) -> bool:
+    return (
+        value != () and value != "" and (value is not None or (isinstance(value_type, Number) and value_type.unknown))
+    )
 
 
 def as_table(raw: Any) -> Mapping[str, Any]:
@@ -536,21 +538,25 @@ def as_table(raw: Any) -> Mapping[str, Any]:
     return raw
 
 
-def check_known(table: Mapping[str, Any], known: Sequence[str]) -> None:
+def check_known(table: Mapping[str, Any], names: Sequence[str]) -> None:
     """Raise SchemaError for an unknown key: a misspelt one would silently take its default."""
     for key in table:
-        if key not in known:
-            raise SchemaError(f"unknown key {key[:MAX_SHOWN]!r}; {hint(key, known)}")
+        if key not in names:
+            raise SchemaError(f"unknown key {key[:MAX_SHOWN]!r}; {hint(key, names)}")
 
 
-def hint(name: str, known: Sequence[str]) -> str:
+def hint(name: str, names: Sequence[str]) -> str:
     """Return which of the known names was probably meant, otherwise a list of them."""
-    close = difflib.get_close_matches(name[:MAX_SHOWN], known, n=1)
+    close = difflib.get_close_matches(name[:MAX_SHOWN], names, n=1)
     if close:
-        of, _, suffix = close[0].rpartition("_")
-        both = [one for one in known if suffix in SUFFIXES and one in {f"{of}_{unit}" for unit in SUFFIXES}]
+        stem, _, suffix = close[0].rpartition("_")
+        both = [
+            candidate
+            for candidate in names
+            if suffix in SUFFIXES and candidate in {f"{stem}_{unit}" for unit in SUFFIXES}
+        ]
         return f"did you mean {' or '.join(both or close)}?"
-    listed = ", ".join(known)
+    listed = ", ".join(names)
     return f"known are {listed if len(listed) <= MOST_LISTED else listed[:MOST_LISTED].rpartition(',')[0] + ', …'}"
 
 

@@ -25,9 +25,9 @@ def box_command(words: str, device: str) -> str:
     return f"truearm box {words} --box {shlex.quote(one_line(device))}"
 
 
-def counted(count: int, one: str, many: str = "") -> str:
+def counted(count: int, singular: str, many: str = "") -> str:
     """Return a number with its noun: "1 row", "7 rows"."""
-    return f"{count} {one if count == 1 else many or one + 's'}"
+    return f"{count} {singular if count == 1 else many or singular + 's'}"
 
 
 def listed(names: Sequence[str], most: int = 12) -> str:

@@ -376,15 +376,15 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
-def thinned(n: int, most: int) -> NDArray[np.intp]:
-    """Return an evenly spaced selection of ``most`` of n rows, or all if there are fewer."""
-    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
+def thinned(n: int, limit: int) -> NDArray[np.intp]:
+    """Return an evenly spaced selection of ``limit`` of n rows, or all if there are fewer."""
+    return np.unique(np.linspace(0, n - 1, min(n, limit)).astype(np.intp))
 
 
 def not_left_out(weight: Floats) -> NDArray[np.bool_]:
     """Return a mask (n,) of the rows whose weight is not 0; of all rows if every weight is."""
-    kept = np.asarray(weight != 0.0)
-    return kept if kept.any() else ~kept
+    mask = np.asarray(weight != 0.0)
+    return mask if mask.any() else ~mask
 
 
 def rms_of_columns(values: Floats) -> Floats:
@@ -424,10 +424,10 @@ class Payload(NamedTuple):
     mass: Annotated[float, KG]
     centre: Annotated[tuple[float, float, float], MM] = (0.0, 0.0, 0.0)
 
-    def is_like(self, other: Payload) -> bool:
+    def is_like(self, payload: Payload) -> bool:
         """Return whether masses and centres are equal to a gram and to a tenth of a millimetre; without mass, any centre is."""
-        apart = max(abs(a - b) for a, b in zip(self.centre, other.centre, strict=True))
-        return abs(self.mass - other.mass) < 1e-3 and (apart < 1e-4 or self.mass < 1e-3)
+        distance = max(abs(a - b) for a, b in zip(self.centre, payload.centre, strict=True))
+        return abs(self.mass - payload.mass) < 1e-3 and (distance < 1e-4 or self.mass < 1e-3)
 
 
 class SagMasses(Struct, frozen=True, tag_field="term", tag="sag"):

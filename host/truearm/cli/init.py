@@ -111,7 +111,11 @@ def init(
     from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
 
     sockets = None
-    methods = ((names, f"it is for --method {other}") for other, names in OWN_OPTIONS.items() if other != method)
+    methods = (
+        (names, f"it is for --method {other_method}")
+        for other_method, names in OWN_OPTIONS.items()
+        if other_method != method
+    )
     files = ((RIG_OPTIONS, folder / Project.rig), (("minutes",), folder / Project.plan))
     existing = ((names, f"{path} already exists and is kept") for names, path in files if path.exists())
     for names, reason in (*methods, *existing):

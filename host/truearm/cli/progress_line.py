@@ -50,11 +50,11 @@ class Shown(Progress):
             redirect_stdout=sys.stdout.isatty(),
         )
 
-    def begin(self, what: str) -> RunningStep:
+    def begin(self, name: str) -> RunningStep:
         """Begin a step; the first one starts the drawing."""
         with suppress(OSError):
             self.start()
-        return RunningStep(self, self.add_task(one_line(what), total=None))
+        return RunningStep(self, self.add_task(one_line(name), total=None))
 
     def refresh(self) -> None:
         """Draw the steps."""

@@ -135,37 +135,37 @@ def numbers(
     out = scale * np.array([*map(float, plain)])
     # Nearly all columns end here. The first wrong cell of the others is found one by one.
     for i in np.flatnonzero(~((np.abs(out) <= largest) & (out >= least))).tolist():
-        cell, where = cells[i], f"{name} row {rows[i].number} column {column.name}"
-        value = math.nan if not cell and not required else scale * number(cell, where)
+        cell, place = cells[i], f"{name} row {rows[i].number} column {column.name}"
+        value = math.nan if not cell and not required else scale * number(cell, place)
         if abs(value) > largest:
-            raise TableError(f"{where}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
+            raise TableError(f"{place}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
         if value < (lowest := np.broadcast_to(least, out.shape)[i]):
             wrong = "must be 0 or more" if lowest == 0.0 else "must be greater than 0"
             if value > 0.0:
                 wrong = "is too small; is the column in another unit?"
-            raise TableError(f"{where}: {quoted(cell)} {wrong}")
+            raise TableError(f"{place}: {quoted(cell)} {wrong}")
     return out
 
 
-def together(columns: list[Floats], rows: list[Row], what: str, name: str) -> Floats:
+def together(columns: list[Floats], rows: list[Row], words: str, name: str) -> Floats:
     """Return columns side by side (n, c), where each row must have all of them or none."""
     out = np.stack(columns, axis=1)
     missing = np.isnan(out)
     bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
     if bad.size:
-        raise TableError(f"{name} row {rows[bad[0]].number}: has only some of {what}; give all of them or none")
+        raise TableError(f"{name} row {rows[bad[0]].number}: has only some of {words}; give all of them or none")
     return out
 
 
-def number(cell: str, where: str) -> float:
+def number(cell: str, place: str) -> float:
     """Return a finite decimal number."""
     if not cell:
-        raise TableError(f"{where}: is empty; every row needs a number here")
+        raise TableError(f"{place}: is empty; every row needs a number here")
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
-        raise TableError(f"{where}: {cell} is not a finite number; leave out rows without a reading")
+        raise TableError(f"{place}: {cell} is not a finite number; leave out rows without a reading")
     # float() would accept "1_000" and digits of other scripts; a table with these was not written as numbers.
     if not _is_number(cell):
-        raise TableError(f"{where}: {quoted(cell)} is not a number; write digits with a decimal point, such as -12.5")
+        raise TableError(f"{place}: {quoted(cell)} is not a number; write digits with a decimal point, such as -12.5")
     return float(cell)
 
 

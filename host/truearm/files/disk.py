@@ -155,9 +155,9 @@ def write_folder(path: Path, contents: Mapping[str, bytes]) -> None:
         raise
 
 
-def _failure(what: str, exc: OSError) -> TruearmError:
+def _failure(words: str, exc: OSError) -> TruearmError:
     """Return the error for what the system refuses: the disk is full or fails, or a wrong name was given."""
-    text = f"{what}: {system_reason(exc)}"
+    text = f"{words}: {system_reason(exc)}"
     return WriteError(text, exc.strerror or "") if exc.errno in DISK_FAILED else InputError(text)
 
 
@@ -215,7 +215,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], kind: str | None) -> Non
     if path.is_dir():
         raise InputError("unreadable-file", place=path)
     _check_regular(path)
-    if any(same_file(path, other) for other in inputs):
+    if any(same_file(path, given_file) for given_file in inputs):
         raise InputError("given-twice", place=path)
     if not path.parent.is_dir():
         raise InputError("missing-file", place=path, folder=path.parent)
@@ -251,10 +251,10 @@ def working_folder(parent: Path) -> Iterator[Path]:
     created.
     """
     ours = f".truearm-{re.sub(r'[^A-Za-z0-9]', '', platform.node())[:40]}-"
-    for left in parent.glob(f"{ours}*"):
-        process = left.name.removeprefix(ours).partition("-")[0]
+    for old_folder in parent.glob(f"{ours}*"):
+        process = old_folder.name.removeprefix(ours).partition("-")[0]
         if process.isdecimal() and not _is_running(int(process)):
-            shutil.rmtree(left, ignore_errors=True)
+            shutil.rmtree(old_folder, ignore_errors=True)
     with tempfile.TemporaryDirectory(prefix=f"{ours}{os.getpid()}-", dir=parent) as folder:
         yield Path(folder)
 

@@ -39,17 +39,17 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
     if not difflib.get_close_matches("kind", [title.lower() for title in header]):
         raise TableError("missing-column", place=name, column="kind", header=quoted(header[0]))
     columns: dict[str, Column] = {}
-    seen: set[str] = set()
+    titles: set[str] = set()
     for position, title in enumerate(header):
-        where = f"{name} column {position + 1} ({quoted(title)})"
-        if title and title in seen:
-            raise TableError("given-twice", place=where, what="it")
-        seen.add(title)
+        place = f"{name} column {position + 1} ({quoted(title)})"
+        if title and title in titles:
+            raise TableError("given-twice", place=place, what="it")
+        titles.add(title)
         if title in ("", "note"):
             continue
-        quantity, unit = (title, "") if is_label(title) else quantity_of(POSITION.get(title, title), where)
+        quantity, unit = (title, "") if is_label(title) else quantity_of(POSITION.get(title, title), place)
         if quantity in columns:
-            raise TableError("given-twice", place=where, what=quantity)
+            raise TableError("given-twice", place=place, what=quantity)
         columns[quantity] = Column(title, position, unit)
     if "kind" not in columns:
         raise TableError("missing-column", place=name, column="kind")
@@ -63,7 +63,7 @@ def number_units() -> dict[str, tuple[str, ...]]:
     return {"sigma": sigma, **measured}
 
 
-def quantity_of(title: str, where: str) -> tuple[str, str]:
+def quantity_of(title: str, place: str) -> tuple[str, str]:
     """Return quantity and unit of a column's title.
 
     Raises TableError with the title that was probably meant. A ``sigma`` in a unit other than metres is a separate
@@ -75,10 +75,10 @@ def quantity_of(title: str, where: str) -> tuple[str, str]:
     longest_first = sorted(map(re.escape, number_units()), key=len, reverse=True)
     match = re.fullmatch(rf"(qd?(?=[1-9])|{'|'.join(longest_first)})([0-9]{{0,3}})(?:_(\w*))?", title)
     if match is None or (match[2] != "") != (match[1] in JOINTS):
-        raise TableError("unknown-column", place=where, remedy=_suggestion(title))
-    quantity, unit, known = match[1] + match[2], match[3] or "", units[match[1]]
-    if unit not in known:
-        raise TableError("wrong-value", place=where, names=[named(quantity, u) for u in known])
+        raise TableError("unknown-column", place=place, remedy=_suggestion(title))
+    quantity, unit, allowed = match[1] + match[2], match[3] or "", units[match[1]]
+    if unit not in allowed:
+        raise TableError("wrong-value", place=place, names=[named(quantity, u) for u in allowed])
     return sigma_column(SUFFIXES[unit].si) if quantity == "sigma" else quantity, unit
 
 
@@ -90,8 +90,8 @@ def sigma_column(si: str) -> str:
 def _suggestion(title: str) -> str:
     joints = [f"{quantity}{i}_{units[0]}" for quantity, units in JOINTS.items() for i in range(1, 8)]
     numbers = [named(quantity, unit) for quantity, units in number_units().items() for unit in units]
-    known = ["kind", *identifiers(), *numbers, *joints, *POSITION]
-    close = difflib.get_close_matches(title[:40].lower(), known, n=2, cutoff=LIKE)
+    names = ["kind", *identifiers(), *numbers, *joints, *POSITION]
+    close = difflib.get_close_matches(title[:40].lower(), names, n=2, cutoff=LIKE)
     ignored = "begin its name with x_ if it is to be ignored"
     meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {COLUMNS}; "
     return meant + ignored

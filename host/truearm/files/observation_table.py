@@ -86,12 +86,12 @@ def parse_table(
     rates = [numbers(rows, rate, name, _largest(rate)) for rate in rate_columns(columns, joints, name)]
     labels = {title: [row.cells[columns[title].position] for row in rows] for title in filter(is_label, columns)}
     short = {title: np.array(cells) for title, cells in labels.items() if max(map(len, cells)) <= LONGEST_LABEL}
-    given: dict[str, Any] = {**names, **measured, **short, "sigma": sigma}
+    content: dict[str, Any] = {**names, **measured, **short, "sigma": sigma}
     if rates:
-        given["q_rate"] = together(rates, rows, "the velocities of all joints", name)
+        content["q_rate"] = together(rates, rows, "the velocities of all joints", name)
     source = np.array([f"{name} row {row.number}" for row in rows])
     table = ObservationTable(
-        {field: column for field, column in given.items() if _filled(column).any()}, q=q, kind=kind, source=source
+        {field: column for field, column in content.items() if _filled(column).any()}, q=q, kind=kind, source=source
     )
     return table.completed(mimics, len(joint_units or joints))
 
@@ -110,12 +110,16 @@ def _measured(
     rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], quantity: Quantity, name: str
 ) -> Floats:
     """Return one column of a quantity as (n,), or several as (n, c)."""
-    least = np.full(len(rows), quantity.least)
-    for key, of in registry.kinds().items():  # a bar has a positive length; a distance from a plane has a sign
-        for own in (own for own in of.quantities if own.field == quantity.field and own.least != quantity.least):
-            least[kind == key] = own.least
-    parts = [numbers(rows, columns.get(column), name, quantity.most, least) for column in quantity.columns]
-    return parts[0] if len(parts) == 1 else together(parts, rows, quantity.words, name)
+    lower_bounds = np.full(len(rows), quantity.least)
+    for key, kind_entry in registry.kinds().items():  # a bar has a positive length; a distance from a plane has a sign
+        for variant in (
+            variant
+            for variant in kind_entry.quantities
+            if variant.field == quantity.field and variant.least != quantity.least
+        ):
+            lower_bounds[kind == key] = variant.least
+    components = [numbers(rows, columns.get(column), name, quantity.most, lower_bounds) for column in quantity.columns]
+    return components[0] if len(components) == 1 else together(components, rows, quantity.words, name)
 
 
 def _sigmas(rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], name: str) -> Floats:
@@ -123,15 +127,17 @@ def _sigmas(rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], na
     sigma = np.full(len(rows), np.nan)
     for unit in registry.units():
         column = columns.get(sigma_column(unit))
-        given = numbers(rows, column, name, LARGEST_NOISE, SMALLEST)
-        mine = np.isin(kind, [key for key, of in registry.kinds().items() if of.components[0] == unit])
-        wrong = np.flatnonzero(~mine & ~np.isnan(given))
+        values = numbers(rows, column, name, LARGEST_NOISE, SMALLEST)
+        has_unit = np.isin(
+            kind, [key for key, kind_entry in registry.kinds().items() if kind_entry.components[0] == unit]
+        )
+        wrong = np.flatnonzero(~has_unit & ~np.isnan(values))
         if wrong.size and column:
             raise TableError(
                 f"{name} row {rows[wrong[0]].number} column {column.name}: the residual of {with_article(kind[wrong[0]])} row is not "
                 f"in {column.unit}; leave that cell empty"
             )
-        sigma[mine] = given[mine]
+        sigma[has_unit] = values[has_unit]
     return sigma
 
 
@@ -152,9 +158,9 @@ def _check_kinds(
     titles = {column: with_article(column) for column in names} | {q.field: q.title for q in quantities()}
     filled = {column: _filled(cells) for column, cells in {**names, **measured}.items()}
     wrong: list[tuple[int, str]] = []
-    for key, of in registry.kinds().items():
-        needs = {*map(_field, of.needs)}
-        leaves = filled.keys() - {*needs, *map(_field, of.may), *ANYWHERE, *map(_field, CIRCUMSTANCES)}
+    for key, kind_entry in registry.kinds().items():
+        needs = {*map(_field, kind_entry.needs)}
+        leaves = filled.keys() - {*needs, *map(_field, kind_entry.may), *ANYWHERE, *map(_field, CIRCUMSTANCES)}
         for column in (column for column in filled if column in needs or column in leaves):
             bad = np.flatnonzero((kind == key) & (filled[column] == (column in leaves)))
             title = column if column in leaves and column in names else titles[column]
@@ -189,8 +195,8 @@ def check_values(table: ObservationTable, joint_units: Sequence[str]) -> None:
     for quantity, rows in checks:
         _refuse_values(table, quantity, table[quantity.field], rows)
     for j, unit in enumerate(joint_units):
-        for name, column, of in (("q", table.q, unit), ("q_rate", table.q_rate, f"{unit}/s")):
-            _refuse_values(table, Quantity(name, (f"{name}[{j}]",), of), column[:, j], np.ones(len(table), dtype=bool))
+        for name, column, si in (("q", table.q, unit), ("q_rate", table.q_rate, f"{unit}/s")):
+            _refuse_values(table, Quantity(name, (f"{name}[{j}]",), si), column[:, j], np.ones(len(table), dtype=bool))
 
 
 def _refuse_incomplete(table: ObservationTable) -> None:
@@ -241,8 +247,8 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
         nameless = np.flatnonzero(rows & (table[kind.point] == "")) if len(points) > 1 else np.zeros(0, int)
         if nameless.size:
             names = ", ".join(sorted(points))
-            where = f"{table.source[nameless[0]]} column {kind.point}"
-            raise TableError(f"{where}: is empty; name one of the rig's ({names})")
+            place = f"{table.source[nameless[0]]} column {kind.point}"
+            raise TableError(f"{place}: is empty; name one of the rig's ({names})")
         if kind.check and rows.any():
             kind.check(table, rig)
 
@@ -271,17 +277,18 @@ def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[s
 def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Floats]:
     """Return titles and values of the columns of numbers: the joints, and the others that contain any values."""
     joints = {f"q{i}_{unit}": table.q[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
-    others: dict[str, Floats] = {}
+    measured: dict[str, Floats] = {}
     for quantity in quantities():
-        parts = np.atleast_2d(table[quantity.field].T)  # (components, rows), also of a table without rows
-        others |= {
-            named(title, _own(quantity.unit)): part for title, part in zip(quantity.columns, parts, strict=False)
+        components = np.atleast_2d(table[quantity.field].T)  # (components, rows), also of a table without rows
+        measured |= {
+            named(title, _own(quantity.unit)): component
+            for title, component in zip(quantity.columns, components, strict=False)
         }
     for unit in registry.units():
-        mine = [key for key, kind in registry.kinds().items() if kind.components[0] == unit]
-        others[named("sigma", _own(unit))] = np.where(np.isin(table.kind, mine), table.sigma, np.nan)
-    others |= {f"qd{i}_{unit}_s": table.q_rate[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
-    return joints | {title: column for title, column in others.items() if not np.isnan(column).all()}
+        kind_names = [key for key, kind in registry.kinds().items() if kind.components[0] == unit]
+        measured[named("sigma", _own(unit))] = np.where(np.isin(table.kind, kind_names), table.sigma, np.nan)
+    measured |= {f"qd{i}_{unit}_s": table.q_rate[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
+    return joints | {title: column for title, column in measured.items() if not np.isnan(column).all()}
 
 
 def column_of_title(table: ObservationTable, title: str) -> Floats | None:

@@ -50,19 +50,19 @@ def with_rotation_vectors(header: list[str], rows: list[Row], name: str) -> tupl
     return [*header, *VECTOR], measured
 
 
-def _vector(cells: list[str], titles: tuple[str, ...], where: str) -> Floats:
+def _vector(cells: list[str], titles: tuple[str, ...], place: str) -> Floats:
     """Return the rotation vector (3,) [rad] of four or nine cells."""
-    values = np.array([number(cell, f"{where} column {title}") for title, cell in zip(titles, cells, strict=True)])
+    values = np.array([number(cell, f"{place} column {title}") for title, cell in zip(titles, cells, strict=True)])
     if len(values) == len(MATRIX):
         u, singular, vt = np.linalg.svd(values.reshape(3, 3))
         if np.abs(singular - 1.0).max() > ROUNDING or np.linalg.det(u @ vt) < 0.0:
             raise TableError(
-                f"{where}: {titles[0]} to {titles[-1]} are not a rotation matrix; give them by rows, for right-handed axes"
+                f"{place}: {titles[0]} to {titles[-1]} are not a rotation matrix; give them by rows, for right-handed axes"
             )
         return rotation_vector(u @ vt)
     length = float(np.linalg.norm(values))
     if abs(length - 1.0) > ROUNDING:
-        raise TableError(f"{where}: the quaternion qw, qx, qy, qz has the length {length:.6g}, not 1; correct it")
+        raise TableError(f"{place}: the quaternion qw, qx, qy, qz has the length {length:.6g}, not 1; correct it")
     w, imaginary = values[0], values[1:]
     sine = float(np.linalg.norm(imaginary))
     if sine == 0.0:

@@ -84,6 +84,6 @@ def format_project(project: Project) -> str:
     values = vars(project)
     lines = [FIRST_LINE, "# Commands in this folder or below it take missing options from here.", ""]
     for key in KEYS:
-        said = values[key.name] != ""
-        lines.append(f"{'' if said else '# '}{key.name} = {_LINE.format(values[key.name])}  # {remarks[key.name]}")
+        is_set = values[key.name] != ""
+        lines.append(f"{'' if is_set else '# '}{key.name} = {_LINE.format(values[key.name])}  # {remarks[key.name]}")
     return "\n".join(lines) + "\n"

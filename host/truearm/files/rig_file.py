@@ -26,8 +26,8 @@ JOINT_COVARIANCE = (
 
 
 def _rig(sockets: Mapping[tuple[str, str], Socket] | None = None, **values: Any) -> Rig:
-    own = {key: values.pop(key) for key in tuple(values) if key not in Rig.__dataclass_fields__}
-    return Rig(sockets={key: socket.point for key, socket in (sockets or {}).items()}, entries=own, **values)
+    kind_entries = {key: values.pop(key) for key in tuple(values) if key not in Rig.__dataclass_fields__}
+    return Rig(sockets={key: socket.point for key, socket in (sockets or {}).items()}, entries=kind_entries, **values)
 
 
 def _values(rig: Rig) -> dict[str, Any]:

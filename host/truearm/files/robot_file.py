@@ -71,10 +71,10 @@ def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> R
         return builtin_robot(robot)
     text = read_text(path, MAX_BYTES, RobotError)
     try:
-        found = _urdf_robot(text, base, tip) if is_urdf(robot) else parse_robot(text)
+        loaded = _urdf_robot(text, base, tip) if is_urdf(robot) else parse_robot(text)
     except RobotError as exc:
         raise exc.within(path) from exc
-    return replace(found, file=str(path))
+    return replace(loaded, file=str(path))
 
 
 def robot_file(robot: str) -> Path | None:

@@ -47,8 +47,8 @@ class Targets(NamedTuple):
 def check_is_table(path: Path, programs: Sequence[str] = ()) -> None:
     """Raise TargetError unless the name of a file is that of a table; ``programs``: suffixes that are possible too."""
     if path.suffix.lower() != ".csv":
-        other = f"neither a table of targets (.csv) nor a program ({', '.join(programs)})"
-        raise TargetError(f"{path}: is {other if programs else 'no table of targets (.csv)'}; give one of these")
+        expectation = f"neither a table of targets (.csv) nor a program ({', '.join(programs)})"
+        raise TargetError(f"{path}: is {expectation if programs else 'no table of targets (.csv)'}; give one of these")
 
 
 def read_targets(path: Path, joint_units: Sequence[str]) -> Targets:
@@ -89,18 +89,18 @@ def _columns(header: list[str], name: str, joints: Sequence[Key]) -> dict[str, C
     keys = {spelled: key for key in (NAME, *XYZ, *TURN, *joints) for spelled in key.spellings}
     columns: dict[str, Column] = {}
     for position, title in enumerate(header):
-        where = f"{name} column {position + 1} ({quoted(title)})"
+        place = f"{name} column {position + 1} ({quoted(title)})"
         quantity, _, unit = title.rpartition("_")
         spellings = [spelled for spelled, key in keys.items() if key.name == quantity]
         if title not in keys:
             if spellings and unit in SUFFIXES:
-                raise TargetError("wrong-value", place=where, names=spellings)
+                raise TargetError("wrong-value", place=place, names=spellings)
             if title == "note" or RESULTS.fullmatch(title):
                 continue
-            raise TargetError("unknown-column", place=where, remedy=hint(title, list(keys)))
+            raise TargetError("unknown-column", place=place, remedy=hint(title, list(keys)))
         key = keys[title]
         if key.name in columns:
-            raise TargetError("given-twice", place=where, what=key.name)
+            raise TargetError("given-twice", place=place, what=key.name)
         columns[key.name] = Column(title, position, key.spellings[title])
     return columns
 
@@ -113,19 +113,19 @@ def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], 
     if missing:
         unit = next(columns[key.name].unit for key in keys if key.name in columns)
         written = ({suffix: title for title, suffix in key.spellings.items()} for key in keys)
-        titles = ", ".join(of.get(unit, next(iter(of.values()))) for of in written)
+        titles = ", ".join(titles_by_unit.get(unit, next(iter(titles_by_unit.values()))) for titles_by_unit in written)
         raise TargetError("missing-column", place=name, column=missing[0].name, example=titles)
     largest = [UNITS[SUFFIXES[columns[key.name].unit].si].largest for key in keys]
     both = zip(keys, largest, strict=True)
-    return np.stack([numbers(rows, columns[key.name], name, most, required=True) for key, most in both], axis=1)
+    return np.stack([numbers(rows, columns[key.name], name, limit, required=True) for key, limit in both], axis=1)
 
 
 def format_corrected(
     targets: Targets,
     commanded: Floats,
     q: Floats,
-    before: Floats,
-    after: Floats,
+    error_before: Floats,
+    error_after: Floats,
     joint_units: Sequence[str],
     simulated: bool = False,
 ) -> str:
@@ -142,14 +142,14 @@ def format_corrected(
     columns += [("before_deg", "%.6f"), ("after_deg", "%.6f")] * targets.oriented
     columns += [("simulated", "yes")] * simulated
     titles, formats = (",".join(column) for column in zip(*columns, strict=True))
-    errors = np.stack([before, after], axis=1)
-    parts = [MM.of(commanded[:, :3, 3])]
-    parts += [DEG.of(Rotation.from_matrix(commanded[:, :3, :3]).as_rotvec())] * targets.oriented
-    parts += [shown(q[:, i, None], unit) for i, unit in enumerate(joint_units)]
-    parts += [MM.of(errors[:, :, 0])] + [DEG.of(errors[:, :, 1])] * targets.oriented
+    errors = np.stack([error_before, error_after], axis=1)
+    blocks = [MM.of(commanded[:, :3, 3])]
+    blocks += [DEG.of(Rotation.from_matrix(commanded[:, :3, :3]).as_rotvec())] * targets.oriented
+    blocks += [shown(q[:, i, None], unit) for i, unit in enumerate(joint_units)]
+    blocks += [MM.of(errors[:, :, 0])] + [DEG.of(errors[:, :, 1])] * targets.oriented
     rows = [titles]
-    for at in range(0, len(q), ROWS):
-        numbers_of_rows = np.concatenate([part[at : at + ROWS] for part in parts], axis=1).tolist()
-        names = targets.name[at : at + ROWS].tolist()
+    for start in range(0, len(q), ROWS):
+        numbers_of_rows = np.concatenate([block[start : start + ROWS] for block in blocks], axis=1).tolist()
+        names = targets.name[start : start + ROWS].tolist()
         rows += [formats % (name, *row) for name, row in zip(names, numbers_of_rows, strict=True)]
     return "\n".join([*rows, ""])

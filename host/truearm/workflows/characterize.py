@@ -188,7 +188,7 @@ def _settling(visited: Sequence[PoseVisit], bands: Sequence[float]) -> dict[str,
 def _sensor(visited: Sequence[PoseVisit]) -> dict[str, Any]:
     dwells, period_s = [visit.dwell for visit in visited], visited[0].period_s
     rests = [visit.rest for visit in visited]
-    deviations = allan([rest for rest in rests if rest.size * period_s >= LONG_S] or rests, period_s)
+    deviations = allan([samples for samples in rests if samples.size * period_s >= LONG_S] or rests, period_s)
     rows = [
         {"tau_s": tau, **asdict(variance_interval(deviation**2, freedom))}
         for tau, deviation, freedom in np.stack(deviations, axis=1).tolist()

@@ -188,7 +188,7 @@ def planned_ball_bar(knowledge: Knowledge, budget: Budget, options: BallBarOptio
     """
     limits = _limits(options.reserve, is_identified)
     _check_travel(knowledge, limits.reserve, options.spread)
-    wanted = Wanted(
+    choice = Wanted(
         budget.n,
         budget.minutes,
         options.criterion,
@@ -206,7 +206,7 @@ def planned_ball_bar(knowledge: Knowledge, budget: Budget, options: BallBarOptio
             if knowledge.deciding >= {f"chuck {pairing.chuck}", f"sphere {pairing.sphere}"}
         ]
         pairings = decides or pairings
-    return plan_ballbar(site, knowledge, pairings, wanted, pace, options.region)
+    return plan_ballbar(site, knowledge, pairings, choice, pace, options.region)
 
 
 @step("planning")
@@ -237,7 +237,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
     _check(files)
     knowledge = _read_knowledge(files)
     limits = _limits(options.reserve, files.result is not None)
-    pairing = Pairing(*(_named(what, getattr(options, what), knowledge.rig.mounted()[what]) for what in BAR_MOUNTED))
+    pairing = Pairing(*(_named(noun, getattr(options, noun), knowledge.rig.mounted()[noun]) for noun in BAR_MOUNTED))
     site = make_site(knowledge, limits, Sizes(), options.seed)
     route = plan_approaches(site, pairing, options, Pace(dwell=options.dwell))
     _write(files, knowledge, route.visits, route.stops, options.dwell)
@@ -264,22 +264,22 @@ def knowledge_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> K
     return replace(knowledge, params=params, rig_values=values, free=robot.free, prior=prior, deciding=deciding)
 
 
-def _named(what: str, name: str | None, have: Iterable[str]) -> str:
+def _named(noun: str, name: str | None, have: Iterable[str]) -> str:
     """Return one of the rig's names, by default the first."""
     names = list(have)
     if (name is None and not names) or (name is not None and name not in names):
-        raise InputError(*_not_in_rig(what, name, names))
+        raise InputError(*_not_in_rig(noun, name, names))
     return names[0] if name is None else name
 
 
-def _not_in_rig(what: str, name: str | None, have: Sequence[str]) -> tuple[str, ...]:
+def _not_in_rig(noun: str, name: str | None, have: Sequence[str]) -> tuple[str, ...]:
     """Return the message for a name that the rig does not have, or has to be chosen."""
     if not have:
-        return (f"the rig has no {what}; add a [[{what}]] to it",)
+        return (f"the rig has no {noun}; add a [[{noun}]] to it",)
     listed = ", ".join(have)
     if name is None:
-        return f"the rig has several {what}s; choose one of {listed} with ", Argument(what)
-    return Argument(what), f" {name}: is not in the rig; use one of {listed}"
+        return f"the rig has several {noun}s; choose one of {listed} with ", Argument(noun)
+    return Argument(noun), f" {name}: is not in the rig; use one of {listed}"
 
 
 def _limits(reserve: float | None, is_identified: bool) -> Limits:
