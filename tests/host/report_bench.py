@@ -337,6 +337,5 @@ def full_page():
             Finding("no-law", {"tried": 0, "none": True}),
         ),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
-        prior="weak",
         certificate=CERTIFICATE,
     )

@@ -85,8 +85,8 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     assert "<h1>Calibration of puma560</h1>" in page
     assert '<p class="subtitle">t.csv</p>' in page
     assert "t.csv row 72" in page
-    assert "huber: rows far from all others count less" in page
-    assert "wide: nominal ± 10 mm" in page
+    assert "huber loss" in page
+    assert "wide prior (10 mm, 52 mrad" in page
     assert f"<code>truearm identify {tmp_path / 't.csv'} --model puma560" in page
     predicted = result["predicted_error"]
     assert (predicted["n"], predicted["relative"]) == (180, False)

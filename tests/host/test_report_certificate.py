@@ -93,7 +93,7 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run, monkeyp
         "certificate TA-17",
         "<b>A.</b>",
         digest,
-        "solver map",
+        "Solved by map",
         f"{document['held_out']['n']} held out (0.2)",
         "k = 2",
         document["checksum"][:12],

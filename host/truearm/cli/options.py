@@ -111,6 +111,7 @@ import re
 import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,7 +124,7 @@ from truearm.model.builtin import builtin_names, names_with_branch
 from truearm.plan.criteria import Criterion, criterion_summary
 from truearm.plan.route_program import dialects_help
 from truearm.record.robots.sources import sources_help
-from truearm.units import DEG, MM, Scale, from_shown
+from truearm.units import DEG, KG, MM, Scale, from_shown
 
 if TYPE_CHECKING:
     from truearm.model.poses import Six
@@ -266,25 +267,11 @@ def branch_given(text: str | None) -> Branch | None:
     return Branch(np.array(lower), np.array(upper))
 
 
-def tolerance_of(text: str | None) -> tuple[float, float] | None:
-    """Return the standard deviations [m, rad] of the option in mm and deg. Raises InputError."""
-    values = numbers_of("--tolerance", text, 2)
-    Within(0.0).check("tolerance", values or ())
-    return None if values is None else (MM.to_si(values[0]), DEG.to_si(values[1]))
-
-
-def masses_of(text: str | None) -> tuple[float, ...] | None:
-    """Return the masses [kg] of the option. Raises InputError."""
-    values = numbers_of("--masses-kg", text)
-    Within(0.0, 1e4).check("masses_kg", values or ())
-    return values
-
-
-def gear_periods_of(text: str) -> tuple[float, ...]:
-    """Return the periods [rad] of the option in deg. Raises InputError."""
-    values = numbers_of("--gear-periods-deg", text) or ()
-    Within(0.1, 3600.0).check("gear_periods_deg", values)
-    return tuple(map(DEG.to_si, values))
+def scaled_numbers(option: str, rule: Within, scales: Sequence[Scale], text: str | None) -> tuple[float, ...] | None:
+    """Return the numbers in SI of an option, one in each of several units, or any number in one. Raises InputError."""
+    values = numbers_of(option, text, len(scales) if len(scales) > 1 else None)
+    rule.check(option.removeprefix("--").replace("-", "_"), values or ())
+    return values and tuple(scale.to_si(value) for scale, value in zip(cycle(scales), values, strict=False))
 
 
 def named_frames(option: str, texts: list[str] | None) -> dict[str, Six]:
@@ -308,8 +295,8 @@ READERS: dict[str, Callable[[Any], Any]] = {  # of fields that are given as text
     "works": partial(named_frames, "--work"),
     "branch": branch_given,
     "payload": payload_of,
-    "tolerance": tolerance_of,
-    "masses": masses_of,
-    "gear_periods": gear_periods_of,
+    "tolerance": partial(scaled_numbers, "--tolerance", Within(0.0), (MM, DEG)),
+    "masses": partial(scaled_numbers, "--masses-kg", Within(0.0, 1e4), (KG,)),
+    "gear_periods": partial(scaled_numbers, "--gear-periods-deg", Within(0.1, 3600.0), (DEG,)),
 }
 REPEATED = ("tools", "works")  # fields that are read from several texts

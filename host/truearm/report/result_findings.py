@@ -16,7 +16,7 @@ from truearm.report.result_words import kind_name
 from truearm.results import Gain, Unusable, chi2_text
 from truearm.session.dwells import DOUBTFUL, NEED_DECISION
 from truearm.text import counted, listed, one_line
-from truearm.units import DEG, MM, MS, SUFFIXES, UNITS
+from truearm.units import DEG, MM, MS, SUFFIXES, UNITS, tolerances
 
 Document = Mapping[str, Any]
 
@@ -537,7 +537,7 @@ def _prior(document: Document) -> str:
             believed = listed(document["defaults"]["believed"])
             return f"with a weak prior on {believed}, weakly identifiable here"
         case Prior.WEAK | Prior.WIDE as name:
-            return f"with a {name} prior on the robot's parameters"
+            return f"with a {name} prior ({', '.join(tolerances(name))}) on the robot's parameters"
         case never:
             assert_never(never)
 
