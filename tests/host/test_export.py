@@ -374,6 +374,18 @@ def test_a_format_that_declares_what_it_does_not_write_is_refused(name, waving, 
         written(name, RobotToWrite(chain, nominal, found.params))
 
 
+@pytest.mark.parametrize(
+    ("model", "key", "says"),
+    [("ur5e", "joint6.a", "flange is not in the frame after joint 6"), ("kr6", "joint6.a", "axes are not arranged")],
+)
+def test_a_kinematics_file_says_what_it_cannot_express(model, key, says):
+    chain = builtin_robot(model).chain
+    nominal = chain.params_nominal.copy()
+    nominal[chain.parameter_names.index(key)] += 1e-3
+    with pytest.raises(RobotError, match=says):
+        written("ur", RobotToWrite(chain, nominal, nominal))
+
+
 def test_a_format_that_declares_no_term_that_there_is_is_refused(monkeypatch):
     monkeypatch.setitem(FORMATS, "urdf", FORMATS["urdf"]._replace(holds=("offset", "waves")))
     with pytest.raises(ValueError, match="holds waves, which no term"):

@@ -182,7 +182,12 @@ def test_end_and_jacobian_are_both_at_once(name):
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (7, len(chain.joints)))
     pose, jac = end_and_jacobian(chain, params, q)
     np.testing.assert_allclose(pose, forward(chain, params, q), atol=1e-14)
-    np.testing.assert_allclose(jac, joint_jacobian(chain, params, q), atol=1e-14)
+    for k, step in enumerate(1e-30j * np.eye(len(chain.joints))):
+        rate = forward(chain, params, q + step).imag / 1e-30
+        spin = rate[:, :3, :3] @ pose[:, :3, :3].swapaxes(1, 2)
+        np.testing.assert_allclose(jac[:, :3, k], rate[:, :3, 3], atol=1e-14)
+        np.testing.assert_allclose(jac[:, 3:, k], spin[:, (2, 0, 1), (1, 2, 0)], atol=1e-14)
+    np.testing.assert_array_equal(joint_jacobian(chain, params, q), jac)
 
 
 def test_joint_frames_lie_on_the_way_to_the_end():

@@ -18,7 +18,6 @@ for complex steps.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -114,29 +113,16 @@ def joint_and_end_frames(chain: Chain, params: Floats, q: Floats) -> tuple[Float
 
 def joint_jacobian(chain: Chain, params: Floats, q: Floats) -> Floats:
     """Return ∂(velocity of the end's origin; angular velocity)/∂(q̇) in the base frame, (…, 6, j)."""
-    params, q = _checked(chain, params, q)
-    frames = _far_frames(chain, params, q)
-    p_end = frames[-1][..., :3, 3]
-    by_joints = chain.law.at(params, flat(q)).by_joints
-    columns = []
-    for i, (motion, frame) in enumerate(zip(chain.motions, frames, strict=False)):
-        axis = frame[..., :3, axis_of(motion)]
-        if by_joints.ndim == 2:
-            axis = axis * np.broadcast_to(by_joints[i], math.prod(axis.shape[:-1])).reshape(*axis.shape[:-1], 1)
-        if motion[0] == "t":
-            columns.append(np.concatenate([axis, np.zeros_like(axis)], axis=-1))
-        else:
-            lever = cross(np.moveaxis(axis, -1, 0), np.moveaxis(p_end - frame[..., :3, 3], -1, 0))
-            columns.append(np.concatenate([np.moveaxis(lever, 0, -1), axis], axis=-1))
-    jac = np.stack(columns, axis=-1)
-    return jac if by_joints.ndim == 2 else np.asarray(jac @ chain.law.by_joints(params, q))
+    q = np.asarray(q)
+    jac = end_and_jacobian(chain, params, q.reshape(-1, q.shape[-1]))[1]
+    return jac.reshape(*q.shape[:-1], *jac.shape[1:])
 
 
 def end_and_jacobian(chain: Chain, params: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Return ``forward`` (n, 4, 4) and ``joint_jacobian`` (n, 6, j) at once, for joint readings q (n, j).
 
-    The values of each axis are contiguous, which takes a third of the time of the two calls. These dominate the cost of
-    an inverse.
+    The values of each axis are contiguous, which takes a third of the time of ``joint_frames``. These dominate the cost
+    of an inverse.
     """
     params, q = _checked(chain, params, q)
     links, law, n = folded(chain, params).transforms, chain.law.at(params, flat(q)), len(q)

@@ -69,7 +69,7 @@ class LawAt:
         """∂θ/∂q: its diagonal, (j, n) or (j, 1), if the joints do not depend on each other, otherwise (j, j, n)."""
         parts = [term.by_joints(self.params, self.q) for term in self.law.moving]
         if self.law.mimics or (len(parts) > 1 and any(part.ndim == 3 for part in parts)):
-            parts = [part if part.ndim == 3 else part[:, None] * np.eye(len(part))[..., None] for part in parts]
+            parts = [_square(part) for part in parts]
         jac = reduce(np.add, parts)
         for joint, mimic in self.law.mimics.items():
             jac[:, mimic.followed] += mimic.multiplier * jac[:, joint]
@@ -126,8 +126,7 @@ class JointLaw:
 
     def by_joints(self, params: Floats, q: Floats) -> Floats:
         """Return ∂θ/∂q (…, j, j)."""
-        jac = self.at(params, flat(q)).by_joints
-        full = jac if jac.ndim == 3 else jac[:, None] * np.eye(len(jac))[..., None]
+        full = _square(self.at(params, flat(q)).by_joints)
         full = np.broadcast_to(full, (*full.shape[:2], math.prod(q.shape[:-1])))
         return np.moveaxis(full, -1, 0).reshape(*q.shape, q.shape[-1])
 
@@ -167,6 +166,11 @@ class JointLaw:
                 break
         bad = ~(np.abs(self.at(params, q).angles - targets).max(axis=0) < GOOD)
         return np.where(bad, np.nan, q)
+
+
+def _square(jac: Floats) -> Floats:
+    """Return a Jacobian (j, j, n) by its diagonal (j, n), or as it is."""
+    return jac if jac.ndim == 3 else np.asarray(jac[:, None] * np.eye(len(jac))[..., None])
 
 
 def flat(q: Floats) -> Floats:

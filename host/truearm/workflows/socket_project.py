@@ -21,12 +21,11 @@ from truearm.files.observation_table import MAX_BYTES
 from truearm.files.rig_file import parse_rig
 from truearm.findings import Finding, entries
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import point_jacobians
 from truearm.model.robot import Robot
 from truearm.plan.forecast import Aim, Knowledge, forecast, planned_table
 from truearm.plan.socket_block import SocketBlock
 from truearm.plan.socket_places import Site, plans_of_sites
-from truearm.types import Rig, Triple, rms
+from truearm.types import Rig, Triple
 from truearm.units import DEG, MM
 from truearm.workflows.plan import forecast_document, knowledge_of
 
@@ -106,11 +105,6 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
             f"{len(seated)} seats at {len(sites)} places do not determine the arm; plan more seats or places"
         )
     moving = [joint for joint in range(len(robot.chain.joints)) if joint not in robot.chain.mimics]
-    if predicted.cartesian_rms > (drawing := _drawing_error(knowledge, seated)):
-        raise PlanError(
-            f"{len(seated)} seats at {len(sites)} places would leave an error of {MM.text(predicted.cartesian_rms, '.1f')}, and the "
-            f"drawing has about {MM.text(drawing, '.1f')}; plan more seats or places"
-        )
     units = [DEG if robot.chain.joints[joint].kind == "revolute" else MM for joint in moving]
     joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
     plan: list[list[object]] = [["seat", "place", "socket", "ball_x_mm", "ball_y_mm", "ball_z_mm", *joints]]
@@ -144,13 +138,6 @@ def _within_tolerances(knowledge: Knowledge) -> Knowledge:
     return replace(
         knowledge, params=knowledge.params + tolerance * np.random.default_rng(0).normal(size=tolerance.size)
     )
-
-
-def _drawing_error(knowledge: Knowledge, seated: ObservationTable) -> float:
-    """Return the RMS error [m] of the ball over these seats for an arm that is as accurate as its drawing."""
-    (ball,) = knowledge.rig.spheres.values()
-    _, jac, _ = point_jacobians(knowledge.chain, knowledge.params, seated.q, np.array(ball.xyz))
-    return rms(np.linalg.norm(jac * knowledge.free * weak_prior(knowledge.chain), axis=(1, 2)))
 
 
 def _tables(sites: list[Site]) -> list[ObservationTable]:
