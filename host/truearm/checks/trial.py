@@ -19,12 +19,11 @@ from truearm.checks.evidence import log_beta
 from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.information import half, observe, spectrum
+from truearm.estimate.information import observe
 from truearm.estimate.levenberg_marquardt import DAMPING_START, Damping, idle
 from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, build_problem, modelled_of
-from truearm.estimate.solution import Options, of_data
-from truearm.estimate.uncertainty import goodness, prior_shares
+from truearm.estimate.solution import Options, goodness_of
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Effect, Figures
@@ -174,8 +173,7 @@ def _trial(
             log_jacobian = sum(np.isfinite(table[name]).sum() * math.log(factor) for name, factor in rescaled)
             price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike fit in any larger unit
             solution = fit(problem, columns, problem.at(start or {}), idle_options(steps, DAMPING))
-            shares = prior_shares(half(spectrum(solution.information.root)), solution.prior_sigma)
-            quality = goodness(*of_data(problem, columns, solution), shares)
+            quality = goodness_of(problem, columns, solution)
     except (ProblemError, np.linalg.LinAlgError):
         return None
     if not np.isfinite(quality.reduced):

@@ -15,16 +15,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.estimate.fit import fit
-from truearm.estimate.information import half, spectrum
 from truearm.estimate.outliers import LONGEST_RUN, longest_run, misfit
+from truearm.estimate.prediction import moves
 from truearm.estimate.problem import Problem
-from truearm.estimate.solution import Options, Solution, of_data
+from truearm.estimate.solution import Options, Solution, goodness_of
 from truearm.estimate.solvers import Loss
-from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
+from truearm.estimate.uncertainty import Goodness
 from truearm.estimate.whitened_rows import gate, only, squared_distances
+from truearm.model.chain import Chain
+from truearm.results import Figures, OtherFit
 from truearm.types import Floats, Mask
 
 MOST = 0.25  # of the rows
@@ -50,7 +51,7 @@ def without_bad_rows(
 
     ``found`` is the least-squares fit of all rows over x[columns], with the ``quality`` that is out of its range.
     """
-    square, width = _distances(problem, found, columns, np.ones(problem.n_rows))
+    square, width = squared_distances(problem, found.x, columns, found.information.half, np.ones(problem.n_rows))
     usual = float(np.nanmax(misfit(square, width, np.isfinite(square)), initial=1.0))
     if not quality.reduced > HEAVY * usual:
         return None
@@ -58,7 +59,7 @@ def without_bad_rows(
     here = fit(problem, columns, found.x, options._replace(loss=Loss.CAUCHY))
     used, weight = np.zeros(problem.n_rows, dtype=bool), here.weight
     for _ in range(ROUNDS):
-        square, width = _distances(problem, here, columns, weight)
+        square, width = squared_distances(problem, here.x, columns, here.information.half, weight)
         chosen = ~(square > gate(width))
         if np.array_equal(chosen, used):
             break
@@ -70,16 +71,18 @@ def without_bad_rows(
         return None
     if used.all() or here.status != "converged" or longest_run(~used) > _longest_by_chance(~used):
         return None
-    shares = prior_shares(half(spectrum(here.information.root)), here.prior_sigma)
-    left = goodness(*of_data(problem, columns, here), shares)
+    left = goodness_of(problem, columns, here)
     explained = left.explained and left.freedom >= LEAST_LEFT
     return WithoutBad(~used, np.sqrt(square), here, left) if explained else None
-
-
-def _distances(problem: Problem, found: Solution, columns: Mask, weight: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    return squared_distances(problem, found.x, columns, half(spectrum(found.information.root)), weight)
 
 
 def _longest_by_chance(bad: Mask) -> float:
     """Return the longest run of the bad rows that is not beyond chance if they are in random order."""
     return max(LONGEST_RUN, math.log(CHANCE / bad.size) / math.log(bad.mean()))
+
+
+def fit_without(bad: WithoutBad, chain: Chain, x: Floats, q: Floats) -> OtherFit:
+    """Return the fit without the bad rows; x (P,) is the fit with them, and q (n, j) are the poses."""
+    rms = {unit: figures.rms for unit, figures in Figures.by_unit(bad.solution.information.residual, ~bad.bad).items()}
+    apart = moves(chain, x, bad.solution.x, q)
+    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced, apart)

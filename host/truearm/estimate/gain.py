@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from truearm.estimate.mean_error import LEAST_POSES
+from truearm.estimate.mean_error import LEAST_POSES, pose_means
 from truearm.estimate.measured_order import poses
 from truearm.kinds.table import ObservationTable
 from truearm.results import Estimate, Gain, MeanChange, Unusable
@@ -50,14 +50,10 @@ def mean_changes(before: Residuals, after: Residuals, pose: Indices) -> Mapping[
     """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and the numbers (n,) of their poses."""
     changes = {}
     for unit in before:
-        judged = np.isfinite(before[unit]) & np.isfinite(after[unit])
-        _, number, count = np.unique(pose[judged], return_inverse=True, return_counts=True)
-        if count.size < LEAST_POSES:
-            continue
-        means = [np.bincount(number.ravel(), np.abs(error[unit][judged])) / count for error in (before, after)]
-        changes[unit] = MeanChange(
-            float(means[0].mean()), float(means[1].mean()), count.size, _gain(means[1] - means[0])
-        )
+        nominal, calibrated = pose_means(pose, before[unit], after[unit])
+        if nominal.size >= LEAST_POSES:
+            gain = _gain(calibrated - nominal)
+            changes[unit] = MeanChange(float(nominal.mean()), float(calibrated.mean()), nominal.size, gain)
     return changes
 
 

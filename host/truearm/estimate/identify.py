@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from truearm import option_defaults
 from truearm.errors import ProblemError
 from truearm.estimate.bad_rows import MOST as MOST_BAD
-from truearm.estimate.bad_rows import WithoutBad, without_bad_rows
+from truearm.estimate.bad_rows import WithoutBad, fit_without, without_bad_rows
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
@@ -28,12 +28,11 @@ from truearm.estimate.identifiability import (
     spread,
     suggested_free,
 )
-from truearm.estimate.information import half, observe, of_rows, spectrum, with_prior
+from truearm.estimate.information import observe, of_rows, with_prior
 from truearm.estimate.levenberg_marquardt import Damping, idle
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
-from truearm.estimate.other_fits import with_all_rows, without_bad
-from truearm.estimate.outliers import gross_rows, weightless, without_outliers
+from truearm.estimate.outliers import fit_with_all, gross_rows, weightless, without_outliers
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import (
     Problem,
@@ -44,7 +43,7 @@ from truearm.estimate.problem import (
 )
 from truearm.estimate.row_errors import left_out_errors, row_errors
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
-from truearm.estimate.solution import Options, Solution, of_data, solver_named
+from truearm.estimate.solution import Options, Solution, goodness_of, solver_named
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
@@ -138,7 +137,7 @@ def identify(
     nominal = _nominal(task, options)
     solved = _solved(task, nominal, options, on_step)
     found, x = solved.found, solved.found.x
-    root = half(spectrum(found.information.root))
+    root = found.information.half
     quality = _quality(task, solved, root, options)
     sight = _sight(task, found, solved.taken(problem))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
@@ -200,8 +199,8 @@ def identify(
         unexplained=unexplained,
         unfitted_error=unfitted.error,
         unfitted_error_before=unfitted.error_before,
-        with_outliers=None if solved.found is solved.every else with_all_rows(problem, columns, solved.every, found),
-        without_bad_rows=quality.bad and without_bad(quality.bad, chain, x, table.q[fitted]),
+        with_outliers=None if solved.found is solved.every else fit_with_all(problem, columns, solved.every, found),
+        without_bad_rows=quality.bad and fit_without(quality.bad, chain, x, table.q[fitted]),
         parts=quality.parts,
         scatter=scatter,
         unseen=sight.of_rows.unseen,
@@ -298,11 +297,11 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
     mounts = problem.columns(mounted)
     if not mounted.any():
         prior = (problem.start - x)[mounts], problem.prior_sigma[mounts]
-        root = half(spectrum(with_prior(observe(problem, x, mounts), *prior).root))
+        root = with_prior(observe(problem, x, mounts), *prior).half
         return _Nominal(x, raw, x, raw, mounts, root, gross)
     found = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH)))
     residual = observe(problem, found.x, of_rig).residual if gross.any() else found.information.residual
-    return _Nominal(x, raw, found.x, residual, mounts, half(spectrum(found.information.root)), gross)
+    return _Nominal(x, raw, found.x, residual, mounts, found.information.half, gross)
 
 
 class _Solved(NamedTuple):
@@ -353,12 +352,12 @@ class _Quality(NamedTuple):
 def _quality(task: _Task, solved: _Solved, root: Floats, options: SolverOptions) -> _Quality:
     """Judge the rows by a fit, with the covariance ``root @ root.T`` of its unknowns."""
     problem, columns, found = task.problem, task.columns, solved.found
-    shares = prior_shares(root, found.prior_sigma)
     rows = row_errors(problem, found.x, columns, root, found.weight, task.pose)
-    quality = goodness(*of_data(problem, columns, found), shares)
+    quality = goodness_of(problem, columns, found)
     if options.loss != Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
         inliers = only(problem, ~rows.beyond)
         tolerated = inliers if rows.beyond.mean() <= MOST_BAD else problem
+        shares = prior_shares(root, found.prior_sigma)
         quality = goodness(*weighted_chi2(tolerated, found.x, Loss(options.loss)), shares)
         left_out = left_out_errors(inliers, found.x, columns, root, task.pose)
         return _Quality(quality, None, rows.distance, rows.beyond, left_out, inliers, rows.parts)

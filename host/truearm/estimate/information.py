@@ -41,6 +41,11 @@ class Information(NamedTuple):
     n_residuals: int  # scalar ones, including priors
     residual: Residuals  # of the table's rows
 
+    @property
+    def half(self) -> Floats:
+        """Return S (k, r) with S Sᵀ the covariance of the unknowns on the identifiable directions."""
+        return half(spectrum(self.root))
+
 
 class Spectrum(NamedTuple):
     """Singular values of the root with its columns scaled to length 1: root = U diag(singular) Vtᵀ diag(scale)."""

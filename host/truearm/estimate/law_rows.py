@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.law_fit import LawProblem, Posterior
 from truearm.estimate.pose_noise import PoseNoise, pose_rows, spread_of
-from truearm.estimate.whitened_rows import gate, noise_root
+from truearm.estimate.whitened_rows import gate, in_units, noise_root
 from truearm.kinds.group import unit_columns
 from truearm.results import ResidualParts
 from truearm.types import Floats, Indices, Residuals
@@ -62,7 +62,7 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = 
         for group, declared, at in poses.kinds:
             width, root = group.sensor_cov.shape[1], noise_root(declared)
             without, with_all, own, square = (array[:, at].reshape(-1, width) for array in of_poses)
-            without, with_all = _in_units(root, without), _in_units(root, with_all)
+            without, with_all = in_units(root, without), in_units(root, with_all)
             for unit, components in unit_columns(group.COMPONENTS).items():
                 left_out[unit][group.row] = np.linalg.norm(without[:, components], axis=1)
                 due = (root[:, components] ** 2 * own[:, None]).sum(axis=(1, 2))
@@ -83,8 +83,3 @@ def with_predicted(rows: LawRows, predicted: LawRows) -> LawRows:
         beyond=rows.beyond | predicted.beyond,
         width=np.where(here, predicted.width, rows.width),
     )
-
-
-def _in_units(root: Floats, whitened: Floats) -> Floats:
-    """Return (n, w) in the components' units."""
-    return np.asarray((root @ whitened[..., None])[..., 0])

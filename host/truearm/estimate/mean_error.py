@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 
 from truearm.results import MeanError
-from truearm.types import Indices, Residuals
+from truearm.types import Floats, Indices, Residuals
 
 LEVEL = 0.95
 LEAST_POSES = 2
@@ -28,12 +28,18 @@ def mean_errors(error: Residuals, pose: Indices, held_out: bool) -> Mapping[str,
     """
     means = {}
     for unit, errors in error.items():
-        judged = np.isfinite(errors)
-        _, number, count = np.unique(pose[judged], return_inverse=True, return_counts=True)
-        if count.size < LEAST_POSES:
+        (by_pose,) = pose_means(pose, errors)
+        n = by_pose.size
+        if n < LEAST_POSES:
             continue
-        by_pose = np.bincount(number.ravel(), np.abs(errors[judged])) / count
-        half = float(special.stdtrit(count.size - 1, (1.0 + LEVEL) / 2.0) * by_pose.std(ddof=1) / np.sqrt(count.size))
+        half = float(special.stdtrit(n - 1, (1.0 + LEVEL) / 2.0) * by_pose.std(ddof=1) / np.sqrt(n))
         mean = float(by_pose.mean())
-        means[unit] = MeanError(mean, max(mean - half, 0.0), mean + half, int(count.size), held_out)
+        means[unit] = MeanError(mean, max(mean - half, 0.0), mean + half, n, held_out)
     return means
+
+
+def pose_means(pose: Indices, *errors: Floats) -> list[Floats]:
+    """Return the mean magnitude of each of some errors (n,) at every pose that has rows with all of them."""
+    judged = np.isfinite(errors).all(axis=0)
+    _, number, count = np.unique(pose[judged], return_inverse=True, return_counts=True)
+    return [np.bincount(number.ravel(), np.abs(error[judged])) / count for error in errors]

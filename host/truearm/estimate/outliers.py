@@ -19,10 +19,11 @@ import numpy as np
 from scipy import special
 
 from truearm.estimate.fit import fit
-from truearm.estimate.information import half, observe, spectrum
+from truearm.estimate.information import observe
 from truearm.estimate.problem import Problem
-from truearm.estimate.solution import Options, Solution
+from truearm.estimate.solution import Options, Solution, goodness_of
 from truearm.estimate.whitened_rows import gate, only, squared_distances, whitened_blocks
+from truearm.results import Figures, OtherFit
 from truearm.types import Floats, Indices, Mask
 
 MOST = 0.05  # of the rows
@@ -91,8 +92,7 @@ def without_outliers(
     options = options._replace(on_step=None)
     here, seen_sets, settled = found, set(), True
     for _ in range(MAX_ROUNDS):
-        root = half(spectrum(here.information.root))
-        square, width = squared_distances(problem, here.x, columns, root, used.astype(float))
+        square, width = squared_distances(problem, here.x, columns, here.information.half, used.astype(float))
         chosen = within(square, gate(width) * misfit(square, width, used), used)
         if np.array_equal(chosen, used):
             break
@@ -136,6 +136,13 @@ def weightless(problem: Problem, columns: Mask, found: Solution, used: Mask) -> 
     """Return a fit of the ``used`` rows (n_rows,) with the residuals of all rows, of which the others have weight 0."""
     information = found.information._replace(residual=observe(problem, found.x, columns).residual)
     return found._replace(information=information, weight=used.astype(float))
+
+
+def fit_with_all(problem: Problem, columns: Mask, every: Solution, found: Solution) -> OtherFit:
+    """Return the fit of all rows, to compare with the one without outliers."""
+    rms = {unit: figures.rms for unit, figures in Figures.by_unit(every.information.residual).items()}
+    reduced = goodness_of(problem, columns, every).reduced
+    return OtherFit(int((found.weight == 0.0).sum()), every.x, rms, reduced)
 
 
 def misfit(square: Floats, width: Indices, used: Mask) -> Floats:

@@ -21,6 +21,7 @@ from truearm.estimate.whitened_rows import (
     by_pose,
     distance_without,
     gate,
+    in_units,
     leverages,
     seen_by,
     solve_semidefinite,
@@ -59,7 +60,7 @@ def row_errors(
             used = weight[row] > 0.0
             unfitted = noise_root[used] @ (np.eye(residual.shape[1]) - leverage[used])
             declared = (unfitted * noise_root[used]).sum(axis=2)
-            errors = _in_units(noise_root, residual)[used]
+            errors = in_units(noise_root, residual)[used]
             for unit, of_unit in unit_columns(units).items():
                 due = np.maximum(declared[:, of_unit].sum(axis=1), 0.0)
                 squares.setdefault(unit, []).append(np.stack([due, (errors[:, of_unit] ** 2).sum(axis=1)]))
@@ -114,13 +115,9 @@ def _leave_out(errors: Residuals, blocks: Sequence[_Seen], pose: Indices) -> Non
     residual = _without_each_pose(numbers, seen, np.concatenate([block.residual.ravel() for block in blocks]))
     ends = np.cumsum([block.residual.size for block in blocks])[:-1]
     for block, own in zip(blocks, np.split(residual, ends), strict=True):
-        error = _in_units(block.noise_root, own.reshape(block.residual.shape))
+        error = in_units(block.noise_root, own.reshape(block.residual.shape))
         for unit, of_unit in unit_columns(block.units).items():
             errors[unit][block.row] = np.linalg.norm(error[:, of_unit], axis=1)
-
-
-def _in_units(noise_root: Floats, whitened: Floats) -> Floats:
-    return np.asarray((noise_root @ whitened[..., None])[..., 0])
 
 
 def _without_each_pose(pose: Indices, seen: Floats, residual: Floats) -> Floats:

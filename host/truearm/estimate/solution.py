@@ -13,6 +13,7 @@ from truearm.estimate.information import Information
 from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.problem import Problem
 from truearm.estimate.solvers import SOLVERS, Loss
+from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
 from truearm.types import Floats, Residuals
 
 
@@ -66,3 +67,9 @@ def of_data(problem: Problem, columns: NDArray[np.bool_], solution: Solution) ->
     error = (problem.start - solution.x)[columns][has_prior] / solution.prior_sigma[has_prior]
     information = solution.information
     return max(information.chi2 - float(error @ error), 0.0), information.n_residuals - int(has_prior.sum())
+
+
+def goodness_of(problem: Problem, columns: NDArray[np.bool_], solution: Solution) -> Goodness:
+    """Return the quality of a fit of x[columns]."""
+    shares = prior_shares(solution.information.half, solution.prior_sigma)
+    return goodness(*of_data(problem, columns, solution), shares)

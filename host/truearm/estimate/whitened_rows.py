@@ -199,3 +199,8 @@ def noise_root(cov: Floats) -> Floats:
     out = np.zeros((*cov.shape, cov.shape[1]))
     out[:, range(cov.shape[1]), range(cov.shape[1])] = np.sqrt(cov)
     return out
+
+
+def in_units(noise_root: Floats, whitened: Floats) -> Floats:
+    """Return whitened (n, w) in the units of the components."""
+    return np.asarray((noise_root @ whitened[..., None])[..., 0])
