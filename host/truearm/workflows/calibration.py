@@ -253,15 +253,10 @@ def read_usable(result: Path, choice: RobotChoice = NO_ROBOT, allow_unusable: bo
     Raises InputError if the fit is not usable, unless that is allowed; see also ``read_calibration``.
     """
     calibration = read_calibration(result, choice)
-    because = unusable_because(calibration)
+    because = calibration.stored.unusable_because
     if because and not allow_unusable:
         raise InputError("unusable-result", place=result, reason=because)
     return calibration
-
-
-def unusable_because(calibration: Calibration) -> str | None:
-    """Return why the fit is not usable, None if it is."""
-    return calibration.stored.unusable_because
 
 
 def frames_of(robot: str, base: str | None, tip: str | None, stored: Result) -> tuple[str | None, str | None]:

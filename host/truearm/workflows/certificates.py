@@ -22,7 +22,7 @@ from truearm.text import counted
 from truearm.types import Rigs, rigs_by_name, rms
 from truearm.units import MM, PPM
 from truearm.version import VERSION
-from truearm.workflows.calibration import Calibration, Identification, masses_of, unusable_because
+from truearm.workflows.calibration import Calibration, Identification, masses_of
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error
 from truearm.workflows.validate import Measured, Validation
 
@@ -76,7 +76,7 @@ def calibration_certificate(
     if tool is not None and "m" in held_out:
         tool = max(tool, COVERAGE * held_out["m"].rms)
     gain = gain_of(e.mean_change) is Gain.NONE
-    problem = "no better than the nominal robot" if gain else unusable_because(identification)
+    problem = "no better than the nominal robot" if gain else identification.stored.unusable_because
     return Certificate(
         f"Certificate of {'a simulated ' * identification.table.simulated}calibration",
         _decision(issue.tolerance, tool, f" (k = {COVERAGE:g}) at the tool in the measured region", problem),
@@ -108,7 +108,9 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
     rows = counted(validation.n, "row")
     return Certificate(
         f"Certificate of {'a simulated ' * bool(validation.document['simulated'])}validation",
-        _decision(issue.tolerance, error, f", twice the RMS error of {rows}", unusable_because(calibration), reused),
+        _decision(
+            issue.tolerance, error, f", twice the RMS error of {rows}", calibration.stored.unusable_because, reused
+        ),
         (
             ("What", _what(calibration, issue, recordings, "validated result")),
             (

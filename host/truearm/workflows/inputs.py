@@ -42,7 +42,7 @@ from truearm.workflows.session_observations import (
     observations_of_opened,
     silent,
 )
-from truearm.workflows.session_parts import SETUP, first_stem, is_part
+from truearm.workflows.session_parts import SETUP, first_stem, is_part, open_finished
 
 if TYPE_CHECKING:
     from truearm.session.observations import SyncResult
@@ -130,7 +130,7 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     noise = None if sources.noise is None else read_noise(sources.noise)
     rigs = {name: read_rig(rig) if isinstance(rig, Path) else rig for name, rig in sources.rigs.items()}
     named_rigs = {name: with_noise(rig, noise) for name, rig in rigs.items()}
-    sessions = _opened([path for path in inputs if is_session(path)], sources.allow_damaged)
+    sessions = {path: open_finished(path, sources.allow_damaged) for path in inputs if is_session(path)}
     session_rig = {
         path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, named_rigs).items()
     }
@@ -233,15 +233,6 @@ class _SessionRead(NamedTuple):
     dwells: DwellCount
     recording: Recording
     nothing: str
-
-
-def _opened(paths: Sequence[Path], allow_damaged: bool) -> dict[Path, Session]:
-    """Open every session once: that reads all of its file."""
-    if not paths:  # tables alone do not need the import
-        return {}
-    from truearm.workflows.session_parts import open_finished
-
-    return {path: open_finished(path, allow_damaged) for path in paths}
 
 
 def _read_session(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -208,7 +208,9 @@ def axis(direction: Floats) -> str:
 def map_findings(mapped: Mapped, cell: float, task: str | None, simulated: bool = False) -> list[Finding]:
     """Return the errors over the section, what limits them, and the best place for a task (the option's text); ``cell`` [m]."""
     grid = mapped.map
-    error, sigma = _known(grid)
+    reached = ~np.isnan(grid.error)
+    error, sigma = grid.error[reached], grid.sigma[np.isfinite(grid.sigma)]
+    n_outside = 0 if grid.outside is None else int((grid.outside & reached).sum())
     values = {"least": _mm(error.min()), "most": _mm(error.max()), "rms": _mm(Figures.of(error).rms)}
     findings = [Finding("map-error", {**values, "cells": error.size, "cell": _mm(cell)})]
     if task:
@@ -218,25 +220,11 @@ def map_findings(mapped: Mapped, cell: float, task: str | None, simulated: bool 
         findings.append(Finding("map-sigma", {**ends, "relative_to": list(mapped.relative_to)}))
     if sigma.size < error.size:
         findings.append(Finding("map-sigma-unknown", {"n": error.size - sigma.size, "cells": error.size}))
-    findings += [*mapped.undetermined, *_outside_findings(mapped), *mapped.payload]
+    findings += mapped.undetermined
+    findings += [Finding("joints-outside", {"n": n_outside})] if n_outside else []
+    findings += [Finding("joints-outside", {"joints": list(mapped.outside)})] if mapped.outside else []
+    findings += mapped.payload
     return ordered(findings, simulated)
-
-
-def _outside_findings(mapped: Mapped) -> Iterator[Finding]:
-    if outside := _outside(mapped.map):
-        yield Finding("joints-outside", {"n": outside})
-    if mapped.outside:
-        yield Finding("joints-outside", {"joints": list(mapped.outside)})
-
-
-def _outside(grid: ErrorMap) -> int | None:
-    """Return the number of reachable cells outside the fitted readings, None if unknown."""
-    return None if grid.outside is None else int((grid.outside & ~np.isnan(grid.error)).sum())
-
-
-def _known(grid: ErrorMap) -> tuple[Floats, Floats]:
-    """Return the errors of the reachable cells, and the standard deviations that are known [m]."""
-    return grid.error[~np.isnan(grid.error)], grid.sigma[np.isfinite(grid.sigma)]
 
 
 def _task(grid: ErrorMap, region: BestRectangle | None, task: str) -> Finding:

@@ -124,8 +124,6 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
 
     Raises SessionError for a file that is not a session or gives no observation, RigError if there is no rig.
     """
-    from truearm.workflows.session_parts import open_finished
-
     options = options or SessionOptions()
     return observations_of_opened(open_finished(path, options.allow_damaged), rig, options)
 

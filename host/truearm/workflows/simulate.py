@@ -283,8 +283,8 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
     """
     from truearm.files.plan_file import read_plan
     from truearm.files.rig_file import read_rig
-    from truearm_sim.line_plan import line_rig
-    from truearm_sim.world import standard_rig
+    from truearm_sim.line_plan import drawn_line_plan, line_rig
+    from truearm_sim.world import standard_plan, standard_rig
 
     lines, plan_file, rig_file, robot = options.lines, options.plan, options.rig, simulated.robot
     if plan_file is None and rig_file is not None:
@@ -296,19 +296,14 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
     else:
         rig = with_repeatability(line_rig() if lines else standard_rig(robot), options.truth)
     if plan_file is None:
-        return _drawn(options, robot, rig).of_robot(robot.chain.name), rig
+        seed = options.seed
+        drawn = (
+            drawn_line_plan(lines, seed, rig, robot=robot) if lines else standard_plan(options.poses, seed, rig, robot)
+        )
+        return drawn.of_robot(robot.chain.name), rig
     plan = read_plan(plan_file)
     check_plan(plan, robot, rig, str(plan_file))
     return plan, rig
-
-
-def _drawn(options: SimulateOptions, robot: Robot, rig: Rig) -> Plan:
-    from truearm_sim.line_plan import drawn_line_plan
-    from truearm_sim.world import standard_plan
-
-    if options.lines:
-        return drawn_line_plan(options.lines, options.seed, rig, robot=robot)
-    return standard_plan(options.poses, options.seed, rig, robot)
 
 
 def hardware(level: Level, say: Say, *, fast: bool = False) -> Hardware:

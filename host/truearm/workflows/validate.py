@@ -40,7 +40,7 @@ from truearm.report.validation_findings import BY_PLACE, error_tables, validatio
 from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key, shown
-from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of, unusable_because
+from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.selection import parse_effect
 
@@ -152,7 +152,7 @@ def measured_files(
     """Read a result and the observations for judging it, and check the files that will be written. Raises InputError."""
     calibration = read_calibration(result, robot)
     check_files(sources, robot, outputs, force)
-    if because := unusable_because(calibration):
+    if because := calibration.stored.unusable_because:
         sources.say(f"{result}: the fit is not usable ({because}); correct its inputs and identify again")
     rigs, table, _, recordings = read_sources(sources, calibration.chain)
     return Measured(calibration, rigs, table, hashed_inputs(sources, robot), recordings)
