@@ -160,8 +160,8 @@ def _drawn(values: Floats, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
 def before_after(rows: ResidualRows) -> Figure:
     """Return the share of the rows with |residual| below a length, before and after."""
     lines = [(css, name + ", after", rows.residual[mask]) for css, name, mask in _sets(rows)]
-    lines = [("old", "all rows, before", rows.before), *lines]
-    size = np.abs(np.concatenate([rows.before, rows.residual]))
+    lines = [("old", "all rows, before", rows.nominal), *lines]
+    size = np.abs(np.concatenate([rows.nominal, rows.residual]))
     # A residual that happens to be near zero would stretch the axis by decades; the lowest rows are drawn at its end.
     reach = np.percentile(size, [2.0, 100.0])
     plot = svg.Plot(

@@ -31,14 +31,14 @@ class ResidualRows(NamedTuple):
     kind: str
     si: str  # unit of the residuals
     residual: Floats  # (n,) in display units, signed or norm
-    before: Floats  # (n,) likewise
+    nominal: Floats  # (n,) likewise
     longitude: Floats  # (n,) deg, NaN where there is none
     fitted: NDArray[np.bool_]  # (n,)
     source: NDArray[np.str_]  # (n,)
     number: Indices  # (n,) of the row in the table, from 1
     session: Indices  # (n,) of the session or file it came from, from 0
     mount: Indices  # (n,) increases when something else is mounted
-    part: str = ""  # which part, if the kind has residuals in several units
+    component: str = ""  # which one, if the kind has residuals in several units
 
     @property
     def width(self) -> int:
@@ -55,8 +55,8 @@ class ResidualRows(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Return the kind and, if it has several units, the part."""
-        return f"{kind_name(self.kind)}, {self.part}" if self.part else kind_name(self.kind)
+        """Return the kind and, if it has several units, the component."""
+        return f"{kind_name(self.kind)}, {self.component}" if self.component else kind_name(self.kind)
 
     @property
     def name(self) -> str:

@@ -215,20 +215,20 @@ def _work(request: RecordOptions) -> RecordingWork:
 
     if (request.out is None) == (request.resume is None):
         raise InputError("exclusive", first=Argument("out"), second=Argument("resume"), neither=request.out is None)
-    parts = Earlier(Path(), Path(), 0, "", {}) if request.resume is None else earlier(request.resume)
-    out = request.out or parts.out
+    continued = Earlier(Path(), Path(), 0, "", {}) if request.resume is None else earlier(request.resume)
+    out = request.out or continued.out
     read = [path for path in (request.rig, request.plan) if path is not None]
     if not out.suffix:
         raise InputError("wrong-suffix", place=out, suffixes=SUFFIX)
     check_writable(out, request.force and request.resume is None, inputs=read, kind="session")
     if out.exists() and is_held(out):
         raise InputError("in-use", place=out)
-    osr = parts.setup.get("osr", "")
+    osr = continued.setup.get("osr", "")
     osr_before = int(osr) if osr in map(str, OSRS) else USUAL_OSR
     typed = {} if request.mounted is None else parse_mounted(request.mounted)
     plan = None if request.plan is None else read_plan(request.plan)
-    rig_name = f"{parts.first}: rig.toml" if request.rig is None else str(request.rig)
-    rig_toml = parts.rig_toml if request.rig is None else read_bytes(request.rig, MAX_BYTES, RigError)
+    rig_name = f"{continued.first}: rig.toml" if request.rig is None else str(request.rig)
+    rig_toml = continued.rig_toml if request.rig is None else read_bytes(request.rig, MAX_BYTES, RigError)
     rig = None if request.rig is None else read_rig(request.rig)
     if rig is None and rig_toml is not None:
         rig = parse_rig(rig_toml.decode(errors="replace"), rig_name)
@@ -238,19 +238,19 @@ def _work(request: RecordOptions) -> RecordingWork:
             check_against_rig(plan, rig, str(request.plan))
     work = RecordingWork(
         out,
-        request.address or parts.setup.get("robot") or None,
+        request.address or continued.setup.get("robot") or None,
         osr_before if request.rate is None else nearest_osr(request.rate),
-        parts.rows if plan is None else plan_rows(plan),
+        continued.rows if plan is None else plan_rows(plan),
         rig_toml,
         rig,
-        typed or parts.mounted,
-        earlier_session=None if request.resume is None else parts,
+        typed or continued.mounted,
+        earlier_session=None if request.resume is None else continued,
     )
     setup = {"robot": work.robot or "", "osr": str(work.osr)}
     if request.project_model:
         setup["model"] = Path(request.project_model).name
     if request.resume is not None:
-        setup |= {"of": parts.first.name, "part": str(parts.part), "begun": parts.begun}
+        setup |= {"of": continued.first.name, "part": str(continued.part), "begun": continued.begun}
     return replace(work, setup=setup)
 
 

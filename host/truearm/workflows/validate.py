@@ -215,7 +215,7 @@ def validated(
         key(name, si): shown(value, si) for si in expected_errors for name, value in expected_errors[si].items()
     }
     n_judging = int(judging.sum())
-    n_unseen = int(np.any([e.rows & ~e.seen for e in errors.values()], axis=0).sum())
+    n_unseen = int(np.any([e.rows & ~e.observed for e in errors.values()], axis=0).sum())
     document: dict[str, Any] = {
         "simulated": all_rows.simulated or calibration.simulated,
         "rows": n_judging,
@@ -302,36 +302,36 @@ def _placed(
 class RowErrors(NamedTuple):
     """Errors of n rows in one SI unit, without and with the calibration; ``rows`` that have such an error and judge.
 
-    ``seen``: those of them that depend only on what the identification observed.
+    ``observed``: those of them that depend only on what the identification observed.
     """
 
-    before: Floats
-    after: Floats
+    nominal: Floats
+    identified: Floats
     due: Expected
     rows: Mask
-    seen: Mask
+    observed: Mask
 
     @property
     def explained(self) -> Floats:
-        """Return the squares (n,) expected from declared noise and the parameters' covariance, NaN where not ``seen``."""
-        return np.where(self.seen, self.due.by_noise + self.due.by_parameters, np.nan)
+        """Return the squares (n,) expected from declared noise and the parameters' covariance, NaN where not ``observed``."""
+        return np.where(self.observed, self.due.by_noise + self.due.by_parameters, np.nan)
 
     @property
     def unexplained(self) -> float:
         """Return the RMS of the errors that is not expected; NaN if no row has an expected error."""
-        unexplained = (self.after**2 - self.explained)[self.seen]
+        unexplained = (self.identified**2 - self.explained)[self.observed]
         return math.sqrt(max(float(unexplained.mean()), 0.0)) if unexplained.size else math.nan
 
     def expected(self) -> dict[str, float]:
         """Return the expected RMS, its parts and the RMS, of the rows that have all; NaN if there are none."""
-        squares = self.explained, self.due.by_noise, self.due.by_parameters, self.after**2
+        squares = self.explained, self.due.by_noise, self.due.by_parameters, self.identified**2
         names = "rms", "by_noise", "by_parameters", "rms_after"
-        return {name: _root_mean(square[self.seen]) for name, square in zip(names, squares, strict=True)}
+        return {name: _root_mean(square[self.observed]) for name, square in zip(names, squares, strict=True)}
 
     @property
     def is_better(self) -> bool:
         """Return whether the errors are smaller with the calibration than without, beyond chance."""
-        gain = self.before[self.rows] ** 2 - self.after[self.rows] ** 2
+        gain = self.nominal[self.rows] ** 2 - self.identified[self.rows] ** 2
         return bool(gain.mean() * math.sqrt(gain.size) > BETTER * gain.std())
 
 
@@ -339,9 +339,9 @@ def _worst_region(errors: Mapping[str, RowErrors], regions: Sequence[tuple[str, 
     """Return the region where the errors exceed the expected ones most, if by more than elsewhere, beyond chance."""
     worst: tuple[float, str] | None = None
     for e in errors.values():
-        ratio = e.after**2 / np.maximum(e.explained, 1e-300)
+        ratio = e.identified**2 / np.maximum(e.explained, 1e-300)
         for name, inside in regions:
-            region, elsewhere = ratio[e.seen & inside], ratio[e.seen & ~inside]
+            region, elsewhere = ratio[e.observed & inside], ratio[e.observed & ~inside]
             if min(region.size, elsewhere.size) < LEAST_ROWS:
                 continue
             excess = region.mean() - elsewhere.mean()
@@ -353,8 +353,8 @@ def _worst_region(errors: Mapping[str, RowErrors], regions: Sequence[tuple[str, 
 
 def _figures(errors: Mapping[str, RowErrors], rows: Mask) -> tuple[ByUnit, ByUnit]:
     """Return figures of some rows in each unit, without and with the calibration."""
-    nominal = {si: Figures.of(e.before[rows & e.rows]) for si, e in errors.items()}
-    return nominal, {si: Figures.of(e.after[rows & e.rows]) for si, e in errors.items()}
+    nominal = {si: Figures.of(e.nominal[rows & e.rows]) for si, e in errors.items()}
+    return nominal, {si: Figures.of(e.identified[rows & e.rows]) for si, e in errors.items()}
 
 
 def _figure_entries(nominal: ByUnit, identified: ByUnit) -> dict[str, float]:
