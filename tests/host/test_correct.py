@@ -292,6 +292,20 @@ def test_quarter_turns_beyond_half_a_turn_are_found():
     np.testing.assert_allclose(found.q, q, atol=1e-8)
 
 
+def test_positions_are_reached_in_the_robots_own_frames_too(q):
+    """The tool's mounting turns with the end, whose orientation the targets leave free."""
+    mounted = TRUTH + 2e-3 * np.array([name.startswith("link7.") for name in CHAIN.parameter_names])
+    own = ModelPair(CHAIN, DESIGN, mounted, mountings(CHAIN, DESIGN, mounted))
+    assert np.linalg.norm(own.mountings.tool[:3, 3]) > 1e-3
+    targets = nominal_poses(q)
+    targets[:, :3, :3] = np.eye(3)
+    done = correct(own, targets, oriented=False, configuration=Configuration(q), margin=0.0)
+    good = np.array([not problem for problem in done.problem])
+    assert good.mean() > 0.9
+    assert done.before[good, 0].max() > 1e-4
+    assert done.after[good, 0].max() < 1e-7
+
+
 def test_mountings_are_exactly_what_first_and_last_link_hold(q):
     found = mountings(CHAIN, DESIGN, TRUTH)
     target = ModelPair(CHAIN, DESIGN, TRUTH, found)

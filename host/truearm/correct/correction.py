@@ -30,6 +30,7 @@ from truearm.text import counted
 from truearm.types import Floats
 
 ROUNDING = 1e-9  # m, rad: below this, an iteration only changes the last digits
+TURNS = 3  # of a free orientation: each makes its error by the mounting of the tool a hundred times smaller
 MOST_TURN = 0.5  # rad, m: a correction that moves a joint further leads to another configuration
 
 
@@ -217,8 +218,13 @@ def _corrected(
             lost: NDArray[np.bool_] = np.asarray(~np.isfinite(q).all(axis=-1))
             return np.where(lost[:, None], q_nominal, q), lost, None
         case Method.NEWTON:
-            goals = in_rig(pair, targets)
-            solution = inverse(pair.chain, pair.identified, goals, q_nominal, oriented)
+            q, poses = q_nominal, targets.copy()
+            for _ in range(1 if oriented else TURNS):  # the mounting of the tool turns with the end
+                if not oriented:
+                    poses[:, :3, :3] = reached(pair, q)[:, :3, :3]
+                goals = in_rig(pair, poses)
+                solution = inverse(pair.chain, pair.identified, goals, q, oriented)
+                q = solution.q
             outside = ~within(pair.chain, solution.q) & within(pair.chain, q_nominal)
             # An arm with more joints than needed may have joints within the limits for the same pose.
             stopped = inverse(pair.chain, pair.identified, goals[outside], q_nominal[outside], oriented, bounded=True)
