@@ -115,14 +115,14 @@ def correct(
         value of targets that are accepted. Raises ValueError for an unknown method.
     """
     nominal = _nominal(pair, targets, oriented, configuration)
-    q, reached_nominal, singular = nominal
+    q, reached_nominal = nominal
     chunks = [slice(first, first + CHUNK) for first in range(0, max(len(targets), 1), CHUNK)]
     return joined(
         [
             _at(
                 pair,
                 targets[rows],
-                Inverse(q[rows], reached_nominal[rows], singular[rows]),
+                Inverse(q[rows], reached_nominal[rows]),
                 Method(method),
                 steps,
                 oriented,
@@ -167,12 +167,10 @@ def _at(
     """Return ``correct`` for joints where the controller would go."""
     q_nominal = nominal.q
     error_before = _error(pair, targets, q_nominal, oriented)
-    q, grew, singular_values = _corrected(pair, targets, q_nominal, method, steps, oriented)
+    q, grew = _corrected(pair, targets, q_nominal, method, steps, oriented)
     error_after = _error(pair, targets, q, oriented)
-    identified = (
-        singular_value(pair.chain, pair.identified, q, oriented) if singular_values is None else singular_values
-    )
-    singular: Floats = np.minimum(nominal.singular_value, identified)
+    models = (pair.nominal, q_nominal), (pair.identified, q)
+    singular = np.minimum(*(singular_value(pair.chain, *model, oriented) for model in models))
     problem = [""] * len(q)
 
     q = completed(q, pair.chain.mimics, q.shape[1])
@@ -206,17 +204,13 @@ def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Co
 
 def _corrected(
     pair: ModelPair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool
-) -> tuple[Floats, NDArray[np.bool_], Floats | None]:
-    """Return corrected joints q (n, j), where no correction reduces the error (n,), and the smallest singular values
-    (n,).
-
-    The singular values are None unless they are already known.
-    """
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return corrected joints q (n, j), and where no correction reduces the error (n,)."""
     match method:
         case Method.OFFSETS:
             q = offsets(pair, q_nominal)
             lost: NDArray[np.bool_] = np.asarray(~np.isfinite(q).all(axis=-1))
-            return np.where(lost[:, None], q_nominal, q), lost, None
+            return np.where(lost[:, None], q_nominal, q), lost
         case Method.NEWTON:
             q, poses = q_nominal, targets.copy()
             for _ in range(1 if oriented else TURNS):  # the mounting of the tool turns with the end
@@ -230,11 +224,11 @@ def _corrected(
             stopped = inverse(pair.chain, pair.identified, goals[outside], q_nominal[outside], oriented, bounded=True)
             for values, values_inside in zip(solution, stopped, strict=True):
                 values[np.flatnonzero(outside)[stopped.reached]] = values_inside[stopped.reached]
-            return solution.q, ~solution.reached, solution.singular_value
+            return solution.q, ~solution.reached
         case Method.FALSE_TARGET:
-            return *_repeated(false_target, pair, targets, q_nominal, steps, oriented), None
+            return _repeated(false_target, pair, targets, q_nominal, steps, oriented)
         case Method.JOINTS:
-            return *_repeated(joint_space, pair, targets, q_nominal, steps, oriented), None
+            return _repeated(joint_space, pair, targets, q_nominal, steps, oriented)
         case _:
             assert_never(method)
 

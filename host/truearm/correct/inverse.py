@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.model.chain import Chain, end_and_jacobian, joint_jacobian
+from truearm.model.chain import Chain, end_and_jacobian
 from truearm.model.mimic import completed
 from truearm.model.poses import apart
 from truearm.progress import steps_of
@@ -48,7 +48,6 @@ class Inverse(NamedTuple):
 
     q: Floats  # (n, j)
     reached: NDArray[np.bool_]  # (n,)
-    singular_value: Floats  # (n,) smallest, of the Jacobian at q
 
 
 class Origins(NamedTuple):
@@ -89,7 +88,7 @@ def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, ori
         error[rows], jac[rows] = _error_and_jacobian(chain, params, targets[rows], q[rows], oriented)
         size[rows] = np.linalg.norm(error[rows], axis=-1)
         moving &= size > REACHED
-    return Inverse(completed(q, chain.mimics, q.shape[1]), size <= REACHED, _smallest(chain, jac))
+    return Inverse(completed(q, chain.mimics, q.shape[1]), size <= REACHED)
 
 
 def _error_and_jacobian(
@@ -103,20 +102,17 @@ def _error_and_jacobian(
 
 def jacobian(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
     """Return the Jacobian (n, 6, j), or (n, 3, j) for the position alone, with positions in LEVERs."""
-    jac = joint_jacobian(chain, params, q)
-    jac[..., :3, :] /= LEVER
-    return jac if oriented else jac[..., :3, :]
+    jac = end_and_jacobian(chain, params, q)[1]
+    jac[:, :3] /= LEVER
+    return jac if oriented else jac[:, :3]
 
 
 def singular_value(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
-    """Return the smallest singular value (n,) of ``jacobian``."""
-    return _smallest(chain, jacobian(chain, params, q, oriented))
-
-
-def _smallest(chain: Chain, jac: Floats) -> Floats:
-    """Return the smallest singular value (n,) by the joints that move on their own."""
-    moving = jac[..., [joint not in chain.mimics for joint in range(jac.shape[-1])]]
-    return np.asarray(np.linalg.svd(moving, compute_uv=False)[..., -1])
+    """Return the smallest singular value (n,) of ``jacobian`` by the joints that move on their own."""
+    moving = [joint for joint in range(len(chain.joints)) if joint not in chain.mimics]
+    chunks = [slice(first, first + CHUNK) for first in range(0, max(len(q), 1), CHUNK)]
+    jacs = (jacobian(chain, params, q[rows], oriented)[..., moving] for rows in chunks)
+    return np.concatenate([np.linalg.svd(jac, compute_uv=False)[:, -1] for jac in jacs])
 
 
 def scaled(error: Floats, oriented: bool = True) -> Floats:
@@ -169,7 +165,8 @@ def search(
     origins = Origins(np.full(n, -1), np.full((n, j), np.nan)) if origins is None else origins
     if home is not None and not oriented:  # among a continuum of joints, those that the least motion from home reaches
         from_home = inverse(chain, params, targets, np.tile(home, (n, 1)), oriented)
-        usable = from_home.reached & within(chain, from_home.q, ROOM) & (from_home.singular_value > SINGULAR)
+        regular = singular_value(chain, params, from_home.q, oriented) > SINGULAR
+        usable = from_home.reached & within(chain, from_home.q, ROOM) & regular
         stock = _with(stock._replace(reached=stock.reached & ~usable[:, None]), from_home)
     chosen, near = _chosen(chain, params, stock, first, quadrants, oriented, origins)
     for _ in range(PASSES if oriented else 0):
@@ -219,8 +216,10 @@ def solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> 
         return searched(np.arange(len(targets)))
     cells = np.floor(np.concatenate([targets[:, :3, 3] / LEVER, targets[:, :3, 2], targets[:, :3, 0]], axis=1) / CELL)
     _, leaders, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    stock = _taken(_packed(searched(leaders)), cell.reshape(-1))
-    least = np.where(stock.reached, stock.singular_value, np.inf).min(axis=1)
+    stock = _packed(searched(leaders))
+    singular = singular_value(chain, params, stock.q.reshape(-1, j)).reshape(stock.reached.shape)
+    least = np.where(stock.reached, singular, np.inf).min(axis=1)[cell.reshape(-1)]
+    stock = _taken(stock, cell.reshape(-1))
     n_reached = stock.reached.sum(axis=1)
     follows = stock.reached & ~np.isin(np.arange(len(targets)), leaders)[:, None]
     which, slot = np.nonzero(follows)
@@ -264,7 +263,7 @@ def _joined(chunks: list[Inverse]) -> Inverse:
 
 
 def _taken(stock: Inverse, index: Any) -> Inverse:
-    return Inverse(stock.q[index], stock.reached[index], stock.singular_value[index])
+    return Inverse(stock.q[index], stock.reached[index])
 
 
 def _distinct(chain: Chain, params: Floats, ends: Inverse) -> Inverse:
@@ -291,16 +290,20 @@ def _chosen(
 ) -> tuple[Inverse, Floats]:
     """Return, of k solutions (n, k), those nearest to the robot's previous positions, and these positions (n, j)."""
     middle, free = 0.5 * np.pi * (quadrants + 0.5), np.isnan(quadrants)
+    singular = np.zeros_like(stock.reached)
+    if not oriented:
+        values = singular_value(chain, params, stock.q.reshape(-1, stock.q.shape[-1]), oriented)
+        singular = values.reshape(stock.reached.shape) < SINGULAR
 
     def nearest(rows: NDArray[np.int_], near: Floats) -> Inverse:
         q = turned(chain, params, stock.q[rows], np.where(free[rows], near, middle[rows])[:, None])
-        usable, singular_values = stock.reached[rows] & within(chain, q), stock.singular_value[rows]
+        usable = stock.reached[rows] & within(chain, q)
         # Without orientation, joints at a limit or a singularity are the worse choice.
-        poor = ~within(chain, q, ROOM) | (singular_values < SINGULAR) if not oriented else np.zeros_like(usable)
+        poor = ~within(chain, q, ROOM) | singular[rows] if not oriented else np.zeros_like(usable)
         distance = np.abs(q - near[:, None]).max(axis=-1)
         order = np.lexsort((distance, poor, _misplaced(q, quadrants[rows, None]), ~usable), axis=1)
         best = np.arange(len(rows)), order[:, 0]
-        return Inverse(q[best], usable[best], singular_values[best])
+        return Inverse(q[best], usable[best])
 
     # All targets are chosen at once from where the robot is likely to be, twice; those for which it is elsewhere, again.
     order, every = _followed(origins.target), np.arange(len(quadrants))

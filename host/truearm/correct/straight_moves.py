@@ -50,7 +50,7 @@ def straight_moves(pair: ModelPair, q_start: Floats, commanded: Floats, tool: Fl
         solution = inverse(pair.chain, pair.nominal, moved(begin, share * motion) @ back, q)
         drivable &= solution.reached & (np.abs(solution.q - q).max(axis=-1) < JUMP)
         q = solution.q
-        singular = np.minimum(singular, solution.singular_value)
+        singular = np.minimum(singular, singular_value(pair.chain, pair.nominal, q))
         limits = np.minimum(limits, limit_margins(pair.chain, q))
         places.append(_tool_points(pair, q, tool))
     return StraightMoves(_deviation(np.array(places)), singular, limits, drivable & (limits >= 0.0).all(axis=1))

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from truearm.errors import TableError, TargetError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells
 from truearm.files.disk import read_text
 from truearm.files.observation_columns import Column
 from truearm.model.poses import pose_of
+from truearm.model.rotation import rotation_vector
 from truearm.schema import IDENTIFIER, Key, Number, hint, quoted
 from truearm.types import Floats, Strings
 from truearm.units import DEG, MM, SUFFIXES, UNITS, key, shown
@@ -144,7 +144,7 @@ def format_corrected(
     titles, formats = (",".join(column) for column in zip(*columns, strict=True))
     errors = np.stack([error_before, error_after], axis=1)
     blocks = [MM.of(commanded[:, :3, 3])]
-    blocks += [DEG.of(Rotation.from_matrix(commanded[:, :3, :3]).as_rotvec())] * targets.oriented
+    blocks += [DEG.of(rotation_vector(commanded[:, :3, :3]))] * targets.oriented
     blocks += [shown(q[:, i, None], unit) for i, unit in enumerate(joint_units)]
     blocks += [MM.of(errors[:, :, 0])] + [DEG.of(errors[:, :, 1])] * targets.oriented
     rows = [titles]

@@ -7,44 +7,32 @@ this way.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Floats
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
 
 Six = tuple[float, float, float, float, float, float]
 
 
-def _rotations() -> type[Rotation]:
-    """Import SciPy's rotations where they are used: it takes 40 ms, and most fits do without."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation
-
-
 def apart(goal: Floats, start: Floats) -> Floats:
     """Return the differences (n, 6) from poses ``start`` to ``goal`` (n, 4, 4)."""
-    turn = _rotations().from_matrix(goal[:, :3, :3] @ start[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
+    turn = rotation_vector(goal[:, :3, :3] @ start[:, :3, :3].swapaxes(-1, -2))
     return np.concatenate([goal[:, :3, 3] - start[:, :3, 3], turn], axis=-1)
 
 
 def moved(start: Floats, by: Floats) -> Floats:
     """Return poses (n, 4, 4) moved by differences (n, 6) in base axes."""
     out = start.copy()
-    out[:, :3, :3] = _rotations().from_rotvec(by[:, 3:]).as_matrix() @ start[:, :3, :3]
+    out[:, :3, :3] = rotation(by[:, 3:]) @ start[:, :3, :3]
     out[:, :3, 3] += by[:, :3]
     return out
 
 
-def pose_of(xyz: Floats, rotation: Floats) -> Floats:
-    """Return poses (n, 4, 4) at xyz (n, 3), rotated by rotation vectors (n, 3)."""
+def pose_of(xyz: Floats, rotvec: Floats) -> Floats:
+    """Return poses (n, 4, 4) at xyz (n, 3), rotated by rotation vectors rotvec (n, 3)."""
     out = np.tile(np.eye(4), (len(xyz), 1, 1))
-    out[:, :3, :3] = _rotations().from_rotvec(rotation).as_matrix()
+    out[:, :3, :3] = rotation(rotvec)
     out[:, :3, 3] = xyz
     return out
 
@@ -56,7 +44,7 @@ def frame_of(six: Six) -> Floats:
 
 def position_and_rotation(pose: Floats) -> Floats:
     """Return positions and rotation vectors (n, 6) of poses (n, 4, 4): the inverse of ``pose_of``."""
-    return np.concatenate([pose[:, :3, 3], _rotations().from_matrix(pose[:, :3, :3]).as_rotvec()], axis=1)
+    return np.concatenate([pose[:, :3, 3], rotation_vector(pose[:, :3, :3])], axis=1)
 
 
 def inverted(pose: Floats) -> Floats:
