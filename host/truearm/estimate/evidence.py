@@ -79,10 +79,9 @@ def seen_by(marginal: Marginal, blocks: Sequence[PriorBlock]) -> Seen:
     for block in blocks:
         cap[block.columns] = block.cap
     scaled = marginal.root * cap
-    square, vectors = np.linalg.eigh(scaled.T @ scaled)  # rounding, 1e-16 of the largest, is far below UNSEEN
-    some = square > UNSEEN
-    root = vectors[:, some] * np.sqrt(square[some])
-    return Seen(root / cap[:, None], root.T @ (scaled.T @ marginal.rhs) / square[some])
+    square, vectors = np.linalg.eigh(scaled @ scaled.T)  # rounding, 1e-16 of the largest, is far below UNSEEN
+    some = vectors[:, square > UNSEEN]
+    return Seen(marginal.root.T @ some, some.T @ marginal.rhs)
 
 
 def weigh(seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> Weighed:
@@ -121,7 +120,8 @@ def coefficients(
     information = (marginal.root**2).sum(axis=0)
     roots = [prior_root(b, v, information[b.columns].max(initial=0.0)) for b, v in zip(blocks, variances, strict=True)]
     root = scipy.linalg.block_diag(*roots) if roots else np.zeros((here.z.size, 0))
-    seen = marginal.root @ root
+    pieces = [marginal.root[:, block.columns] @ of_block for block, of_block in zip(blocks, roots, strict=True)]
+    seen = np.concatenate([marginal.root[:, :0], *pieces], axis=1)
     lower = np.linalg.cholesky(np.eye(root.shape[1]) + seen.T @ seen)
     half = scipy.linalg.solve_triangular(lower, root.T, lower=True, check_finite=False)
     return Coefficients(root @ (root.T @ here.z), half.T @ half, root)

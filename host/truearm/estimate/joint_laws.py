@@ -30,7 +30,7 @@ from truearm.estimate.law_rows import law_rows, with_predicted
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.payload_rows import payloads_of
-from truearm.estimate.pose_noise import PoseNoise, pose_information
+from truearm.estimate.pose_noise import PoseNoise, pose_information, pose_rows
 from truearm.estimate.problem import build_problem, modelled_of, settled, without_knowledge
 from truearm.estimate.scatter import JOINT_NOISE, scatter_of
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
@@ -212,7 +212,7 @@ class _Work:
         choice = supported(make, laws, regions(fitted, poses(fitted)), nearly or noise)
         of = self.problem(choice.kept)
         learned = learn(of, noise) if choice.kept and self.request.faults else choice.learned
-        return without_absent(of, learned, choice.dropped)
+        return without_absent(of, learned, choice)
 
     def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
         of = self.problem(laws)
@@ -326,7 +326,7 @@ def _step(name: str, found: Estimate | _Fitted) -> LawStep:
 
 def _followed(of: LawProblem, found: Posterior) -> float:
     """Return the degrees of freedom of the laws: tr(A C)."""
-    return float((found.information * found.covariance[np.ix_(of.is_law, of.is_law)]).sum())
+    return float((found.law_root @ found.covariance[np.ix_(of.is_law, of.is_law)] * found.law_root).sum())
 
 
 def _centred(of: LawProblem, found: Posterior, q: Floats) -> Posterior:
@@ -367,9 +367,9 @@ def _like_offset(of: LawProblem, x: Floats, offset: int) -> Floats:
     columns = of.columns.copy()
     columns[np.flatnonzero(of.columns)[of.is_law]] = False
     columns[offset] = True
-    rows = pose_information(of.problem, x, columns, of.pose, PoseNoise.of(1.0, len(of.problem.chain.joints))).rows[
-        :, :-1
-    ]
+    sensors = PoseNoise.of(1.0, len(of.problem.chain.joints))
+    linearised = pose_rows(of.problem, x, columns, of.pose)
+    rows = pose_information(linearised, int(columns.sum()) + 1, sensors).rows[:, :-1]
     at = np.count_nonzero(columns[:offset])
     scale, wanted = of.sigma[~of.is_law], rows[:, at]
     others = np.delete(rows, at, axis=1) * scale

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.evidence import prior_root
 from truearm.estimate.law_fit import LawProblem, Learned, learn
-from truearm.estimate.pose_noise import PoseNoise, pose_information
+from truearm.estimate.pose_noise import PoseNoise, pose_information, pose_rows
 from truearm.estimate.problem import without_knowledge
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.table import ObservationTable
@@ -38,11 +38,15 @@ Unit = tuple[Law, ...]  # stands or falls as a whole
 
 
 class LawChoice(NamedTuple):
-    """The laws that are kept, what was learned with them, and the nats at which each other one was dropped."""
+    """The laws that are kept, what was learned with them, and the nats at which each other one was dropped.
+
+    ``sure``: units without which the evidence was lower, with the noise learned again.
+    """
 
     kept: tuple[Law, ...]
     learned: Learned
     dropped: Mapping[Law, float]
+    sure: frozenset[Unit]
 
 
 def supported(
@@ -53,8 +57,9 @@ def supported(
     ``make`` builds the problem with some laws, ``region`` (n_rows,) are the numbers of the rows' regions, and ``start``
     is the noise where learning starts, or the choice of nearly the same rows, of which no further law is tried.
     """
+    sure: frozenset[Unit] = frozenset()
     if isinstance(start, LawChoice):
-        problem, dropped = make(start.kept), dict(start.dropped)
+        problem, dropped, sure = make(start.kept), dict(start.dropped), start.sure
         learned = start.learned._replace(x=problem.start)  # beside other faults, the problem has other unknowns
     else:
         problem = make(laws)
@@ -63,7 +68,6 @@ def supported(
         dropped = {law: learned.nats[law] for unit in absent for law in unit}
         problem, learned = make(_but(laws, dropped)), _without(problem, learned, dropped)
     learned = learn(problem, learned)
-    sure: set[Unit] = set()
     while problem.laws:
         units = _units(problem.laws)
         gain = [sum(learned.nats[law] for law in unit) for unit in units]
@@ -81,17 +85,18 @@ def supported(
         if any(learned.nats[law] >= ABSENT for law in gone):
             without = learn(fewer, without)
         if doubtful and learned.evidence - without.evidence >= GATE:
-            sure.add(tuple(gone))
+            sure |= {tuple(gone)}
             continue
         dropped |= {law: learned.nats[law] for law in gone}
         problem, learned = fewer, without
-    return LawChoice(problem.laws, learned, dropped)
+    return LawChoice(problem.laws, learned, dropped, sure)
 
 
-def without_absent(problem: LawProblem, learned: Learned, dropped: Mapping[Law, float]) -> LawChoice:
+def without_absent(problem: LawProblem, learned: Learned, choice: LawChoice) -> LawChoice:
     """Return the choice without laws of which nothing was learned: a joint may have no sag beside others."""
     absent = {law: learned.nats[law] for law in problem.laws if learned.nats[law] < ABSENT}
-    return LawChoice(tuple(_but(problem.laws, absent)), _without(problem, learned, absent), {**dropped, **absent})
+    kept, dropped = tuple(_but(problem.laws, absent)), {**choice.dropped, **absent}
+    return LawChoice(kept, _without(problem, learned, absent), dropped, choice.sure)
 
 
 def regions(table: ObservationTable, pose: Indices) -> Indices:
@@ -139,7 +144,8 @@ def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequ
     part, rows = problem.some(), []
     for number in np.unique(region):
         some = without_knowledge(only(part.problem, region == number))
-        root, _ = pose_information(some, learned.x, problem.columns, problem.pose, learned.noise)
+        of_region = pose_rows(some, learned.x, problem.columns, problem.pose)
+        root, _ = pose_information(of_region, problem.is_law.size + 1, learned.noise)
         root[:, -1] += root[:, :-1] @ (learned.x - problem.reference)[problem.columns]
         rows.append(np.column_stack([root[:, order] @ change, root[:, -1]]))
     nats = {}

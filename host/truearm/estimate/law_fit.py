@@ -6,7 +6,7 @@ absorbed most of it. ``law_choice`` decides which laws are kept.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -25,14 +25,15 @@ from truearm.estimate.evidence import (
     seen_by,
     weigh,
 )
-from truearm.estimate.information import fold
+from truearm.estimate.information import eliminated
 from truearm.estimate.law_candidates import acting, prior_blocks
 from truearm.estimate.pose_noise import (
     PoseNoise,
-    PoseSample,
+    RowsByPose,
     learned_noise,
     noise_change,
     pose_information,
+    pose_rows,
     pose_samples,
 )
 from truearm.estimate.problem import Problem
@@ -92,6 +93,10 @@ class LawProblem:
         kept = np.random.default_rng(0).permutation(numbers)[: int(numbers.size / share)]
         return replace(few, problem=only(self.problem, np.isin(self.pose, kept)))
 
+    def rows(self, x: Floats, every: int = 1) -> Iterator[RowsByPose]:
+        """Return ``pose_rows`` of the fitted unknowns at x (P,)."""
+        return pose_rows(self.problem, x, self.columns, self.pose, every)
+
     def times(self, most: tuple[int, int]) -> float:
         """Return how many times as many poses or residuals there are, whichever is more."""
         residuals = 0
@@ -141,14 +146,14 @@ class Learned(NamedTuple):
 class Posterior(NamedTuple):
     """The unknowns at given variances and noise: x (P,), the covariance (k, k) and the log evidence.
 
-    ``information`` (l, l) is the data's information about the laws; ``prior_root`` (l, p) times its transpose is their
-    prior.
+    The transpose of ``law_root`` (m, l) times it is the data's information about the laws; ``prior_root`` (l, p) times
+    its transpose is their prior.
     """
 
     x: Floats
     covariance: Floats
     evidence: float
-    information: Floats
+    law_root: Floats
     prior_root: Floats
 
 
@@ -169,13 +174,15 @@ def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS, shar
         noise = noise._replace(shared=SHARED_START, turned=SHARED_START)
     every = max(1, int(part.times(FOR_NOISE)))
     for i in steps_of(range(rounds), "learning the sizes of joint laws and noise"):
-        marginal, rest = _marginal(part, x, noise)
+        rows = list(part.rows(x)) if every == 1 else []  # more would take much memory
+        marginal, rest = _marginal(part, x, rows or part.rows(x), noise)
         seen = seen_by(marginal, blocks)
         values = learned(seen, blocks, revived(seen, blocks, values), STEPS)
         weighed = weigh(seen, blocks, values)
         found = coefficients(marginal, weighed, blocks, values)
         here = _posterior(part, x, marginal, rest, found, weighed.nats)
-        samples = _samples(part, x, here, every)
+        step = (x - here.x)[part.columns]
+        samples = pose_samples(rows or part.rows(x, every), step, here.covariance)
         x, old, noise = here.x, noise, learned_noise(samples, noise, shared)
         if i >= least and noise_change(samples, old, noise) < NOISE_END:
             break
@@ -194,7 +201,7 @@ def posterior(of: LawProblem, found: Learned) -> Posterior:
     """Return the posterior of all poses with the learned variances and noise, linearised at what was learned."""
     blocks = of.blocks
     values = [found.variances[law] for law in of.laws]
-    marginal, rest = _marginal(of, found.x, found.noise)
+    marginal, rest = _marginal(of, found.x, of.rows(found.x), found.noise)
     weighed = weigh(seen_by(marginal, blocks), blocks, values)
     return _posterior(of, found.x, marginal, rest, coefficients(marginal, weighed, blocks, values), weighed.nats)
 
@@ -207,20 +214,18 @@ class _Rest(NamedTuple):
     evidence: float  # without laws
 
 
-def _marginal(of: LawProblem, x: Floats, noise: PoseNoise) -> tuple[Marginal, _Rest]:
+def _marginal(of: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: PoseNoise) -> tuple[Marginal, _Rest]:
     """Return the poses' information about the laws, linearised at x (P,), about no laws and the reference of the rest."""
-    rows, logdet = pose_information(of.problem, x, of.columns, of.pose, noise)
-    rows[:, -1] += rows[:, :-1] @ (x - of.reference)[of.columns]
+    root, logdet = pose_information(rows, of.is_law.size + 1, noise)
+    root[:, -1] += root[:, :-1] @ (x - of.reference)[of.columns]
     order = np.concatenate([np.flatnonzero(~of.is_law), np.flatnonzero(of.is_law), [-1]])
     n = int((~of.is_law).sum())
     weight = 1.0 / of.sigma[~of.is_law]
-    triangle = fold(np.eye(order.size) * np.append(weight, np.zeros(order.size - n)), rows[:, order])
-    inverse = scipy.linalg.solve_triangular(triangle[:n, :n], np.eye(n), check_finite=False)
-    logdet += 2.0 * float(np.log(np.abs(np.diag(triangle)[:n]) / weight).sum())
-    evidence = -0.5 * (logdet + float((triangle[n:, -1] ** 2).sum()))
-    return Marginal(triangle[n:, n:-1], triangle[n:, -1]), _Rest(
-        inverse @ triangle[:n, n:], inverse @ inverse.T, evidence
-    )
+    triangle, solved, left = eliminated(np.diag(weight), root[:, order])
+    inverse = scipy.linalg.solve_triangular(triangle, np.eye(n), check_finite=False)
+    logdet += 2.0 * float(np.log(np.abs(np.diag(triangle)) / weight).sum())
+    evidence = -0.5 * (logdet + float((left[:, -1] ** 2).sum()))
+    return Marginal(left[:, :-1], left[:, -1]), _Rest(inverse @ solved, inverse @ inverse.T, evidence)
 
 
 def _posterior(
@@ -237,13 +242,7 @@ def _posterior(
     full[np.ix_(~law, ~law)] = rest.covariance + cross @ by_law.T
     out = x.copy()
     out[of.columns] = of.reference[of.columns] + value
-    return Posterior(out, full, rest.evidence + nats, marginal.root.T @ marginal.root, found.prior_root)
-
-
-def _samples(of: LawProblem, x: Floats, here: Posterior, every: int) -> list[PoseSample]:
-    """Return the poses' residuals at the posterior, linearised at x."""
-    step = (x - here.x)[of.columns]
-    return pose_samples(of.problem, x, of.columns, of.pose, step, here.covariance, every)
+    return Posterior(out, full, rest.evidence + nats, marginal.root, found.prior_root)
 
 
 def _rows_used(problem: Problem) -> Indices:

@@ -14,7 +14,7 @@ directions have the noise m alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -181,21 +181,20 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> tuple[Fl
     return declared, rows[..., :-k], rows[..., -k:]
 
 
-def pose_information(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise
-) -> PoseInformation:
-    """Return the observations' information on x[columns] and the residual, at x with the given noise."""
-    width = int(columns.sum()) + 1
-    triangle, logdet = np.zeros((width, width)), 0.0
-    for poses in pose_rows(problem, x, columns, pose):
+def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -> PoseInformation:
+    """Return the information of poses on their ``width`` − 1 unknowns and the residual, with the given noise."""
+    triangle, few, logdet = np.zeros((width, width)), np.zeros((0, width)), 0.0
+    for poses in rows:
         shared, beyond = poses.split()
         root = np.linalg.cholesky(shared.covariances(noise))
         logdet += 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
         logdet += len(root) * shared.spare * math.log(noise.sensor)
-        rows = shared.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ shared.rows
-        for whole in (rows, beyond / math.sqrt(noise.sensor)):
-            triangle = fold(triangle, whole.reshape(-1, width))
-    return PoseInformation(triangle, logdet)
+        whitened = shared.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ shared.rows
+        for whole in (whitened, beyond / math.sqrt(noise.sensor)):
+            few = np.concatenate([few, whole.reshape(-1, width)])
+            if len(few) > width:
+                triangle, few = fold(triangle, few), few[:0]
+    return PoseInformation(fold(triangle, few) if triangle.any() else few, logdet)
 
 
 def _by_unknowns(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
@@ -229,12 +228,10 @@ class PoseSample(NamedTuple):
     beyond: tuple[int, float, float] = (0, 0.0, 0.0)
 
 
-def pose_samples(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, step: Floats, posterior: Floats, every: int
-) -> list[PoseSample]:
-    """Return the poses' information about the noise once x[columns] has moved by −``step`` (k,); ``posterior`` (k, k)."""
+def pose_samples(rows: Iterable[RowsByPose], step: Floats, posterior: Floats) -> list[PoseSample]:
+    """Return the poses' information about the noise once x has moved by −``step`` (k,); ``posterior`` (k, k)."""
     out, step = [], np.append(step, 1.0)
-    for poses in pose_rows(problem, x, columns, pose, every):
+    for poses in rows:
         if not poses.is_knowledge:
             shared, beyond = poses.split()
             square = ((beyond @ step) ** 2).sum()
