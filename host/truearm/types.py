@@ -40,6 +40,11 @@ JointIndex = Annotated[int, Meta(ge=0, le=63)]  # of a joint law, from 0
 MASS = Annotated[float, Number("kg", least=0.0)]  # of a payload
 CENTRE = Annotated[Triple, POSITION]
 
+# Reasons why a dwell gives no observation, of those in ``session.dwells``.
+MOUNTING = "mounting"  # a stop outside the plan for changing the mounting: not a dwell, nothing lost
+DOUBTFUL = "doubtful"  # plan and operator agree on the mounting, but the readings do not support it
+NEED_DECISION = ("contradiction", "ambiguous", DOUBTFUL)  # resolved by the operator: truearm session relabel
+
 BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted for a ball-bar reading
 REFERENCE_DEGC = 20.0  # reference temperature of lengths, ISO 1
 LINE_MOUNTED = ("line", "target")  # what is mounted for a line pass

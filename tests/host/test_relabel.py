@@ -16,8 +16,7 @@ from truearm.cli.main import main
 from truearm.files.labels_file import labels_path, read_labels
 from truearm.files.write_lock import hold
 from truearm.model.robot import builtin_robot
-from truearm.session.dwells import NEED_DECISION
-from truearm.types import BAR_MOUNTED
+from truearm.types import BAR_MOUNTED, NEED_DECISION
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.record import recorded_dwells, unsettled
 from truearm.workflows.relabel import relabel

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
+from truearm.session.dwells import Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader
 from truearm.session.plan_matching import BACK, REPEAT, Marks, PlannedPoses, distances, match_plan, with_mountings
 from truearm.session.sample_noise import mean_of
 from truearm.session.session_file import columns_of
-from truearm.types import Message
+from truearm.types import MOUNTING, Message
 
 HZ = 125.0
 

@@ -13,9 +13,8 @@ from truearm.report.law_findings import law_steps
 from truearm.report.result_findings import has_little_freedom
 from truearm.report.result_words import ParameterRow, direction_text, kind_name, parameter_table
 from truearm.report.tables import Table
-from truearm.session.dwells import MOUNTING
 from truearm.text import counted, one_line
-from truearm.types import BAR_MOUNTED, Floats, rms_of_columns
+from truearm.types import BAR_MOUNTED, MOUNTING, Floats, rms_of_columns
 from truearm.units import MM_S, ONE, SUFFIXES, UM, UNITS, URAD, Scale, number, title
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from truearm.estimate.measured_order import poses
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_noise import PoseNoise, pose_information, pose_rows
 from truearm.estimate.problem import build_problem, modelled_of, settled, without_knowledge
-from truearm.estimate.scatter import JOINT_NOISE, scatter_of
+from truearm.estimate.scatter import JOINT_NOISE
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
@@ -145,7 +145,7 @@ def with_joint_laws(
     )
     if best is None:
         return WithLaws(chain, replace(estimate, joint_laws=report))
-    return WithLaws(with_laws(chain, kept), replace(found, joint_laws=report), choice)
+    return WithLaws(with_laws(chain, kept), replace(found, joint_laws=report), choice, best.of)
 
 
 def _nothing_to_explain(chain: Chain, estimate: Estimate, table: ObservationTable) -> bool:
@@ -312,7 +312,6 @@ class _Work:
             claim=None,
             prior_sigma=_prior(of, fitted),
             parts=rows.parts,
-            scatter=scatter_of(of, learned),
             suggested_free=np.append(before.suggested_free, np.zeros(added, dtype=bool)),
             with_outliers=before.with_outliers
             and before.with_outliers._replace(value=np.insert(before.with_outliers.value, [at] * added, 0.0)),

@@ -10,13 +10,16 @@ changes. Where no law is kept without those rows, none is left out, and the fit 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from truearm.estimate.law_choice import LawChoice
+from truearm.estimate.law_fit import LawProblem
 from truearm.estimate.law_rows import LawRows
 from truearm.estimate.outliers import matter, misfit, single, within
+from truearm.estimate.scatter import scatter_of
 from truearm.estimate.whitened_rows import gate
 from truearm.model.chain import Chain
 from truearm.results import Estimate
@@ -26,11 +29,15 @@ MAX_ROUNDS = 6  # of fits with laws
 
 
 class WithLaws(NamedTuple):
-    """The robot with its laws, the estimate with their parameters, and how they were chosen; None if none is kept."""
+    """The robot with its laws, the estimate with their parameters, how they were chosen, and the problem with them.
+
+    The last two are None if no law is kept.
+    """
 
     chain: Chain
     estimate: Estimate
     choice: LawChoice | None = None
+    problem: LawProblem | None = None
 
 
 def outlying_beside_laws(rows: LawRows, used: Mask) -> Mask:
@@ -67,4 +74,6 @@ def fitted_without_outliers(
         if further.choice is None:
             break
         best = further
-    return best
+    if best.problem is None or best.choice is None:
+        return best
+    return best._replace(estimate=replace(best.estimate, scatter=scatter_of(best.problem, best.choice.learned)))

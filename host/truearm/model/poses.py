@@ -1,7 +1,7 @@
 """Poses (…, 4, 4): differences between poses, and poses moved by a difference.
 
-A difference is (…, 6): position [m], then a rotation vector [rad], both in base axes. ``goal = moved(here, apart(goal,
-here))``, that is R_goal = exp(w)·R_here. Angles of successive rotations must not be added; rotation vectors compose in
+A difference is (…, 6): position [m], then a rotation vector [rad], both in base axes. ``goal = moved(start, apart(goal,
+start))``, that is R_goal = exp(w)·R_start. Angles of successive rotations must not be added; rotation vectors compose in
 this way.
 """
 

@@ -98,4 +98,4 @@ def turn(motion: str, cos: Floats, sin: Floats, vectors: Floats) -> Floats:
 
 def cross(a: Floats, b: Floats) -> Floats:
     """Return a × b for (3, …); numpy's cross reorders axes and takes four times as long."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

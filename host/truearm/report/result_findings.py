@@ -14,8 +14,8 @@ from truearm.findings import Finding, ordered
 from truearm.report.law_findings import law_findings, scatter_terms
 from truearm.report.result_words import kind_name
 from truearm.results import Gain, Unusable, chi2_text
-from truearm.session.dwells import DOUBTFUL, NEED_DECISION
 from truearm.text import counted, listed, one_line
+from truearm.types import DOUBTFUL, NEED_DECISION
 from truearm.units import DEG, MM, MS, SUFFIXES, UNITS, tolerances
 
 Document = Mapping[str, Any]

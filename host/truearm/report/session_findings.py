@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from truearm.findings import Finding, ordered
-from truearm.session.dwells import MOUNTING, NEED_DECISION
 from truearm.text import counted, faster, one_line
+from truearm.types import MOUNTING, NEED_DECISION
 from truearm.units import NS, UM, US
 
 Document = Mapping[str, Any]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from truearm.session.joint_readings import Bins, JointStream
 from truearm.session.sample_noise import LEAST_BLOCKS, rests_within, settled_from
-from truearm.types import Floats
+from truearm.types import DOUBTFUL, MOUNTING, NEED_DECISION, Floats
 
 WINDOW_BINS = 4
 QUIET_SHARE = 0.1
@@ -29,9 +29,6 @@ QUIET_FACTOR = 3.0
 LEAST_MOTION = 1e-6  # rad or m
 SHORTEST_S = 0.25  # shorter pauses (a change of direction) are not attempts at a dwell and are not listed
 
-MOUNTING = "mounting"  # a stop outside the plan for changing the mounting: not a dwell, nothing lost
-DOUBTFUL = "doubtful"  # plan and operator agree on the mounting, but the readings do not support it
-NEED_DECISION = ("contradiction", "ambiguous", DOUBTFUL)  # resolved by the operator: truearm session relabel
 REASONS = (
     "too short",
     "still moving",  # the joints

@@ -22,7 +22,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
 from truearm.session.clock import BoxTemperature, ClockReport, DeviceClock, box_temperature, fit_clock
 from truearm.session.dwell_samples import LEARNT, Sensing, measured, usual_noise, without_noisy
-from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
+from truearm.session.dwells import Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import Bins, JointReader, JointStream
 from truearm.session.line_passes import Leg, LinePass, LineRules, find_legs, measure
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
@@ -41,7 +41,7 @@ from truearm.session.samples import ChannelSamples, Samples
 from truearm.session.session_file import Messages, Source, columns_of
 from truearm.session.streams import Blocks, BoxReader, Losses, Segment, StreamReport
 from truearm.session.trigger_edges import with_edges
-from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig
+from truearm.types import BAR_MOUNTED, MOUNTING, DwellLabel, Floats, Rig
 
 # Names given by the box's configuration: the columns that kinds of observation declare
 THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}

@@ -22,10 +22,10 @@ import msgspec
 import numpy as np
 
 from truearm.errors import Argument, RigError
-from truearm.session.dwells import MOUNTING, Dwell
+from truearm.session.dwells import Dwell
 from truearm.session.joint_format import are_joints
 from truearm.session.line_passes import LONGEST_S, Leg, LinePass
-from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, DwellLabel, Floats, Move, Plan, Rig
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, MOUNTING, DwellLabel, Floats, Move, Plan, Rig
 
 FITTINGS = (*MOUNTED, "shell")
 MAX_NAME = 64

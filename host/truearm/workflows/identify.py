@@ -420,7 +420,7 @@ def identified(
     if options.joint_laws == LawMode.NONE:
         estimate = checked(estimate)
     else:
-        chain, estimate, _ = fitted_without_outliers(estimate, geometry, with_laws)
+        chain, estimate, *_ = fitted_without_outliers(estimate, geometry, with_laws)
     if not estimate.unusable:
         examination = examine_once(chain, estimate)
         estimate = with_faults(estimate, examination)

@@ -28,11 +28,9 @@ from truearm.model.chain import Chain
 from truearm.model.robot import Robot
 from truearm.progress import step
 from truearm.report.certificate import Facts, Recording, between
-from truearm.session.dwells import DOUBTFUL
 from truearm.text import listed, one_line
-from truearm.types import Rig, Rigs, SocketDistance, rigs_by_name
+from truearm.types import DOUBTFUL, Rig, Rigs, SocketDistance, rigs_by_name
 from truearm.units import NS, UM, US
-from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
     Say,
     SessionOptions,
@@ -257,6 +255,8 @@ def _read_session(
     doubtful = 0
     if robot is not None and not labels:
         with step("comparing labels with the readings"):
+            from truearm.workflows.relabel import borne_out_rows
+
             borne_out = borne_out_rows(robot, rig, result)
         table = table.select(borne_out)
         doubtful = int((~borne_out).sum())

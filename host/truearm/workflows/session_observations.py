@@ -17,15 +17,15 @@ import numpy as np
 from truearm.box.readiness import FAR, LVDT, LVDT_DRIFT, STEEL
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.files.labels_file import read_labels
-from truearm.session.session_tables import UNKNOWN, Batch, Columns, tabulate
 from truearm.text import counted, one_line, page
-from truearm.types import Floats
+from truearm.types import DOUBTFUL, Floats
 from truearm.units import DEGC, MM, PPM_PER_K
 from truearm.workflows.session_parts import SUFFIX, open_finished
 
 if TYPE_CHECKING:
     from truearm.session.observations import Survey, SyncResult
     from truearm.session.session_file import Session, Source
+    from truearm.session.session_tables import Batch, Columns
     from truearm.types import BallBar, Plan, Rig
 
 RIG = "rig.toml"
@@ -64,7 +64,7 @@ def nothing_observed(path: Path, dwells: Mapping[str, int], passes: Mapping[str,
 
     ``dwells`` and ``passes`` along lines: the rejected ones by reason. ``planned``: the session has a plan.
     """
-    from truearm.session.dwells import DOUBTFUL, needs_decision
+    from truearm.session.dwells import needs_decision
 
     name = shlex.quote(one_line(str(path)))
     kinds = (("dwell", "dwells", dwells), ("motion along a line", "motions along a line", passes))
@@ -197,6 +197,8 @@ def joint_readings(paths: Sequence[Path], allow_damaged: bool = False) -> tuple[
 
 
 def _batches(paths: Sequence[Path], allow_damaged: bool) -> Iterator[Batch]:
+    from truearm.session.session_tables import tabulate
+
     for path in paths:
         yield from tabulate(surveyed(open_finished(path, allow_damaged)))
 
@@ -208,6 +210,8 @@ def _rank(title: str) -> int:
 
 def _host_seconds(columns: Columns) -> Floats:
     """Return host times [s], as in an ObservationTable; NaN where unknown."""
+    from truearm.session.session_tables import UNKNOWN
+
     time = columns["host_time_ns"]
     return np.where(time == UNKNOWN, np.nan, 1e-9 * time)
 
