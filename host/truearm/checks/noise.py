@@ -23,6 +23,8 @@ SHAPES = (("order", 2.0), ("order", 8.0), ("order", 40.0), ("mount", 0.0), ("pos
 STRETCH = 50  # rows; of a longer table, stretches of as many are judged
 MOST_JUDGED = 400  # rows
 
+(_potri,) = linalg.get_lapack_funcs(("potri",), dtype=np.float64)
+
 
 def learned_noise(fit: WhitenedFit) -> Kernel:
     """Return the noise with the greatest restricted likelihood, or the declared one."""
@@ -30,13 +32,16 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     inside = np.isin(fit.row, rows)
     row = np.searchsorted(rows, fit.row[inside])
     moves = fit.jac[inside].any(axis=0)  # of the others, such as far knots of a curve, there is only the prior
+    jac = fit.jac[inside][:, moves]
+    prior = fit.wide_prior[:, np.append(moves, True)][fit.wide_prior[:, :-1][:, moves].any(axis=1)]
+    length = np.maximum(np.linalg.norm(np.concatenate([jac, prior[:, :-1]]), axis=0), 1e-300)
     few = replace(
         fit,
         row=row,
         component=fit.component[inside],
-        jac=fit.jac[inside][:, moves],
+        jac=jac / length,
         residual=fit.residual[inside],
-        wide_prior=fit.wide_prior[:, np.append(moves, True)][fit.wide_prior[:, :-1][:, moves].any(axis=1)],
+        wide_prior=prior / np.append(length, 1.0),
     )
     shapes = [(name, width) for name, width in SHAPES if name != "mount" or np.unique(fit.how.run[rows]).size > 1]
     choices = [("white", 0.0, 0.0), *((*shape, share) for shape in shapes for share in SHARES)]
@@ -53,17 +58,16 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
 def likelihood(fit: WhitenedFit, kernel: Kernel) -> tuple[float, float]:
     """Return the restricted log-likelihood of the residuals, and the scale of the noise.
 
-    −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless the kernel is the declared one.
+    −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless the kernel is the declared one. The columns
+    of J are of similar length.
     """
     m, k = fit.jac.shape
     white = kernel.whiten(np.column_stack([fit.jac, fit.residual]))
-    length = np.maximum(np.linalg.norm(np.concatenate([fit.jac, fit.wide_prior[:, :-1]]), axis=0), 1e-300)
-    white, prior = white / np.append(length, 1.0), fit.wide_prior / np.append(length, 1.0)
     data = white.T @ white
-    lower = np.linalg.cholesky(data + prior.T @ prior + 1e-12 * np.eye(k + 1))
-    half = linalg.solve_triangular(lower[:k, :k], data[:k, :k], lower=True)
+    lower = np.linalg.cholesky(data + fit.wide_prior.T @ fit.wide_prior + 1e-12 * np.eye(k + 1))
+    inverse = _potri(lower[:k, :k], lower=1)[0]  # the lower triangle
     chi2 = float(lower[k, k] ** 2)
-    freedom = m - float(np.trace(linalg.solve_triangular(lower[:k, :k], half.T, lower=True)))
+    freedom = m - float((inverse * (2.0 * np.tril(data[:k, :k], -1) + np.diag(np.diag(data)[:k]))).sum())
     variance = 1.0 if kernel.declared else max(chi2 / max(freedom, 1.0), 1e-12)
     cost = freedom * math.log(variance) + chi2 / variance + kernel.log_determinant
     return -0.5 * cost - float(np.log(np.diag(lower)[:k]).sum()), math.sqrt(variance)

@@ -79,8 +79,11 @@ def seen_by(marginal: Marginal, blocks: Sequence[PriorBlock]) -> Seen:
     for block in blocks:
         cap[block.columns] = block.cap
     scaled = marginal.root * cap
-    square, vectors = np.linalg.eigh(scaled @ scaled.T)  # rounding, 1e-16 of the largest, is far below UNSEEN
+    tall = scaled.shape[0] > scaled.shape[1]
+    square, vectors = np.linalg.eigh(scaled.T @ scaled if tall else scaled @ scaled.T)  # rounding is far below UNSEEN
     some = vectors[:, square > UNSEEN]
+    if tall:
+        some = scaled @ some / np.sqrt(square[square > UNSEEN])
     return Seen(marginal.root.T @ some, some.T @ marginal.rhs)
 
 
