@@ -172,6 +172,10 @@ def single(n: int, floor: dict, recursive: dict) -> list[str]:
     ]
 
 
+PANDA = (  # of the README
+    "identify tests/data/mukca/panda_3.csv --model tests/data/mukca/panda.urdf --tip ball_link"
+    " --rig tests/data/mukca/rig.toml --hold-out place=frontcenter --hold-out place=frontleft --hold-out place=frontright"
+)
 PROJECT = (
     "init cell --model ur5e --minutes 30",
     "plan ballbar --minutes 60 --out long.csv",
@@ -188,8 +192,9 @@ def commands() -> list[tuple[str, float, float]]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_inputs(str(folder / "poses.csv"), str(folder / "rig.toml"))
-        short = ("--help", "identify poses.csv --model puma560 --rig rig.toml")
-        done = [min((measured(command, folder) for _ in range(10)), key=lambda row: row[1]) for command in short]
+        poses = "identify poses.csv --model puma560 --rig rig.toml"
+        short = (("--help", folder), (poses, folder), (PANDA, ROOT))
+        done = [min((measured(*command) for _ in range(10)), key=lambda row: row[1]) for command in short]
         for command in PROJECT:
             if "path.csv" in command:
                 write_path(folder / "cell" / "path.csv")
