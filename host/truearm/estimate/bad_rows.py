@@ -45,35 +45,35 @@ class WithoutBad(NamedTuple):
 
 
 def without_bad_rows(
-    problem: Problem, columns: Mask, found: Solution, quality: Goodness, options: Options
+    problem: Problem, columns: Mask, solution: Solution, quality: Goodness, options: Options
 ) -> WithoutBad | None:
     """Return the fit without the bad rows; None if there are none, or if they do not explain χ².
 
-    ``found`` is the least-squares fit of all rows over x[columns], with the ``quality`` that is out of its range.
+    ``solution`` is the least-squares fit of all rows over x[columns], with the ``quality`` that is out of its range.
     """
-    square, width = squared_distances(problem, found.x, columns, found.information.half, np.ones(problem.n_rows))
+    square, width = squared_distances(problem, solution.x, columns, solution.information.half, np.ones(problem.n_rows))
     usual = float(np.nanmax(misfit(square, width, np.isfinite(square)), initial=1.0))
     if not quality.reduced > HEAVY * usual:
         return None
     options = options._replace(on_step=None)
-    here = fit(problem, columns, found.x, options._replace(loss=Loss.CAUCHY))
-    used, weight = np.zeros(problem.n_rows, dtype=bool), here.weight
+    refit = fit(problem, columns, solution.x, options._replace(loss=Loss.CAUCHY))
+    included, weight = np.zeros(problem.n_rows, dtype=bool), refit.weight
     for _ in range(ROUNDS):
-        square, width = squared_distances(problem, here.x, columns, here.information.half, weight)
+        square, width = squared_distances(problem, refit.x, columns, refit.information.half, weight)
         chosen = ~(square > gate(width))
-        if np.array_equal(chosen, used):
+        if np.array_equal(chosen, included):
             break
-        used, weight = chosen, chosen.astype(float)
-        if (~used).mean() > MOST:
+        included, weight = chosen, chosen.astype(float)
+        if (~included).mean() > MOST:
             return None
-        here = fit(only(problem, used), columns, here.x, options)
+        refit = fit(only(problem, included), columns, refit.x, options)
     else:
         return None
-    if used.all() or here.status != "converged" or longest_run(~used) > _longest_by_chance(~used):
+    if included.all() or refit.status != "converged" or longest_run(~included) > _longest_by_chance(~included):
         return None
-    left = goodness_of(problem, columns, here)
-    explained = left.explained and left.freedom >= LEAST_LEFT
-    return WithoutBad(~used, np.sqrt(square), here, left) if explained else None
+    remaining = goodness_of(problem, columns, refit)
+    explained = remaining.explained and remaining.freedom >= LEAST_LEFT
+    return WithoutBad(~included, np.sqrt(square), refit, remaining) if explained else None
 
 
 def _longest_by_chance(bad: Mask) -> float:
@@ -84,5 +84,5 @@ def _longest_by_chance(bad: Mask) -> float:
 def fit_without(bad: WithoutBad, chain: Chain, x: Floats, q: Floats) -> OtherFit:
     """Return the fit without the bad rows; x (P,) is the fit with them, and q (n, j) are the poses."""
     rms = {unit: figures.rms for unit, figures in Figures.by_unit(bad.solution.information.residual, ~bad.bad).items()}
-    apart = moves(chain, x, bad.solution.x, q)
-    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced, apart)
+    distance = moves(chain, x, bad.solution.x, q)
+    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced, distance)

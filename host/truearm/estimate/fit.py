@@ -35,17 +35,17 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
 
     Of more than MANY observations, every so manieth is fitted first: this costs little, and ends close to the minimum.
     """
-    every = sum(len(group.sensor_cov) for group in problem.groups) // MANY
-    if every > 1:
-        few = (group if group.row is None else group.take(slice(None, None, every)) for group in problem.groups)
-        x = fit(replace(problem, groups=tuple(few)), columns, x, options._replace(on_step=None)).x
-    part, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
+    stride = sum(len(group.sensor_cov) for group in problem.groups) // MANY
+    if stride > 1:
+        thinned = (group if group.row is None else group.take(slice(None, None, stride)) for group in problem.groups)
+        x = fit(replace(problem, groups=tuple(thinned)), columns, x, options._replace(on_step=None)).x
+    unknowns, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
     for loss in stages(options.loss):
         linearise, cost = _callbacks(problem, columns, x, loss)
-        with step(f"fitting {part.size} unknowns to {problem.n_rows} rows") as advance:
+        with step(f"fitting {unknowns.size} unknowns to {problem.n_rows} rows") as advance:
             minimum = lm.minimise(
                 linearise,
-                part,
+                unknowns,
                 options.max_iterations,
                 _counted(iterations, options, advance),
                 damping=options.damping,
@@ -53,8 +53,8 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
                 move=stepper(problem, columns),
                 ends=options.ends,
             )
-        part, iterations = minimum.x, iterations + minimum.iterations
-    x = whole(x, columns, part)
+        unknowns, iterations = minimum.x, iterations + minimum.iterations
+    x = whole(x, columns, unknowns)
     message = minimum.message if options.loss is Loss.LINEAR else f"{options.loss} loss: {minimum.message}"
     if options.loss is Loss.LINEAR:
         claimed = covariance(spectrum(minimum.information.root))
@@ -70,13 +70,13 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
 solve = fit  # the solver ``lm``
 
 
-def _counted(before: int, options: Options, advance: Advance) -> Callable[[int, Information], None]:
+def _counted(earlier: int, options: Options, advance: Advance) -> Callable[[int, Information], None]:
     """Report each step, counting through all stages."""
 
     def on_step(iteration: int, information: Information) -> None:
         advance(min(iteration / USUAL_ITERATIONS, 0.9))
         if options.on_step is not None:
-            options.on_step(before + iteration, information.residual)
+            options.on_step(earlier + iteration, information.residual)
 
     return on_step
 
@@ -86,24 +86,32 @@ def _callbacks(
 ) -> tuple[Callable[[Floats], Information], Callable[[Floats, Floats], float] | None]:
     """Return ``linearise`` and ``cost`` for ``lm.minimise``."""
 
-    def at(of: Problem, part: Floats) -> Information:
-        here = whole(x, columns, part)
-        data = observe(of, here, columns) if loss is Loss.LINEAR else observe_robustly(of, here, columns, loss)[0]
-        return with_prior(data, *prior_error(problem, columns, here))
+    def linearised(weighted: Problem, unknowns: Floats) -> Information:
+        point = whole(x, columns, unknowns)
+        data = (
+            observe(weighted, point, columns)
+            if loss is Loss.LINEAR
+            else observe_robustly(weighted, point, columns, loss)[0]
+        )
+        return with_prior(data, *prior_error(problem, columns, point))
 
     if problem.joint_cov is None and held(problem, x) is problem:
-        return lambda part: at(problem, part), None
+        return lambda unknowns: linearised(problem, unknowns), None
     nothing = np.zeros_like(columns)
 
     @lru_cache(maxsize=1)
-    def weighed_at(here: bytes) -> Problem:
-        point = whole(x, columns, np.frombuffer(here))
+    def weighed_at(unknowns: bytes) -> Problem:
+        point = whole(x, columns, np.frombuffer(unknowns))
         return weighed(held(problem, point), point)
 
-    def cost(there: Floats, here: Floats) -> float:
-        of, point = weighed_at(here.tobytes()), whole(x, columns, there)
-        data = observe(of, point, nothing) if loss is Loss.LINEAR else observe_robustly(of, point, nothing, loss)[0]
+    def cost(goal: Floats, start: Floats) -> float:
+        weighted, point = weighed_at(start.tobytes()), whole(x, columns, goal)
+        data = (
+            observe(weighted, point, nothing)
+            if loss is Loss.LINEAR
+            else observe_robustly(weighted, point, nothing, loss)[0]
+        )
         error, sigma = prior_error(problem, columns, point)
         return data.chi2 + float(((error / sigma) ** 2).sum())
 
-    return lambda part: at(problem, part), cost
+    return lambda unknowns: linearised(problem, unknowns), cost

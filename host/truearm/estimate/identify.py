@@ -136,29 +136,29 @@ def identify(
 
     nominal = _nominal(task, options)
     solved = _solved(task, nominal, options, on_step)
-    found, x = solved.found, solved.found.x
-    root = found.information.half
+    solution, x = solved.found, solved.found.x
+    root = solution.information.half
     quality = _quality(task, solved, root, options)
-    sight = _sight(task, found, solved.taken(problem))
+    sight = _sight(task, solution, solved.taken(problem))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
-    taken, covariance = solved.taken(problem), np.zeros((x.size, x.size))
-    covariance[np.ix_(columns, columns)] = found.covariance
+    fitted_problem, covariance = solved.taken(problem), np.zeros((x.size, x.size))
+    covariance[np.ix_(columns, columns)] = solution.covariance
     scatter = None
-    if as_declared and found.status == "converged" and columns.any():
-        scatter = learned_scatter(taken, x, columns, task.pose, quality.fit)
+    if as_declared and solution.status == "converged" and columns.any():
+        scatter = learned_scatter(fitted_problem, x, columns, task.pose, quality.fit)
     if scatter is not None and scatter.n and is_of_arm(scatter):
-        covariance[np.ix_(columns, columns)] = covariance_with(scatter, taken, x, columns, root, task.pose)
+        covariance[np.ix_(columns, columns)] = covariance_with(scatter, fitted_problem, x, columns, root, task.pose)
     unfitted = _unfitted(task, nominal, x, quality)
     unexplained: Mapping[str, MeanError] = {}
     if not quality.fit.explained:
         unexplained = mean_errors(unfitted.error, poses(table), held_out=unfitted.after is not None)
-    used = not_left_out(found.weight)
+    included = not_left_out(solution.weight)
     estimate = Estimate(
-        status=found.status,
-        message=found.message,
+        status=solution.status,
+        message=solution.message,
         solver=options.solver,
-        iterations=found.iterations,
+        iterations=solution.iterations,
         parameter_names=problem.names,
         units=problem.units,
         nominal=problem.start,
@@ -172,14 +172,14 @@ def identify(
         rank=sight.of_rows.rank,
         rank_gap=sight.of_rows.gap,
         null_space=sight.of_rows.null_space,
-        rms_before=rms_of(nominal.residual, used),
-        rms_raw=rms_of(nominal.raw, used),
-        rms_after=rms_of(found.information.residual, used),
+        rms_before=rms_of(nominal.residual, included),
+        rms_raw=rms_of(nominal.raw, included),
+        rms_after=rms_of(solution.information.residual, included),
         rms_history={unit: tuple(rms[unit] for rms in (rms_of(nominal.raw), *history)) for unit in nominal.raw},
         chi2_reduced=quality.fit.reduced,
         held_out=unfitted.after,
         held_out_before=unfitted.before,
-        residual=merged(found.information.residual, unfitted.of_held, fitted, held),
+        residual=merged(solution.information.residual, unfitted.of_held, fitted, held),
         residual_before=merged(nominal.residual, unfitted.of_held_before, fitted, held),
         fitted=fitted,
         left_out=task.left_out,
@@ -188,18 +188,18 @@ def identify(
         chi2_band=quality.fit.band,
         chi2_freedom=quality.fit.freedom,
         distance=_merge(quality.distance, np.nan, fitted, held),
-        weight=_merge(found.weight, np.nan, fitted, held),
+        weight=_merge(solution.weight, np.nan, fitted, held),
         outlying=spread(solved.outlying, fitted),
-        suspect=spread(quality.beyond | (found.weight == 0.0), fitted),
+        suspect=spread(quality.beyond | (solution.weight == 0.0), fitted),
         observability=sight.observability,
         suggested_free=spread(sight.suggested, task.free),
         hardly_seen=sight.hardly,
         additions=sight.additions,
-        prior_sigma=_prior(problem, columns, found),
+        prior_sigma=_prior(problem, columns, solution),
         unexplained=unexplained,
         unfitted_error=unfitted.error,
         unfitted_error_before=unfitted.error_before,
-        with_outliers=None if solved.found is solved.every else fit_with_all(problem, columns, solved.every, found),
+        with_outliers=None if solved.found is solved.every else fit_with_all(problem, columns, solved.every, solution),
         without_bad_rows=quality.bad and fit_without(quality.bad, chain, x, table.q[fitted]),
         parts=quality.parts,
         scatter=scatter,
@@ -281,8 +281,8 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
     problem, of_rig = task.problem, task.problem.of_rig
     x = problem.start
     if of_rig.any():
-        found = fit(problem, of_rig, x, Options(options.max_iterations, ends=idle(WORTH)))
-        x, raw = found.x, found.information.residual
+        placed = fit(problem, of_rig, x, Options(options.max_iterations, ends=idle(WORTH)))
+        x, raw = placed.x, placed.information.residual
     else:
         raw = observe(problem, x, of_rig).residual
     gross = np.zeros(problem.n_rows, dtype=bool)
@@ -299,9 +299,9 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
         prior = (problem.start - x)[mounts], problem.prior_sigma[mounts]
         root = with_prior(observe(problem, x, mounts), *prior).half
         return _Nominal(x, raw, x, raw, mounts, root, gross)
-    found = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH)))
-    residual = observe(problem, found.x, of_rig).residual if gross.any() else found.information.residual
-    return _Nominal(x, raw, found.x, residual, mounts, found.information.half, gross)
+    placed = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH)))
+    residual = observe(problem, placed.x, of_rig).residual if gross.any() else placed.information.residual
+    return _Nominal(x, raw, placed.x, residual, mounts, placed.information.half, gross)
 
 
 class _Solved(NamedTuple):
@@ -325,16 +325,16 @@ def _solved(
     # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
     start = nominal.x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
     solve = solver_named(options.solver)
-    every = solve(problem, columns, start, how_to)
-    begun = solve(only(problem, ~gross), columns, start, how_to._replace(on_step=None)) if gross.any() else every
+    complete = solve(problem, columns, start, how_to)
+    begun = solve(only(problem, ~gross), columns, start, how_to._replace(on_step=None)) if gross.any() else complete
     if options.outliers is not None:
-        found = weightless(problem, columns, begun, ~gross)
-        return _Solved(found, every, found.weight == 0.0)
+        solution = weightless(problem, columns, begun, ~gross)
+        return _Solved(solution, complete, solution.weight == 0.0)
     if _rejects(options) and begun.status == "converged":
         rejected = without_outliers(problem, columns, begun, how_to, gross)
         if rejected is not None:
-            return _Solved(rejected.found if rejected.explained else every, every, rejected.found.weight == 0.0)
-    return _Solved(every, every, every.weight == 0.0)
+            return _Solved(rejected.found if rejected.explained else complete, complete, rejected.found.weight == 0.0)
+    return _Solved(complete, complete, complete.weight == 0.0)
 
 
 class _Quality(NamedTuple):
@@ -351,22 +351,22 @@ class _Quality(NamedTuple):
 
 def _quality(task: _Task, solved: _Solved, root: Floats, options: SolverOptions) -> _Quality:
     """Judge the rows by a fit, with the covariance ``root @ root.T`` of its unknowns."""
-    problem, columns, found = task.problem, task.columns, solved.found
-    rows = row_errors(problem, found.x, columns, root, found.weight, task.pose)
-    quality = goodness_of(problem, columns, found)
+    problem, columns, solution = task.problem, task.columns, solved.found
+    rows = row_errors(problem, solution.x, columns, root, solution.weight, task.pose)
+    quality = goodness_of(problem, columns, solution)
     if options.loss != Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
         inliers = only(problem, ~rows.beyond)
         tolerated = inliers if rows.beyond.mean() <= MOST_BAD else problem
-        shares = prior_shares(root, found.prior_sigma)
-        quality = goodness(*weighted_chi2(tolerated, found.x, Loss(options.loss)), shares)
-        left_out = left_out_errors(inliers, found.x, columns, root, task.pose)
+        shares = prior_shares(root, solution.prior_sigma)
+        quality = goodness(*weighted_chi2(tolerated, solution.x, Loss(options.loss)), shares)
+        left_out = left_out_errors(inliers, solution.x, columns, root, task.pose)
         return _Quality(quality, None, rows.distance, rows.beyond, left_out, inliers, rows.parts)
     bad = None
-    if _rejects(options) and found is solved.every and found.status == "converged" and not quality.explained:
+    if _rejects(options) and solution is solved.every and solution.status == "converged" and not quality.explained:
         bad = without_bad_rows(
             problem,
             columns,
-            found,
+            solution,
             quality,
             Options(options.max_iterations, damping=Damping(plain=options.damping == "plain")),
         )
@@ -385,11 +385,11 @@ class _Sight(NamedTuple):
     additions: tuple[Addition, ...]
 
 
-def _sight(task: _Task, solution: Solution, taken: Problem) -> _Sight:
-    """Return what the rows ``taken`` of a solution determine, linearised at it."""
+def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> _Sight:
+    """Return what the rows of the fitted problem determine, linearised at its solution."""
     x, columns, n_free = solution.x, task.columns, int(task.free.sum())
-    still, data = settled(taken, x), solution.information
-    if still is not taken or not np.array_equal(solution.prior_sigma, task.problem.rig_prior[columns]):
+    still, data = settled(fitted_problem, x), solution.information
+    if still is not fitted_problem or not np.array_equal(solution.prior_sigma, task.problem.rig_prior[columns]):
         data = of_rows(still, x, columns)
     names = task.problem.names_of(columns)
     sight = determined(still, x, columns, task.effects, data.root)
@@ -399,14 +399,14 @@ def _sight(task: _Task, solution: Solution, taken: Problem) -> _Sight:
     only_weak = suggested.all() and len(weak) > 0
     wanting = (identifiable_columns(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
-    known = dict(zip(task.problem.names, x, strict=True))
+    values = dict(zip(task.problem.names, x, strict=True))
     return _Sight(
         sight,
         spread(sight.identifiable & ~np.isin(names, untimed), columns),
         suggested,
         observability(data.root, n_free, suggested, unit, data.n_residuals),
         (*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
-        additions(task.chain, task.rig, task.table.select(task.fitted), names, data.root, known, *wanting),
+        additions(task.chain, task.rig, task.table.select(task.fitted), names, data.root, values, *wanting),
     )
 
 
@@ -424,22 +424,22 @@ class _Unfitted(NamedTuple):
 def _unfitted(task: _Task, nominal: _Nominal, x: Floats, quality: _Quality) -> _Unfitted:
     fitted, held = task.fitted, task.held
     judge = partial(judged, task.problem, rig=task.rig, table=task.table, held=held, modelled=task.effects)
-    before, of_held_before = judge(nominal.x)
-    after, of_held = judge(x)
-    if after is not None:
-        error, error_before = (merged({}, each, fitted, held) for each in (of_held, of_held_before))
+    held_out_before, of_held_before = judge(nominal.x)
+    held_out, of_held = judge(x)
+    if held_out is not None:
+        error, error_before = (merged({}, of_robot, fitted, held) for of_robot in (of_held, of_held_before))
     else:
         robot = left_out_errors(quality.inliers, nominal.x, nominal.mounts, nominal.root, task.pose)
-        error, error_before = (merged(each, {}, fitted, held) for each in (quality.left_out, robot))
+        error, error_before = (merged(of_robot, {}, fitted, held) for of_robot in (quality.left_out, robot))
     if not np.any(task.columns & ~nominal.mounts):
         error_before = {}
-    return _Unfitted(after, before, of_held, of_held_before, error, error_before)
+    return _Unfitted(held_out, held_out_before, of_held, of_held_before, error, error_before)
 
 
-def _prior(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> Floats:
+def _prior(problem: Problem, columns: NDArray[np.bool_], solution: Solution) -> Floats:
     """Return σ (P,) of the prior that the solver used; inf for none."""
     sigma = problem.prior_sigma.copy()
-    sigma[columns] = found.prior_sigma
+    sigma[columns] = solution.prior_sigma
     return sigma
 
 
@@ -476,13 +476,13 @@ def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
 
 
 def _check_choice(solver: str, loss: str, damping: str) -> None:
-    for what, given, known in (
+    for what, value, names in (
         ("solver", solver, SOLVERS),
         ("loss", loss, tuple(Loss)),
         ("damping", damping, DAMPINGS),
     ):
-        if given not in known:
-            raise ProblemError("wrong-value", place=what, value=given, names=list(known))
+        if value not in names:
+            raise ProblemError("wrong-value", place=what, value=value, names=list(names))
     if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
         raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
     if damping != "scaled" and solver != "lm":

@@ -42,29 +42,29 @@ def gross_rows(problem: Problem, columns: Mask, x: Floats) -> tuple[Mask, Floats
     ``x`` is a fit of x[columns] to all rows. No row is gross if there are too many, or too many in sequence, for
     outliers.
     """
-    gross, there = np.zeros(problem.n_rows, dtype=bool), x
+    gross, x_others = np.zeros(problem.n_rows, dtype=bool), x
     for _ in range(GROSS_ROUNDS):
-        size = _times_the_median(problem, there, columns, gross)
-        found = size > GROSS
-        if np.array_equal(found, gross):
+        size = _times_the_median(problem, x_others, columns, gross)
+        candidates = size > GROSS
+        if np.array_equal(candidates, gross):
             break
-        if not single(found):
+        if not single(candidates):
             return np.zeros(problem.n_rows, dtype=bool), x
-        gross = found
+        gross = candidates
         if columns.any():
-            there = fit(only(problem, ~gross), columns, there, Options()).x
-    return gross, there
+            x_others = fit(only(problem, ~gross), columns, x_others, Options()).x
+    return gross, x_others
 
 
 def _times_the_median(problem: Problem, x: Floats, columns: Mask, gross: Mask) -> Floats:
     """Return each row's whitened residual (n_rows,) over the median of those of its kind that are not gross."""
     size = np.zeros(problem.n_rows)
-    for part in whitened_blocks(problem, x, columns):
-        if part.row is not None:
-            length = np.linalg.norm(part.residual, axis=1)
-            others = length[~gross[part.row]]
-            usual = float(np.median(others)) if others.size else 0.0
-            size[part.row] = length / usual if usual > 0.0 else 0.0
+    for block in whitened_blocks(problem, x, columns):
+        if block.row is not None:
+            length = np.linalg.norm(block.residual, axis=1)
+            accepted = length[~gross[block.row]]
+            usual = float(np.median(accepted)) if accepted.size else 0.0
+            size[block.row] = length / usual if usual > 0.0 else 0.0
     return size
 
 
@@ -81,47 +81,49 @@ class Rejection(NamedTuple):
 
 
 def without_outliers(
-    problem: Problem, columns: Mask, found: Solution, options: Options, gross: Mask
+    problem: Problem, columns: Mask, solution: Solution, options: Options, gross: Mask
 ) -> Rejection | None:
     """Return the fit without outliers; None if there are none, or if the model is wrong.
 
-    ``found`` is a converged least-squares fit over x[columns] of all rows except those that are ``gross`` (n_rows,).
+    ``solution`` is a converged least-squares fit over x[columns] of all rows except those that are ``gross`` (n_rows,).
     """
     n = problem.n_rows
-    used = ~gross
+    included = ~gross
     options = options._replace(on_step=None)
-    here, seen_sets, settled = found, set(), True
+    refit, seen_sets, settled = solution, set(), True
     for _ in range(MAX_ROUNDS):
-        square, width = squared_distances(problem, here.x, columns, here.information.half, used.astype(float))
-        chosen = within(square, gate(width) * misfit(square, width, used), used)
-        if np.array_equal(chosen, used):
+        square, width = squared_distances(problem, refit.x, columns, refit.information.half, included.astype(float))
+        chosen = within(square, gate(width) * misfit(square, width, included), included)
+        if np.array_equal(chosen, included):
             break
         if (~chosen).sum() > MOST * n or chosen.tobytes() in seen_sets:
             settled = False  # where the misfit varies, clean rows follow those that are farthest
             break
         seen_sets.add(chosen.tobytes())
-        used = chosen
-        here = fit(only(problem, used), columns, here.x, options)
-        if here.status != "converged":
+        included = chosen
+        refit = fit(only(problem, included), columns, refit.x, options)
+        if refit.status != "converged":
             return None
     else:
         return None
-    if used.all() or not single(~used):
+    if included.all() or not single(~included):
         return None
     explained = settled and bool((square > gate(width)).sum() <= MOST * n)
-    if not explained and not matter(square, ~used):
+    if not explained and not matter(square, ~included):
         return None
-    without = weightless(problem, columns, here._replace(iterations=found.iterations, message=found.message), used)
+    without = weightless(
+        problem, columns, refit._replace(iterations=solution.iterations, message=solution.message), included
+    )
     return Rejection(without, explained)
 
 
-def within(distance: Floats, limit: Floats, used: Mask) -> Mask:
+def within(distance: Floats, limit: Floats, included: Mask) -> Mask:
     """Return the rows for the next round: without the farthest, and with those that are back within the gate."""
-    far = distance / limit
-    worst = far[used].max(initial=0.0)
-    leaving = used & (far > 1.0) & (far >= NEAR_FARTHEST * worst)
-    returning = ~used & (far <= 1.0)
-    return np.asarray((used & ~leaving) | returning)
+    ratio = distance / limit
+    worst = ratio[included].max(initial=0.0)
+    leaving = included & (ratio > 1.0) & (ratio >= NEAR_FARTHEST * worst)
+    returning = ~included & (ratio <= 1.0)
+    return np.asarray((included & ~leaving) | returning)
 
 
 def matter(square: Floats, out: Mask) -> bool:
@@ -132,31 +134,31 @@ def matter(square: Floats, out: Mask) -> bool:
     return bool(square[out].sum() > MATTERING * square.sum())
 
 
-def weightless(problem: Problem, columns: Mask, found: Solution, used: Mask) -> Solution:
-    """Return a fit of the ``used`` rows (n_rows,) with the residuals of all rows, of which the others have weight 0."""
-    information = found.information._replace(residual=observe(problem, found.x, columns).residual)
-    return found._replace(information=information, weight=used.astype(float))
+def weightless(problem: Problem, columns: Mask, solution: Solution, included: Mask) -> Solution:
+    """Return a fit of the ``included`` rows (n_rows,) with the residuals of all rows, of which the others have weight 0."""
+    information = solution.information._replace(residual=observe(problem, solution.x, columns).residual)
+    return solution._replace(information=information, weight=included.astype(float))
 
 
-def fit_with_all(problem: Problem, columns: Mask, every: Solution, found: Solution) -> OtherFit:
+def fit_with_all(problem: Problem, columns: Mask, complete: Solution, solution: Solution) -> OtherFit:
     """Return the fit of all rows, to compare with the one without outliers."""
-    rms = {unit: figures.rms for unit, figures in Figures.by_unit(every.information.residual).items()}
-    reduced = goodness_of(problem, columns, every).reduced
-    return OtherFit(int((found.weight == 0.0).sum()), every.x, rms, reduced)
+    rms = {unit: figures.rms for unit, figures in Figures.by_unit(complete.information.residual).items()}
+    reduced = goodness_of(problem, columns, complete).reduced
+    return OtherFit(int((solution.weight == 0.0).sum()), complete.x, rms, reduced)
 
 
-def misfit(square: Floats, width: Indices, used: Mask) -> Floats:
-    """Return by how much (n,) the median of the ``used`` squared distances of each width exceeds that of noise, at least 1.
+def misfit(square: Floats, width: Indices, included: Mask) -> Floats:
+    """Return by how much (n,) the median of the ``included`` squared distances of each width exceeds that of noise, at least 1.
 
     The usual row errs in proportion, so that a row as far beyond the gate is no outlier. What chance may add to the
     median, two of its standard deviations, is taken off.
     """
     times = np.ones(square.size)
     for w in np.unique(width):
-        mine = used & (width == w)
-        if mine.any():
-            usual = float(np.median(square[mine])) / float(special.chdtri(w, 0.5))
-            times[width == w] = max(1.0, usual / (1.0 + 2.0 * MEDIAN_SPREAD / math.sqrt(mine.sum())))
+        of_width = included & (width == w)
+        if of_width.any():
+            usual = float(np.median(square[of_width])) / float(special.chdtri(w, 0.5))
+            times[width == w] = max(1.0, usual / (1.0 + 2.0 * MEDIAN_SPREAD / math.sqrt(of_width.sum())))
     return times
 
 

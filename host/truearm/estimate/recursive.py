@@ -48,8 +48,8 @@ class Rows(NamedTuple):
 
 def start(mean_minus_x: Floats, sigma: Floats) -> Filter:
     """Return the prior: Δ(0) = mean − x (k,), P(0) = diag(σ²); an infinite σ becomes ``DIFFUSE`` about x itself."""
-    some = np.isfinite(sigma)
-    return Filter(np.where(some, mean_minus_x, 0.0), np.diag(np.where(some, sigma, DIFFUSE)))
+    has_prior = np.isfinite(sigma)
+    return Filter(np.where(has_prior, mean_minus_x, 0.0), np.diag(np.where(has_prior, sigma, DIFFUSE)))
 
 
 def update(state: Filter, jac: Floats, residual: Floats) -> tuple[Filter, Floats, float]:
@@ -59,57 +59,57 @@ def update(state: Filter, jac: Floats, residual: Floats) -> tuple[Filter, Floats
     whitening, so they are processed one by one, and the distance is the sum of ν²/v over them. Measured: 18 µs per
     scalar row at 60 unknowns.
     """
-    before = residual - jac @ state.delta
+    innovations = residual - jac @ state.delta
     delta, root, distance = state.delta, state.root, 0.0
     for j, r in zip(jac, residual, strict=True):
-        seen = j @ root
-        variance = seen @ seen + 1.0
-        ahead = root @ seen
+        projected = j @ root
+        variance = projected @ projected + 1.0
+        ahead = root @ projected
         innovation = r - j @ delta
         distance += innovation * innovation / variance
         delta = delta + ahead * (innovation / variance)
-        root = root - np.multiply.outer(ahead / (variance + np.sqrt(variance)), seen)
-    return Filter(delta, root), before, float(distance)
+        root = root - np.multiply.outer(ahead / (variance + np.sqrt(variance)), projected)
+    return Filter(delta, root), innovations, float(distance)
 
 
-def run(state: Filter, rows: Rows, used: NDArray[np.bool_]) -> tuple[Filter, Floats]:
-    """Process all rows in order; rows that are not ``used`` are evaluated but not included.
+def run(state: Filter, rows: Rows, included: NDArray[np.bool_]) -> tuple[Filter, Floats]:
+    """Process all rows in order; rows that are not ``included`` do not change the filter.
 
     Returns the filter, and the squared distance (n,) of each row from its prediction by those before it.
     """
     distance = np.zeros(len(rows.residual))
     for i, width in enumerate(rows.width.tolist()):
-        after, _, distance[i] = update(state, rows.jac[i, :width], rows.residual[i, :width])
-        if used[i]:
-            state = after
+        updated, _, distance[i] = update(state, rows.jac[i, :width], rows.residual[i, :width])
+        if included[i]:
+            state = updated
     return state, distance
 
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
     """Estimate recursively over x[columns] from x (P,); rows beyond the gate have weight 0 in the result."""
     options = options._replace(damping=options.damping.from_full_steps())
-    here = fit(problem, columns, x, options)
-    used, seen_sets, iterations = np.ones(problem.n_rows, dtype=bool), set[bytes](), here.iterations
-    while here.status == "converged":
-        rows = rows_of(problem, here.x, columns)
-        included = np.append(used, True)[rows.row]
-        state, _ = run(start(*prior_error(problem, columns, here.x)), rows, included)
-        distance = deleted_distance(rows.jac, rows.residual, state.root, included.astype(float))
-        chosen = used.copy()
-        chosen[rows.row[rows.row >= 0]] = within(distance, gate(rows.width), included)[rows.row >= 0]
-        if np.array_equal(chosen, used):
-            message = f"converged; {(~used).sum()} of {used.size} observations were left out as outliers"
-            here = here._replace(message=message, covariance=state.root @ state.root.T)
+    solution = fit(problem, columns, x, options)
+    included, seen_sets, iterations = np.ones(problem.n_rows, dtype=bool), set[bytes](), solution.iterations
+    while solution.status == "converged":
+        rows = rows_of(problem, solution.x, columns)
+        included_rows = np.append(included, True)[rows.row]
+        state, _ = run(start(*prior_error(problem, columns, solution.x)), rows, included_rows)
+        distance = deleted_distance(rows.jac, rows.residual, state.root, included_rows.astype(float))
+        chosen = included.copy()
+        chosen[rows.row[rows.row >= 0]] = within(distance, gate(rows.width), included_rows)[rows.row >= 0]
+        if np.array_equal(chosen, included):
+            message = f"converged; {(~included).sum()} of {included.size} observations were left out as outliers"
+            solution = solution._replace(message=message, covariance=state.root @ state.root.T)
             break
         if chosen.tobytes() in seen_sets or len(seen_sets) > MAX_ROUNDS:
             message = "from pass to pass, other rows are left out as outliers"
-            here = here._replace(status="stalled", message=message)
+            solution = solution._replace(status="stalled", message=message)
             break
-        seen_sets.add(used.tobytes())
-        used = chosen
-        here = fit(only(problem, used), columns, here.x, options._replace(on_step=None))
-        iterations += here.iterations
-    return weightless(problem, columns, here._replace(iterations=iterations), used)
+        seen_sets.add(included.tobytes())
+        included = chosen
+        solution = fit(only(problem, included), columns, solution.x, options._replace(on_step=None))
+        iterations += solution.iterations
+    return weightless(problem, columns, solution._replace(iterations=iterations), included)
 
 
 def rows_of(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Rows:
@@ -121,9 +121,9 @@ def rows_of(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Rows:
         return Rows(np.zeros((0, 1, k)), np.zeros((0, 1)), *(np.zeros(0, np.intp),) * 2)
     jac, residual = [], []
     for b in blocks:
-        more = widest - b.residual.shape[1]
-        jac.append(np.pad(b.jac, ((0, 0), (0, more), (0, 0))))
-        residual.append(np.pad(b.residual, ((0, 0), (0, more))))
+        padding = widest - b.residual.shape[1]
+        jac.append(np.pad(b.jac, ((0, 0), (0, padding), (0, 0))))
+        residual.append(np.pad(b.residual, ((0, 0), (0, padding))))
     width = np.concatenate([np.full(len(b.residual), b.residual.shape[1]) for b in blocks])
     row = np.concatenate([np.full(len(b.residual), -1) if b.row is None else b.row for b in blocks])
     order = np.argsort(row, kind="stable")

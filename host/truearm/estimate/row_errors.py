@@ -53,22 +53,22 @@ def row_errors(
     distance, beyond = np.full(problem.n_rows, np.nan), np.zeros(problem.n_rows, dtype=bool)
     left_out, squares = problem.no_residuals(), dict[str, list[Floats]]()
     for blocks in _seen(problem, x, columns, root, pose):
-        for row, units, seen, residual, noise_root in blocks:
-            leverage = leverages(seen)
+        for row, units, sensitivity, residual, noise_root in blocks:
+            leverage = leverages(sensitivity)
             square = distance_without(leverage, residual, weight[row])
             distance[row], beyond[row] = np.sqrt(square), square > gate(residual.shape[1])
-            used = weight[row] > 0.0
-            unfitted = noise_root[used] @ (np.eye(residual.shape[1]) - leverage[used])
-            declared = (unfitted * noise_root[used]).sum(axis=2)
-            errors = in_units(noise_root, residual)[used]
+            included = weight[row] > 0.0
+            unfitted = noise_root[included] @ (np.eye(residual.shape[1]) - leverage[included])
+            declared = (unfitted * noise_root[included]).sum(axis=2)
+            errors = in_units(noise_root, residual)[included]
             for unit, of_unit in unit_columns(units).items():
                 due = np.maximum(declared[:, of_unit].sum(axis=1), 0.0)
                 squares.setdefault(unit, []).append(np.stack([due, (errors[:, of_unit] ** 2).sum(axis=1)]))
         _leave_out(left_out, [block.select(weight[block.row] > 0.0) for block in blocks], pose)
     joined = {unit: np.concatenate(squares[unit], axis=1) for unit in UNITS if unit in squares}
     means = {unit: square.mean(axis=1) for unit, square in joined.items() if square.size}
-    parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(whole - due, 0.0))) for u, (due, whole) in means.items()}
-    return RowErrors(distance, beyond, left_out, parts)
+    shares = {u: ResidualParts(math.sqrt(due), math.sqrt(max(total - due, 0.0))) for u, (due, total) in means.items()}
+    return RowErrors(distance, beyond, left_out, shares)
 
 
 def left_out_errors(problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices) -> Residuals:
@@ -96,8 +96,8 @@ def _seen(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices
 ) -> Iterator[list[_Seen]]:
     """Yield the rows in lists of whole poses."""
-    for part in by_pose(problem, pose):
-        blocks = whitened_blocks(part, x, columns)
+    for piece in by_pose(problem, pose):
+        blocks = whitened_blocks(piece, x, columns)
         yield [
             _Seen(b.row, b.components, seen_by(b.jac, root), b.residual, b.noise_root)
             for b in blocks
@@ -120,8 +120,8 @@ def _leave_out(errors: Residuals, blocks: Sequence[_Seen], pose: Indices) -> Non
             errors[unit][block.row] = np.linalg.norm(error[:, of_unit], axis=1)
 
 
-def _without_each_pose(pose: Indices, seen: Floats, residual: Floats) -> Floats:
-    """Return (I − SSᵀ)⁻¹e pose by pose for S = ``seen`` (m, r) and e = ``residual`` (m,); NaN where it is undetermined.
+def _without_each_pose(pose: Indices, sensitivity: Floats, residual: Floats) -> Floats:
+    """Return (I − SSᵀ)⁻¹e pose by pose for S = ``sensitivity`` (m, r) and e = ``residual`` (m,); NaN where it is undetermined.
 
     With more residuals than columns, e + S(I − SᵀS)⁻¹Sᵀe. Poses with equally many residuals are computed together.
     """
@@ -130,12 +130,12 @@ def _without_each_pose(pose: Indices, seen: Floats, residual: Floats) -> Floats:
     out = np.empty_like(residual)
     for size in np.unique(count):
         rows = order[first[count == size][:, None] + np.arange(size)]
-        own, e = seen[rows], residual[rows]
-        few = size <= own.shape[2]
-        turned = own.swapaxes(1, 2)
-        inner = own @ turned if few else turned @ own
-        right = e if few else (turned @ e[..., None])[..., 0]
-        solved, determined = solve_semidefinite(np.eye(inner.shape[1]) - inner, right)
-        without = solved if few else e + (own @ solved[..., None])[..., 0]
+        of_poses, e = sensitivity[rows], residual[rows]
+        is_wide = size <= of_poses.shape[2]
+        turned = of_poses.swapaxes(1, 2)
+        inner = of_poses @ turned if is_wide else turned @ of_poses
+        right_side = e if is_wide else (turned @ e[..., None])[..., 0]
+        solved, determined = solve_semidefinite(np.eye(inner.shape[1]) - inner, right_side)
+        without = solved if is_wide else e + (of_poses @ solved[..., None])[..., 0]
         out[rows] = np.where(determined[:, None], without, np.nan)
     return out

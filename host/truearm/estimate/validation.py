@@ -89,8 +89,8 @@ def judge(
     """
     plain = build_problem(chain, rig, table)
     causes = {cause.name: cause for cause in plain.causes}
-    mine = [one for one in allowed if one.what in causes and set(causes[one.what].numbers) <= set(kept)]
-    effects = modelled_effects(plain.causes, mine, Circumstances.of(table, chain))
+    modelled = [effect for effect in allowed if effect.what in causes and set(causes[effect.what].numbers) <= set(kept)]
+    effects = modelled_effects(plain.causes, modelled, Circumstances.of(table, chain))
     problem = build_problem(chain, rig, table, None, effects) if effects else plain
     return judge_problem(problem, {**dict(zip(chain.parameter_names, params, strict=True)), **kept}, place)
 
@@ -105,9 +105,9 @@ def judge_problem(problem: Problem, known: Mapping[str, float], place: NDArray[n
     settle = np.array([name not in known for name in problem.names])
     columns = settle.copy()
     columns[: problem.n_robot] |= False if place is None else place
-    found = fit(problem, columns, problem.at(known))
-    judging = has_freedom(problem, columns, found.x)
-    return Judgement(found.information.residual, judging, problem, found.x, settle)
+    solution = fit(problem, columns, problem.at(known))
+    judging = has_freedom(problem, columns, solution.x)
+    return Judgement(solution.information.residual, judging, problem, solution.x, settle)
 
 
 def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mapping[str, Expected]:

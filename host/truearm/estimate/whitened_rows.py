@@ -64,13 +64,15 @@ def observe_robustly(
     moments, chi2, count = Moments(), 0.0, 0
     for block in whitened_blocks(problem, x, columns, residual):
         length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
-        seen = weigh(Loss.LINEAR if block.row is None else loss, length, width)
+        weighed = weigh(Loss.LINEAR if block.row is None else loss, length, width)
         if block.row is not None:
-            weights[block.row] = seen.weight
-        moments = moments.plus(seen, length, width)
-        chi2 += float(seen.cost.sum())
+            weights[block.row] = weighed.weight
+        moments = moments.plus(weighed, length, width)
+        chi2 += float(weighed.cost.sum())
         count += block.residual.size
-        stacked = np.concatenate([block.jac, block.residual[..., None]], axis=2) * np.sqrt(seen.weight)[:, None, None]
+        stacked = (
+            np.concatenate([block.jac, block.residual[..., None]], axis=2) * np.sqrt(weighed.weight)[:, None, None]
+        )
         triangle = fold(triangle, stacked.reshape(-1, k + 1))
     return Information(triangle[:k, :k], triangle[:k, k], chi2, count, residual), moments, weights
 
@@ -82,10 +84,12 @@ def weighted_chi2(problem: Problem, x: Floats, loss: Loss) -> tuple[float, int]:
     """
     nothing, chi2, count = np.zeros(x.size, dtype=bool), 0.0, 0
     for block in whitened_blocks(problem, x, nothing):
-        mine = Loss.LINEAR if block.row is None else loss
+        block_loss = Loss.LINEAR if block.row is None else loss
         length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
-        weight = weigh(mine, length, width).weight
-        chi2 += float(weight @ length**2) * (1.0 if mine is Loss.LINEAR else width / clean_square(mine, width))
+        weight = weigh(block_loss, length, width).weight
+        chi2 += float(weight @ length**2) * (
+            1.0 if block_loss is Loss.LINEAR else width / clean_square(block_loss, width)
+        )
         count += block.residual.size
     return chi2, count
 
@@ -105,9 +109,9 @@ def seen_by(jac: Floats, covariance_root: Floats) -> Floats:
     return np.asarray((jac.reshape(n * width, k) @ covariance_root).reshape(n, width, -1 if k else 0))
 
 
-def leverages(seen: Floats) -> Floats:
-    """Return H (n, w, w) of ``seen`` (n, w, r) = J S."""
-    return np.asarray(seen @ seen.swapaxes(1, 2))
+def leverages(sensitivity: Floats) -> Floats:
+    """Return H (n, w, w) of ``sensitivity`` (n, w, r) = J S."""
+    return np.asarray(sensitivity @ sensitivity.swapaxes(1, 2))
 
 
 def distance_without(leverage: Floats, residual: Floats, weight: Floats) -> Floats:
@@ -131,21 +135,21 @@ def solve_semidefinite(matrix: Floats, vector: Floats) -> tuple[Floats, NDArray[
     Returns a solution (n, w) each, and whether it is the only one (n,). The systems are eliminated together, which is
     ten times as fast as one after the other.
     """
-    left = np.concatenate([matrix, vector[:, :, None]], axis=2).transpose(1, 2, 0).copy()
+    augmented = np.concatenate([matrix, vector[:, :, None]], axis=2).transpose(1, 2, 0).copy()
     regular = np.ones(len(matrix), dtype=bool)
-    for i in range(len(left)):
-        pivot = left[i, i].copy()
+    for i in range(len(augmented)):
+        pivot = augmented[i, i].copy()
         regular &= pivot > ALONE
-        row = left[i, i:] / np.where(pivot > ALONE, pivot, np.inf)
-        left[:, i:] -= left[:, i, None] * row
-        left[i, i:] = row
-    return left[:, -1].T, regular
+        row = augmented[i, i:] / np.where(pivot > ALONE, pivot, np.inf)
+        augmented[:, i:] -= augmented[:, i, None] * row
+        augmented[i, i:] = row
+    return augmented[:, -1].T, regular
 
 
 def gate(width: NDArray[np.intp] | int, level: float = GATE_LEVEL) -> Floats:
     """Return the squared distance that a clean row of ``width`` residuals exceeds with probability ``level``."""
-    widths, which = np.unique(width, return_inverse=True)
-    return np.asarray(special.chdtri(widths, level)[which])
+    widths, index = np.unique(width, return_inverse=True)
+    return np.asarray(special.chdtri(widths, level)[index])
 
 
 def squared_distances(
@@ -160,14 +164,14 @@ def squared_distances(
     return square, width
 
 
-def only(problem: Problem, used: NDArray[np.bool_]) -> Problem:
-    """Return the problem without the table's rows that are not ``used`` (n_rows,); rows keep their numbers.
+def only(problem: Problem, included: NDArray[np.bool_]) -> Problem:
+    """Return the problem without the table's rows that are not ``included`` (n_rows,); rows keep their numbers.
 
     The problem of all rows is the problem itself, not a copy.
     """
-    if used.all():
+    if included.all():
         return problem
-    groups = (group if group.row is None else group.take(used[group.row]) for group in problem.groups)
+    groups = (group if group.row is None else group.take(included[group.row]) for group in problem.groups)
     return replace(problem, groups=tuple(group for group in groups if len(group.sensor_cov)))
 
 
@@ -184,12 +188,12 @@ def by_pose(problem: Problem, pose: Indices) -> Iterator[Problem]:
     orders = [np.argsort(number, kind="stable") for number in of_group]
     cuts = [np.searchsorted(number[order], edges) for number, order in zip(of_group, orders, strict=True)]
     for i in range(edges.size - 1):
-        some = [
+        selected = [
             group.take(order[cut[i] : cut[i + 1]])
             for group, order, cut in zip(groups, orders, cuts, strict=True)
             if cut[i] < cut[i + 1]
         ]
-        yield replace(problem, groups=tuple(some))
+        yield replace(problem, groups=tuple(selected))
 
 
 def noise_root(cov: Floats) -> Floats:
