@@ -346,7 +346,7 @@ def test_a_robot_is_given_back_as_the_files_of_its_maker(of):
     q = np.random.default_rng(6).uniform(-np.pi, np.pi, (200, 6))
     ends = predicted(what.robot, q)
     drawing = drawn_rows(UR5E.chain)
-    for again in (kinematics_of_yaml(ur.write(what)), kinematics_of_conf(ur.write_conf(what), drawing)):
+    for again in (kinematics_of_yaml(ur.ur_yaml(what)), kinematics_of_conf(ur.write_conf(what), drawing)):
         assert np.abs(again.forward(q) - ends).max() < 1e-9
 
 

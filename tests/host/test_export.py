@@ -4,7 +4,9 @@ import io
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from truearm.errors import RobotError
 from truearm.export import mjcf
 from truearm.export.formats import FORMATS
 from truearm.export.link_frames import link_frames
-from truearm.export.toml_tables import dh_table, modified_dh_table, sheth_uicker_table
+from truearm.export.toml_tables import dh_hayati_table, dh_table, modified_dh_table, sheth_uicker_table
 from truearm.export.ur import KEYS, SEGMENTS, ur_segments, ur_yaml
 from truearm.export.urdf import edited, joint_origins, new_urdf
 from truearm.export.writing import RobotToWrite, fit_to, writer, written
@@ -44,13 +46,19 @@ def some_poses(chain, n=40):
     return np.random.default_rng(1).uniform(-1.2, 1.2, (n, len(chain.joints)))
 
 
+def source(robot, described, comment="a\nb"):
+    """Return what a writer needs of a RobotToWrite."""
+    return SimpleNamespace(robot=robot, described=described, comment=comment)
+
+
 def tables(robot, described):
-    return {
-        "sheth-uicker": lambda: sheth_uicker_table(robot, "a\nb"),
-        "dh": lambda: dh_table(robot, described),
-        "dh-hayati": lambda: dh_table(robot, described, hayati=True),
-        "mdh": lambda: modified_dh_table(robot, described),
+    writers = {
+        "sheth-uicker": sheth_uicker_table,
+        "dh": dh_table,
+        "dh-hayati": dh_hayati_table,
+        "mdh": modified_dh_table,
     }
+    return {name: partial(write, source(robot, described)) for name, write in writers.items()}
 
 
 READABLE = ("urdf", "dh-hayati", "sheth-uicker")  # files of any robot that truearm reads itself
@@ -95,7 +103,7 @@ def test_rows_of_nearly_parallel_axes_predict_the_same_however_large_d(tilt):
     robot, described = (link_frames(chain, chain.params_nominal, p) for p in (calibrated, chain.params_nominal))
     q = np.random.default_rng(2).uniform(-3.0, 3.0, (100, 6))
     for table in (dh_table, modified_dh_table):
-        again = parse_robot(table(robot, described)).chain
+        again = parse_robot(table(source(robot, described))).chain
         largest = max(abs(v) for n, v in zip(again.parameter_names, again.params_nominal) if n.endswith(".d"))
         assert largest < 10.0 / tilt
         assert largest > 0.1 / tilt or tilt <= 1e-8
@@ -118,7 +126,7 @@ def test_rows_are_the_makers():
 def rows_of(name):
     chain = builtin_robot(name).chain
     described = link_frames(chain, chain.params_nominal, chain.params_nominal)
-    again = parse_robot(dh_table(described, described)).chain
+    again = parse_robot(dh_table(source(described, described))).chain
     found = dict(zip(again.parameter_names, again.params_nominal.tolist(), strict=True))
     short = {"a_m": "a", "d_m": "d", "alpha_rad": "alpha", "offset_rad": "offset"}
     return {key: [found[f"joint{i}.{name}"] for i in range(1, 7)] for key, name in short.items()}
@@ -436,7 +444,7 @@ def six_pose(x, y, z, roll, pitch, yaw):
 def test_kinematics_of_design_values_are_the_published_ones():
     chain = builtin_robot("ur5e").chain
     described = link_frames(chain, chain.params_nominal, chain.params_nominal)
-    found = read_kinematics(ur_yaml(described, described, "note"))
+    found = read_kinematics(ur_yaml(source(described, described)))
     for name, six in PUBLISHED.items():
         np.testing.assert_allclose(found[name], six_pose(*six), atol=1e-12)
 
@@ -445,7 +453,7 @@ def test_a_kinematics_file_predicts_the_robot_without_its_mountings():
     chain = builtin_robot("ur5e").chain
     nominal, calibrated = disturbed(chain)
     robot, described = link_frames(chain, nominal, calibrated), link_frames(chain, nominal, nominal)
-    found = read_kinematics(ur_yaml(robot, described))
+    found = read_kinematics(ur_yaml(source(robot, described)))
     _, rest = ur_segments(robot)
     for q in some_poses(chain, 10):
         here = np.eye(4)
@@ -459,11 +467,11 @@ def test_kinematics_files_are_of_universal_robots_alone():
     chain = builtin_robot("irb120").chain
     described = link_frames(chain, chain.params_nominal, chain.params_nominal)
     with pytest.raises(RobotError, match="irb120: its axes"):
-        ur_yaml(described, described)
+        ur_yaml(source(described, described))
     panda = builtin_robot("panda").chain
     described = link_frames(panda, panda.params_nominal, panda.params_nominal)
     with pytest.raises(RobotError, match="six revolute joints"):
-        ur_yaml(described, described)
+        ur_yaml(source(described, described))
 
 
 def test_names_that_would_be_taken_twice():
@@ -478,7 +486,7 @@ def test_names_that_would_be_taken_twice():
     np.testing.assert_allclose(
         forward(again, again.params_nominal, q), forward(chain, chain.params_nominal, q), atol=ROUNDING
     )
-    assert parse_robot(sheth_uicker_table(robot)).chain.name == odd.name
+    assert parse_robot(sheth_uicker_table(source(robot, robot))).chain.name == odd.name
 
 
 @pytest.mark.parametrize("name", builtin_names())

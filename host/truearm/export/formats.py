@@ -31,25 +31,25 @@ class Format(NamedTuple):
 OWN: Mapping[str, Format] = {
     "urdf": Format(".urdf:write", ".urdf", "the robot's own URDF with other origins, or a new one", ("offset",)),
     "mjcf": Format(".mjcf:write", ".xml", "MuJoCo's MJCF", ("offset",)),
-    "ur": Format(".ur:write", ".yaml", "Universal Robots' kinematics", ("offset",), mountings=False),
+    "ur": Format(".ur:ur_yaml", ".yaml", "Universal Robots' kinematics", ("offset",), mountings=False),
     "calibration-conf": Format(
         ".ur:write_conf", ".conf", "Universal Robots' controller's own file", ("offset",), mountings=False
     ),
-    "dh": Format(".toml_tables:write_dh", ".toml", "Denavit-Hartenberg rows", ("offset", "gain")),
+    "dh": Format(".toml_tables:dh_table", ".toml", "Denavit-Hartenberg rows", ("offset", "gain")),
     "dh-hayati": Format(
-        ".toml_tables:write_dh_hayati",
+        ".toml_tables:dh_hayati_table",
         ".toml",
         "the same, with Hayati's β where axes are nearly parallel",
         ("offset", "gain"),
     ),
-    "mdh": Format(".toml_tables:write_mdh", ".toml", "Craig's rows", ("offset", "gain")),
+    "mdh": Format(".toml_tables:modified_dh_table", ".toml", "Craig's rows", ("offset", "gain")),
     "evaluator-c": Format(
         ".evaluator:write_c", ".c", "the arm with its joint laws as a C99 file", ("offset", "gain", "curve", "sag")
     ),
     "evaluator-python": Format(
         ".evaluator:write_python", ".py", "the same as a Python file", ("offset", "gain", "curve", "sag")
     ),
-    "sheth-uicker": Format(".toml_tables:write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain")),
+    "sheth-uicker": Format(".toml_tables:sheth_uicker_table", ".toml", "links of six constants", ("offset", "gain")),
 }
 FORMATS = {name: Format(*form) for name, form in with_additions("formats", OWN).items()}
 

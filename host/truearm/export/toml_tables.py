@@ -26,30 +26,11 @@ SIX = ("x_m", "y_m", "z_m", "alpha_rad", "beta_rad", "gamma_rad")
 NO_LIMIT = UNITS["rad"].largest  # for a joint without limits
 
 
-def write_sheth_uicker(source: RobotToWrite) -> str:
-    """Return a robot file of links."""
-    return sheth_uicker_table(source.robot, source.comment)
-
-
-def write_dh(source: RobotToWrite) -> str:
-    """Return a robot file of distal rows."""
-    return dh_table(source.robot, source.described, comment=source.comment)
-
-
-def write_dh_hayati(source: RobotToWrite) -> str:
-    """Return a robot file of distal rows, with β where it is needed."""
-    return dh_table(source.robot, source.described, hayati=True, comment=source.comment)
-
-
-def write_mdh(source: RobotToWrite) -> str:
-    """Return a robot file of Craig's rows."""
-    return modified_dh_table(source.robot, source.described, source.comment)
-
-
-def sheth_uicker_table(robot: LinkFrames, comment: str = "") -> str:
-    """Return links of six constants, joints about or along z, for any robot."""
+def sheth_uicker_table(source: RobotToWrite) -> str:
+    """Return a robot file of links of six constants, joints about or along z, for any robot."""
+    robot = source.robot
     links = [robot.first, *robot.links[1:-1], robot.last]
-    lines = _head(robot, "sheth_uicker", comment)
+    lines = _head(robot, "sheth_uicker", source.comment)
     for i, link in enumerate(links):
         lines += ["", f"[link{i + 1}]", *_six(link)]
         if i < len(robot.joints):
@@ -57,9 +38,9 @@ def sheth_uicker_table(robot: LinkFrames, comment: str = "") -> str:
     return "\n".join([*lines, ""])
 
 
-def dh_table(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False, comment: str = "") -> str:
-    """Return distal rows, with β if ``hayati`` and needed. Raises RobotError for prismatic joints."""
-    rows = _rows(robot, nominal, hayati)
+def dh_table(source: RobotToWrite, hayati: bool = False) -> str:
+    """Return a robot file of distal rows, with β if ``hayati`` and needed. Raises RobotError for prismatic joints."""
+    rows = _rows(source, hayati)
 
     def constants(i: int) -> list[str]:
         has_beta = not math.isnan(rows.beta[i])
@@ -67,36 +48,40 @@ def dh_table(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False, comme
         beta = [_parameter("beta_rad", rows.beta[i])] * has_beta
         return [d, _parameter("a_m", rows.a[i]), _parameter("alpha_rad", rows.alpha[i]), *beta]
 
-    return _rows_table(robot, rows, "dh", comment, constants)
+    return _rows_table(source, rows, "dh", constants)
 
 
-def modified_dh_table(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
-    """Return Craig's rows: a and α of a row are those of the distal form one row earlier."""
-    rows = _rows(robot, nominal)
+def dh_hayati_table(source: RobotToWrite) -> str:
+    """Return a robot file of distal rows, with β where it is needed."""
+    return dh_table(source, hayati=True)
+
+
+def modified_dh_table(source: RobotToWrite) -> str:
+    """Return a robot file of Craig's rows: a and α of a row are those of the distal form one row earlier."""
+    rows = _rows(source)
 
     def constants(i: int) -> list[str]:
         a, alpha = (rows.a[i - 1], rows.alpha[i - 1]) if i else (0.0, 0.0)
         return [_parameter("alpha_rad", alpha), _parameter("a_m", a), _parameter("d_m", rows.d[i])]
 
-    return _rows_table(robot, rows, "modified_dh", comment, constants)
+    return _rows_table(source, rows, "modified_dh", constants)
 
 
-def _rows_table(
-    robot: LinkFrames, rows: DhRows, convention: str, comment: str, constants: Callable[[int], list[str]]
-) -> str:
-    lines = [*_head(robot, convention, comment), "", "[base]", *_six(robot.base @ rows.base)]
+def _rows_table(source: RobotToWrite, rows: DhRows, convention: str, constants: Callable[[int], list[str]]) -> str:
+    robot = source.robot
+    lines = [*_head(robot, convention, source.comment), "", "[base]", *_six(robot.base @ rows.base)]
     for i in range(len(robot.joints)):
         lines += [*_joint(i, robot, float(rows.theta[i] + robot.offsets[i])), *constants(i)]
     return "\n".join([*lines, "", "[tool]", *_six(rows.tool @ robot.tool), ""])
 
 
-def _rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhRows:
-    for joint in robot.joints:
+def _rows(source: RobotToWrite, hayati: bool = False) -> DhRows:
+    for joint in source.robot.joints:
         if joint.kind != "revolute":
             raise RobotError(
                 f"joint {joint.name} is prismatic; this format holds revolute joints only, use sheth-uicker"
             )
-    return dh_rows(robot, nominal, hayati)
+    return dh_rows(source.robot, source.described, hayati)
 
 
 def _head(robot: LinkFrames, convention: str, comment: str) -> list[str]:

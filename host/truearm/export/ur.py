@@ -25,17 +25,12 @@ AS_BUILT = 0.1  # rad, of the axes of an arm as built from those of its drawing
 SMALL = 1e-6  # m, rad
 
 
-def write(source: RobotToWrite) -> str:
-    """Return a kinematics file. Raises RobotError as ``ur_yaml`` does."""
-    return ur_yaml(source.robot, source.described, source.comment)
-
-
 def write_conf(source: RobotToWrite) -> str:
     """Return the part [mounting] of a controller's calibration.conf: differences from the drawing.
 
     Raises RobotError unless the robot is an arm of Universal Robots between its controller's base and flange.
     """
-    ur_yaml(source.robot, source.described)  # which checks the arrangement of the axes
+    ur_yaml(source)  # which checks the arrangement of the axes
     drawing = source.nominal if source.drawing is None else source.drawing
     drawn = link_frames(source.chain, drawing, drawing)
     rows, design = (dh_rows(robot, drawn) for robot in (source.robot, drawn))
@@ -71,9 +66,10 @@ def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
     return np.stack(out), inverse_shift @ robot.links[-1]
 
 
-def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
+def ur_yaml(source: RobotToWrite) -> str:
     """Return the text of a kinematics file. Raises RobotError unless nominally a Universal Robots arm."""
-    described, remainder = ur_segments(nominal)
+    robot = source.robot
+    described, remainder = ur_segments(source.described)
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])
     reason = "its axes are not arranged like those of a Universal Robots arm in its drawing"
     is_arranged = np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() <= AS_BUILT
@@ -83,7 +79,7 @@ def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
         reason += "; use another format, such as urdf"
         raise RobotError("unsuited-robot", place=f"robot {robot.name}", reason=reason)
     segments, _ = ur_segments(robot)
-    lines = [f"# {line}" for line in comment.splitlines()] + ["kinematics:"]
+    lines = [f"# {line}" for line in source.comment.splitlines()] + ["kinematics:"]
     for name, segment in zip(SEGMENTS, segments, strict=True):
         x, y, z, yaw, pitch, roll = six_of(segment)
         lines.append(f"  {name}:")
