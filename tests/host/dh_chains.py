@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from truearm.model.dh import dh_slots, modified_dh_slots
+from truearm.model.conventions import dh_slots, modified_dh_slots
 from truearm.model.elementary_transforms import SIX, chain_from_slots, law_name
 
 NO_MOUNTING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -19,7 +19,7 @@ from tests.host.rapid_machine import run_rapid
 from tests.host.urscript_machine import run_urscript
 
 from truearm.correct.correction import MARGIN, MOST_TURN
-from truearm.correct.joint_moves import JointMoves
+from truearm.correct.methods import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import language_of
 from truearm.errors import InputError

@@ -17,7 +17,7 @@ from tests.host.test_program_corrections import DATA, OBJECTS, POSES, TOOLS, Q, 
 from truearm.cli import main as cli
 from truearm.correct.correction import MARGIN
 from truearm.correct.inverse import inverse
-from truearm.correct.joint_moves import JointMoves
+from truearm.correct.methods import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import language_of
 from truearm.model.chain import forward

@@ -1,4 +1,4 @@
-"""The methods to correct a target. Imports nothing slow, so that ``--help`` can list them."""
+"""The methods to correct targets and joint moves. Imports nothing slow, so that ``--help`` can list them."""
 
 from __future__ import annotations
 
@@ -53,3 +53,10 @@ def methods_help() -> str:
 def with_steps() -> tuple[str, ...]:
     """Return the names of the methods that can be applied several times."""
     return tuple(method.value for method in Method if entry(method).steps)
+
+
+class JointMoves(StrEnum):
+    """How a program's moves to joint readings are treated: kept as they are, or corrected too."""
+
+    KEEP = "keep"
+    CORRECT = "correct"

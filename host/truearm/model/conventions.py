@@ -1,4 +1,4 @@
-"""Denavit–Hartenberg chains with four constants per joint: the distal form, and Craig's proximal ("modified") form.
+"""The conventions of chains: Denavit–Hartenberg's distal rows, Craig's proximal ("modified") ones, and Sheth–Uicker links.
 
 Distal, with Hayati's β (Renders, Rossignol, Becquet, Hanus 1991, II-A and Fig. 1)::
 
@@ -14,6 +14,10 @@ Craig's a_{i−1}, α_{i−1} stand in row i. θ of a revolute joint and d of a 
 
 Parallel axes have no definite common normal: d_i and d_{i+1} have one effect, and nothing describes the tilt about y.
 Here β_i does, and d_i becomes a constant. docs/reference/robot-format.md says which parameters to fix.
+
+Sheth–Uicker chains have six constants per link and two per joint (Goswami, Quaid, Peshkin 1993, (2) and (3)):
+``T = T1L·T1J·T2L·…·TjJ·T(j+1)L`` with links ``Trans(x, y, z)·Rz(α)·Ry(β)·Rx(γ)`` (α is about z, γ about x) and joints
+``Rz(offset + gain·q)``, or ``Trans along z``. Of 8j + 6 parameters, 5 n_r + 3 n_p + 6 are independent (the paper's (1)).
 """
 
 from __future__ import annotations
@@ -59,3 +63,12 @@ def _screw(table: str, index: int, joint: Joint) -> tuple[Slot, Slot]:
 
 def _mounted(rows: list[Slot], base: bool, tool: bool) -> tuple[Slot, ...]:
     return (*(six_slots("base") if base else ()), *rows, *(six_slots("tool") if tool else ()))
+
+
+def sheth_uicker_slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:
+    """Return link1.x … link1.gamma, joint1.offset, link2.x, …, in the paper's order."""
+    out = [*six_slots("link1")]
+    for i, joint in enumerate(joints):
+        motion = "tz" if joint.kind == "prismatic" else "rz"
+        out += [Slot(f"joint{i + 1}.offset", motion, i), *six_slots(f"link{i + 2}")]
+    return tuple(out)

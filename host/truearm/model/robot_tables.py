@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 
 from truearm.model import joint_law
 from truearm.model.chain_structure import Joint
-from truearm.model.dh import Layout, dh_slots, modified_dh_slots
+from truearm.model.conventions import Layout, dh_slots, modified_dh_slots, sheth_uicker_slots
 from truearm.model.elementary_transforms import Slot, law_name
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.joint_terms.term import Term
-from truearm.model.sheth_uicker import sheth_uicker_slots
 from truearm.model.transforms import MOTIONS
 from truearm.schema import Choice, Flag, Key, List, Number, ReadOnly, SchemaError, Table, Text, as_table, at, quoted
 from truearm.units import suffixes

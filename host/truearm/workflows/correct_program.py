@@ -13,8 +13,7 @@ from truearm.collector import uncollected
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import Configuration, Correction, at_tools, correct, joined
 from truearm.correct.inverse import Origins, inverse, several_fit, solutions, within
-from truearm.correct.joint_moves import JointMoves
-from truearm.correct.methods import Method
+from truearm.correct.methods import JointMoves, Method
 from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.programs.census import Census
 from truearm.correct.programs.corrected_text import (

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from truearm import option_defaults
 from truearm.bounds import ITERATIONS, REPEATABILITY, SEED, OneOf, Within
-from truearm.correct.joint_moves import JointMoves
-from truearm.correct.methods import Method
+from truearm.correct.methods import JointMoves, Method
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
 from truearm.files.robot_file import NO_ROBOT, RobotChoice

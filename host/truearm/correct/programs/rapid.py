@@ -10,12 +10,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.correct.programs.data import Change, Datum, Form, Literal, Place
-from truearm.correct.programs.expressions import arithmetic
 from truearm.correct.programs.poses import check_reach, matrix_of_quaternion
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
 from truearm.correct.programs.rapid_names import Scope, Statement, Task, arguments_of, find, read_names
 from truearm.correct.programs.rapid_words import AIMLESS, MOVES, STRAIGHT
-from truearm.correct.programs.reading import Uncertain
+from truearm.correct.programs.reading import Uncertain, arithmetic
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
 from truearm.types import Floats
 from truearm.units import MM

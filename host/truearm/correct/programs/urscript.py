@@ -11,11 +11,10 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from truearm.correct.programs.data import Datum, Form, Literal, Place, Uses
-from truearm.correct.programs.expressions import arithmetic
 from truearm.correct.programs.order import MOST_ORIGINS, closure
 from truearm.correct.programs.poses import check_reach
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Surroundings, Target
-from truearm.correct.programs.reading import MOST_TARGETS, Uncertain
+from truearm.correct.programs.reading import MOST_TARGETS, Uncertain, arithmetic
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
 from truearm.correct.programs.urscript_names import Call, Entry, Routine, Script, Statement, find, read_names
 from truearm.correct.programs.urscript_order import LastCalls
