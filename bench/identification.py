@@ -52,7 +52,7 @@ class Case(NamedTuple):
 
 CASES = (
     Case("position", "truearm lm", "run_truearm", "lm", (*SMALL, LARGE, HUGE)),
-    Case("position", "truearm identify", "run_truearm", "identify", (*SMALL, LARGE)),
+    Case("position", "truearm identify", "run_truearm", "identify", (*SMALL, LARGE, HUGE)),
     Case("position", "pybotics", "run_pybotics", "fit", SMALL),
     Case("position", "figaroh", "run_figaroh", "fit", SMALL),
     Case("ball_bar", "truearm lm", "run_truearm", "lm", (*SMALL, LARGE, HUGE)),
