@@ -13,6 +13,7 @@ parallel axes have d = 0.
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -41,13 +42,12 @@ class DhRows(NamedTuple):
 def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhRows:
     """Return the rows of a robot. ``hayati``: with β where the nominal axes are nearly parallel."""
     directions, parallel = _ways(nominal)
-    axes = _axes(robot)
+    *axes, end = _axes(robot)
     base = _frame_on(axes[0], np.eye(4))
     frame, rows = base, []
     for i in range(len(robot.joints) - 1):
         row, frame = _row(frame, axes[i + 1], directions[i], hayati and parallel[i])
         rows.append(row)
-    end = _end(robot)
     last = _frame_on(frame, end)
     between = inverted(frame) @ last
     rows.append((math.atan2(between[1, 0], between[0, 0]), float(between[2, 3]), 0.0, 0.0, math.nan))
@@ -57,7 +57,7 @@ def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhR
 
 def _ways(nominal: LinkFrames) -> tuple[list[Floats], list[bool]]:
     """Return the nominal x axes of frames 1 to n − 1 with the smallest θ, and whether axes are nearly parallel there."""
-    axes = _axes(nominal)
+    *axes, _ = _axes(nominal)
     frame, directions, parallel = _frame_on(axes[0], np.eye(4)), [], []
     for axis in axes[1:]:
         _, x, sine = _normal(frame, axis)
@@ -71,19 +71,8 @@ def _ways(nominal: LinkFrames) -> tuple[list[Floats], list[bool]]:
 
 
 def _axes(robot: LinkFrames) -> list[Floats]:
-    """Return frames (4, 4) whose z axes are those of the joints, in the robot's base frame, at joint variables 0."""
-    frame, out = np.eye(4), []
-    for link in robot.links[:-1]:
-        frame = frame @ link
-        out.append(frame)
-    return out
-
-
-def _end(robot: LinkFrames) -> Floats:
-    frame = np.eye(4)
-    for link in robot.links:
-        frame = frame @ link
-    return frame
+    """Return frames (4, 4) whose z axes are those of the joints, and the flange, in the robot's base frame, at variables 0."""
+    return list(accumulate(robot.links, np.matmul))
 
 
 def _frame_on(axis: Floats, neighbour: Floats) -> Floats:

@@ -45,7 +45,9 @@ def write(source: RobotToWrite) -> str:
     """Return the robot's URDF with other origins, or a new one. Raises RobotError for what neither can express."""
     if source.urdf is None:
         return new_urdf(source.robot, source.comment)
-    return edited(source.urdf, joint_origins(source.chain, source.nominal, source.params, source.mountings))
+    chain, nominal = source.chain, source.nominal
+    drawn = joint_origins(chain, nominal, nominal)
+    return edited(source.urdf, drawn, joint_origins(chain, nominal, source.params, source.mountings))
 
 
 def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> dict[str, Floats]:
@@ -108,11 +110,12 @@ def _chained(motions: list[Floats]) -> Floats:
     return reduce(np.matmul, motions, np.eye(4))
 
 
-def edited(text: str, origins: Mapping[str, Floats]) -> str:
+def edited(text: str, drawn: Mapping[str, Floats], origins: Mapping[str, Floats]) -> str:
     """Return the URDF text with other origins of the named joints. Raises RobotError for a joint missing in the text.
 
-    An origin whose six numbers are the same to 1e-15 is not rewritten.
+    An origin that is the ``drawn`` one to 1e-15 is not rewritten.
     """
+    origins = {name: origin for name, origin in origins.items() if np.abs(origin - drawn[name]).max() > 1e-15}
     data = text.encode()
     places = _origin_places(data)
     missing = sorted(set(origins) - set(places))
@@ -180,35 +183,12 @@ def _tag_end(data: bytes, start: int) -> int:
 def _with_origin(tag: str, origin: Floats) -> str:
     """Return an <origin …> tag with other numbers; "" becomes a new tag."""
     x, y, z, yaw, pitch, roll = six_of(origin)
-    values = {"xyz": (x, y, z), "rpy": (roll, pitch, yaw)}
-    if not tag:
-        return f"<origin{''.join(f' {key}={_numbers(three)}' for key, three in values.items())}/>"
-    for key, three in values.items():
+    tag = tag or "<origin/>"
+    for key, values in (("rpy", (roll, pitch, yaw)), ("xyz", (x, y, z))):
         match = next((attribute for attribute in _ATTRIBUTE.finditer(tag) if attribute[1] == key), None)
-        old = _read(match[2][1:-1]) if match else np.zeros(3)
-        if key == "xyz" and np.abs(old - three).max() <= 1e-15:
-            continue
-        if key == "rpy" and np.abs(_turn(old) - origin[:3, :3]).max() <= 1e-15:
-            continue
-        if match:
-            tag = tag[: match.start(2)] + _numbers(three) + tag[match.end(2) :]
-        else:
-            tag = tag[: len("<origin")] + f" {key}={_numbers(three)}" + tag[len("<origin") :]
+        start, end = match.span() if match else (len("<origin"), len("<origin"))
+        tag = f"{tag[:start]} {key}={_numbers(values)}{tag[end:]}"
     return tag
-
-
-def _read(text: str) -> Floats:
-    """Return three numbers; NaN if they contain character references, and they are then rewritten."""
-    words = text.split()
-    try:
-        return np.array([float(word) for word in words]) if len(words) == 3 else np.full(3, np.nan)
-    except ValueError:
-        return np.full(3, np.nan)
-
-
-def _turn(rpy: Floats) -> Floats:
-    roll, pitch, yaw = rpy
-    return np.asarray((elementary("rz", yaw) @ elementary("ry", pitch) @ elementary("rx", roll))[:3, :3])
 
 
 def _numbers(values: tuple[float, ...]) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import re
 import struct
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -101,7 +102,4 @@ def _of_rows(rows: Floats, checksums: tuple[int, ...]) -> ControllerKinematics:
 
 
 def _product(motions: tuple[str, ...], amounts: tuple[float, ...]) -> Floats:
-    pose = np.eye(4)
-    for motion, amount in zip(motions, amounts, strict=True):
-        pose = pose @ elementary(motion, amount)
-    return pose
+    return reduce(np.matmul, map(elementary, motions, amounts))
