@@ -61,7 +61,7 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
     lines = []
     for finding in findings:
         lines.append(
-            f"{finding.verdict.upper():<5} {one_line(finding.what)}{': ' + one_line(finding.value) if finding.value else ''}"
+            f"{finding.verdict.upper():<5} {one_line(finding.title)}{': ' + one_line(finding.value) if finding.value else ''}"
         )
         if finding.advice:
             lines.append(f"      {one_line(finding.advice)}")

@@ -22,7 +22,7 @@ class Finding:
 
     name: str
     verdict: str
-    what: str
+    title: str
     value: str
     advice: str
 
@@ -35,7 +35,7 @@ class _Item:
     {undivided}, which removes ``over``, and {address}, which changes the address of a thermometer.
     """
 
-    what: str
+    title: str
     advice: str
     inner: tuple[float, float]
     unit: str = ""
@@ -97,7 +97,7 @@ def _finding(name: str, result: Any, device: str) -> Finding:
     item = _ITEMS.get(
         name, _Item(name[:40], "the box's firmware is newer than this truearm; update truearm", (-(2.0**63), 2.0**63))
     )
-    title = item.what.format(name[-1])
+    title = item.title.format(name[-1])
     advice = item.advice.format(
         off=box_command("config set magnetostrictive.period_us=0", device),
         get=box_command("config get", device),

@@ -61,8 +61,8 @@ class Layout:
     small.
     """
 
-    def __init__(self, n_robot: int, used: Sequence[Used]) -> None:
-        numbers = {number.name: number for group in used for item in group.numbers for number in item}
+    def __init__(self, n_robot: int, groups: Sequence[Used]) -> None:
+        numbers = {number.name: number for group in groups for item in group.numbers for number in item}
         for number in numbers.values():
             if not (np.isfinite(number.value) and (number.sigma == 0.0 or number.sigma >= SMALLEST)):
                 raise ProblemError(

@@ -67,10 +67,10 @@ class LawAt:
     @cached_property
     def by_joints(self) -> Floats:
         """∂θ/∂q: its diagonal, (j, n) or (j, 1), if the joints do not depend on each other, otherwise (j, j, n)."""
-        parts = [term.by_joints(self.params, self.q) for term in self.law.moving]
-        if self.law.mimics or (len(parts) > 1 and any(part.ndim == 3 for part in parts)):
-            parts = [_square(part) for part in parts]
-        jac = reduce(np.add, parts)
+        jacobians = [term.by_joints(self.params, self.q) for term in self.law.moving]
+        if self.law.mimics or (len(jacobians) > 1 and any(jacobian.ndim == 3 for jacobian in jacobians)):
+            jacobians = [_square(jacobian) for jacobian in jacobians]
+        jac = reduce(np.add, jacobians)
         for joint, mimic in self.law.mimics.items():
             jac[:, mimic.followed] += mimic.multiplier * jac[:, joint]
             jac[:, joint] = 0.0
@@ -82,8 +82,8 @@ class LawAt:
         terms = self.law.varying
         if not terms:
             return np.zeros((0, self.q.shape[1]))
-        parts = [term.by_parameters(self.params, self.q) for term in terms]
-        rows = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        derivatives = [term.by_parameters(self.params, self.q) for term in terms]
+        rows = derivatives[0] if len(derivatives) == 1 else np.concatenate(derivatives)
         return rows if self.law.order is None else rows[self.law.order]
 
 
@@ -135,8 +135,8 @@ class JointLaw:
         rows = self.at(params, flat(q)).by_parameters
         out = np.zeros((*q.shape, self.n_parameters), dtype=np.result_type(rows, params))
         for joint, columns in enumerate(self.columns):
-            mine = self.of_column[columns]
-            out[..., joint, mine] = rows[columns].T.reshape(*q.shape[:-1], len(mine))
+            parameters = self.of_column[columns]
+            out[..., joint, parameters] = rows[columns].T.reshape(*q.shape[:-1], len(parameters))
         for parameter, joint in self.constant:
             out[..., joint, parameter] = 1.0
         return out

@@ -163,10 +163,10 @@ def _read_joints(root: Xml) -> list[_UrdfJoint]:
             f"URDF has {len(nodes)} joints, the limit is {MAX_JOINTS}; give a file of one arm, without other robots and scenery"
         )
     out = [_read_joint(node) for node in nodes]
-    for what, names in (("joint name", [j.name for j in out]), ("parent of link", [j.child for j in out])):
+    for role, names in (("joint name", [j.name for j in out]), ("parent of link", [j.child for j in out])):
         twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
         if twice:
-            raise RobotError(f"URDF has more than one {what} {twice[0]!r}; joints must form a tree")
+            raise RobotError(f"URDF has more than one {role} {twice[0]!r}; joints must form a tree")
     return out
 
 
@@ -212,17 +212,17 @@ def _leaves(base: str, joints: list[_UrdfJoint]) -> list[str]:
 
 def _path(base: str, tip: str, by_child: Mapping[str, _UrdfJoint]) -> list[_UrdfJoint]:
     path: list[_UrdfJoint] = []
-    link, seen = tip, {tip}
+    link, passed = tip, {tip}
     while link != base:
         if link not in by_child:
             above = _fixed_above(base, by_child)
-            other = f", or base {above!r}, to which {base!r} is fixed" if above != base else ""
-            raise RobotError(f"URDF: link {tip!r} is not below link {base!r}; choose a tip below the base{other}")
+            advice = f", or base {above!r}, to which {base!r} is fixed" if above != base else ""
+            raise RobotError(f"URDF: link {tip!r} is not below link {base!r}; choose a tip below the base{advice}")
         path.append(by_child[link])
         link = path[-1].parent
-        if link in seen:
+        if link in passed:
             raise RobotError(f"URDF: the joints above link {tip!r} form a loop")
-        seen.add(link)
+        passed.add(link)
         if len(path) > MAX_PATH:
             raise RobotError(f"URDF: more than {MAX_PATH} joints between {base!r} and {tip!r}")
     if not path:
@@ -247,12 +247,12 @@ def _build(name: str, path: list[_UrdfJoint]) -> Chain:
             parameters.append(Parameter(f"{joint.name}.{key}", "m" if motion[0] == "t" else "rad", value))
         if joint.kind == "fixed":
             continue
-        at = len(joints)
-        elements += _moving(joint, at)
+        index = len(joints)
+        elements += _moving(joint, index)
         joints.append(_limits(joint) if joint.xml.find("mimic") is None else _mimic_joint(joint, path))
         for term in (Offset, Gain):
-            unit = term.unit_of(joints[at].kind)
-            parameters.append(Parameter(f"{joint.name}.{term.name}", unit, term.neutral, term.name, at))
+            unit = term.unit_of(joints[index].kind)
+            parameters.append(Parameter(f"{joint.name}.{term.name}", unit, term.neutral, term.name, index))
     if not joints:
         raise RobotError(f"URDF: no joint moves between {base!r} and {tip!r}; choose links farther apart")
     return Chain(name, tuple(elements), tuple(parameters), tuple(joints), base, tip)
@@ -338,27 +338,27 @@ def _mimic_joint(joint: _UrdfJoint, path: list[_UrdfJoint]) -> Joint:
     return Joint(joint.name, kind, -math.inf, math.inf, Mimic(moving.index(followed), multiplier, offset))
 
 
-def _numbers(place: str, what: str, text: str, count: int, bound: float) -> list[float]:
-    where = f"{place}: {what}={text[:60]!r}"
+def _numbers(place: str, key: str, text: str, count: int, bound: float) -> list[float]:
+    label = f"{place}: {key}={text[:60]!r}"
     try:
         values = [float(word) for word in text.split()]
     except ValueError as error:
-        raise RobotError(f"{where} is not numbers (expand xacro files first)") from error
+        raise RobotError(f"{label} is not numbers (expand xacro files first)") from error
     if "_" in text or not text.isascii():  # float() accepts "0_1" and the digits of other scripts
-        raise RobotError(f"{where} is not numbers; write digits with a decimal point")
+        raise RobotError(f"{label} is not numbers; write digits with a decimal point")
     if len(values) != count:
-        raise RobotError(f"{where} needs {count} number{'s' if count > 1 else ''}")
+        raise RobotError(f"{label} needs {count} number{'s' if count > 1 else ''}")
     if not all(math.isfinite(v) and abs(v) <= bound for v in values):
-        raise RobotError(f"{where} is not finite or larger than {bound:g} (URDF is in m and rad)")
+        raise RobotError(f"{label} is not finite or larger than {bound:g} (URDF is in m and rad)")
     return values
 
 
-def _only(candidates: list[str], what: str, option: str) -> str:
+def _only(candidates: list[str], role: str, option: str) -> str:
     if len(candidates) == 1:
         return candidates[0]
     if not candidates:
-        raise RobotError(f"URDF has no {what}: its joints form a loop")
-    raise RobotError(f"URDF has {len(candidates)} {what}; choose ", Argument(option), f" among {listed(candidates)}")
+        raise RobotError(f"URDF has no {role}: its joints form a loop")
+    raise RobotError(f"URDF has {len(candidates)} {role}; choose ", Argument(option), f" among {listed(candidates)}")
 
 
 def free_without_gains(chain: Chain) -> Mask:

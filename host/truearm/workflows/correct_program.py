@@ -210,7 +210,7 @@ def _surroundings(options: ProgramOptions) -> Surroundings:
 
 def _check_frames(programs: Sequence[Program], options: ProgramOptions) -> None:
     """Raise InputError for tools and work objects that no move needs, and names of --unchanged that no file has."""
-    needed_names = {name for program in programs for name in program.asked}
+    needed_names = {name for program in programs for name in program.needed_frames}
     for argument, names in (("tool", options.tools), ("work", options.works.keys() - {""})):
         for name in names:
             if name.lower() not in needed_names:

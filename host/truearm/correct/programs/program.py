@@ -89,7 +89,7 @@ class Program:
 
     ``steps``: moves and the structure around them, in the order of the text (``order.py``). ``absent``: routines that
     none of the files defines. ``origins``: the moves from which each may come, where the steps do not show it. ``harmless``: uses of data that a correction may change, such as joints near a target.
-    ``asked``: the names of tools and work objects that moves need from outside of the files, "" for a tool without a name.
+    ``needed_frames``: the names of tools and work objects that moves need from outside of the files, "" for a tool without a name.
     ``texts``: texts that contain moves.
     """
 
@@ -100,7 +100,7 @@ class Program:
     origins: dict[Move, frozenset[Move | None]] = field(default_factory=dict)
     absent: dict[str, None] = field(default_factory=dict)
     harmless: set[Place] = field(default_factory=set)
-    asked: set[str] = field(default_factory=set)
+    needed_frames: set[str] = field(default_factory=set)
     texts: list[Place] = field(default_factory=list)
 
     def where(self, place: Place) -> str:

@@ -94,7 +94,7 @@ class Reading:
 
     def given(self, name: str, otherwise: Uncertain) -> Floats:
         """Return the tool or work object that is given by a name. Raises ``otherwise`` if it is not."""
-        self.program.asked.add(name)
+        self.program.needed_frames.add(name)
         if name not in self.surroundings.frames:
             raise otherwise
         return self.surroundings.frames[name]

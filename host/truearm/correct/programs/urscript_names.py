@@ -110,7 +110,7 @@ class Script(Reading):
 
 def read_names(files: Sequence[Source], surroundings: Surroundings) -> Script:
     """Read scripts, and note who uses and changes each variable."""
-    script = Script(Program("urscript", list(files), asked={""}), surroundings)
+    script = Script(Program("urscript", list(files), needed_frames={""}), surroundings)
     for number, source in enumerate(files):
         _ScriptReader(script, number).read(source.script_tokens)
     for statement in script.statements:
