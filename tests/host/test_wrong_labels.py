@@ -69,12 +69,12 @@ def test_right_labels_gain_nothing_on_average(d):
 
 def test_a_run_is_relabelled_if_chance_hardly_gives_it():
     """Two labels and none, 100 rows: log(300 / LEVEL) = 12.6 nats."""
-    score, original = np.zeros((3, 100)), np.zeros(100, dtype=np.intp)
+    score = np.zeros((3, 100))
     score[2] = -50.0
     for gain, runs in ((0.99, []), (1.01, [(40, 44, 1)])):
         score[1] = -1.0
         score[1, 40:44] = PRICE + gain * np.log(300 / LEVEL) / 4
-        labels, changed = best_labels(score, original)
+        labels, changed = best_labels(score)
         assert [run[:3] for run in changed] == runs
         assert np.flatnonzero(labels).tolist() == [row for first, last, _ in runs for row in range(first, last)]
 
@@ -92,7 +92,7 @@ def test_runs_are_what_changed_in_the_end():
     score = np.zeros((3, 60))
     score[2], score[1], score[1, 20:22] = -100.0, -9.0, -12.0
     score[1, 5:20] = score[1, 22:40] = 5.0
-    labels, runs = best_labels(score, np.zeros(60, dtype=np.intp))
+    labels, runs = best_labels(score)
     assert [run[:3] for run in runs] == [(5, 20, 1), (22, 40, 1)]
     assert np.flatnonzero(labels).tolist() == [*range(5, 20), *range(22, 40)]
     assert [run[3] for run in runs] == pytest.approx([15 * (5.0 - PRICE), 18 * (5.0 - PRICE)])

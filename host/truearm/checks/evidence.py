@@ -23,21 +23,13 @@ from truearm.checks.catalogue import Hypothesis
 from truearm.checks.whitened import Kernel, WhitenedFit
 from truearm.estimate.information import RANK_TOLERANCE
 from truearm.estimate.ties import first_within
-from truearm.types import Floats, Indices, Mask
+from truearm.types import Floats, Indices
 
 SCALES = np.array([0.2, 1.0, 5.0])  # of the typical size, equally probable
 SHOWN = 3.0  # standard deviations
 SEEN = 1e-8  # share of a column's square that must remain after the parameters
 LEAST = 1e-300  # probability whose logarithm matters
 WIDEST = 30.0  # of the typical size: the prior of a finding, which the rows have shown already
-
-
-class Sums(NamedTuple):
-    """M (c, d, d) and b (c, d) of c candidates beside a design, and tr CᵀC (c,)."""
-
-    square: Floats
-    score: Floats
-    size: Floats
 
 
 @dataclass(frozen=True)
@@ -106,12 +98,11 @@ def build_design(fit: WhitenedFit, kernel: Kernel, prior: Floats) -> Design:
 
 
 class Moments(NamedTuple):
-    """M and b of c candidates along the eigenvectors of M: λ (c, d), V (c, d, d), y (c, d); which λ are significant."""
+    """M and b of c candidates along the eigenvectors of M: λ (c, d), V (c, d, d), y (c, d); 0 where λ is insignificant."""
 
     values: Floats
     vectors: Floats
     scores: Floats
-    significant: Mask
 
 
 class Weighed(NamedTuple):
@@ -142,22 +133,16 @@ class Weighed(NamedTuple):
 
 def moments(hypothesis: Hypothesis, design: Design) -> Moments:
     """Return M and b of all candidates beside a design and the hypothesis' nuisance."""
-    square, score, size = sums_of(hypothesis, design)
-    d = hypothesis.sizes.size
+    square, cross, d = squares(hypothesis, design.kernel), products(hypothesis, design.follow), hypothesis.sizes.size
+    size = np.trace(square[:, :d, :d], axis1=1, axis2=2)[:, None]
+    square, score = square - cross[..., :-1] @ cross[..., :-1].swapaxes(1, 2), cross[..., -1]
     nuisance = square[:, d:, d:] + np.eye(square.shape[1] - d) / WIDEST**2
     follow = np.linalg.solve(nuisance, square[:, d:, :d])
     square = square[:, :d, :d] - square[:, :d, d:] @ follow
     score = score[:, :d] - np.einsum("cf,cfd->cd", score[:, d:], follow)
     values, vectors = np.linalg.eigh(square)
-    significant = values > np.maximum(SEEN * size[:, None], WIDEST**-2)
-    return Moments(np.maximum(values, 0.0), vectors, np.einsum("cdk,cd->ck", vectors, score), significant)
-
-
-def sums_of(hypothesis: Hypothesis, design: Design) -> Sums:
-    """Return the sums of a hypothesis' candidates beside a design."""
-    square, cross, d = squares(hypothesis, design.kernel), products(hypothesis, design.follow), hypothesis.sizes.size
-    size = np.maximum(np.trace(square[:, :d, :d], axis1=1, axis2=2), 1e-300)
-    return Sums(square - cross[..., :-1] @ cross[..., :-1].swapaxes(1, 2), cross[..., -1], size)
+    significant = values > np.maximum(SEEN * size, WIDEST**-2)
+    return Moments(values * significant, vectors, np.einsum("cdk,cd->ck", vectors, score) * significant)
 
 
 def products(hypothesis: Hypothesis, vectors: Floats, power: int = 1) -> Floats:
@@ -188,12 +173,12 @@ def squares(hypothesis: Hypothesis, kernel: Kernel) -> Floats:
 def weigh(hypothesis: Hypothesis, design: Design) -> Weighed:
     """Return the evidence of a hypothesis and the probability of chance."""
     sums = moments(hypothesis, design)
-    information, scores = np.where(sums.significant, sums.values, 0.0), np.where(sums.significant, sums.scores, 0.0)
+    information, scores, significant = sums.values, sums.scores, sums.values > 0.0
     variance, square = design.variance, SCALES[:, None, None] ** 2
     gain = square * scores**2 / variance / (variance + square * information)
     by_scale = 0.5 * gain.sum(axis=2) - 0.5 * np.log1p(square * information / variance).sum(axis=2)
-    drop = (scores**2 / np.where(sums.significant, sums.values, 1.0)).sum(axis=1)
-    freedom = sums.significant.sum(axis=1)
+    drop = (scores**2 / np.where(significant, information, 1.0)).sum(axis=1)
+    freedom = significant.sum(axis=1)
     chance = log_chance(drop, freedom, design)
     best = first_within(np.logaddexp.reduce(by_scale, axis=0))
     return Weighed(
@@ -226,24 +211,17 @@ def log_beta(a: Floats, b: Floats, x: Floats) -> Floats:
     return np.asarray(np.log(np.maximum(p, LEAST)))
 
 
-class Amount(NamedTuple):
-    """β (d,) in typical sizes, a root (d, r) of its covariance, and a basis (d, d − r) of what the rows do not show of it."""
+def amount_of(
+    weighed: Weighed, variance: float, scale: float = SCALES[-1], is_named: bool = True
+) -> tuple[Floats, Floats, Floats]:
+    """Return by how much the best candidate is off, with the prior of a scale: β (d,) in typical sizes, a root (d, r) of
+    its covariance, and a basis (d, d − r) of hidden directions, where β is 0.
 
-    size: Floats
-    root: Floats
-    hidden: Floats
-
-
-def amount_of(weighed: Weighed, variance: float, scale: float = SCALES[-1], is_named: bool = True) -> Amount:
-    """Return by how much the best candidate is off, with the prior of a scale.
-
-    Directions of which the rows say less than the typical size does are hidden, unless the hypothesis ``is_named`` and
-    they are SHOWN: their β is 0.
+    These are all of which the rows say less than the typical size does, unless the hypothesis ``is_named`` and they are
+    SHOWN.
     """
-    sums, number = weighed.moments, weighed.best
-    information = np.where(sums.significant[number], sums.values[number], 0.0) / variance
-    scores, vectors = sums.scores[number] / variance, sums.vectors[number]
-    is_shown = (scores**2 > SHOWN**2 * information) & sums.significant[number]
-    stated = (information > 1.0) | (is_named & is_shown)
+    values, vectors, scores = (of_all[weighed.best] for of_all in weighed.moments)
+    information, scores = values / variance, scores / variance
+    stated = (information > 1.0) | (is_named & (scores**2 > SHOWN**2 * information))
     root = vectors[:, stated] / np.sqrt(information[stated] + scale**-2.0)
-    return Amount(root @ (root.T @ (vectors @ scores)), root, vectors[:, ~stated])
+    return root @ (root.T @ (vectors @ scores)), root, vectors[:, ~stated]

@@ -142,19 +142,9 @@ def diagnoses(result: Search, average: Average, table: ObservationTable) -> tupl
             for name, step, residual in zip([*names, (MEAN, MEAN, None, 1.0)], steps, [*after, mean], strict=True)
         )
         best, sizes = detection.best, sizes_of(options[0].weighed, result.design)
-        deciding_mount = deciding(options, result.design, table)
-        out.append(
-            Diagnosis(
-                tuple(rivals),
-                whole,
-                detection.aliases,
-                sizes,
-                best.drop,
-                best.freedom,
-                best.log_evidence,
-                deciding_mount,
-            )
-        )
+        strength = best.drop, best.freedom, best.log_evidence
+        mount = deciding(options, result.design, table)
+        out.append(Diagnosis(tuple(rivals), whole, detection.aliases, sizes, *strength, mount))
     return tuple(out)
 
 

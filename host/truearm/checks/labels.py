@@ -44,7 +44,7 @@ Labels = Mapping[str, str]  # by column
 
 
 class WrongLabels(NamedTuple):
-    """Rows [first, last) of the given ones that fit another ``label``, a number, by ``gain`` nats; the last one is none."""
+    """Rows [first, last) of the given ones that fit another ``label`` by ``gain`` nats: its number, as in ``scores``."""
 
     first: int
     last: int
@@ -59,33 +59,27 @@ def relabelled(inputs: Alternative) -> tuple[Alternative, Sequence[WrongLabels]]
     """
     table = inputs.table.select(inputs.rows)
     possible = possible_labels(inputs.rig, table)
-    original = own_labels(table, possible)
-    labels = changed = original
-    runs: list[WrongLabels] = []
+    labels = np.zeros(len(table), dtype=np.intp)
     for attempt in range(ROUNDS):
-        current = with_labels(inputs.rig, table, possible, labels)
-        score = scores(inputs, current, labels < len(possible), possible, every_subset=attempt == 0)
+        score = scores(inputs, table, labels, possible, every_subset=attempt == 0)
         if score is None:
             return inputs, ()
-        changed, runs = best_labels(score, original)
-        if (changed == labels).all() or (changed != original).mean() > 0.5:
+        earlier, (labels, runs) = labels, best_labels(score)
+        differs, fits = labels > 0, labels < len(possible) - 1
+        if differs.mean() > 0.5 or not runs:
+            return inputs, ()
+        if (labels == earlier).all():
             break
-        labels = changed
-    if not runs or (changed != original).mean() > 0.5:
-        return inputs, ()
-    fits, differs = changed < len(possible), changed != original
-    whole = np.full(len(inputs.table), len(possible))
-    whole[inputs.rows[differs]] = changed[differs]
-    restored = with_labels(inputs.rig, inputs.table, possible, whole)
+    restored = with_labels(inputs.rig, inputs.table, inputs.rows, possible, labels)
     values = {
-        "runs": [_named(table, run, [*possible, {}][run.label]) for run in runs],
+        "runs": [_named(table, run, possible[run.label]) for run in runs],
         "leave_out": [f"{inputs.rows[run.first] + 1}:{inputs.rows[run.last - 1] + 1}" for run in runs],
         "bar": bool((restored.bar != inputs.table.bar).any()),
         "n": int(differs.sum()),
         "others": int((~differs).sum()),
     }
     code = "wrong-labels" if (differs & fits).any() else "rows-apart"
-    price = len(runs) * math.log(len(table) * (len(possible) + 1))
+    price = len(runs) * math.log(len(table) * len(possible))
     return replace(inputs, code=code, values=values, table=restored, rows=inputs.rows[fits], price=price), runs
 
 
@@ -110,7 +104,7 @@ def row_name(table: ObservationTable, row: int) -> str:
 
 
 def possible_labels(rigs: Rigs, table: ObservationTable) -> list[Labels]:
-    """Return all combinations of names that rows may have in the columns that operators confuse, by column."""
+    """Return combinations of names by column that operators confuse: a row's own, all that it may have, and none."""
     columns = dict.fromkeys(column for kind in np.unique(table.kind) for column in kinds()[str(kind)].labels)
     used = {column: sorted(set(table[column].tolist()) - {""}) for column in columns}
     used = {column: names for column, names in used.items() if names}
@@ -120,23 +114,17 @@ def possible_labels(rigs: Rigs, table: ObservationTable) -> list[Labels]:
         for column, names in used.items()
     }
     most = np.prod([len(names) for names in known.values()])
-    return [
-        dict(zip(used, names, strict=True)) for names in product(*(known if most <= MOST_LABELS else used).values())
-    ]
+    combinations = product(*(known if most <= MOST_LABELS else used).values())
+    return [{}, *(dict(zip(used, names, strict=True)) for names in combinations), {}]
 
 
-def own_labels(table: ObservationTable, possible: Sequence[Labels]) -> Indices:
-    """Return which (n,) of the possible labels each row has; an empty name agrees with all."""
-    fits = np.ones((len(possible), len(table)), dtype=bool)
-    for number, labels in enumerate(possible):
-        for column, name in labels.items():
-            fits[number] &= (table[column] == name) | (table[column] == "")
-    return np.asarray(np.argmax(fits, axis=0))
-
-
-def with_labels(rigs: Rigs, table: ObservationTable, possible: Sequence[Labels], labels: Indices) -> ObservationTable:
-    """Return the table with the possible labels of these numbers (n,); rows keep their own for that after the last."""
-    names = {column: np.array([*(names[column] for names in possible), ""])[labels] for column in possible[0]}
+def with_labels(
+    rigs: Rigs, table: ObservationTable, rows: Indices, possible: Sequence[Labels], labels: Indices
+) -> ObservationTable:
+    """Return the table with the possible labels of these numbers in some rows."""
+    number = np.zeros(len(table), dtype=np.intp)
+    number[rows] = labels
+    names = {column: np.array([label.get(column, "") for label in possible])[number] for column in possible[1]}
     return renamed(rigs, table, names)
 
 
@@ -156,24 +144,26 @@ def renamed(rigs: Rigs, table: ObservationTable, names: Mapping[str, NDArray[Any
 def scores(
     inputs: Alternative,
     table: ObservationTable,
-    used: NDArray[np.bool_],
+    labels: Indices,
     possible: Sequence[Labels],
     every_subset: bool = True,
 ) -> Floats | None:
-    """Return the robust log-likelihood (l + 1, n) of each row under each label and none, by the best of the robust fits.
+    """Return the robust log-likelihood (l, n) of each row under each possible label, the last of which is none.
 
-    None without any fit.
+    It is that of the best robust fit of rows with ``labels``. None without any fit.
     """
+    every = np.arange(len(table))
+    current, used = with_labels(inputs.rig, table, every, possible, labels), labels < len(possible) - 1
     best, scale = -np.inf, 1.0
     parameters: Mapping[str, float] | None = None
     start: Mapping[str, float] = {}
-    for rows in islice(subsets(table, np.flatnonzero(used)), None if every_subset else 1):
+    for rows in islice(subsets(current, np.flatnonzero(used)), None if every_subset else 1):
         try:
-            problem, columns, _ = trial_problem(inputs.chain, inputs.rig, table.select(rows), inputs.free)
+            problem, columns, _ = trial_problem(inputs.chain, inputs.rig, current.select(rows), inputs.free)
             x = fit(problem, columns, problem.at(start), idle_options(STEPS)._replace(loss=Loss.CAUCHY)).x
             fitted = dict(zip(problem.names, x.tolist(), strict=True))
             start = start or fitted
-            square = misfit(inputs.chain, inputs.rig, table.select(used), fitted)
+            square = misfit(inputs.chain, inputs.rig, current.select(used), fitted)
         except (ProblemError, np.linalg.LinAlgError):
             continue
         size, value = split(square)
@@ -181,12 +171,12 @@ def scores(
             best, scale, parameters = value, size, fitted
     if parameters is None:
         return None
-    out = np.full((len(possible) + 1, len(table)), IMPOSSIBLE)
-    out[-1] = likelihood(np.array(APART**2), 1.0)
-    for number, labels in enumerate(possible):
-        valid = _valid(inputs.rig, table, labels)
-        other = with_labels(inputs.rig, table.select(valid), [labels], np.zeros(valid.sum(), dtype=np.intp))
+    out = np.full((len(possible), len(table)), IMPOSSIBLE)
+    for number, names in enumerate(possible[:-1]):
+        valid = _valid(inputs.rig, table, names)
+        other = with_labels(inputs.rig, table, every, possible, np.full(every.size, number)).select(valid)
         out[number, valid] = likelihood(misfit(inputs.chain, inputs.rig, other, parameters), scale)
+    out[-1] = likelihood(np.array(APART**2), 1.0)
     return out
 
 
@@ -230,14 +220,14 @@ def likelihood(square: Floats, scale: float) -> Floats:
     return np.asarray(-1.5 * np.log1p(square / (2.0 * scale**2)))
 
 
-def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[WrongLabels]]:
-    """Return labels (n,) and the runs in which they are not the ``original`` ones.
+def best_labels(score: Floats) -> tuple[Indices, list[WrongLabels]]:
+    """Return labels (n,) by their ``score`` (l, n), and the runs in which they are not 0, the rows' own.
 
     The last label stands for none, which fewer than LEAST_APART rows do not get. A run begins at any of n rows and has any
-    of l + 1 labels, so that one of them gains ``sure`` by chance with a probability of at most LEVEL.
+    of l labels, so that one of them gains ``sure`` by chance with a probability of at most LEVEL.
     """
-    sure, row = np.log(score.size / LEVEL), np.arange(original.size)
-    labels, allowed, none = original.copy(), list(range(len(score))), len(score) - 1
+    sure, row = np.log(score.size / LEVEL), np.arange(score.shape[1])
+    labels, allowed, none = np.zeros_like(row), list(range(len(score))), len(score) - 1
     for _ in range(MOST_RUNS):
         gain, first, last, label = max((*best_run(score[i] - score[labels, row] - PRICE), i) for i in allowed)
         if gain < sure:
@@ -248,13 +238,9 @@ def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[WrongLa
             allowed.remove(none)
         else:  # a few rows at an end of the table are no set-up of their own
             labels[0 if first < LEAST_APART else first : None if last > labels.size - LEAST_APART else last] = none
-    gains = score[labels, row] - score[original, row] - PRICE
-    edges = [0, *np.flatnonzero(np.diff(np.where(labels == original, -1, labels))) + 1, labels.size]
-    return labels, [
-        WrongLabels(a, b, int(labels[a]), float(gains[a:b].sum()))
-        for a, b in pairwise(edges)
-        if labels[a] != original[a]
-    ]
+    gains = score[labels, row] - score[0] - PRICE
+    edges = pairwise([0, *np.flatnonzero(np.diff(labels)) + 1, labels.size])
+    return labels, [WrongLabels(a, b, int(labels[a]), float(gains[a:b].sum())) for a, b in edges if labels[a]]
 
 
 def best_run(gain: Floats) -> tuple[float, int, int]:
