@@ -15,10 +15,9 @@ from truearm.checks.averaging import averaged
 from truearm.checks.catalogue import TYPICAL, Hypothesis, catalogue, spans_of
 from truearm.checks.evidence import SCALES, WIDEST, build_design, moments, weigh
 from truearm.checks.examination import examined, tool_gram
-from truearm.checks.held_out import chance_of_ranks, gain, left_out
 from truearm.checks.labels import relabelled
 from truearm.checks.noise import learned_noise
-from truearm.checks.search import searched
+from truearm.checks.search import chance_of_ranks, gain, left_out, searched
 from truearm.checks.trial import Alternative
 from truearm.checks.whitened import DECLARED, whitened_fit
 from truearm.estimate.measured_order import measured_order
@@ -370,14 +369,14 @@ def test_the_step_is_that_of_a_refit(slipped):
     )
     gram = tool_gram(slipped.site.chain, slipped.site.rig, slipped.table, estimate)
     average = averaged(result, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)])
-    (step,) = average.means()
+    ((*_, step),) = average.steps
     jac = np.concatenate([fit.jac, result.detections[0].best.columns], axis=1)
     scale = np.linalg.norm(jac, axis=0)
     refit = (np.linalg.lstsq(jac / scale, fit.residual, rcond=None)[0] / scale)[: fit.jac.shape[1]]
     assert average.moves(step - refit) < 0.02 * average.moves(step)
-    *kept, shift = average.parts()
-    assert average.error({}) ** 2 == pytest.approx(sum(part**2 for part in kept) + shift**2)
-    assert average.error({0: step}) ** 2 == pytest.approx(sum(part**2 for part in kept))
+    *kept, shift = average.decomposition()
+    assert average.error() ** 2 == pytest.approx(sum(part**2 for part in kept) + shift**2)
+    assert average.error(step) ** 2 == pytest.approx(sum(part**2 for part in kept))
 
 
 def test_a_last_move_is_judged_beside_the_pose(slipped):

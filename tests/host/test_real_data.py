@@ -112,7 +112,7 @@ def test_the_claim_of_one_place_is_the_error_at_others(name, place):
     e = identify(robot.chain, rig, table, free=free, prior_sigma=prior, hold_out=table.place != place, options=options)
     result = examined(robot.chain, rig, table, e, any_base=True)
     gram = tool_gram(robot.chain, rig, table, e, any_base=True)
-    claim = np.sqrt(np.trace(gram @ result.average.covariance({})))
+    claim = np.sqrt(np.trace(gram @ result.average.covariance()))
     assert not result.faults
     assert 0.5 < claim / e.held_out.figures["m"].rms < 2.0
 

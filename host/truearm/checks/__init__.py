@@ -6,8 +6,7 @@ docs/explanation/hypotheses.md derives every formula. The way through the module
 2. ``catalogue``: the hypotheses, each a few columns with candidates.
 3. ``evidence``: the weight of each candidate in the residuals, and the probability of chance.
 4. ``noise``: kernels for residuals that are not what was declared.
-5. ``search``: the most probable hypothesis, its rivals, and again with it as a parameter; ``held_out``: its gain in
-   left-out rows.
+5. ``search``: the most probable hypothesis, its rivals, and again with it as a parameter; its gain in left-out rows.
 6. ``averaging``: the stated error of the tool, averaged over the hypotheses.
 7. ``examination``: all of this for an estimate.
 

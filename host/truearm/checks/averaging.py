@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ LEAST_WEIGHT = 1e-5
 HIDDEN = 5.0  # standard deviations that chance and the number of hypotheses hide
 
 
-class Part(NamedTuple):
+class Choice(NamedTuple):
     """One explanation of a finding: its probability among its rivals, and what applying it does to the parameters."""
 
     weighed: Weighed
@@ -50,15 +51,14 @@ class Average:
     gram: Floats
     parameters: Floats
     unnamed: Floats
-    choices: tuple[tuple[Part, ...], ...]
+    choices: tuple[tuple[Choice, ...], ...]
 
-    def means(self) -> list[Floats]:
-        """Return the mean step (k,) of each finding."""
-        return [np.asarray(sum(part.weight * part.step for part in options)) for options in self.choices]
-
+    @cached_property
     def steps(self) -> list[list[Floats]]:
-        """Return the steps (k,) of each finding: of its explanations, and the mean."""
-        return [[*(part.step for part in parts), mean] for parts, mean in zip(self.choices, self.means(), strict=True)]
+        """The steps (k,) of each finding: of its explanations, and their mean."""
+        steps = [[choice.step for choice in choices] for choices in self.choices]
+        weights = ([choice.weight for choice in choices] for choices in self.choices)
+        return [[*of_finding, np.array(weight) @ of_finding] for of_finding, weight in zip(steps, weights, strict=True)]
 
     def moves(self, root: Floats) -> float:
         """Return the RMS motion [m] of the tool by a step (k,), or its RMS error by a ``root`` (k, r) of that of parameters."""
@@ -67,30 +67,28 @@ class Average:
     def of_rivals(self) -> Floats:
         """Return the root (k, r) of what not knowing the rival, and not knowing its size, add."""
         columns = [np.zeros((len(self.gram), 0))]
-        for options, mean in zip(self.choices, self.means(), strict=True):
-            for part in options:
-                columns.append(math.sqrt(part.weight) * np.column_stack([part.step - mean, part.root]))
+        for choices, (*_, mean) in zip(self.choices, self.steps, strict=True):
+            for choice in choices:
+                columns.append(math.sqrt(choice.weight) * np.column_stack([choice.step - mean, choice.root]))
         return np.concatenate(columns, axis=1)
 
-    def bias(self, applied: Mapping[int, Floats]) -> Floats:
-        """Return the mean error (k,) if a step was ``applied`` for some findings, by their numbers."""
-        nothing = np.zeros(len(self.gram))
-        remaining = [mean - applied.get(number, nothing) for number, mean in enumerate(self.means())]
-        return np.asarray(np.sum([nothing, *remaining], axis=0))
+    def bias(self, step: Floats | float = 0.0) -> Floats:
+        """Return the mean error (k,) if a ``step`` (k,) was applied: the sum of the steps of some findings."""
+        return np.asarray(sum((mean for *_, mean in self.steps), np.zeros(len(self.gram))) - step)
 
-    def covariance(self, applied: Mapping[int, Floats]) -> Floats:
-        """Return the mean square error (k, k) of the parameters if steps were ``applied``."""
-        root = np.column_stack([self.unnamed, self.of_rivals(), self.bias(applied)])
+    def covariance(self, step: Floats | float = 0.0) -> Floats:
+        """Return the mean square error (k, k) of the parameters if a ``step`` was applied."""
+        root = np.column_stack([self.unnamed, self.of_rivals(), self.bias(step)])
         return np.asarray(self.parameters + root @ root.T)
 
-    def error(self, applied: Mapping[int, Floats]) -> float:
-        """Return the RMS error of the tool [m] if steps were ``applied``."""
-        return math.sqrt(float(np.trace(self.gram @ self.covariance(applied))))
+    def error(self, step: Floats | float = 0.0) -> float:
+        """Return the RMS error of the tool [m] if a ``step`` was applied."""
+        return math.sqrt(float(np.trace(self.gram @ self.covariance(step))))
 
-    def parts(self) -> tuple[float, float, float, float]:
+    def decomposition(self) -> tuple[float, float, float, float]:
         """Return the parts [m] of the error with nothing applied, as in ``ToolClaim``."""
         parameters = math.sqrt(float(np.trace(self.gram @ self.parameters)))
-        return parameters, self.moves(self.unnamed), self.moves(self.of_rivals()), self.moves(self.bias({}))
+        return parameters, self.moves(self.unnamed), self.moves(self.of_rivals()), self.moves(self.bias())
 
 
 def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
@@ -107,8 +105,8 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
     unnamed = [np.zeros((len(gram), 0))]
     for weighed, weight in zip(result.table, posterior(result.table, result.refused), strict=True):
         if weight > LEAST_WEIGHT:
-            part = explanation(weighed, float(weight), result.design, fitted)
-            unnamed.append(math.sqrt(weight) * np.column_stack([part.step, part.root]))
+            choice = explanation(weighed, float(weight), result.design, fitted)
+            unnamed.append(math.sqrt(weight) * np.column_stack([choice.step, choice.root]))
     choices = tuple(explanations(detection, result) for detection in result.detections)
     return Average(gram, covariance, np.concatenate(unnamed, axis=1), choices)
 
@@ -127,7 +125,7 @@ def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
 
 
-def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design, is_named: bool = False) -> Part:
+def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design, is_named: bool = False) -> Choice:
     """Return what the best candidate does to the parameters; its size is that of the ``design``.
 
     In directions that the rows do not show, a finding is as large as in those that they do, in which it could be
@@ -139,10 +137,10 @@ def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design,
         root = np.column_stack([root, hidden * math.sqrt((1.0 + float(size @ size)) / max(root.shape[1], 1))])
     columns = weighed.columns
     loading = fitted.root @ (fitted.basis[: len(columns)].T @ columns)
-    return Part(weighed, weight, size, -loading @ size, loading @ root)
+    return Choice(weighed, weight, size, -loading @ size, loading @ root)
 
 
-def explanations(detection: Detection, result: Search) -> tuple[Part, ...]:
+def explanations(detection: Detection, result: Search) -> tuple[Choice, ...]:
     """Return the finding and its rivals by their probability, beside all other findings, which may have excluded some."""
     design = result.bare.extended(result.beside(detection))
     options = [weigh(weighed.hypothesis, design) for weighed in (detection.best, *detection.rivals)]
@@ -161,10 +159,10 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
     hidden. Of each kind and its units it is the least size of any hypothesis, in its median candidate: a step at the first
     row is an offset. The kinds of findings are none.
     """
-    fitted, limit = result.fitted, 2.0 * average.error({})
+    fitted, limit = result.fitted, 2.0 * average.error()
     values, vectors = np.linalg.eigh(fitted.root.T @ average.gram @ fitted.root)
     follow = fitted.basis[: fitted.fit.residual.size] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    named = {part.weighed.hypothesis.kind for options in average.choices for part in options}
+    named = {choice.weighed.hypothesis.kind for choices in average.choices for choice in choices}
     least: dict[tuple[str, ...], tuple[float, str, dict[str, float]]] = {}
     for hypothesis, moments in ((weighed.hypothesis, weighed.moments) for weighed in result.table):
         root = HIDDEN * moments.vectors / np.sqrt(1.0 + moments.values / result.design.variance)[:, None]

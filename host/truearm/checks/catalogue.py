@@ -222,9 +222,8 @@ def add_arm(out: Catalogue) -> None:
     usual = {name: parameter for name, parameter in fit.arm.items() if parameter.unit in TYPICAL}
     for name, parameter in usual.items():
         out.add(name, "drift", fit.jac[:, [parameter.column]], [parameter.unit], out.drifts)
-    growth = np.zeros((fit.residual.size, 1))
-    for length in (parameter for parameter in usual.values() if parameter.unit == "m"):
-        growth += fit.jac[:, [length.column]] * length.value
+    lengths = [parameter for parameter in usual.values() if parameter.unit == "m"]
+    growth = fit.jac[:, [length.column for length in lengths]] @ np.array([[length.value] for length in lengths])
     out.add("arm", "growth", growth, ["1"], out.drifts, np.array([GROWTH]))
 
 
@@ -242,7 +241,7 @@ def add_loose_flange(out: Catalogue) -> None:
 
 def drifts_of(fit: WhitenedFit) -> Candidates:
     """Return the profiles of a drift in each session: linear in time, settling, returning; linear in the temperature."""
-    profiles, spans, drifts = [np.zeros((0, fit.n))], [np.zeros((0, 2), dtype=np.intp)], list[DriftWith | None]()
+    courses: list[tuple[Floats, tuple[int, int], DriftWith | None]] = []
     for session in np.unique(fit.how.session):
         rows = np.flatnonzero(fit.how.session == session)
         first, last = int(fit.how.row[rows[0]]), int(fit.how.row[rows[-1]]) + 1
@@ -250,17 +249,14 @@ def drifts_of(fit: WhitenedFit) -> Candidates:
             course = fit.how.table.during("", drift, first, last)
             if course is None or (drift is DriftWith.TEMPERATURE and np.ptp(course) < LEAST_WARMING):
                 continue
-            share = (course - course[0]) / np.ptp(course)
+            share = (course - course[0])[fit.how.row[rows] - first] / np.ptp(course)
             shapes: list[tuple[DriftWith | None, Floats]] = [(drift, share)]
             if drift is DriftWith.TIME:
                 shapes += [(None, np.expm1(-BEND * share) / np.expm1(-BEND)), (None, np.sin(np.pi * share))]
-            for linear, shape in shapes:
-                whole = np.zeros((1, fit.n))
-                whole[0, rows] = shape[fit.how.row[rows] - first]
-                profiles.append(whole)
-                spans.append(np.array([[rows[0], rows[-1] + 1]]))
-                drifts.append(linear)
-    return Candidates(np.concatenate(profiles), np.concatenate(spans), tuple(drifts))
+            span = int(rows[0]), int(rows[-1]) + 1
+            courses += [(np.bincount(rows, shape, fit.n).astype(float), span, linear) for linear, shape in shapes]
+    profiles, spans, drifts = zip(*courses, strict=True) if courses else ((), (), ())
+    return Candidates(np.reshape(profiles, (-1, fit.n)), np.reshape(spans, (-1, 2)), drifts)
 
 
 def spans_of(spans: Indices, n: int, among: float | None = None) -> Candidates:

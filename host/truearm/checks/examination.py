@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm.checks.averaging import Average, Part, averaged, unseen
+from truearm.checks.averaging import Average, Choice, averaged, unseen
 from truearm.checks.catalogue import LAST_MOVE
-from truearm.checks.evidence import Design, Weighed, amount_of
-from truearm.checks.held_out import gain, left_out
-from truearm.checks.search import RIVAL, Search, checked, columns_of
-from truearm.checks.whitened import WhitenedFit, whitened_fit
+from truearm.checks.evidence import Design, Weighed, amount_of, build_design
+from truearm.checks.search import RIVAL, Search, checked, columns_of, gain, left_out
+from truearm.checks.whitened import DECLARED, WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
@@ -50,22 +49,21 @@ class Examination:
         """
         steps: dict[int, Floats] = {}
         for name in names:
-            mine = {
+            by_finding = {
                 number: step
-                for number, (fault, rival_steps) in enumerate(zip(self.faults, self.average.steps(), strict=True))
+                for number, (fault, rival_steps) in enumerate(zip(self.faults, self.average.steps, strict=True))
                 for rival, step in zip((*fault.rivals, fault.mean), rival_steps, strict=True)
                 if rival.apply == name
             }
-            if not mine:
+            if not by_finding:
                 names = [rival.apply for fault in self.faults for rival in fault.rivals if rival.apply]
-                known = f"name one of {', '.join(names)}" if names else "these rows show no fault"
-                raise InputError(Argument("apply"), f" {name}: no cause of a fault in these rows; {known}")
-            steps |= mine
-        full = np.zeros(self.free.size)
-        full[self.free] = np.sum([np.zeros(len(self.average.gram)), *steps.values()], axis=0)
-        covariance = np.zeros((self.free.size, self.free.size))
-        covariance[np.ix_(self.free, self.free)] = self.average.covariance(steps)
-        return full, covariance, self.average.moves(self.average.bias(steps))
+                remedy = f"name one of {', '.join(names)}" if names else "these rows show no fault"
+                raise InputError(Argument("apply"), f" {name}: no cause of a fault in these rows; {remedy}")
+            steps |= by_finding
+        step = sum(steps.values(), np.zeros(len(self.average.gram)))
+        whole, covariance = np.zeros(self.free.size), np.zeros((self.free.size, self.free.size))
+        whole[self.free], covariance[np.ix_(self.free, self.free)] = step, self.average.covariance(step)
+        return whole, covariance, self.average.moves(self.average.bias(step))
 
 
 def examined(
@@ -120,41 +118,41 @@ def of_fit(
         return None
     result = checked(fit)
     average, kernel = averaged(result, gram, covariance), result.design.kernel
-    declared = result.declared.extended(columns_of(result.detections, fit))
+    declared = build_design(fit, DECLARED, fit.wide_prior).extended(columns_of(result.detections, fit))
     chi2_reduced = declared.chi2 / max(declared.freedom, 1.0)
     noise = kernel.name, kernel.scale, chi2_reduced
-    claim = ToolClaim(*average.parts(), *noise, unseen(result, average), result.refused)
+    claim = ToolClaim(*average.decomposition(), *noise, unseen(result, average), result.refused)
     return Examination(diagnoses(result, average, table), claim, average, free)
 
 
 def diagnoses(result: Search, average: Average, table: ObservationTable) -> tuple[Diagnosis, ...]:
     """Return the findings of a search, each with its rivals and what applying one of them, or their mean, gives."""
     out = []
-    every = zip(result.detections, average.choices, average.steps(), strict=True)
-    for number, (detection, options, steps) in enumerate(every):
+    every = zip(result.detections, average.choices, average.steps, strict=True)
+    for detection, choices, steps in every:
         beside = result.fitted.extended(result.beside(detection))
         before = left_out(beside, result.block)
-        after = [left_out(beside.extended(part.weighed.columns), result.block) for part in options]
-        mean = np.sum([part.weight * residual for part, residual in zip(options, after, strict=True)], axis=0)
-        names = [(part.weighed.name, apply_name(part.weighed), rows_of(part.weighed), part.weight) for part in options]
+        after = [left_out(beside.extended(choice.weighed.columns), result.block) for choice in choices]
+        mean = np.array([choice.weight for choice in choices]) @ after
+        names = [(*identity(choice.weighed), choice.weight) for choice in choices]
         *rivals, whole = (
-            Rival(*name, average.moves(step), average.error({number: step}), *gain(before, residual, result.block)[:2])
+            Rival(*name, average.moves(step), average.error(step), *gain(before, residual, result.block)[:2])
             for name, step, residual in zip([*names, (MEAN, MEAN, None, 1.0)], steps, [*after, mean], strict=True)
         )
-        best, sizes = detection.best, sizes_of(options[0].weighed, result.design)
+        best, sizes = detection.best, sizes_of(choices[0].weighed, result.design)
         strength = best.drop, best.freedom, best.log_evidence
-        mount = deciding(options, result.design, table)
+        mount = deciding(choices, result.design, table)
         out.append(Diagnosis(tuple(rivals), whole, detection.aliases, sizes, *strength, mount))
     return tuple(out)
 
 
-def deciding(options: Sequence[Part], design: Design, table: ObservationTable) -> tuple[str, ...]:
+def deciding(choices: Sequence[Choice], design: Design, table: ObservationTable) -> tuple[str, ...]:
     """Return the names mounted in the rows that would exclude most explanations if they were measured again at the end.
 
     Formula (12) of docs/explanation/hypotheses.md. Empty if no mount is expected to give one nat.
     """
     fit = design.fit
-    predicted = np.array([fit.jac @ part.step + at_the_end(part.weighed) @ part.size for part in options])
+    predicted = np.array([fit.jac @ choice.step + at_the_end(choice.weighed) @ choice.size for choice in choices])
     square = (predicted - predicted[0]) ** 2 / (1.0 + ((fit.jac @ design.root) ** 2).sum(axis=1))
     run = fit.how.run[fit.row]
     nats = 0.5 * np.array([np.bincount(run, of_rival) for of_rival in square])
@@ -173,25 +171,26 @@ def at_the_end(weighed: Weighed) -> Floats:
     return weighed.hypothesis.candidate(weighed.best, row)
 
 
-def rows_of(weighed: Weighed) -> tuple[int, int] | None:
-    """Return the rows [first, after last) of the user's table that an explanation concerns; None for all of a session."""
-    candidates, how = weighed.hypothesis.candidates, weighed.hypothesis.fit.how
-    return None if candidates.pairs is None else how.in_table(*candidates.spans[weighed.best].tolist())
+def identity(weighed: Weighed) -> tuple[str, str, tuple[int, int] | None]:
+    """Return the name of an explanation, that by which it is applied, and its rows [first, after last) of the user's table.
 
-
-def apply_name(weighed: Weighed) -> str:
-    """Return the ``Effect`` that an explanation is, which a fit can estimate; otherwise its name; "" without a remedy."""
+    It is applied as an ``Effect``, which a fit can estimate, otherwise by its own name; "" if it has no remedy. The rows
+    are None for all of a session.
+    """
     hypothesis, candidates, how = weighed.hypothesis, weighed.hypothesis.candidates, weighed.hypothesis.fit.how
-    if hypothesis.item.endswith(EVERY) or hypothesis.form == LASTING:
-        return ""
-    drift = candidates.drifts[weighed.best] if candidates.drifts else LAST_MOVE.get(hypothesis.form)
-    if candidates.drifts and drift is None:
-        return f"{hypothesis.item}.bent_{hypothesis.form}"
-    is_effect = drift is not None or candidates.pairs is not None or hypothesis.form == "offset"
-    if not is_effect or all(cause.name != hypothesis.item for cause in hypothesis.fit.causes):
-        return hypothesis.name
+    item, form = hypothesis.item, hypothesis.form
     first, last = how.in_table(*candidates.spans[weighed.best].tolist())
-    return str(Effect(hypothesis.item, first, None if last == how.total else last, drift))
+    rows = None if candidates.pairs is None else (first, last)
+    drift = candidates.drifts[weighed.best] if candidates.drifts else LAST_MOVE.get(form)
+    is_item = any(cause.name == item for cause in hypothesis.fit.causes)
+    apply = hypothesis.name
+    if item.endswith(EVERY) or form == LASTING:
+        apply = ""
+    elif candidates.drifts and drift is None:
+        apply = f"{item}.bent_{form}"
+    elif is_item and (drift or rows or form == "offset"):
+        apply = str(Effect(item, first, None if last == how.total else last, drift))
+    return hypothesis.name, apply, rows
 
 
 def sizes_of(weighed: Weighed, design: Design) -> tuple[Size, ...]:
