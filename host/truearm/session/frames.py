@@ -210,7 +210,7 @@ class Pages:
 
 NONE = -1  # of a frame without this element
 _OF_ALL = ("message", "seq", "type", "boot_id")
-_OF_DATA = ("t_us", "stream", "n0", "period_ns", "flags", "buffer", "samples_at", "samples_bytes")
+_OF_DATA = ("t_us", "stream", "n0", "period_ns", "flags", "samples_at", "samples_bytes")
 FRAME = np.dtype([(name, np.int64) for name in (*_OF_ALL, *_OF_DATA)])
 
 _BEGIN = [("begin", "u1"), ("type", "u1"), ("m_seq", "u1"), ("seq", ">u4"), ("stream", "u1")]
@@ -227,35 +227,35 @@ _UINT32, _UINT64 = 0x1A, 0x1B  # CBOR: an unsigned integer of this many bits fol
 class Frames:
     """The frames (f,) in a batch of messages, which may follow frames of earlier ones. Messages that are not frames are left out.
 
-    ``table`` (f,) of FRAME; ``message`` is an index in the batch, ``samples_at`` is an offset in one of the ``buffers``. The
+    ``table`` (f,) of FRAME; ``message`` is an index in the batch, ``samples_at`` is an offset in ``data``. The
     period is 0 if the frame states the offset of each sample. ``elements``: of each frame that was decoded singly, by row.
     The type of a frame that violates the specification is NONE; ``malformed`` counts these and the messages that are not
     frames.
     """
 
-    buffers: tuple[bytes, ...]
+    data: bytes
     table: NDArray[Any]
     elements: dict[int, list[Any]]
     malformed: int
 
     def held(self, first: int) -> Frames:
-        """Return the frames from row ``first`` on, with the buffers that they are in."""
+        """Return the frames from row ``first`` on, with their bytes."""
         table = self.table[first:].copy()
-        oldest = int(table["buffer"].min(initial=len(self.buffers)))
-        table["buffer"] -= oldest
+        begin = int(table["samples_at"].min(initial=len(self.data), where=table["samples_bytes"] != NONE))
+        table["samples_at"] -= begin
         elements = {k - first: frame for k, frame in self.elements.items() if k >= first}
-        return Frames(self.buffers[oldest:], table, elements, 0)
+        return Frames(self.data[begin:], table, elements, 0)
 
     def followed_by(self, later: Frames) -> Frames:
         """Return these frames, then all of ``later``."""
         count = len(self.table)
         table = np.concatenate([self.table, later.table])
-        table["buffer"][count:] += len(self.buffers)
+        table["samples_at"][count:] += len(self.data)
         elements = self.elements | {k + count: frame for k, frame in later.elements.items()}
-        return Frames(self.buffers + later.buffers, table, elements, later.malformed)
+        return Frames(self.data + later.data, table, elements, later.malformed)
 
 
-NO_FRAMES = Frames((), np.empty(0, FRAME), {}, 0)
+NO_FRAMES = Frames(b"", np.empty(0, FRAME), {}, 0)
 
 
 def frames_of(messages: Messages) -> Frames:
@@ -263,7 +263,7 @@ def frames_of(messages: Messages) -> Frames:
     rows = messages.rows(lambda topic: topic.startswith("/box/") and topic != "/box/console")
     begin, end = messages.begin[rows], messages.end[rows]
     table = np.full(len(rows), NONE, FRAME)
-    table["message"], table["buffer"] = rows, 0
+    table["message"] = rows
     usual = _usual_data(messages, begin, end, table) | _usual_syncs(messages, begin, end, table)
     elements: dict[int, list[Any]] = {}
     is_frame = np.ones(len(rows), bool)
@@ -289,7 +289,7 @@ def frames_of(messages: Messages) -> Frames:
                 table[name][k] = getattr(data, name)
             table["samples_at"][k], table["samples_bytes"][k] = offset, len(data.samples)
     place = (np.cumsum(is_frame) - 1).tolist()
-    return Frames((messages.data,), table[is_frame], {place[k]: frame for k, frame in elements.items()}, malformed)
+    return Frames(messages.data, table[is_frame], {place[k]: frame for k, frame in elements.items()}, malformed)
 
 
 def _usual_data(messages: Messages, begin: Ints, end: Ints, table: NDArray[Any]) -> NDArray[np.bool_]:

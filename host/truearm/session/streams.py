@@ -458,8 +458,8 @@ class BoxReader:
         blocks: list[Blocks] = []
         table, ident = frames.table[index], self.segment.ident
         data = table["type"] == wire.DATA
-        for stream_id, buffer in product(np.unique(table["stream"][data]).tolist(), range(len(frames.buffers))):
-            rows = np.flatnonzero(data & (table["stream"] == stream_id) & (table["buffer"] == buffer))
+        for stream_id in np.unique(table["stream"][data]).tolist():
+            rows = np.flatnonzero(data & (table["stream"] == stream_id))
             if ident is None or stream_id not in ident.streams:
                 self._count["blocks_without_ident"] += len(rows)
             elif len(rows := self._whole(frames, index, rows, ident.streams[stream_id])):
@@ -488,7 +488,7 @@ class BoxReader:
         table["flags"] = rows["flags"] & 0xFF
         counts = np.empty((int(n.sum()), channels), np.int32)
         blocks = Blocks(self.segment.index, ident, stream, tuple(range(channels)), table, counts, np.empty(0, np.int64))
-        data = np.frombuffer(frames.buffers[rows["buffer"][0]], np.uint8)
+        data = np.frombuffer(frames.data, np.uint8)
         for length in np.unique(n).tolist():
             alike = np.flatnonzero(n == length)
             window = np.lib.stride_tricks.sliding_window_view(data, 4 * length * channels)
