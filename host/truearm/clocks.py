@@ -49,12 +49,12 @@ class Band:
     @cached_property
     def _cones(self) -> tuple[Floats, ...]:
         """The bounds (k + 1,), moved to x = 0 by the greatest or least rate: the best of all rows before and after."""
-        x, least = self.x, np.minimum.accumulate
+        x, running_minimum = self.x, np.minimum.accumulate
         return (
-            np.append(np.inf, least(self.high - self.fast * x)),
-            np.append(least((self.high - self.slow * x)[::-1])[::-1], np.inf),
-            -np.append(np.inf, least(self.slow * x - self.low)),
-            -np.append(least((self.fast * x - self.low)[::-1])[::-1], np.inf),
+            np.append(np.inf, running_minimum(self.high - self.fast * x)),
+            np.append(running_minimum((self.high - self.slow * x)[::-1])[::-1], np.inf),
+            -np.append(np.inf, running_minimum(self.slow * x - self.low)),
+            -np.append(running_minimum((self.fast * x - self.low)[::-1])[::-1], np.inf),
         )
 
     def range(self, t: Floats) -> tuple[Floats, Floats]:
@@ -156,8 +156,8 @@ class Steady:
         """Return the least and greatest y (n,) at times t (n,)."""
         low, high = self.band.range(t)
         if self._bounded is not None:
-            course, (least, most) = self.course_at(t), self._bounded.range(t)
-            low, high = np.maximum(low, course + least), np.minimum(high, course + most)
+            course, (lowest, highest) = self.course_at(t), self._bounded.range(t)
+            low, high = np.maximum(low, course + lowest), np.minimum(high, course + highest)
         return low, high
 
 
@@ -233,10 +233,10 @@ class Clock:
     def steps(self) -> tuple[Step, ...]:
         """Where a clock stepped, by ascending stamp."""
         steps = []
-        for before, after in pairwise(self.steady):
-            begin, end = before.band.x[-1], after.band.x[0]
+        for earlier, later in pairwise(self.steady):
+            begin, end = earlier.band.x[-1], later.band.x[0]
             middle = np.array([0.5 * (begin + end)])
-            by = after.estimate(middle) - before.estimate(middle)
+            by = later.estimate(middle) - earlier.estimate(middle)
             steps.append(Step(self.stamp_ref + int(begin), self.stamp_ref + int(end), int(np.rint(by[0]))))
         return tuple(steps)
 
@@ -326,6 +326,10 @@ def _joined(
     rows: Band, range_before: tuple[float, float, float], row: tuple[float, float, float]
 ) -> tuple[float, float, float] | None:
     """Return the range (x, low, high) that a row leaves of one before it; None if they contradict each other."""
-    (x_before, least, most), (x, low, high) = range_before, row
-    least, most = least + rows.slow * (x - x_before), most + rows.fast * (x - x_before)
-    return None if low > most + ROUNDING_NS or high < least - ROUNDING_NS else (x, max(low, least), min(high, most))
+    (x_before, lowest, highest), (x, low, high) = range_before, row
+    lowest, highest = lowest + rows.slow * (x - x_before), highest + rows.fast * (x - x_before)
+    return (
+        None
+        if low > highest + ROUNDING_NS or high < lowest - ROUNDING_NS
+        else (x, max(low, lowest), min(high, highest))
+    )

@@ -103,8 +103,8 @@ class FrameSplitter:
     def push(self, data: bytes) -> list[tuple[bool, bytes]]:
         """Return ``(True, payload)`` for each frame and ``(False, bytes)`` for any other run."""
         items: list[tuple[bool, bytes]] = []
-        for whole, run in self._runs.push(data):
-            payload = payload_of(run) if whole else None
+        for is_whole, run in self._runs.push(data):
+            payload = payload_of(run) if is_whole else None
             items.append((False, run) if payload is None else (True, payload))
         return items
 

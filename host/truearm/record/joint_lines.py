@@ -40,7 +40,7 @@ class JointLines:
 
     def push(self, data: bytes) -> list[tuple[JointLine | None, bytes]]:
         """Return the lines in order, joint lines with their contents and all others with None."""
-        return [(self._reading(line) if whole else None, line) for whole, line in self._runs.push(data)]
+        return [(self._reading(line) if is_whole else None, line) for is_whole, line in self._runs.push(data)]
 
     def flush(self) -> bytes:
         """Return what follows the last line feed when the stream has ended."""

@@ -202,8 +202,8 @@ def unpack(*messages: bytes) -> JointBatch | None:
         return None
     good = 1 <= width <= MAX_JOINTS and not any(np.isnan(columns[key]).any() for key in ("t", "q"))
     good = good and all((column.dtype.kind == "i") == (key in WHOLE) for key, column in columns.items())
-    for key, (least, beyond) in _RANGES.items():
-        good = good and not (key in columns and np.any((columns[key] < least) | (columns[key] >= beyond)))
+    for key, (lowest, beyond) in _RANGES.items():
+        good = good and not (key in columns and np.any((columns[key] < lowest) | (columns[key] >= beyond)))
     return JointBatch(columns) if good else None
 
 

@@ -138,7 +138,7 @@ class JointStream:
     clocks: tuple[RobotClock, ...]
     reports: tuple[RobotClockReport, ...]
     inputs: tuple[InputTrack, ...]  # of each segment
-    kept: Spool
+    all_readings: Spool
 
     def to_host_ns(self, segment: NDArray[np.integer[Any]], t_s: Floats) -> Ints:
         """Return host times of controller times (n, …) [s] in these segments (n,)."""
@@ -149,8 +149,8 @@ class JointStream:
 
     def between(self, segment: int, start_s: float, end_s: float) -> Readings:
         """Return the readings between two controller times, of those that were kept."""
-        spans = enumerate(self.kept.spans)
-        batches = [self.kept.load(k) for k, (s, a, b) in spans if s == segment and a <= end_s and b >= start_s]
+        spans = enumerate(self.all_readings.spans)
+        batches = [self.all_readings.load(k) for k, (s, a, b) in spans if s == segment and a <= end_s and b >= start_s]
         t, seq, q = map(
             np.concatenate,
             zip((np.empty(0), np.empty(0, np.int64), np.empty((0, len(self.step)))), *batches, strict=True),
@@ -239,7 +239,7 @@ class JointReader:
 
     def __init__(self) -> None:
         self.keeps = False  # keep all readings from now on, and not only bins of them
-        self._kept = Spool()
+        self._all_readings = Spool()
         self._order = SegmentedReadings()
         self._arrivals: list[Arrivals] = []
         self._inputs: list[InputTrack] = []
@@ -281,7 +281,7 @@ class JointReader:
             clocks=tuple(clock for clock, _ in fits),
             reports=tuple(report for _, report in fits),
             inputs=tuple(self._inputs),
-            kept=self._kept,
+            all_readings=self._all_readings,
         )
 
     def _all_bins(self) -> Bins | None:
@@ -327,7 +327,7 @@ class JointReader:
             self._bin(t[keep], batch.q[keep])
             if self.keeps:
                 readings = Readings(t[keep], numbers, batch.q[keep])
-                self._kept.append(readings, (len(self._arrivals) - 1, float(readings.t[0]), self._latest_s))
+                self._all_readings.append(readings, (len(self._arrivals) - 1, float(readings.t[0]), self._latest_s))
 
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:

@@ -88,9 +88,9 @@ def _steps(bins: Bins) -> tuple[Floats, Floats, NDArray[np.bool_]]:
 def _slow(speed: Floats, seconds: Floats, quantum: Floats) -> NDArray[np.bool_]:
     """Return the steps (b − 1,) at which a leg ends."""
     reach = max(1, round(HORIZON_S / float(np.median(seconds))))
-    before, after = _highest_before(speed, reach), _highest_before(speed[::-1], reach)[::-1]
+    earlier, later = _highest_before(speed, reach), _highest_before(speed[::-1], reach)[::-1]
     lowest = SLOW + np.max(quantum, initial=0.0) / seconds
-    return np.asarray((speed <= lowest) | (speed <= SLOW_SHARE * np.minimum(before, after)))
+    return np.asarray((speed <= lowest) | (speed <= SLOW_SHARE * np.minimum(earlier, later)))
 
 
 def _highest_before(speed: Floats, reach: int) -> Floats:
@@ -359,13 +359,13 @@ def _signals(leg: Leg, along: Samples, across: Samples, joints: JointStream, rea
         return None
     shots = _Signal(_seconds(along.t_ns, leg), extension(along.counts, along.channels[0]), along.piece)
     aside = np.stack([extension(across.counts[:, k], channel) for k, channel in enumerate(across.channels)], axis=1)
-    beside = _Signal(_seconds(across.t_ns, leg), aside, across.piece)
+    transverse = _Signal(_seconds(across.t_ns, leg), aside, across.piece)
     on = np.asarray(~railed(across.counts).any(axis=1) & (np.abs(aside) <= reach).all(axis=1), dtype=bool)
     return _Signals(
         y=shots.where(np.flatnonzero(along.counts[:, 0] > 0)),
         shots=shots,
-        across=beside.where(on),
-        off_t=beside.t[~on],
+        across=transverse.where(on),
+        off_t=transverse.t[~on],
         q=readings,
         half_s=0.5 * max(LEAST_WINDOW_S, READINGS * period_s),
     )

@@ -36,24 +36,24 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRule
     sensor = sensor_bins(samples)
     stops = [] if sensor is None else find_stops(sensor, NO_STEP, rules)
     rests = [stop for stop in stops if stop.reason != "too short"]
-    end_s = np.array([*(rest.end_s + rules.guard_s for rest in rests), -np.inf])
+    end_s = np.array([*(stop.end_s + rules.guard_s for stop in rests), -np.inf])
     noted_ns = stream.to_host_ns(bins.segment, bins.t_first_s)
-    rest_of = np.searchsorted([rest.stood_s for rest in rests], 1e-9 * noted_ns, side="right") - 1
+    rest_of = np.searchsorted([stop.stood_s for stop in rests], 1e-9 * noted_ns, side="right") - 1
     rest_of[1e-9 * noted_ns > end_s[rest_of]] = -1
     dwells = []
-    for k, (rest, t_ns) in enumerate(zip(rest_of.tolist(), noted_ns.tolist(), strict=True)):
-        alike = np.flatnonzero(rest_of == rest)
+    for k, (number, t_ns) in enumerate(zip(rest_of.tolist(), noted_ns.tolist(), strict=True)):
+        alike = np.flatnonzero(rest_of == number)
         span = float(np.max(np.abs(bins.mean[alike] - bins.mean[k])))
         dwell = of_bins(bins, slice(k, k + 1), rules, stream.step, float(bins.t_first_s[k]))
         dwell = replace(dwell, end_s=dwell.start_s, start_host_ns=t_ns, end_host_ns=t_ns)
-        if rest < 0:
+        if number < 0:
             detail = "the bar did not rest when the joints were noted"
             dwells.append(replace(dwell, reason="still moving", detail=detail))
         elif span > rules.pose_tolerance:
             detail = f"{len(alike)} readings in one rest, {span:.3f} rad apart"
             dwells.append(replace(dwell, reason="ambiguous", detail=detail))
         elif k == alike[0]:
-            dwells.append(_resting(dwell, rests[rest], t_ns))
+            dwells.append(_resting(dwell, rests[number], t_ns))
     return dwells
 
 
@@ -88,9 +88,9 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
     return Bins(segment, first_s, last_s, n, mean[:, None], (mean - low)[:, None], (high - mean)[:, None], scatter, gap)
 
 
-def _resting(dwell: Dwell, rest: Dwell, t_host_ns: int) -> Dwell:
+def _resting(dwell: Dwell, stop: Dwell, t_host_ns: int) -> Dwell:
     """Return the dwell over the complete rest of the sensor, in host times."""
-    begin, end, stood = (round(1e9 * t) for t in (rest.start_s, rest.end_s, rest.stood_s))
+    begin, end, stood = (round(1e9 * t) for t in (stop.start_s, stop.end_s, stop.stood_s))
     noted_s = dwell.start_s
     return replace(
         dwell,
@@ -99,6 +99,6 @@ def _resting(dwell: Dwell, rest: Dwell, t_host_ns: int) -> Dwell:
         end_s=noted_s + 1e-9 * (end - t_host_ns),
         start_host_ns=begin,
         end_host_ns=end,
-        reason=rest.reason,
-        detail=rest.detail.replace("rad", "m").removeprefix("joint 1 "),
+        reason=stop.reason,
+        detail=stop.detail.replace("rad", "m").removeprefix("joint 1 "),
     )

@@ -115,7 +115,9 @@ class Marks:
     @property
     def names_lines(self) -> bool:
         """Return whether a line was planned or said to be mounted."""
-        return any(row.move == Move.LINE for row in self.rows) or any("line" in said for _, said in self.mountings)
+        return any(row.move == Move.LINE for row in self.rows) or any(
+            "line" in mounted for _, mounted in self.mountings
+        )
 
     def mounted_at(self, t_host_ns: int) -> dict[str, str]:
         """Return what was said to be mounted at a time; empty before the first statement."""

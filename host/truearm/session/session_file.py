@@ -598,7 +598,7 @@ def _messages_of_copy(copy: bytes) -> Messages | None:
     """Return the messages in the copy of the plan; None if it cannot be read."""
     copied = records(io.BytesIO(copy), len(copy))
     try:
-        chunks = [chunk_records(copy[at : at + n], ZstdDecompressor()) for op, at, n in copied if op == Opcode.CHUNK]
+        chunks = [chunk_records(copy[k : k + n], ZstdDecompressor()) for op, k, n in copied if op == Opcode.CHUNK]
         return columns_of_records(chunks, {}) if chunks else None
     except Unreadable:
         return None

@@ -123,9 +123,9 @@ def fit_edges(
         if len(clock.steady) > 1:  # a clock stepped
             break
         later = _falling_later(clock, rows, rising)
-        least, most = sorted(later)
-        clock = clock_of(rows + _delayed(rising, least, most)) or clock
-        likely = clock_of(rows + _delayed(rising, 0.5 * (least + most), 0.5 * (least + most))) or clock
+        smallest, largest = sorted(later)
+        clock = clock_of(rows + _delayed(rising, smallest, largest)) or clock
+        likely = clock_of(rows + _delayed(rising, 0.5 * (smallest + largest), 0.5 * (smallest + largest))) or clock
     nodes = np.linspace(*span_s, max(2, round((span_s[1] - span_s[0]) / NODE_S) + 1))
     (middle, reach), (host_ns, _) = (fitted.to_time(arrivals.stamps(nodes)) for fitted in (clock, likely))
     to_box_ns = reach + np.abs(host_ns - middle) + 0.5 * SHORTEST_DELAY_NS
@@ -157,8 +157,8 @@ def _falling_later(clock: Clock, rows: Ints, rising: NDArray[np.bool_]) -> tuple
     """
     early, late = (clock.relative_to_course(*rows[:, k]) for k in (rising, ~rising))
     x = np.concatenate([early.x, late.x])
-    (least, most), (least_later, most_later) = early.range(x), late.range(x)
-    return float(np.max(least - most_later)), float(np.min(most - least_later))
+    (lowest, highest), (lowest_falling, highest_falling) = early.range(x), late.range(x)
+    return float(np.max(lowest - highest_falling)), float(np.min(highest - lowest_falling))
 
 
 def with_edges(

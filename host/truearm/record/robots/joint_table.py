@@ -53,13 +53,13 @@ class Names:
     scale: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     t_per_second: int = 1
 
-    def line(self, row: Mapping[str, Any], **more: object) -> bytes | None:
-        """Return a row as a line of a session, with ``more`` entries; None if it is not a reading."""
+    def line(self, row: Mapping[str, Any], **entries: object) -> bytes | None:
+        """Return a row as a line of a session, with ``entries`` added; None if it is not a reading."""
         values = {quantity: self._value(row, quantity) for quantity in QUANTITIES}
         t, seq, q = (values.pop(name) for name in ("t", "seq", "q"))
         if type(t) not in (int, float) or not abs(t) < MAX_TIME or q is None:
             return None
-        return format_reading(t / self.t_per_second, seq, q, **values, **more)
+        return format_reading(t / self.t_per_second, seq, q, **values, **entries)
 
     def _value(self, row: Mapping[str, Any], quantity: str) -> Any:
         """Return a value of a row, joints in SI; None if it is invalid, or the number of joints is not that of the units."""
@@ -82,15 +82,15 @@ class Columns:
     titles: tuple[tuple[str, Callable[[str], float] | None], ...]
     names: Names
 
-    def line(self, cells: Sequence[str], **more: object) -> bytes | None:
-        """Return a row as a line of a session, with ``more`` entries; None if it is not a reading."""
+    def line(self, cells: Sequence[str], **entries: object) -> bytes | None:
+        """Return a row as a line of a session, with ``entries`` added; None if it is not a reading."""
         if len(cells) != len(self.titles):
             return None
         try:
             row = {title: read(cell) for (title, read), cell in zip(self.titles, cells, strict=True) if read}
         except ValueError:
             return None
-        return self.names.line(row, **more)
+        return self.names.line(row, **entries)
 
 
 NUMBERED = "{}"  # stands for the number of a joint
