@@ -243,7 +243,7 @@ class JointReader:
         self._order = SegmentedReadings()
         self._arrivals: list[Arrivals] = []
         self._inputs: list[InputTrack] = []
-        self._bins: list[tuple[NDArray[Any], ...]] = []
+        self._bins = Spool()
         self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the open bin
         self._last: tuple[float, int] | None = None
         self._latest_s = -np.inf
@@ -285,9 +285,9 @@ class JointReader:
         )
 
     def _all_bins(self) -> Bins | None:
-        columns = [list(column) for column in zip(*self._bins, strict=True)]
-        self._bins.clear()
-        return Bins(*(np.concatenate(columns.pop(0)) for _ in fields(Bins))) if columns else None
+        numbers, load = range(len(self._bins.spans)), self._bins.load  # one column after the other, with little memory
+        columns = (np.concatenate([load(number)[k] for number in numbers]) for k in range(len(fields(Bins))))
+        return Bins(*columns) if numbers else None
 
     def _begin(self, joints: int) -> None:
         self._step = np.full(joints, np.inf)
@@ -361,7 +361,8 @@ class JointReader:
         segment = np.full(starts.size, len(self._arrivals) - 1)
         last = np.concatenate([starts[1:], [t.size]]) - 1
         small = (column.astype(np.float32) for column in (mean - low, high - mean, scatter))
-        self._bins.append((segment.astype(np.int32), t[starts], t[last], n.astype(np.int32), mean, *small, gap))
+        columns = (segment.astype(np.int32), t[starts], t[last], n.astype(np.int32), mean, *small, gap)
+        self._bins.append(columns, (len(self._arrivals) - 1, float(t[0]), float(t[-1])))
 
 
 def restarts(t: Floats, latest_s: float) -> NDArray[np.intp]:
