@@ -104,14 +104,14 @@ def test_variance_of_the_mean_is_what_the_means_do(phi):
     rng = np.random.default_rng(17)
     n, runs = 1400, 600
     results = [mean_of(5.0 + ar1(rng, n, phi)) for _ in range(runs)]
-    z2 = np.mean([(r.mean - 5.0) ** 2 / r.variance for r in results])
+    z2 = np.mean([(r.value - 5.0) ** 2 / r.value_var for r in results])
     tau = 0.5 * (1.0 + phi) / (1.0 - phi)
     expected = 1.0 + 2.0 * (2.0 * max(8.0, 5.0 * tau + 1.0) + 1.0) / n
     assert abs(z2 - expected) < 3.0 * np.sqrt(2.0 / runs) * expected
     # Three standard errors of the mean of the estimates, and the e^-5 of C that the window leaves out.
     tolerance = 3.0 * np.sqrt((expected - 1.0) / runs) + np.exp(-5.0)
-    assert np.mean([r.variance for r in results]) == pytest.approx(2.0 * tau / n, rel=tolerance)
-    assert all(r.n_eff == pytest.approx(r.noise**2 / r.variance) for r in results)
+    assert np.mean([r.value_var for r in results]) == pytest.approx(2.0 * tau / n, rel=tolerance)
+    assert all(r.n_eff == pytest.approx(r.noise**2 / r.value_var) for r in results)
     assert np.mean([r.noise for r in results]) == pytest.approx(1.0, rel=0.02)
 
 
@@ -128,8 +128,8 @@ def test_drift_is_seen_against_its_own_noise():
 
 def test_constant_samples_have_no_variance():
     r = mean_of(np.full(100, 0.46))
-    assert r.mean == pytest.approx(0.46, abs=1e-15)
-    assert r.variance < 1e-30
+    assert r.value == pytest.approx(0.46, abs=1e-15)
+    assert r.value_var < 1e-30
     assert abs(r.drift) < 1e-14
 
 

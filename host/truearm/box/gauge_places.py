@@ -53,7 +53,7 @@ class Places:
     @property
     def readings(self) -> Floats:
         """The mean readings (n,) in the channel's unit."""
-        return np.array([place.mean.mean for place in self.places])
+        return np.array([place.mean.value for place in self.places])
 
     @property
     def references(self) -> Floats:
@@ -71,8 +71,8 @@ class Places:
     def line(self, number: int) -> str:
         """Return what was measured at a place, counted from 1."""
         place = self.places[number - 1]
-        noise = f"noise {place.mean.noise:.2g}, mean ± {math.sqrt(place.mean.variance):.2g} {self.unit}"
-        reading = f"{MM.text(place.reference, '.4f')} at {place.mean.mean:.8g} {self.unit}"
+        noise = f"noise {place.mean.noise:.2g}, mean ± {math.sqrt(place.mean.value_var):.2g} {self.unit}"
+        reading = f"{MM.text(place.reference, '.4f')} at {place.mean.value:.8g} {self.unit}"
         return f"  {one_line(f'{number}: {reading} ({noise})')}"
 
     def write(self, path: Path, say: Callable[[str], None]) -> None:

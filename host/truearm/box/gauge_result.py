@@ -93,7 +93,7 @@ def calibrate(places: Places, channel: Channel, order: int | None) -> Calibratio
         raise InputError(Argument("order"), f" {order} needs more places; {allow} order {tried[-1].order}")
     fit = tried[0] if linear else chosen(tried) if order is None else tried[order - 1]
     slope = polynomial.polyval(places.readings, polynomial.polyder(fit.poly))
-    of_means = rms(np.asarray(slope * np.sqrt([place.mean.variance for place in places.places]), np.float64))
+    of_means = rms(np.asarray(slope * np.sqrt([place.mean.value_var for place in places.places]), np.float64))
     return Calibration(channel, places, replace(fit, sigma=max(fit.sigma, of_means)), tried)
 
 
@@ -219,8 +219,8 @@ def _place_table(calibration: Calibration) -> Table:
         (
             str(i),
             number(MM.of(place.reference), 4),
-            figures(place.mean.mean, 8),
-            figures(math.sqrt(place.mean.variance), 2),
+            figures(place.mean.value, 8),
+            figures(math.sqrt(place.mean.value_var), 2),
             *(number(error, 3, sign=True) for error in row),
         )
         for i, (place, row) in enumerate(zip(calibration.places.places, errors, strict=True), 1)

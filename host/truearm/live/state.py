@@ -251,8 +251,8 @@ class LiveState(Operator):
         if channel and counts.size >= 2 * LEAST_LAGS and not railed(counts).any():
             length = mean_of(extension(counts, channel))
             settled = abs(length.drift) <= max(MICRON, DRIFT_SIGMAS * length.drift_sigma)
-            fields |= {"mean_m": length.mean, "noise_m": length.noise, "settled": settled}
-            value = f"{MM.text(length.mean, '+.4f')}, noise {UM.text(length.noise, '.1f')}"
+            fields |= {"mean_m": length.value, "noise_m": length.noise, "settled": settled}
+            value = f"{MM.text(length.value, '+.4f')}, noise {UM.text(length.noise, '.1f')}"
             value += "" if settled else f", drift {UM.text(length.drift, '+.1f')}: NOT settled"
         self._say_taken("dwell", f"{label}: {value}", fields)
 

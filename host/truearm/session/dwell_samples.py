@@ -22,7 +22,6 @@ from truearm.session.dwells import Dwell, DwellRules, begun_at
 from truearm.session.joint_readings import JointStream
 from truearm.session.sample_noise import (
     LEAST_BLOCKS,
-    MeanOfSamples,
     Settled,
     block_means,
     block_variance,
@@ -102,16 +101,19 @@ def measured(dwell: Dwell, samples: Samples | None, sensor: DwellSensor, sensing
     length = sensor.zero + sensor.gain * stretched
     block = block_length(samples)
     at_rest = settled(length, block, sensor.gain**2 * sensing.noise.block_var, max(UNSETTLED * sensor.sigma, MICRON))
-    first = _first_sample(at_rest, counts.size, block)
+    # Samples before the first block belong to it.
+    first = counts.size % block + int(at_rest.first) * block if at_rest is not None and at_rest.first else 0
     if period_s * (counts.size - first + 1) < rules.shortest_s:
         reason, detail = _unusable(counts, stretched, sensor)
         quick = quick_noise(length)
-        if not reason and quick > max(NOISY * abs(sensor.gain) * sensing.noise.quick, MICRON):
-            reason, detail = "noisy", _noise_words(quick, NOISY * abs(sensor.gain) * sensing.noise.quick)
+        limit = NOISY * abs(sensor.gain) * sensing.noise.quick
+        if not reason and quick > max(limit, MICRON):
+            reason, detail = "noisy", _noise_words(quick, limit)
         elif not reason:
             reason, detail = _unsettled(at_rest, round(rules.shortest_s / (block * period_s)))
         return replace(dwell, reason=reason, detail=detail)
-    dwell = _with_mean(dwell, mean_of(length[first:]), sensor)
+    mean = mean_of(length[first:])
+    dwell = replace(dwell, sigma=float(np.sqrt(mean.value_var + sensor.sigma**2)), **mean._asdict())
     if first:
         late_s = 1e-9 * (begin_ns - dwell.start_host_ns) + period_s * first
         dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * samples.period_ns, sensing.joints)
@@ -144,25 +146,6 @@ def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
         replace(d, reason="noisy", detail=_noise_words(d.noise, limit)) if not d.reason and d.noise > limit else d
         for d in dwells
     ]
-
-
-def _first_sample(at_rest: Settled | None, n: int, block: int) -> int:
-    """Return the first of n samples at rest; leading samples outside any block belong to their neighbours."""
-    return n % block + int(at_rest.first) * block if at_rest is not None and at_rest.first else 0
-
-
-def _with_mean(dwell: Dwell, mean: MeanOfSamples, sensor: DwellSensor) -> Dwell:
-    return replace(
-        dwell,
-        value=mean.mean,
-        value_var=mean.variance,
-        sigma=float(np.sqrt(mean.variance + sensor.sigma**2)),
-        noise=mean.noise,
-        drift=mean.drift,
-        drift_sigma=mean.drift_sigma,
-        n_samples=mean.n,
-        n_eff=mean.n_eff,
-    )
 
 
 def _unusable(counts: NDArray[Any], stretched: Floats, sensor: DwellSensor) -> tuple[str, str]:

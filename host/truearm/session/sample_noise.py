@@ -27,14 +27,14 @@ LEAST_LAGS = 8  # alternating noise (of a high-passed converter) has a small τ 
 class MeanOfSamples(NamedTuple):
     """Statistics of a mean.
 
-    ``variance``: of the mean; ``noise``: standard deviation of one sample; ``n_eff``: number of independent samples;
+    ``value_var``: variance of the mean; ``noise``: standard deviation of one sample; ``n_eff``: number of independent samples;
     ``drift``: end-to-end change of the least-squares line; ``drift_sigma``: its standard deviation.
     """
 
-    mean: float
-    variance: float
+    value: float
+    value_var: float
     noise: float
-    n: int
+    n_samples: int
     n_eff: float
     drift: float
     drift_sigma: float
