@@ -303,17 +303,16 @@ def labelled(dwells: Sequence[Dwell], labels: Sequence[DwellLabel]) -> list[Dwel
     begins = [label.begin_ns for label in order]
     settled = []
     for dwell in dwells:
-        if dwell.reason:
-            settled.append(dwell)
-            continue
-        index = bisect_right(begins, (dwell.start_host_ns + dwell.end_host_ns) // 2) - 1
-        label = order[index] if index >= 0 and order[index].end_ns >= dwell.start_host_ns else None
-        if label is None:
-            settled.append(replace(dwell, reason="no plan match", detail="it has no label"))
-        elif pairing_of(label.mounted) is None:
-            settled.append(replace(dwell, pose=label.pose, reason="ambiguous", detail=label.detail))
-        else:
-            settled.append(replace(dwell, pose=label.pose, mounted=dict(label.mounted)))
+        if not dwell.reason:
+            index = bisect_right(begins, (dwell.start_host_ns + dwell.end_host_ns) // 2) - 1
+            label = order[index] if index >= 0 and order[index].end_ns >= dwell.start_host_ns else None
+            if label is None:
+                dwell = replace(dwell, reason="no plan match", detail="it has no label")
+            elif pairing_of(label.mounted) is None:
+                dwell = replace(dwell, pose=label.pose, reason="ambiguous", detail=label.detail)
+            else:
+                dwell = replace(dwell, pose=label.pose, mounted=dict(label.mounted))
+        settled.append(dwell)
     return settled
 
 
