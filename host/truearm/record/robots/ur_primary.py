@@ -27,26 +27,22 @@ def kinematics_info(url: str) -> bytes:
         f"{url}: sends data that are not of the primary interface; is {host} a Universal Robots controller?"
     )
     try:
-        with socket.create_connection((host, PORT), CONNECT_S) as connection:
-            received, end = b"", time.monotonic() + ANSWER_S
-            while (remaining := end - time.monotonic()) > 0.0:
-                connection.settimeout(remaining)
-                data = connection.recv(MAX_PACKAGE)
-                if not data:
+        with socket.create_connection((host, PORT), CONNECT_S) as connection, connection.makefile("rb") as stream:
+            connection.settimeout(ANSWER_S)
+            end = time.monotonic() + ANSWER_S
+            while time.monotonic() < end:
+                head = stream.read(HEAD)
+                size = int.from_bytes(head[:4])
+                if len(head) == HEAD and not HEAD <= size <= MAX_PACKAGE:
+                    raise wrong
+                package = stream.read(max(0, size - HEAD))
+                if len(head) < HEAD or len(package) < size - HEAD:
                     raise LinkError(f"{url}: the controller closed port {PORT}; enable its primary interface")
-                received += data
-                while len(received) >= HEAD:
-                    size = int.from_bytes(received[:4])
-                    if not HEAD <= size <= MAX_PACKAGE:
-                        raise wrong
-                    if len(received) < size:
-                        break
-                    package, received = received[4:size], received[size:]
-                    contents = sub_packages(package[1:]) if package[0] == ROBOT_STATE else {}
-                    if contents is None:
-                        raise wrong
-                    if KINEMATICS in contents:
-                        return contents[KINEMATICS]
+                contents = sub_packages(package) if head[4] == ROBOT_STATE else {}
+                if contents is None:
+                    raise wrong
+                if KINEMATICS in contents:
+                    return contents[KINEMATICS]
     except OSError as exc:
         if not isinstance(exc, TimeoutError):
             raise LinkError(
