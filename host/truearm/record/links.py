@@ -255,15 +255,14 @@ _HINTS = {
 
 
 def _why_not_open(name: str, exc: Exception) -> str:
-    cause = exc.__context__ or exc  # pyserial wraps the actual error and repeats the name
-    if isinstance(cause, socket.gaierror):
+    causes = [error for error in (exc, exc.__context__) if error is not None]  # pyserial wraps the actual error
+    if isinstance(causes[-1], socket.gaierror):
         return f"{name}: unknown host name; check it, or give the address, such as 127.0.0.1"
-    if isinstance(cause, TimeoutError):
+    if isinstance(causes[-1], TimeoutError):
         return f"{name}: {_HINTS[errno.ETIMEDOUT]}"
-    number = getattr(exc, "errno", None) or getattr(exc.__context__, "errno", None)
-    if number is None and exc.__context__ is not None and exc.__context__.args:
-        number = exc.__context__.args[0]  # termios.error has no errno attribute
-    hint = _HINTS.get(number) if isinstance(number, int) else None
+    # termios.error has no attribute errno
+    numbers = [number for error in causes for number in (getattr(error, "errno", None), *error.args[:1])]
+    hint = next((_HINTS[number] for number in numbers if number in _HINTS), "")
     return f"{name}: {hint}" if hint else f"{name}: cannot be opened ({exc})"
 
 

@@ -13,16 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from truearm.errors import SessionError
-from truearm.record.session_writer import SessionWriter, media_type
+from truearm.record.session_writer import SessionWriter, copy_head
 from truearm.session.box_ident import Ident, recorded_ident
-from truearm.session.session_file import CHANNELS, Damage, Session
+from truearm.session.session_file import Damage, Session
 from truearm.session.streams import BoxReader
 from truearm.types import Ints
 from truearm.units import NS
 
 IDENT = "/box/ident"  # the metadata repeat it once a minute: it is lost only with all copies
-
-_WRITERS_OWN = ("session-end", CHANNELS)  # metadata written by the writer itself
 
 
 @dataclass
@@ -77,11 +75,7 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     ident = _ident(session)
     box = BoxReader(ident)
     with SessionWriter(out, None) as writer:
-        for name, entries in session.metadata.items():
-            if name not in _WRITERS_OWN:
-                writer.metadata(name, entries)
-        for name, data in session.attachments.items():
-            writer.attach(name, media_type(name), data)
+        copy_head(session, writer)
         for messages in session.batches():
             for topic in messages.topics:
                 if len(rows := messages.rows(topic.__eq__)):

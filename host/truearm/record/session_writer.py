@@ -35,7 +35,7 @@ from truearm.record.file_watch import FileLoss, content_crc, file_loss, rescued_
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
-from truearm.session.session_file import CHANNELS, CRC, LATEST_NS, PLAN_COPY, metadata_crc
+from truearm.session.session_file import CHANNELS, CRC, LATEST_NS, PLAN_COPY, Session, metadata_crc
 from truearm.version import VERSION
 
 CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s
@@ -397,6 +397,15 @@ class SessionWriter:
 def media_type(name: str) -> str:
     """Return the media type of an attachment by its name; a session does not store it elsewhere."""
     return "application/toml" if name.endswith(".toml") else "application/octet-stream"
+
+
+def copy_head(session: Session, writer: SessionWriter, without: str = "") -> None:
+    """Copy metadata and attachments, except metadata ``without`` and what the writer writes itself."""
+    for name, entries in session.metadata.items():
+        if name not in (without, "session-end", CHANNELS):
+            writer.metadata(name, entries)
+    for name, data in session.attachments.items():
+        writer.attach(name, media_type(name), data)
 
 
 def _begun(out: _Output | io.BytesIO) -> Writer:

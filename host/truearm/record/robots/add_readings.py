@@ -17,7 +17,7 @@ from pathlib import Path
 from truearm.errors import Argument, InputError, SessionError
 from truearm.record.robots.sources import AddedReading
 from truearm.record.session_schemas import ROBOT_PREVIEW
-from truearm.record.session_writer import Anchor, SessionWriter, media_type, read_anchor
+from truearm.record.session_writer import Anchor, SessionWriter, copy_head, read_anchor
 from truearm.session.joint_format import JOINTS, READINGS
 from truearm.session.session_file import Session
 from truearm.types import Message
@@ -92,7 +92,7 @@ def add_readings(
             yield Message(JOINTS, host_ns, reading.line)
 
     with SessionWriter(out, anchors) as writer:
-        _copy_head(session, writer)
+        copy_head(session, writer, without="session")  # it was written with the first anchor
         old = (m for m in session.messages() if not (replace and m.topic in OWN))
         for message in heapq.merge(old, added(), key=attrgetter("t_host_ns")):
             writer.add(message.topic, message.t_host_ns, message.data)
@@ -131,12 +131,3 @@ def _span(session: Session, replace: bool) -> tuple[int, int]:
     if end_ns < 0:
         raise SessionError(f"{session.path}: contains no messages; give a session of truearm record")
     return begin_ns, end_ns
-
-
-def _copy_head(session: Session, writer: SessionWriter) -> None:
-    """Copy attachments and metadata, except the writer's own."""
-    for name, data in session.attachments.items():
-        writer.attach(name, media_type(name), data)
-    for name, entries in session.metadata.items():
-        if name not in (*ANCHORS, "channels"):
-            writer.metadata(name, entries)
