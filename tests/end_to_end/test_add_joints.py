@@ -36,7 +36,7 @@ class Recorded:
         (utc, host) = anchors.first
         with SessionWriter(self.bare, anchors) as writer:
             for name, data in session.attachments.items():
-                writer.attach(name, "application/toml", data)
+                writer.attach(name, data)
             writer.metadata("box", session.metadata["box"])
             for message in session.messages():
                 if message.topic != "/robot/joints":

@@ -211,7 +211,7 @@ def test_an_empty_part_is_no_fault(in_parts, tmp_path):
     session = open_session(first)
     with SessionWriter(short, _Clock(session)) as writer:
         writer.metadata(SETUP, {"of": "s.mcap", "part": "3"})
-        writer.attach("rig.toml", "application/toml", session.attachments["rig.toml"])
+        writer.attach("rig.toml", session.attachments["rig.toml"])
     _, two, *_ = read_sources(Sources(tuple(with_parts([first]))), CHAIN)
     _, three, *_ = read_sources(Sources(tuple(with_parts([tmp_path / "s.mcap"]))), CHAIN)
     assert len(with_parts([tmp_path / "s.mcap"])) == 3

@@ -180,7 +180,7 @@ def write_session(
     ]
     with SessionWriter(path, None, overwrite=True) as writer:
         writer.metadata("setup", {"of": of} if of else {})
-        writer.attach("rig.toml", "application/toml", format_rig(rig).encode())
+        writer.attach("rig.toml", format_rig(rig).encode())
         for row in plan_rows(plan):
             writer.add_json("/plan", 0, row)
         for message in sorted(frames + robot + typed, key=lambda m: m.t_host_ns):

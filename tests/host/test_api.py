@@ -52,7 +52,7 @@ def folder(tmp_path_factory):
     write_rig(folder / "session.toml", RIG)
     write_rig(folder / "bench.toml", standard_rig())
     with SessionWriter(folder / "session.mcap", HostClock()) as writer:
-        writer.attach("rig.toml", "application/toml", (folder / "session.toml").read_bytes())
+        writer.attach("rig.toml", (folder / "session.toml").read_bytes())
         for message in session(np.random.default_rng(2), dwells=5)[0]:
             writer.add(message.topic, message.t_host_ns, message.data)
     result = truearm.identify(

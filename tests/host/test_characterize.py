@@ -295,7 +295,7 @@ def write(path, kept, rig, of=None):
         if of is not None:
             writer.metadata(SETUP, {"of": of})
         if rig is not None:
-            writer.attach("rig.toml", "application/toml", format_rig(rig).encode())
+            writer.attach("rig.toml", format_rig(rig).encode())
         for message in kept:
             writer.add(message.topic, message.t_host_ns, message.data)
     return path

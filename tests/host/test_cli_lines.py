@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
         }
         rig = Rig(targets={"magnet": Point("magnet", tuple(MAGNET))}, lines=devices)
         with SessionWriter(path / f"{name}.mcap", HostClock()) as writer:
-            writer.attach("rig.toml", "application/toml", format_rig(rig).encode())
+            writer.attach("rig.toml", format_rig(rig).encode())
             for message in made.messages:
                 writer.add(message.topic, message.t_host_ns, message.data)
     return path

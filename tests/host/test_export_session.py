@@ -41,7 +41,7 @@ def store(path, messages, rig=True, finish=True):
     writer = SessionWriter(path, Lab())
     if rig:
         write_rig(path.with_suffix(".toml"), RIG)
-        writer.attach("rig.toml", "application/toml", path.with_suffix(".toml").read_bytes())
+        writer.attach("rig.toml", path.with_suffix(".toml").read_bytes())
     for message in messages:
         writer.add(*message)
     if finish:

@@ -33,7 +33,7 @@ def stream():
 def write(path: Path, messages: list[Message], rig: bytes | None = None, box: object = None) -> Path:
     with SessionWriter(path, HostClock()) as writer:
         if rig is not None:
-            writer.attach("rig.toml", "application/toml", rig)
+            writer.attach("rig.toml", rig)
         if box is not None:
             writer.metadata("box", {"ident": json.dumps(box)})
         for message in messages:

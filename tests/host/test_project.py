@@ -42,7 +42,7 @@ def project(tmp_path, run, monkeypatch):
 def recorded(path, dwells=12):
     with SessionWriter(path, HostClock()) as writer:
         write_rig(path.with_suffix(".toml"), RIG)
-        writer.attach("rig.toml", "application/toml", path.with_suffix(".toml").read_bytes())
+        writer.attach("rig.toml", path.with_suffix(".toml").read_bytes())
         path.with_suffix(".toml").unlink()
         for message in session(np.random.default_rng(2), dwells=dwells)[0]:
             writer.add(message.topic, message.t_host_ns, message.data)

@@ -30,7 +30,7 @@ def session(path, *happened, setup=None, rows=ROWS, rig=None):
     with SessionWriter(path, HostClock(), overwrite=True) as writer:
         writer.metadata("setup", {"robot": "", "osr": "2048", **(setup or {})})
         if rig:
-            writer.attach("rig.toml", "application/toml", rig)
+            writer.attach("rig.toml", rig)
         for row in rows:
             writer.add_json("/plan", 1, row)
         for k, (kind, fields) in enumerate(happened):

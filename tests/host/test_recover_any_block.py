@@ -180,7 +180,7 @@ def test_a_session_without_copies(tmp_path, capsys, monkeypatch):
 def test_times_that_jump_do_not_multiply_copies(tmp_path):
     path = tmp_path / "session.mcap"
     with SessionWriter(path, None) as writer:
-        writer.attach("large.bin", "application/octet-stream", np.random.default_rng(1).bytes(300_000))
+        writer.attach("large.bin", np.random.default_rng(1).bytes(300_000))
         for hour in range(100):
             writer.add_json("/events", hour * 3600 * 10**9, {"kind": "note"})
     assert path.stat().st_size < 3 * 300_000 + 100_000

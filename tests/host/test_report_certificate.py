@@ -211,7 +211,7 @@ def test_of_many_files_those_are_read_that_the_result_was_made_from(made, tmp_pa
 def test_a_recording_says_how_it_was_made(tmp_path):
     with SessionWriter(tmp_path / "s.mcap", HostClock()) as writer:
         write_rig(tmp_path / "rig.toml", RIG)
-        writer.attach("rig.toml", "application/toml", (tmp_path / "rig.toml").read_bytes())
+        writer.attach("rig.toml", (tmp_path / "rig.toml").read_bytes())
         for message in session(np.random.default_rng(2), dwells=5)[0]:
             writer.add(message.topic, message.t_host_ns, message.data)
     (one,) = read_sources(Sources((tmp_path / "s.mcap",)), None).recordings

@@ -24,7 +24,7 @@ def written(path: Path, n: int = 500, finish: bool = True) -> list[Message]:
     """Write a session of ``n`` steps of 10 ms; if not finished, it lacks its last chunk and its end."""
     lab = Lab()
     writer = SessionWriter(path, lab, overwrite=True)
-    writer.attach("rig.toml", "application/toml", b"x = 1\n")
+    writer.attach("rig.toml", b"x = 1\n")
     writer.metadata("box", {"ident": "{}"})
     messages = []
     for k in range(n):

@@ -162,7 +162,7 @@ def session(tmp_path_factory):
     """Return a complete session of the messages: its bytes, and a folder."""
     folder = tmp_path_factory.mktemp("fuzz")
     writer = SessionWriter(folder / "s.mcap", Lab())
-    writer.attach("rig.toml", "application/toml", b"")
+    writer.attach("rig.toml", b"")
     for message in MESSAGES:
         writer.add(*message)
     for k in range(60):

@@ -150,7 +150,7 @@ def folder(tmp_path_factory):
     write_rig(folder / "rig.toml", rig)
     write_rig(folder / "session.toml", RIG)
     with SessionWriter(folder / "session.mcap", HostClock()) as writer:
-        writer.attach("rig.toml", "application/toml", (folder / "session.toml").read_bytes())
+        writer.attach("rig.toml", (folder / "session.toml").read_bytes())
         for message in session(np.random.default_rng(2), dwells=5)[0]:
             writer.add(message.topic, message.t_host_ns, message.data)
     return folder

@@ -175,7 +175,7 @@ class _Recorder:
     def _write_head(self) -> None:
         now_ns = self._clock.now_ns()
         if self._options.rig_toml is not None:
-            self._writer.attach("rig.toml", "application/toml", self._options.rig_toml)
+            self._writer.attach("rig.toml", self._options.rig_toml)
         for pose in self._options.plan:
             self._writer.add_json("/plan", now_ns, pose)
         if self._options.mounted:

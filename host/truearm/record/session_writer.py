@@ -96,7 +96,7 @@ class SessionWriter:
         self._head: list[_Message] = []  # the plan and what is mounted, which a replacement file must also contain
         self._written = 0  # of them, in finished chunks
         self._metadata: dict[str, dict[str, str]] = {}
-        self._attachments: dict[str, tuple[str, bytes]] = {}
+        self._attachments: dict[str, bytes] = {}
         self._chunks = 0
         self._writer = _begun(self._out)
         if hold:
@@ -226,11 +226,11 @@ class SessionWriter:
         with self._writing():
             self._add_metadata(name, entries)
 
-    def attach(self, name: str, media_type: str, data: bytes) -> None:
+    def attach(self, name: str, data: bytes) -> None:
         """Write an attachment."""
         with self._writing():
-            self._add_attachment(name, media_type, data)
-            self._attachments[name] = media_type, data
+            self._add_attachment(name, data)
+            self._attachments[name] = data
 
     def tick(self, now_ns: int) -> None:
         """End the chunk if it is old enough; call this several times a second, even when nothing arrives."""
@@ -346,8 +346,8 @@ class SessionWriter:
         for name, entries in self._metadata.items():
             self._writer.add_metadata(name, entries)
         if attached:
-            for name, (kind, data) in self._attachments.items():
-                self._add_attachment(name, kind, data)
+            for name, data in self._attachments.items():
+                self._add_attachment(name, data)
             if self._written:
                 copy = io.BytesIO()
                 writer = _begun(copy)
@@ -355,9 +355,10 @@ class SessionWriter:
                     _register(writer, topic, encodings)  # the numbers are the same because they are sequential
                 _pack(writer, self._head[: self._written])
                 writer.finish()
-                self._add_attachment(PLAN_COPY, media_type(PLAN_COPY), copy.getvalue())
+                self._add_attachment(PLAN_COPY, copy.getvalue())
 
-    def _add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+    def _add_attachment(self, name: str, data: bytes) -> None:
+        media_type = "application/toml" if name.endswith(".toml") else "application/octet-stream"
         now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
         self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
 
@@ -394,18 +395,13 @@ class SessionWriter:
         )
 
 
-def media_type(name: str) -> str:
-    """Return the media type of an attachment by its name; a session does not store it elsewhere."""
-    return "application/toml" if name.endswith(".toml") else "application/octet-stream"
-
-
 def copy_head(session: Session, writer: SessionWriter, without: str = "") -> None:
     """Copy metadata and attachments, except metadata ``without`` and what the writer writes itself."""
     for name, entries in session.metadata.items():
         if name not in (without, "session-end", CHANNELS):
             writer.metadata(name, entries)
     for name, data in session.attachments.items():
-        writer.attach(name, media_type(name), data)
+        writer.attach(name, data)
 
 
 def _begun(out: _Output | io.BytesIO) -> Writer:
