@@ -22,7 +22,6 @@ import struct
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -234,25 +233,11 @@ def columns_of(messages: Iterable[Message]) -> Messages:
     )
 
 
-def batches(path: Path, packed: Iterable[bytes], channels: dict[int, str]) -> Iterator[Messages]:
-    """Yield the messages among the records of chunks; the channels that these declare are added to ``channels``.
-
-    Raises SessionError if records are incomplete or a message belongs to an undeclared channel.
-    """
-    gathered: list[bytes] = []
-    for data in chain(packed, [b""]):
-        gathered.append(data)
-        if sum(map(len, gathered)) >= (BATCH_BYTES if data else 1):
-            try:
-                messages = columns_of_records(gathered, channels)
-            except Unreadable as exc:
-                raise SessionError("damaged-session", place=path, where="in a record of a chunk") from exc
-            gathered = []  # the batch has their bytes; release them while it is used
-            yield messages
-
-
 def columns_of_records(chunks: Sequence[bytes], channels: dict[int, str]) -> Messages:
-    """Return the messages among the records of chunks. Raises Unreadable."""
+    """Return the messages among the records of chunks; the channels that these declare are added to ``channels``.
+
+    Raises Unreadable if records are incomplete or a message belongs to an undeclared channel.
+    """
     data = b"".join([*chunks, bytes(MARGIN)])
     begin = np.array(_starts(data, [len(chunk) for chunk in chunks]), dtype=np.int64)
     end = np.append(begin[1:], len(data) - MARGIN)[: len(begin)]
@@ -371,24 +356,27 @@ class Session:
 
         Raises SessionError if the file is damaged. Restored messages come first.
         """
-        read = batches(self.path, self.packed(), dict(self.channels))
-        return read if self.restored is None else chain([self.restored], map(self._not_restored, read))
-
-    def packed(self) -> Iterator[bytes]:
-        """Yield the records of one chunk after the other."""
-        zstd = ZstdDecompressor()
+        zstd, channels, gathered = ZstdDecompressor(), dict(self.channels), list[bytes]()
+        if self.restored is not None:
+            yield self.restored
         with open_input(self.path) as file, step(f"reading {self.path.name}") as advance:
-            for number, (offset, length) in enumerate(self.chunks):
-                advance(number / len(self.chunks))
+            for number, (offset, length) in enumerate(self.chunks, start=1):
+                advance((number - 1) / len(self.chunks))
                 file.seek(offset)
                 try:
-                    yield chunk_records(file.read(length), zstd)
+                    gathered.append(chunk_records(file.read(length), zstd))
+                    if sum(map(len, gathered)) < BATCH_BYTES and number < len(self.chunks):
+                        continue
+                    # The batch has their bytes: they are released while it is used.
+                    messages, gathered = columns_of_records(gathered, channels), []
                 except Unreadable as exc:
                     raise SessionError("damaged-session", place=self.path, where=f"at byte {offset}") from exc
+                yield self._not_restored(messages)
 
     def _not_restored(self, messages: Messages) -> Messages:
         """Return the messages that are not in the copy of the plan."""
-        assert self.restored is not None
+        if self.restored is None:
+            return messages
         lasting = np.ones(len(messages), bool)
         for topic in REPEATED:
             copy = self.restored.sequence[self.restored.rows(topic.__eq__)]
