@@ -1,6 +1,7 @@
 """A session of four minutes with any one 64 kB block zeroed loses the seconds that stood in it, and nothing else."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,7 @@ from truearm.cli.main import main
 from truearm.record.recorder import RecordOptions
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
-from truearm.session.session_file import batches, open_session
+from truearm.session.session_file import open_session
 from truearm.workflows.inspect import describe
 
 BLOCK_BYTES = 65_536
@@ -29,8 +30,7 @@ def recorded(path, seconds):
     lab = Lab()
     run(lab, Box(lab), path, seconds, RecordOptions(plan=PLAN, rig_toml=RIG, mounted=MOUNTED))
     session = open_session(path)
-    channels = {}
-    columns = [next(batches(path, [records], channels)) for records in session.packed()]
+    columns = [next(replace(session, chunks=[chunk]).batches()) for chunk in session.chunks]
     with path.open("rb") as file:
         chunks = SeekingReader(file).get_summary().chunk_indexes
     return SimpleNamespace(
