@@ -1,4 +1,4 @@
-"""Real arms: the held-out error of geometry alone and with joint laws, on public data. Writes docs/explanation/real-arms.md and its picture.
+"""Real arms: the held-out error of geometry alone and with joint laws, on public data: table and picture of docs/explanation/real-arms.md.
 
     .venv/bin/python bench/real_arms.py [--only TEXT] [--write]
 
@@ -9,6 +9,7 @@ the data are from.
 from __future__ import annotations
 
 import argparse
+import re
 import resource
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -35,6 +36,7 @@ from truearm.workflows.identify import IdentifyOptions, Selection, identified
 from truearm.workflows.selection import held_out_rows
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs/explanation/real-arms.md"
 DATA = ROOT / "tests" / "data"
 SIGMA = 5e-5  # m, declared of a laser tracker
 BAR_NOISE = 3e-5  # m
@@ -275,80 +277,6 @@ def row(out: Outcome) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-PAGE = """# Real arms
-
-This page shows how accurate truearm's results are on public data of real arms, for engineers who want to know what to expect. The errors
-are those of rows that were not fitted. `make benchmark` writes this page and its picture (`bench/real_arms.py`).
-
-Errors are mean / largest of the held-out rows, in mm. They are 3-D errors of a tracked point; for the MUKCa sets they are the distance of a seated ball from its
-socket. "Before" is the nominal robot, with the rig that the identification found. (`truearm identify` fits the rig to the nominal robot instead, so the "before" that it prints, and that README.md has, is smaller.) All data sets are fitted with the same options: `truearm identify` with
-`--joint-laws none`, then with its defaults. "Rows to fit" includes the rows that a fit leaves out as outliers. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. UR10 C and A are two series of measurements of one arm. [The open benchmark](open-benchmark.md) compares
-the tracked arms with other programs.
-
-| data | split | rows to fit | rows judged | published | before | geometry | with joint laws | to reach | laws kept | s |
-|---|---|---|---|---|---|---|---|---|---|---|
-{rows}
-
-![Held-out error of geometry and with joint laws](../images/real-arms.svg)
-
-## Splits and constants
-
-- **UR10** (Fraunhofer IPA, laser tracker): a random fifth of the rows of series C and A is held out. Series A is a grid, so a random split only tests interpolation. Its other split holds out 4 of 22 clusters of
-  joint space (k-means of all joint readings, scaled to their standard deviations).
-- **The largest error of UR10 C** depends on whether its first row is held out. That row is the home position, straight up. It lies outside all other rows by 32° in joint 2, 7° in joint 1 and
-  3° in joint 3, where no error curve could be fitted. `truearm identify --hold-out 0.2` with seed 0 (the row `--hold-out 0.2` of the table) holds it out, and the largest error is that of the home position.
-  Of 11 such splits (seeds 0 to 10), the mean error is 0.081 to 0.089 mm. The largest is 0.28 to 0.36 mm in the six that fit the home position. In the five that hold it out, it is 0.54 to 0.61 mm, at that position.
-  Geometry alone errs by 1.32 mm there. In the row `--hold-out 0.2, row 1 left out`, the split is the same, but
-  the home position is neither fitted nor judged. The largest error, 0.365 mm, is then that of data row 291, which lies 2° outside all fitted rows in joint 3. Within the fitted range, the largest error is 0.314 mm.
-- **UR10 C by bars**: simulated bar lengths between three chucks and the tracked points, where they lie within ±37.5 mm of 46 and 61 cm, with 0.03 mm of noise. The chucks were placed at random
-  (`chuck_places()` with seed 0). The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
-- **UR5** (Tsinghua, laser tracker): the author's 20 random poses are held out.
-- **MUKCa** (a ball on the end is seated in the sockets of a tool, which lies at several places): complete places are held out. The table names the fitted places, an arrow, and the held-out ones.
-- **Constants.** The constants of the error curves were chosen on UR10 series C and on an IRB 120 that is not in this table. They are knots, length scales in octaves, and priors of the variances ([decision 28](../decisions/0028-joint-laws-by-evidence.md)). The rule by which a variance
-  that fell to zero is raised again was chosen on simulated arms. Nothing was chosen on the other data sets. `auto`, the default of `--joint-laws`, never uses held-out rows.
-
-## Commands
-
-Each line fits one data set of the table. Run them in truearm's source folder. They give the figures of the column "geometry"; leave out `--joint-laws none` for those with joint laws.
-With joint laws and the rig fitted to the nominal robot, they print 0.898 mm before and 0.089 mm after for UR10 C. For the UR5 it is 0.487 and 0.058 mm, for panda_3, back → front, 2.647 and 0.191 mm.
-
-<!-- test: setup soak
-tree tests/data/ipa_ur10
-tree tests/data/ur5_tsinghua
-tree tests/data/mukca
--->
-<!-- test: soak -->
-```sh
-truearm identify tests/data/ipa_ur10/series_c.csv.xz --model tests/data/ipa_ur10/ur10.toml --rig tests/data/ipa_ur10/rig.toml --hold-out 0.2 --joint-laws none
-truearm identify tests/data/ipa_ur10/series_a.csv.xz --model tests/data/ipa_ur10/ur10.toml --rig tests/data/ipa_ur10/rig.toml --hold-out 0.2 --joint-laws none
-truearm identify tests/data/ur5_tsinghua/grid.csv.xz tests/data/ur5_tsinghua/random.csv.xz --model tests/data/ur5_tsinghua/ur5.toml --rig tests/data/ur5_tsinghua/rig.toml --hold-out x_set=random --joint-laws none
-truearm identify tests/data/mukca/panda_3.csv --model tests/data/mukca/panda.urdf --tip ball_link --rig tests/data/mukca/rig.toml --hold-out place=frontleft --hold-out place=frontcenter --hold-out place=frontright --joint-laws none
-truearm identify tests/data/mukca/panda_3.csv --model tests/data/mukca/panda.urdf --tip ball_link --rig tests/data/mukca/rig.toml --hold-out place=backleft --hold-out place=backcenter --hold-out place=backright --joint-laws none
-truearm identify tests/data/mukca/panda_1.csv --model tests/data/mukca/panda.urdf --tip ball_link --rig tests/data/mukca/rig.toml --fit-only place=back-high --joint-laws none
-truearm identify tests/data/mukca/kuka_14.csv --model tests/data/mukca/iiwa14.urdf --tip ball_link --rig tests/data/mukca/rig.toml --hold-out place=raised_left --joint-laws none
-truearm identify tests/data/mukca/kuka_14.csv --model tests/data/mukca/iiwa14.urdf --tip ball_link --rig tests/data/mukca/rig.toml --fit-only place=front --joint-laws none
-```
-
-Other random draws, blocks of joint space and the simulated bars are made by `bench/real_arms.py`.
-
-## Public data that are not in the repository
-
-These sets were fitted with the same options, after all constants had been chosen. UR10 B and D are other series of the arm above. The constants were chosen on an IRB 120 too, probably this one, so this IRB 120 is no independent test. The data are not copied here, so `make benchmark` does not repeat them. All of them are
-public repositories of other projects.
-
-| data | split | geometry | with joint laws |
-|---|---|---|---|
-| UR10 series B (christianlandgraf/ipa-robot-accuracy, 1495 poses) | random fifth; 4 of 22 blocks of joint space | 0.411; 0.465 | 0.077; 0.077 |
-| UR10 series D (632 poses) | random fifth; 4 of 22 blocks | 0.361; 0.494 | 0.086; 0.141 |
-| Panda 2, 4 and 6 (platonics-delft/kinematics_calibration) | random fifth | 0.336, 0.231, 0.186 | 0.284, 0.208, 0.178 |
-| IRB 120 with a laser tracker (icelinker/Robot-Calibration-LaserTracker, 1000 poses, 3 reflectors), commanded joints | random fifth, each reflector | 0.189, 0.208, 0.189 | 0.063, 0.080, 0.074 |
-| the same, joints as the controller read them (too early) | random fifth, the first reflector | 0.413 | 0.333 |
-
-These data and the sets above were split 173 times, with 30 to 2358 rows to fit (random rows, blocks, places left out). Three splits are worse with joint laws than with geometry by more than 3 % and two standard errors. They are worse by 4 to 6 %, with 40 rows of
-the IRB 120 and the readings that its controller gave.
-"""
-
-
 def picture(outcomes: Sequence[Outcome]) -> str:
     """Return a bar chart of the mean held-out errors, with geometry alone and with joint laws, as SVG."""
     left, step, width = 450, 34, 420
@@ -373,7 +301,9 @@ def picture(outcomes: Sequence[Outcome]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="", help="cases whose name contains this")
-    parser.add_argument("--write", action="store_true", help="write docs/explanation/real-arms.md and its picture")
+    parser.add_argument(
+        "--write", action="store_true", help="write the table of docs/explanation/real-arms.md and its picture"
+    )
     asked = parser.parse_args()
     outcomes, rows = [], []
     for name, make in cases():
@@ -384,7 +314,8 @@ def main() -> None:
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(f"{name:18} {rows[-1]} {peak:.0f} MB", flush=True)
     if asked.write:
-        (ROOT / "docs/explanation/real-arms.md").write_text(PAGE.format(rows="\n".join(rows)), encoding="utf-8")
+        text, table = PAGE.read_text(encoding="utf-8"), "".join(f"{line}\n" for line in rows)
+        PAGE.write_text(re.sub(r"(?<=---\|\n)(\|.*\n)+", lambda _: table, text, count=1), encoding="utf-8")
         (ROOT / "docs/images/real-arms.svg").write_text(picture(outcomes), encoding="utf-8")
 
 

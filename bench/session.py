@@ -34,13 +34,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "host"))
 import session_stream
+from zstandard import ZstdDecompressor
 
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_format import JOINTS, format_reading
 from truearm.session.joint_readings import SegmentedReadings
 from truearm.session.observations import observations
-from truearm.session.session_file import Messages, Session, open_session
+from truearm.session.session_file import Messages, Session, chunk_records, open_session
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire
@@ -214,7 +215,7 @@ def show(name: str, path: Path) -> None:
     batches = list(islice(session.batches(), JOINT_BATCHES))
     lines = [m.data for messages in batches for m in messages.of(messages.rows(lambda topic: topic == JOINTS))]
     stages: dict[str, Callable[[], Any]] = {
-        "unpacking alone": lambda: sum(map(len, session.packed())),
+        "unpacking alone": lambda: unpacked(session),
         "open and check the file": lambda: open_session(path),
         "columns of messages": lambda: sum(map(len, session.batches())),
         "samples": lambda: samples(session),
@@ -234,6 +235,14 @@ def show(name: str, path: Path) -> None:
     for stage, value in least.items():
         of_peer = f"{value / peer:15.2f}" if stage == "joints" else ""
         print(f"{name:28}{stage:28}{value:9.3f}{value / floor:14.1f}{of_peer}", flush=True)
+
+
+def unpacked(session: Session) -> int:
+    with session.path.open("rb") as file:
+        return sum(
+            len(chunk_records(os.pread(file.fileno(), length, offset), ZstdDecompressor()))
+            for offset, length in session.chunks
+        )
 
 
 def joints(batches: Sequence[Messages]) -> int:

@@ -1,4 +1,4 @@
-"""Make series_a.csv.xz and series_c.csv.xz from the original files: python convert.py FOLDER
+"""Make series_a.csv.xz to series_d.csv.xz from the original files, in the folder where it runs: python convert.py FOLDER
 
 The numbers of the originals, with decimal points; of their columns only the joints, the measured position and the
 measured angles.
@@ -9,7 +9,12 @@ import lzma
 import sys
 from pathlib import Path
 
-ORIGINALS = {"series_a": "Series_A/measurements_grid.csv", "series_c": "Series_C/measurements_random_poses.csv"}
+ORIGINALS = {
+    "series_a": "Series_A/measurements_grid.csv",
+    "series_b": "Series_B/measurements_joint_configurations.csv",
+    "series_c": "Series_C/measurements_random_poses.csv",
+    "series_d": "Series_D/measurements_iso_cubes.csv",
+}
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 COLUMNS = (
     *(f"{name}_joint" for name in JOINTS),
