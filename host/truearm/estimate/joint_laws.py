@@ -30,7 +30,7 @@ from truearm.estimate.law_rows import law_rows, with_predicted
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.payload_rows import payloads_of
-from truearm.estimate.pose_noise import PoseNoise, pose_information, pose_rows
+from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import build_problem, modelled_of, settled, without_knowledge
 from truearm.estimate.scatter import JOINT_NOISE
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
@@ -366,15 +366,12 @@ def _like_offset(of: LawProblem, x: Floats, offset: int) -> Floats:
     columns = of.columns.copy()
     columns[np.flatnonzero(of.columns)[of.is_law]] = False
     columns[offset] = True
-    sensors = PoseNoise.of(1.0, len(of.problem.chain.joints))
-    linearised = pose_rows(of.problem, x, columns, of.pose)
-    rows = pose_information(linearised, int(columns.sum()) + 1, sensors).rows[:, :-1]
-    at = np.count_nonzero(columns[:offset])
-    scale, wanted = of.sigma[~of.is_law], rows[:, at]
-    others = np.delete(rows, at, axis=1) * scale
-    found = np.linalg.lstsq(others, wanted, rcond=NULL_ROUNDING)[0]
-    if np.linalg.norm(wanted - others @ found) <= SAME_MOTION * np.linalg.norm(wanted):
-        out[~of.is_law] = scale * found
+    root = observe(of.problem, x, columns).root
+    index, scale = np.count_nonzero(columns[:offset]), of.sigma[~of.is_law]
+    by_offset, by_unknowns = root[:, index], np.delete(root, index, axis=1) * scale
+    combination = np.linalg.lstsq(by_unknowns, by_offset, rcond=NULL_ROUNDING)[0]
+    if np.linalg.norm(by_offset - by_unknowns @ combination) <= SAME_MOTION * np.linalg.norm(by_offset):
+        out[~of.is_law] = scale * combination
     return out
 
 
