@@ -86,16 +86,16 @@ def units(inputs: Alternative) -> Iterator[Alternative]:
 
 def joints(inputs: Alternative) -> Iterator[Alternative]:
     """Return joints in other orders and with other signs: exchanges of two, cycles, the reverse; all signs."""
-    names, units_of = [joint.name for joint in inputs.chain.joints], list(inputs.chain.joint_units)
-    same = tuple(range(len(names)))
-    for order in list(dict.fromkeys([same, *exchanges_and_cycles(same), same[::-1]]))[1:]:
-        if [units_of[i] for i in order] == units_of:
-            values = {"order": [names[order.index(k)] for k in same]}
+    names, joint_units = [joint.name for joint in inputs.chain.joints], list(inputs.chain.joint_units)
+    identity = tuple(range(len(names)))
+    for order in list(dict.fromkeys([identity, *exchanges_and_cycles(identity), identity[::-1]]))[1:]:
+        if [joint_units[i] for i in order] == joint_units:
+            values = {"order": [names[order.index(k)] for k in identity]}
             yield with_joints(inputs, np.ones(len(names)), order, "joints-ordered", values)
     for signs in product((1.0, -1.0), repeat=len(names)):
         if min(signs) < 0.0:
             reversed_joints = [name for name, sign in zip(names, signs, strict=True) if sign < 0.0]
-            yield with_joints(inputs, np.array(signs), same, "joint-signs", {"joints": reversed_joints})
+            yield with_joints(inputs, np.array(signs), identity, "joint-signs", {"joints": reversed_joints})
 
 
 def with_joints(
@@ -184,23 +184,23 @@ def names_exchanged(inputs: Alternative) -> Iterator[Alternative]:
     table = inputs.table
     columns = [column for column in identifiers() if any(column in kind.labels for kind in kinds().values())]
     for rig in np.unique(table.rig):
-        here = table.rig == rig
+        in_rig = table.rig == rig
         changes = []
         for column in columns:
-            names = sorted(set(table[column][here]) - {""})
+            names = sorted(set(table[column][in_rig]) - {""})
             few = len(names) <= MOST_PERMUTED
             orders = list(permutations(names))[1:] if few else exchanges_and_cycles(names)
             changes.append([{column: dict(zip(names, order, strict=True))} for order in orders])
         pairs = (first | second for a, b in combinations(changes, 2) for first, second in product(a, b))
         for change in islice(chained(*changes, pairs), MOST_RENAMINGS):
-            whole = {
-                column: np.where(here, [new.get(name, name) for name in table[column]], table[column])
+            changed = {
+                column: np.where(in_rig, [new.get(name, name) for name in table[column]], table[column])
                 for column, new in change.items()
             }
             renamings = [(column, *pair) for column, new in change.items() for pair in new.items()]
             texts = [f"{column} {old} is {name}" for column, old, name in renamings if old != name]
             values = {"names": texts, "bar": "bar" in change}
-            yield replace(inputs, code="names-exchanged", values=values, table=renamed(inputs.rig, table, whole))
+            yield replace(inputs, code="names-exchanged", values=values, table=renamed(inputs.rig, table, changed))
 
 
 def exchanges_and_cycles(items: Sequence[Any]) -> list[tuple[Any, ...]]:
@@ -219,11 +219,11 @@ def stuck(inputs: Alternative) -> Iterator[Alternative]:
         if LEAST_ROWS <= last - first < len(q) and np.delete(np.ptp(q[first:last], axis=0), joint).any():
             name = inputs.chain.joints[joint].name
             rows = inputs.rows[first:last]
-            where = {"first": row_name(inputs.table, rows[0]), "last": row_name(inputs.table, rows[-1])}
-            values = {"joint": name, "n": rows.size, "others": inputs.rows.size - rows.size, **where}
+            ends = {"first": row_name(inputs.table, rows[0]), "last": row_name(inputs.table, rows[-1])}
+            values = {"joint": name, "n": rows.size, "others": inputs.rows.size - rows.size, **ends}
             values["leave_out"] = [f"{rows[0] + 1}:{rows[-1] + 1}"]
-            others = np.delete(inputs.rows, np.arange(first, last))
-            yield replace(inputs, code="stuck-joint", values=values, rows=others)
+            remaining = np.delete(inputs.rows, np.arange(first, last))
+            yield replace(inputs, code="stuck-joint", values=values, rows=remaining)
 
 
 def other_robots(inputs: Alternative, robots: Robots) -> Iterator[Alternative]:

@@ -58,7 +58,7 @@ class Average:
         """The steps (k,) of each finding: of its explanations, and their mean."""
         steps = [[choice.step for choice in choices] for choices in self.choices]
         weights = ([choice.weight for choice in choices] for choices in self.choices)
-        return [[*of_finding, np.array(weight) @ of_finding] for of_finding, weight in zip(steps, weights, strict=True)]
+        return [[*shifts, np.array(weight) @ shifts] for shifts, weight in zip(steps, weights, strict=True)]
 
     def moves(self, root: Floats) -> float:
         """Return the RMS motion [m] of the tool by a step (k,), or its RMS error by a ``root`` (k, r) of that of parameters."""
@@ -118,8 +118,8 @@ def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
     """
     kinds = [weighed.hypothesis.kind for weighed in table]
     share = Counter(kinds)
-    most = [0.0 if weighed.name in refused else np.inf for weighed in table]
-    log = np.minimum([weighed.log_evidence for weighed in table], most) + np.log(
+    limit = [0.0 if weighed.name in refused else np.inf for weighed in table]
+    log = np.minimum([weighed.log_evidence for weighed in table], limit) + np.log(
         [PRIOR / share[kind] for kind in kinds]
     )
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
@@ -144,8 +144,8 @@ def explanations(detection: Detection, result: Search) -> tuple[Choice, ...]:
     """Return the finding and its rivals by their probability, beside all other findings, which may have excluded some."""
     design = result.bare.extended(result.beside(detection))
     options = [weigh(weighed.hypothesis, design) for weighed in (detection.best, *detection.rivals)]
-    least = max(weighed.log_evidence for weighed in options) - RIVAL
-    options = [weighed for weighed in options if weighed.log_evidence > least]
+    threshold = max(weighed.log_evidence for weighed in options) - RIVAL
+    options = [weighed for weighed in options if weighed.log_evidence > threshold]
     log = np.array([weighed.log_evidence for weighed in options])
     weights = np.exp(log - special.logsumexp(log)).tolist()
     pairs = zip(options, weights, strict=True)
@@ -163,7 +163,7 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
     values, vectors = np.linalg.eigh(fitted.root.T @ average.gram @ fitted.root)
     follow = fitted.basis[: fitted.fit.residual.size] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     named = {choice.weighed.hypothesis.kind for choices in average.choices for choice in choices}
-    least: dict[tuple[str, ...], tuple[float, str, dict[str, float]]] = {}
+    smallest: dict[tuple[str, ...], tuple[float, str, dict[str, float]]] = {}
     for hypothesis, moments in ((weighed.hypothesis, weighed.moments) for weighed in result.table):
         root = HIDDEN * moments.vectors / np.sqrt(1.0 + moments.values / result.design.variance)[:, None]
         loading = products(hypothesis, follow)[:, : hypothesis.sizes.size]
@@ -173,5 +173,5 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
             size = root[median] @ direction[median, :, 0] * (limit / moves[median, 0])
             sizes = {unit: float(np.linalg.norm(numbers)) for unit, numbers in hypothesis.by_unit(size).items()}
             fault, key = (float(np.linalg.norm(size)), hypothesis.name, sizes), (hypothesis.kind, *sizes)
-            least[key] = min(fault, least.get(key, fault))
-    return {name: size for _, name, size in sorted(least.values(), key=lambda fault: fault[:2])}
+            smallest[key] = min(fault, smallest.get(key, fault))
+    return {name: size for _, name, size in sorted(smallest.values(), key=lambda fault: fault[:2])}

@@ -86,13 +86,13 @@ class Design:
 def build_design(fit: WhitenedFit, kernel: Kernel, prior: Floats) -> Design:
     """Return what the parameters of a fit can follow about a ``prior`` (κ, k + 1), one of the two of the fit."""
     m = fit.residual.size
-    whole = np.concatenate([kernel.whiten(np.column_stack([fit.jac, fit.residual])), prior])
-    jac, residual = whole[:, :-1], whole[:, -1]
+    rows = np.concatenate([kernel.whiten(np.column_stack([fit.jac, fit.residual])), prior])
+    jac, residual = rows[:, :-1], rows[:, -1]
     scale = np.linalg.norm(jac, axis=0)
     scale = np.maximum(scale, RANK_TOLERANCE * scale.max(initial=1e-300))  # a parameter may move nothing
     u, singular, vt = np.linalg.svd(jac / scale, full_matrices=False)
-    least = RANK_TOLERANCE * singular.max(initial=0.0)
-    basis, root = u[:, singular > least], vt[singular > least].T / singular[singular > least] / scale[:, None]
+    significant = singular > RANK_TOLERANCE * singular.max(initial=0.0)
+    basis, root = u[:, significant], vt[significant].T / singular[significant] / scale[:, None]
     remainder, freedom = residual - basis @ (basis.T @ residual), m - float((basis[:m] ** 2).sum())
     return Design(fit, kernel, basis, root, remainder, freedom)
 
@@ -161,9 +161,9 @@ def squares(hypothesis: Hypothesis, kernel: Kernel) -> Floats:
     if not kernel.shared:
         return products(hypothesis, hypothesis.columns / kernel.scale**2, power=2)
     profiles, pairs = hypothesis.candidates.profiles, hypothesis.candidates.pairs
-    every = hypothesis.columns[:, None] * profiles.T[hypothesis.fit.row, :, None]
-    whitened = kernel.whiten(every.reshape(len(every), -1))
-    gram = (whitened.T @ whitened).reshape(*every.shape[1:], *every.shape[1:]).swapaxes(1, 2)
+    by_profile = hypothesis.columns[:, None] * profiles.T[hypothesis.fit.row, :, None]
+    whitened = kernel.whiten(by_profile.reshape(len(by_profile), -1))
+    gram = (whitened.T @ whitened).reshape(*by_profile.shape[1:], *by_profile.shape[1:]).swapaxes(1, 2)
     if pairs is None:
         return np.asarray(gram[np.arange(len(gram)), np.arange(len(gram))])
     first, last = pairs.T
@@ -220,7 +220,7 @@ def amount_of(
     These are all of which the rows say less than the typical size does, unless the hypothesis ``is_named`` and they are
     SHOWN.
     """
-    values, vectors, scores = (of_all[weighed.best] for of_all in weighed.moments)
+    values, vectors, scores = (array[weighed.best] for array in weighed.moments)
     information, scores = values / variance, scores / variance
     stated = (information > 1.0) | (is_named & (scores**2 > SHOWN**2 * information))
     root = vectors[:, stated] / np.sqrt(information[stated] + scale**-2.0)

@@ -61,9 +61,9 @@ class Examination:
                 raise InputError(Argument("apply"), f" {name}: no cause of a fault in these rows; {remedy}")
             steps |= by_finding
         step = sum(steps.values(), np.zeros(len(self.average.gram)))
-        whole, covariance = np.zeros(self.free.size), np.zeros((self.free.size, self.free.size))
-        whole[self.free], covariance[np.ix_(self.free, self.free)] = step, self.average.covariance(step)
-        return whole, covariance, self.average.moves(self.average.bias(step))
+        change, covariance = np.zeros(self.free.size), np.zeros((self.free.size, self.free.size))
+        change[self.free], covariance[np.ix_(self.free, self.free)] = step, self.average.covariance(step)
+        return change, covariance, self.average.moves(self.average.bias(step))
 
 
 def examined(
@@ -128,21 +128,21 @@ def of_fit(
 def diagnoses(result: Search, average: Average, table: ObservationTable) -> tuple[Diagnosis, ...]:
     """Return the findings of a search, each with its rivals and what applying one of them, or their mean, gives."""
     out = []
-    every = zip(result.detections, average.choices, average.steps, strict=True)
-    for detection, choices, steps in every:
-        beside = result.fitted.extended(result.beside(detection))
-        before = left_out(beside, result.block)
-        after = [left_out(beside.extended(choice.weighed.columns), result.block) for choice in choices]
-        mean = np.array([choice.weight for choice in choices]) @ after
-        names = [(*identity(choice.weighed), choice.weight) for choice in choices]
-        *rivals, whole = (
-            Rival(*name, average.moves(step), average.error(step), *gain(before, residual, result.block)[:2])
-            for name, step, residual in zip([*names, (MEAN, MEAN, None, 1.0)], steps, [*after, mean], strict=True)
+    findings = zip(result.detections, average.choices, average.steps, strict=True)
+    for detection, choices, steps in findings:
+        other_findings = result.fitted.extended(result.beside(detection))
+        baseline = left_out(other_findings, result.block)
+        residuals = [left_out(other_findings.extended(choice.weighed.columns), result.block) for choice in choices]
+        residuals += [np.array([choice.weight for choice in choices]) @ residuals]
+        names = [*((*identity(choice.weighed), choice.weight) for choice in choices), (MEAN, MEAN, None, 1.0)]
+        *rivals, mean = (
+            Rival(*name, average.moves(step), average.error(step), *gain(baseline, residual, result.block)[:2])
+            for name, step, residual in zip(names, steps, residuals, strict=True)
         )
         best, sizes = detection.best, sizes_of(choices[0].weighed, result.design)
         strength = best.drop, best.freedom, best.log_evidence
         mount = deciding(choices, result.design, table)
-        out.append(Diagnosis(tuple(rivals), whole, detection.aliases, sizes, *strength, mount))
+        out.append(Diagnosis(tuple(rivals), mean, detection.aliases, sizes, *strength, mount))
     return tuple(out)
 
 
@@ -155,7 +155,7 @@ def deciding(choices: Sequence[Choice], design: Design, table: ObservationTable)
     predicted = np.array([fit.jac @ choice.step + at_the_end(choice.weighed) @ choice.size for choice in choices])
     square = (predicted - predicted[0]) ** 2 / (1.0 + ((fit.jac @ design.root) ** 2).sum(axis=1))
     run = fit.how.run[fit.row]
-    nats = 0.5 * np.array([np.bincount(run, of_rival) for of_rival in square])
+    nats = 0.5 * np.array([np.bincount(run, difference) for difference in square])
     if nats.max() < 1.0:
         return ()
     best = np.argmax(np.minimum(nats, RIVAL).sum(axis=0))
@@ -209,10 +209,10 @@ def tool_gram(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estima
 
     A motion of all points together does not count where the observations do not determine the base, or with ``any_base``.
     """
-    few = table.select(thinned(len(table), MOST_POSES))
-    points, flat = measured_jacobian(chain, rig, few, estimate)
+    poses = table.select(thinned(len(table), MOST_POSES))
+    points, flat = measured_jacobian(chain, rig, poses, estimate)
     if any_base or np.abs(flat @ estimate.unseen).max(initial=0.0) > MOVES:
         body, _ = np.linalg.qr(body_motion(points))
         flat = flat - body @ (body.T @ flat)
     motion = flat[:, estimate.free]
-    return np.asarray(motion.T @ motion / len(few))
+    return np.asarray(motion.T @ motion / len(poses))

@@ -158,9 +158,9 @@ def is_elsewhere(estimate: Estimate) -> bool:
     p = estimate.n_robot_parameters
     wide = np.array([UNITS[unit].wide_sigma for unit in estimate.units[:p]])
     moved = np.abs(estimate.value - estimate.nominal)[:p]
-    far = moved > FAR * wide
+    displaced = moved > FAR * wide
     sigma = np.nan_to_num(estimate.sigma[:p])  # NaN: not identifiable
-    return bool(far.any() and (moved > SURELY * sigma)[far].all())
+    return bool(displaced.any() and (moved > SURELY * sigma)[displaced].all())
 
 
 def _unusable(estimate: Estimate) -> Unusable | None:

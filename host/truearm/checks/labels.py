@@ -109,12 +109,12 @@ def possible_labels(rigs: Rigs, table: ObservationTable) -> list[Labels]:
     used = {column: sorted(set(table[column].tolist()) - {""}) for column in columns}
     used = {column: names for column, names in used.items() if names}
     in_rigs = [rig_names(rig) for rig in rigs_by_name(rigs).values()]
-    known = {
+    rig_labels = {
         column: sorted({*names, *(name for rig in in_rigs for name in rig.get(column, ()))})
         for column, names in used.items()
     }
-    most = np.prod([len(names) for names in known.values()])
-    combinations = product(*(known if most <= MOST_LABELS else used).values())
+    count = np.prod([len(names) for names in rig_labels.values()])
+    combinations = product(*(rig_labels if count <= MOST_LABELS else used).values())
     return [{}, *(dict(zip(used, names, strict=True)) for names in combinations), {}]
 
 
@@ -152,8 +152,8 @@ def scores(
 
     It is that of the best robust fit of rows with ``labels``. None without any fit.
     """
-    every = np.arange(len(table))
-    current, used = with_labels(inputs.rig, table, every, possible, labels), labels < len(possible) - 1
+    all_rows = np.arange(len(table))
+    current, used = with_labels(inputs.rig, table, all_rows, possible, labels), labels < len(possible) - 1
     best, scale = -np.inf, 1.0
     parameters: Mapping[str, float] | None = None
     start: Mapping[str, float] = {}
@@ -174,8 +174,8 @@ def scores(
     out = np.full((len(possible), len(table)), IMPOSSIBLE)
     for number, names in enumerate(possible[:-1]):
         valid = _valid(inputs.rig, table, names)
-        other = with_labels(inputs.rig, table, every, possible, np.full(every.size, number)).select(valid)
-        out[number, valid] = likelihood(misfit(inputs.chain, inputs.rig, other, parameters), scale)
+        renamed_rows = with_labels(inputs.rig, table, all_rows, possible, np.full(all_rows.size, number)).select(valid)
+        out[number, valid] = likelihood(misfit(inputs.chain, inputs.rig, renamed_rows, parameters), scale)
     out[-1] = likelihood(np.array(APART**2), 1.0)
     return out
 
@@ -207,11 +207,11 @@ def subsets(table: ObservationTable, rows: Indices) -> Iterator[Indices]:
     """Return some of the rows; then without each mount, and without each half."""
     mount = mountings(table)[rows]
     half = rows >= len(table) // 2
-    kept = [np.ones(rows.size, dtype=bool), half, ~half]
+    masks = [np.ones(rows.size, dtype=bool), half, ~half]
     numbers = np.unique(mount)
     if 3 < numbers.size <= MOST_MOUNTS:
-        kept += [mount != number for number in numbers]
-    for mask in kept:
+        masks += [mount != number for number in numbers]
+    for mask in masks:
         yield rows[mask][thinned(int(mask.sum()), MOST_ROWS)]
 
 

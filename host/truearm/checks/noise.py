@@ -35,7 +35,7 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     jac = fit.jac[inside][:, moves]
     prior = fit.wide_prior[:, np.append(moves, True)][fit.wide_prior[:, :-1][:, moves].any(axis=1)]
     length = np.maximum(np.linalg.norm(np.concatenate([jac, prior[:, :-1]]), axis=0), 1e-300)
-    few = replace(
+    judged = replace(
         fit,
         row=row,
         component=fit.component[inside],
@@ -45,8 +45,8 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     )
     shapes = [(name, width) for name, width in SHAPES if name != "mount" or np.unique(fit.how.run[rows]).size > 1]
     choices = [("white", 0.0, 0.0), *((*shape, share) for shape in shapes for share in SHARES)]
-    declared, _ = likelihood(few, DECLARED)
-    likelihoods = [likelihood(few, kernel_of(few, rows, *choice)) for choice in choices]
+    declared, _ = likelihood(judged, DECLARED)
+    likelihoods = [likelihood(judged, kernel_of(judged, rows, *choice)) for choice in choices]
     best = first_within([value for value, _ in likelihoods])
     value, scale = likelihoods[best]
     gain = value - declared - math.log(len(choices))
@@ -103,9 +103,9 @@ def kernel_of(fit: WhitenedFit, rows: Indices, name: str, width: float, share: f
     for number in np.unique(fit.component):
         residuals = np.flatnonzero(fit.component == number)
         sets.setdefault(fit.row[residuals].tobytes(), []).append(residuals)
-    stacks = [np.stack(members, axis=1) for members in sets.values()]
-    of_rows = (fit.row[residuals[:, 0]] for residuals in stacks)
-    roots = (linalg.cholesky(covariance[np.ix_(mine, mine)], lower=True) for mine in of_rows)
+    stacks = [np.stack(stack, axis=1) for stack in sets.values()]
+    row_sets = (fit.row[residuals[:, 0]] for residuals in stacks)
+    roots = (linalg.cholesky(covariance[np.ix_(members, members)], lower=True) for members in row_sets)
     return Kernel(
         name, shared=tuple(SharedNoise(residuals, root) for residuals, root in zip(stacks, roots, strict=True))
     )

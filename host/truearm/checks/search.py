@@ -61,7 +61,8 @@ class Search:
 
 def columns_of(detections: Sequence[Detection], fit: WhitenedFit) -> Floats:
     """Return the columns (m, d) of findings."""
-    return np.concatenate([np.zeros((fit.residual.size, 0)), *(each.best.columns for each in detections)], axis=1)
+    columns = [detection.best.columns for detection in detections]
+    return np.concatenate([np.zeros((fit.residual.size, 0)), *columns], axis=1)
 
 
 def checked(fit: WhitenedFit) -> Search:
@@ -120,9 +121,9 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
         if not significant or refused or len(detections) == MOST_FINDINGS:
             return Search(tuple(detections), design, table, bare, fitted, block, refused)
         detection = detected(significant, table, design)
-        before = fitted.extended(columns_of(detections, fit))
-        after = left_out(before.extended(detection.best.columns), block)
-        if bare.kernel.declared or gain(left_out(before, block), after, block).chance < UNCONFIRMED:
+        baseline = fitted.extended(columns_of(detections, fit))
+        residual = left_out(baseline.extended(detection.best.columns), block)
+        if bare.kernel.declared or gain(left_out(baseline, block), residual, block).chance < UNCONFIRMED:
             detections.append(detection)
         else:
             refused = tuple(weighed.name for weighed in (detection.best, *detection.rivals))
@@ -144,11 +145,11 @@ def detected(significant: Collection[str], table: Sequence[Weighed], design: Des
 
     Steps and runs have their ends refined before they are compared: a large error has no evidence between two knots.
     """
-    every = [refined(weighed, design) for weighed in table]
-    likely = [every[number] for number in largest_first([weighed.log_evidence for weighed in every])]
+    refinements = [refined(weighed, design) for weighed in table]
+    likely = [refinements[number] for number in largest_first([weighed.log_evidence for weighed in refinements])]
     best = next(weighed for weighed in likely if weighed.name in significant)
-    least = best.log_evidence - RIVAL
-    rivals = tuple(other for other in likely if other is not best and other.log_evidence > least)
+    threshold = best.log_evidence - RIVAL
+    rivals = tuple(rival for rival in likely if rival is not best and rival.log_evidence > threshold)
     return Detection(best, rivals, tuple(rival.name for rival in rivals if is_same(best, rival, design)))
 
 
@@ -219,10 +220,10 @@ def left_out(design: Design, block: Indices) -> Floats:
     return out
 
 
-def gain(before: Floats, after: Floats, block: Indices) -> Gain:
+def gain(baseline: Floats, residual: Floats, block: Indices) -> Gain:
     """Return the gain of the residuals (m,) of left-out blocks after something was added to the fit."""
     numbers = np.unique(block)
-    squares, later = (np.bincount(block, residual**2)[numbers] for residual in (before, after))
+    squares, later = (np.bincount(block, series**2)[numbers] for series in (baseline, residual))
     less = np.asarray(squares - later, dtype=float)
     if less.size < FEWEST_BLOCKS:
         return Gain(math.nan, math.nan, math.nan)

@@ -72,9 +72,9 @@ class WhitenedFit:
     def extended(self, columns: Floats, widest: float) -> WhitenedFit:
         """Return the fit with further ``columns`` (m, f) as parameters, within ``widest`` of 0."""
         f, k = columns.shape[1], self.jac.shape[1]
-        apart = np.insert(self.wide_prior, [k] * f, 0.0, axis=1)
+        padded = np.insert(self.wide_prior, [k] * f, 0.0, axis=1)
         added = np.pad(np.eye(f) / widest, ((0, 0), (k, 1)))
-        return replace(self, jac=np.column_stack([self.jac, columns]), wide_prior=np.concatenate([apart, added]))
+        return replace(self, jac=np.column_stack([self.jac, columns]), wide_prior=np.concatenate([padded, added]))
 
 
 class SharedNoise(NamedTuple):
@@ -133,15 +133,15 @@ def whitened_fit(
     follows from the rows themselves, and without it they would explain anything.
     """
     rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
-    kept = rows_used[:: -(-rows_used.size // MOST_ROWS)]
-    problem, how = only(problem, np.isin(np.arange(problem.n_rows), kept)), how.take(kept)
+    examined = rows_used[:: -(-rows_used.size // MOST_ROWS)]
+    problem, how = only(problem, np.isin(np.arange(problem.n_rows), examined)), how.take(examined)
     p, k = problem.n_robot, int(columns.sum())
     faults = [{(f.item, f.form): f for f in group.faults(problem.chain, x)} for group in problem.groups]
-    forms = {key: fault for of_group in faults for key, fault in of_group.items()}
+    forms = {key: fault for group_faults in faults for key, fault in group_faults.items()}
     pieces, knowledge, components = [], [np.zeros((0, k + 1))], 0
-    for group, of_group in zip(problem.groups, faults, strict=True):
+    for group, group_faults in zip(problem.groups, faults, strict=True):
         by_faults = [
-            of_group.get(
+            group_faults.get(
                 key, fault._replace(columns=np.zeros((*group.sensor_cov.shape[1::-1], fault.columns.shape[2])))
             )
             for key, fault in forms.items()
@@ -160,25 +160,25 @@ def whitened_fit(
     ends = np.cumsum([k, len(problem.errors.names), *(fault.columns.shape[2] for fault in forms.values())])
     jac, fault_jac, *by_forms, residual = np.split(whole, ends, axis=1)
 
-    of_robot = ~problem.of_rig
-    of_robot[laws] = False
+    arm = ~problem.of_rig
+    arm[laws] = False
     wide, vague = (np.array([getattr(UNITS[u], size) for u in problem.units]) for size in ("wide_sigma", "vague_sigma"))
     mounted = np.pad(mounting(problem.chain, x[:p]).either, (0, wide.size - p))
     leeway, error = np.where(mounted, vague, wide), problem.start - x
-    apart = np.concatenate(knowledge)
+    rig_prior = np.concatenate(knowledge)
 
     def with_prior(sigma: Floats, error: Floats) -> Floats:
         sigma, error = sigma[columns], error[columns]
-        return np.concatenate([apart, np.column_stack([np.diag(1.0 / sigma), error / sigma])])
+        return np.concatenate([rig_prior, np.column_stack([np.diag(1.0 / sigma), error / sigma])])
 
     free = np.flatnonzero(columns).tolist()
     return WhitenedFit(
-        row=np.searchsorted(kept, row[order]),
+        row=np.searchsorted(examined, row[order]),
         component=component[order],
         jac=jac,
         residual=residual[:, 0],
         prior=with_prior(problem.prior_sigma, error),
-        wide_prior=with_prior(np.where(of_robot, leeway, problem.prior_sigma), np.where(of_robot, 0.0, error)),
+        wide_prior=with_prior(np.where(arm, leeway, problem.prior_sigma), np.where(arm, 0.0, error)),
         fault_jac=fault_jac,
         errors=problem.errors,
         causes=problem.causes,
@@ -189,7 +189,7 @@ def whitened_fit(
         arm={
             problem.names[i]: ArmParameter(column, problem.units[i], float(x[i]))
             for column, i in enumerate(free)
-            if of_robot[i]
+            if arm[i]
         },
         how=how,
     )
