@@ -200,6 +200,18 @@ def test_a_box_without_a_clock_and_a_reboot():
     assert np.flatnonzero(second["gap"]).tolist() == [0]
 
 
+@pytest.mark.parametrize("value", [2**63, -(2**63) - 1, -(2**64)])
+def test_integers_of_the_box_that_need_more_than_64_bits(value):
+    """Frames with them are left out; the others remain."""
+    box = Box()
+    box.ident(0)
+    for number, level in enumerate((-(2**63), value, 2**63 - 1)):
+        box.frame("temperature", 10**9 + number, wire.TEMPERATURE, 10**6 + number, 0, level)
+    ((name, columns),) = tabulate(survey(stream_of(box.messages)))
+    assert name == "box_temperature"
+    assert columns["temperature_mdegc"].tolist() == [-(2**63), 2**63 - 1]
+
+
 def joint_lines(rows):
     return [Message("/robot/joints", 10**9 * (k + 1), json.dumps(row).encode()) for k, row in enumerate(rows)]
 

@@ -99,7 +99,7 @@ def _small_tables(messages: Messages, messages_before: int, survey: Survey) -> I
         else:
             kind = _SMALL[message.topic]
             elements = fields_of(kind, message.data)
-            if elements is None or max(elements.values()) >= 2**63:
+            if elements is None or not all(-(2**63) <= value < 2**63 for value in elements.values()):
                 continue  # malformed: counted by the survey
             row |= {"segment": segment, "host_time_ns": UNKNOWN, "host_bound_ns": np.nan}
             row |= {name: elements.get(name, UNKNOWN) for name in wire.names(kind)}
