@@ -140,6 +140,12 @@ class TestCsv:
         }
         assert last["t"] == 1.502
 
+    def test_columns_in_any_order_are_read_to_the_same_bytes(self):
+        row = ["x", "9", "3", "20", "2e9", "-5", "7", "1.5"]
+        columns = read_columns(["note", "inputs", "q2_mm", "q1_deg", "qd1_rad_s", "qd2_mm_s", "seq", "t_ms"])
+        line = f'{{"t":0.0015,"seq":7,"q":[{20 * DEG},0.003],"inputs":9,"x":1}}'.encode()
+        assert columns.line(row, x=1) == line, "velocities beyond the limits of a session are left out"
+
     def test_columns_of_the_address(self):
         (row,) = rows(LineDialect({"columns": "t_s,q2_rad,q1_rad"}), b"1,2,3")
         assert row == {"t": 1.0, "q": [3.0, 2.0], "line": "1,2,3"}

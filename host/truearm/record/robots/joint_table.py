@@ -10,10 +10,11 @@ A table is written by the robot or its logger, and read row by row: a day at 500
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import TextIOWrapper
 from itertools import chain, cycle
+from operator import mul
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,7 +24,7 @@ from truearm.files.csv_cells import MAX_COLUMNS, NUMBER, Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted
-from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_line
+from truearm.session.joint_format import MAX_JOINTS, MAX_Q, are_joints, format_reading, parse_line
 from truearm.units import SUFFIXES
 
 # to divide by: 1e-9 is not exact in binary
@@ -77,20 +78,32 @@ class Names:
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of a table: titles, each with the function that reads its cells, None for one that is skipped."""
+    """Positions of the columns in a row of ``width`` cells. ``joints``: positions and factors to SI of each quantity."""
 
-    titles: tuple[tuple[str, Callable[[str], float] | None], ...]
-    names: Names
+    width: int
+    t: int
+    t_per_second: int
+    seq: int | None
+    inputs: int | None
+    joints: Mapping[str, tuple[tuple[int, ...], tuple[float, ...]]]
 
     def line(self, cells: Sequence[str], **entries: object) -> bytes | None:
         """Return a row as a line of a session, with ``entries`` added; None if it is not a reading."""
-        if len(cells) != len(self.titles):
+        if len(cells) != self.width:
             return None
+        joints: dict[str, list[float]] = {}
         try:
-            row = {title: read(cell) for (title, read), cell in zip(self.titles, cells, strict=True) if read}
+            t = _number(cells[self.t])
+            seq, inputs = (None if place is None else _whole(cells[place]) for place in (self.seq, self.inputs))
+            for quantity, (places, scale) in self.joints.items():
+                numbers = [_number(cells[place]) for place in places]
+                if min(numbers) > -MAX_Q and max(numbers) < MAX_Q:
+                    joints[quantity] = list(map(mul, scale, numbers))
         except ValueError:
             return None
-        return self.names.line(row, **entries)
+        if abs(t) >= MAX_TIME or "q" not in joints:
+            return None
+        return format_reading(t / self.t_per_second, seq, joints.pop("q"), **joints, inputs=inputs, **entries)
 
 
 NUMBERED = "{}"  # stands for the number of a joint
@@ -157,27 +170,27 @@ def read_columns(titles: Sequence[str]) -> Columns:
     """Return the columns named by a header. Raises InputError."""
     if len(titles) > MAX_COLUMNS:
         raise InputError(f"{len(titles)} columns; the maximum is {MAX_COLUMNS}")
-    places: dict[tuple[str, int], tuple[str, float]] = {}  # quantity and joint: title and factor
-    for title in titles:
+    places: dict[tuple[str, int], tuple[int, float]] = {}  # quantity and joint: position and factor
+    for position, title in enumerate(titles):
         if title != "note" and not title.startswith("x_"):
             quantity, number, factor = _quantity(title)
             if (quantity, number) in places:
                 raise InputError("given-twice", place=f"column {quoted(title)}", what=f"{quantity}{number or ''}")
-            places[quantity, number] = title, factor
+            places[quantity, number] = position, factor
     if ("t", 0) not in places:
         raise InputError("missing-column", column="t_s", example=EXAMPLE)
-    t_title, t_per_second = places["t", 0]
-    keys: dict[str, Name] = {"t": t_title}
-    scale: dict[str, tuple[float, ...]] = {}
+    t, t_per_second = places["t", 0]
+    seq, inputs = (places.get((name, 0), (None, 1.0))[0] for name in ("seq", "inputs"))
+    joints: dict[str, tuple[tuple[int, ...], tuple[float, ...]]] = {}
     n = sum(name == "q" for name, _ in places)
     for quantity in CONVERTED:
         numbers = sorted(number for name, number in places if name == quantity)
         if numbers not in ([], [*range(1, n + 1)]) or not 1 <= n <= MAX_JOINTS:
             raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}")
         if numbers:
-            keys[quantity], scale[quantity] = zip(*(places[quantity, number] for number in numbers), strict=True)
-    readers = {title: _whole if name in ("seq", "inputs") else _number for (name, _), (title, _) in places.items()}
-    return Columns(tuple((title, readers.get(title)) for title in titles), Names(keys, scale, int(t_per_second)))
+            positions, scale = zip(*(places[quantity, number] for number in numbers), strict=True)
+            joints[quantity] = positions, scale
+    return Columns(len(titles), t, int(t_per_second), seq, inputs, joints)
 
 
 def _quantity(title: str) -> tuple[str, int, float]:
@@ -254,7 +267,7 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
             reading = None if line is None else parse_line(line)
             if line is None or reading is None:
                 raise TableError(
-                    f"{path} row {number}: is not a reading: it needs {len(columns.titles)} numbers, with t not negative"
+                    f"{path} row {number}: is not a reading: it needs {columns.width} numbers, with t not negative"
                 )
             if reading.t < last:
                 raise TableError(
