@@ -116,6 +116,14 @@ def test_export_session_has_every_row_of_the_plan_and_every_pass(folder, said, t
     assert plan["line"][passes["pose"]].tolist() == passes["line"].tolist()
     for title in ("noise_x_m", "noise_y_m", "noise_z_m", "window_s"):
         np.testing.assert_array_equal(passes[title], [one[title] for one in listed])
+    np.testing.assert_array_equal(passes["controller_start_s"], [one["t_robot_s"] for one in listed])
+    np.testing.assert_array_equal(
+        [passes[f"noise_{axis}_m"] for axis in "xyz"], np.transpose([one["noise_m"] for one in listed])
+    )
+    np.testing.assert_array_equal(passes["joint_noise_si"], [max(one["joint_noise"]) for one in listed])
+    assert all(one["joint_error"] >= 0.0 and sum(one["dropped"].values()) == one["points_dropped"] for one in listed)
+    dropped = [", ".join(f"{count} {reason}" for reason, count in one["dropped"].items()) for one in listed]
+    assert passes["dropped"].tolist() == dropped
     assert set(passes["reason"]) == {""}
     assert passes["points"].sum() == rows["kind"].size
     assert (passes["host_start_ns"] < passes["host_end_ns"]).all()

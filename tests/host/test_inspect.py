@@ -70,6 +70,10 @@ def test_json_says_what_was_put_in(stream, tmp_path, run):
     assert values["rate"] == f"{-clock['rate_ppm']:.3f} ppm slower"
     assert said["robot"]["rate_hz"] == pytest.approx(125.0, abs=0.1)
     assert (said["dwells"]["found"], said["dwells"]["observations"], said["dwells"]["rejected"]) == (5, 5, {})
+    for row in said["dwells"]["table"]:
+        assert row["t_robot_s"] == pytest.approx(row["controller_start_s"] - row["settling_s"], abs=1e-9)
+        assert row["used_s"] == row["controller_end_s"] - row["controller_start_s"] > 1.0
+        assert row["length_m"] == row["value_m"] > 0.0
 
 
 def test_a_host_clock_that_stepped_is_said(stream, tmp_path, run):

@@ -161,26 +161,19 @@ def _stream(stream: Mapping[str, Any]) -> tuple[object, ...]:
 
 
 def _dwell(row: Mapping[str, Any]) -> tuple[object, ...]:
-    begin, end, settling = (row[key] for key in ("controller_start_s", "controller_end_s", "settling_s"))
-    times = f"{begin - settling:.1f}", f"{settling:.2f}", f"{0.0 if row['reason'] else end - begin:.2f}"
-    reason = f"{row['reason']}: {row['detail']}" if row["detail"] else row["reason"]
     mounted = " ".join(row[key] for key in BAR_MOUNTED).strip()
+    times = f"{row['t_robot_s']:.1f}", f"{row['settling_s']:.2f}", f"{row['used_s']:.2f}"
+    reason = f"{row['reason']}: {row['detail']}" if row["detail"] else row["reason"]
     return row["dwell"], *times, "-" if row["pose"] is None else row["pose"], one_line(mounted) or "-", one_line(reason)
 
 
 def _pass(row: Mapping[str, Any]) -> tuple[object, ...]:
-    noise = " ".join(_number(row[f"noise_{axis}_m"], ".1f", UM) for axis in "xyz")
+    noise = " ".join(_number(value, ".1f", UM) for value in row["noise_m"])
+    joints = _number(max(row["joint_noise"], default=None), ".1f", URAD)
     direction = {1: ", y increases", -1: ", y decreases"}.get(row["direction"], "")
-    dropped = f"{counted(row['points_dropped'], 'point')} not made: {row['dropped']}" * bool(row["dropped"])
-    figures = f"{row['controller_start_s']:.1f}", _number(row["speed_m_s"], ".1f", MM_S), row["points"], noise
-    joints = _number(row["joint_noise_si"], ".1f", URAD)
-    return (
-        row["pass"],
-        *figures,
-        joints,
-        one_line(row["line"]) + direction,
-        ", ".join(filter(None, (row["reason"], dropped))),
-    )
+    dropped = (f"{counted(count, 'point')} not made: {reason}" for reason, count in row["dropped"].items())
+    figures = f"{row['t_robot_s']:.1f}", _number(row["speed_m_s"], ".1f", MM_S), row["points"], noise, joints
+    return row["pass"], *figures, one_line(row["line"]) + direction, ", ".join(filter(None, (row["reason"], *dropped)))
 
 
 def _number(value: float | None, form: str, scale: Scale = ONE) -> str:

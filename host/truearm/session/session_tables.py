@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
@@ -297,7 +297,7 @@ def pass_columns(passes: Sequence[LinePass]) -> Columns:
         "speed_m_s": _of(passes, "speed"),
         "points": np.array([len(line_pass.xyz) for line_pass in passes], dtype=np.int64),
         "points_dropped": np.array([sum(line_pass.dropped.values()) for line_pass in passes], dtype=np.int64),
-        "dropped": np.array([", ".join(line_pass.dropped) for line_pass in passes], dtype=np.str_),
+        "dropped": np.array([_tally_text(line_pass.dropped) for line_pass in passes], dtype=np.str_),
         "window_s": 2e-9 * _of(passes, "window_ns"),
         "samples": _of(passes, "n_samples", int),
         **{f"noise_{axis}_m": noise[:, k] for k, axis in enumerate("xyz")},
@@ -317,6 +317,10 @@ def rows_of(columns: Columns) -> list[dict[str, Any]]:
 
 def _of(items: Sequence[object], name: str, kind: type = float) -> NDArray[Any]:
     return np.array([getattr(item, name) for item in items], dtype=kind)
+
+
+def _tally_text(tally: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in tally.items())
 
 
 def _poses(items: Sequence[Dwell] | Sequence[LinePass]) -> NDArray[np.int64]:

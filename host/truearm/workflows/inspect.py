@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,8 @@ from truearm.units import NS, PPM
 from truearm.workflows.session_observations import attached_rig, surveyed
 
 if TYPE_CHECKING:
+    from truearm.session.dwells import Dwell
+    from truearm.session.line_passes import LinePass
     from truearm.session.observations import Survey
     from truearm.session.session_file import Messages, Session
     from truearm.types import Ints
@@ -181,7 +183,7 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
         "observations": None,
         "samples_used": None,
         "not_paired": None,
-        "table": rows_of(dwell_columns(survey, survey.dwells)),
+        "table": _dwell_rows(survey, survey.dwells),
     }
     planned = sum(row.move == Move.LINE for row in survey.marks.rows)
     passes: dict[str, Any] = {"planned": planned, "found": None, "rejected": {}, "points": None, "table": []}
@@ -202,15 +204,43 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
         "observations": sum(not dwell.reason for dwell in result.dwells),
         "samples_used": result.samples_used,
         "clock_bound_ns": max(bounds, default=None),
-        "table": rows_of(dwell_columns(survey, result.dwells)),
+        "table": _dwell_rows(survey, result.dwells),
     }
     passes |= {
         "found": len(result.passes),
         "rejected": result.pass_reasons,
         "points": sum(len(line_pass.xyz) for line_pass in result.passes),
-        "table": rows_of(pass_columns(result.passes)),
+        "table": _pass_rows(result.passes),
     }
     return document
+
+
+def _dwell_rows(survey: Survey, dwells: Sequence[Dwell]) -> list[dict[str, Any]]:
+    """Describe every stop with the columns of ``session export``, and where and how long it is used."""
+    return [
+        {
+            **row,
+            "t_robot_s": dwell.stood_s,
+            "used_s": 0.0 if dwell.reason else dwell.end_s - dwell.start_s,
+            "length_m": dwell.value,
+        }
+        for row, dwell in zip(rows_of(dwell_columns(survey, dwells)), dwells, strict=True)
+    ]
+
+
+def _pass_rows(passes: Sequence[LinePass]) -> list[dict[str, Any]]:
+    """Describe every pass with the columns of ``session export``, and by axis, joint and reason."""
+    return [
+        {
+            **row,
+            "t_robot_s": line_pass.leg.start_s,
+            "noise_m": line_pass.noise.tolist(),
+            "joint_noise": line_pass.q_noise.tolist(),
+            "joint_error": line_pass.q_error,
+            "dropped": line_pass.dropped,
+        }
+        for row, line_pass in zip(rows_of(pass_columns(passes)), passes, strict=True)
+    ]
 
 
 def _tally(words: list[str]) -> dict[str, int]:
