@@ -691,7 +691,7 @@ def error_map(
 
 def _joints(name: str, readings: Joints | None, result: Calibration) -> tuple[float, ...] | None:
     """Return the checked joint readings (j,) for the robot of a result."""
-    return None if readings is None else tuple(floats(name, readings, len(result.joint_units)).tolist())
+    return None if readings is None else tuple(floats(name, readings, None).tolist())
 
 
 def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
@@ -708,8 +708,8 @@ def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
 
 
 def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable:
-    joints, mimics = len(robot.chain.joints), robot.chain.mimics
-    value = value.completed(mimics, joints) if value.q.shape[1] == joints - len(mimics) else value
+    joints = len(robot.chain.joints)
+    value = value.completed(robot.chain.mimics, joints) if value.q.shape[1] == len(robot.chain.motors) else value
     if value.q.shape[1] != joints:
         raise InputError("other-robot", place=name, joints=value.q.shape[1], expected=joints)
     if not len(value):

@@ -1,5 +1,7 @@
 """Mimic joints on the path: the readings of other joints move them, and a table has no columns for them."""
 
+import re
+
 import numpy as np
 import pytest
 from tests.host.test_model_urdf import joint, robot, rodrigues
@@ -10,6 +12,7 @@ from truearm.correct.inverse import inverse, singular_value
 from truearm.errors import RobotError
 from truearm.model.chain import end_and_jacobian, forward, joint_jacobian, point_jacobians
 from truearm.model.joint_law import flat
+from truearm.model.rotation import rotation_vector
 from truearm.model.urdf import chain_from_urdf
 
 URDF = robot(
@@ -218,13 +221,14 @@ def test_formats_without_mimic_joints_name_one_that_has_them(palletizer, form):
         truearm.export_robot(result, form)
 
 
-def test_a_plan_of_sockets_has_columns_of_the_motors(palletizer, tmp_path):
-    folder, _ = palletizer
+@pytest.mark.parametrize("turn", [0.0, 2.0 * np.pi], ids=["as it is", "a turn beyond, where only a motor has limits"])
+def test_a_plan_of_sockets_has_columns_of_the_motors(turn, tmp_path):
+    (tmp_path / "arm.urdf").write_text(PALLETIZER.replace("multiplier='-1'", f"multiplier='-1' offset='{turn}'"))
     arguments = [
         "--method",
         "sockets",
         "--model",
-        str(folder / "arm.urdf"),
+        str(tmp_path / "arm.urdf"),
         "--ball-xyz-mm",
         "0,0,0",
         "--table-mm",
@@ -244,3 +248,88 @@ def test_a_plan_of_bars_needs_joints_that_move_by_themselves(palletizer, tmp_pat
     arguments = ["--model", str(folder / "arm.urdf"), "--rig", str(tmp_path / "bars.toml"), "--poses", "20", "--branch"]
     assert main(["plan", "ballbar", *arguments, ",".join(["-60:60"] * 6), "--out", str(tmp_path / "plan.csv")]) == 2
     assert "joint j2b of robot r is a mimic joint" in capsys.readouterr().err
+
+
+def test_readings_of_the_motors_are_completed_wherever_joints_are_read(palletizer, tmp_path, capsys):
+    folder, _ = palletizer
+    model, result = ["--model", str(folder / "arm.urdf")], tmp_path / "result.json"
+    rig = ["--rig", str(folder / "rig.toml"), "--joint-laws", "none"]
+    assert main(["identify", str(folder / "points.csv"), *model, *rig, "--out", str(result)]) == 0
+    x, y, z = 1e3 * palletizer_ball(np.radians([20, 10, 25, 30]), np.zeros(8))
+    home = {4: "20,10,25,30", 6: "20,10,-10,25,-25,30"}
+    corrected = []
+    for count, joints in home.items():
+        headers = {
+            "targets": "x_mm,y_mm,z_mm," + ",".join(f"q{i}_deg" for i in range(1, count + 1)),
+            "poses": "x_mm,y_mm,z_mm",
+        }
+        for name, header in headers.items():
+            table, out = tmp_path / f"{name}{count}.csv", tmp_path / f"{name}{count}_out.csv"
+            table.write_text(f"{header}\n{x},{y},{z}{',' + joints if name == 'targets' else ''}\n")
+            option = ["--home", joints] if name == "poses" else []
+            assert (
+                main(["correct", str(result), str(table), *model, *option, "--margin", "0.001", "--out", str(out)]) == 0
+            )
+            corrected.append(out.read_text().splitlines())
+    assert corrected[0] == corrected[2]
+    assert corrected[1] == corrected[3]
+    assert "q4_deg,before_mm" in corrected[0][0]
+    pages = []
+    for count, joints in home.items():
+        pages.append(tmp_path / f"map{count}.csv")
+        section = ["--at", joints, "--vary", "2,4", "--cell-mm", "100", "--out", str(pages[-1])]
+        assert main(["map", str(result), *model, *section]) == 0, capsys.readouterr().err
+    maps = [page.read_bytes() for page in pages]
+    assert maps[0] == maps[1]
+    plan = tmp_path / "plan.csv"
+    plan.write_text(
+        "pose,shell,bar,chuck,sphere,q1_rad,q2_rad,q3_rad,q4_rad\n0,s,b,c,s,0.1,0.2,0.3,0.4\n1,s,b,c,s,0.4,0.5,0.6,0.7\n"
+    )
+    urdf = ["--format", "urdf", "--over", str(plan), "--out", str(tmp_path / "calibrated.urdf")]
+    assert main(["export", str(result), *model, *urdf]) == 0
+
+
+def test_programs_have_the_joints_of_six_motors(tmp_path):
+    more = LIMITS(-2, 2)
+    wrist = joint("j5", "revolute", "flange", "hand", "0 1 0", "0 0 0.1", more=more)
+    wrist += joint("j6", "revolute", "hand", "plate6", "1 0 0", "0.02 0 0.1", more=more)
+    links = "".join(f"<link name='{name}'/>" for name in ("hand", "plate6"))
+    arm = PALLETIZER.replace('<parent link="flange"/>', '<parent link="plate6"/>')
+    (tmp_path / "arm.urdf").write_text(arm.replace("<joint", links + wrist + "<joint", 1))
+    robot_of_six = truearm.load_robot(tmp_path / "arm.urdf")
+    chain, rng = robot_of_six.chain, np.random.default_rng(4)
+    tolerance = np.array([0.0 if p.term == "gain" else 1e-3 for p in chain.parameters])
+    q = rng.uniform([-2, -0.6, -0.4, -2, 0.3, -1.5], [2, 1.2, 1.2, 2, 1.5, 1.5], (120, 6))
+    true = chain.params_nominal + tolerance * rng.normal(size=tolerance.size)
+    ends = forward(chain, true, chain.completed(q))
+    cells = np.concatenate([q, 1e3 * ends[:, :3, 3], rotation_vector(ends[:, :3, :3])], axis=1)
+    header = (
+        "kind,tracker,target," + ",".join(f"q{i}_rad" for i in range(1, 7)) + ",x_mm,y_mm,z_mm,rx_rad,ry_rad,rz_rad"
+    )
+    lines = ["pose,t,ball," + ",".join(map(repr, row)) for row in cells.tolist()]
+    (tmp_path / "poses.csv").write_text("\n".join([header, *lines, ""]))
+    (tmp_path / "rig.toml").write_text(RIG.replace("\n\n[[target", "\nrotation_sigma_deg = 0.01\n\n[[target"))
+    old = np.array([0.1, 0.3, 0.9, 0.2, 0.7, 0.3])
+    end = robot_of_six.forward(chain.completed(old))
+    six = ",".join(map(repr, [*end[:3, 3].tolist(), *rotation_vector(end[:3, :3]).tolist()]))
+    program = "def p():\n  set_tcp(p[0,0,0,0,0,0])\n  movej([{}], a=1, v=1)\n  movej(p[{}], a=1, v=1)\nend\n"
+    (tmp_path / "p.script").write_text(program.format(",".join(map(repr, old.tolist())), six))
+    files = {
+        name: str(tmp_path / name) for name in ("poses.csv", "arm.urdf", "rig.toml", "r.json", "p.script", "o.script")
+    }
+    model = ["--model", files["arm.urdf"]]
+    options = ["--rig", files["rig.toml"], "--joint-laws", "none", "--out", files["r.json"]]
+    assert main(["identify", files["poses.csv"], *model, *options]) == 0
+    options = ["--joint-moves", "correct", "--flange", "0,0,0,0,0,0", "--margin", "0.001", "--out", files["o.script"]]
+    assert main(["correct", files["r.json"], files["p.script"], *model, *options]) == 0
+    joints, pose = (
+        np.array([float(number) for number in numbers.split(",")])
+        for numbers in re.findall(r"movej\(p?\[(.*)\]", (tmp_path / "o.script").read_text())
+    )
+    # The arm goes by its new joints where the nominal one goes by the old, and the new pose means the same joints.
+    calibration = truearm.read_result(files["r.json"], robot=files["arm.urdf"])
+    new = chain.completed(joints)
+    assert 1e-4 < np.abs(joints - old).max() < 0.1
+    np.testing.assert_allclose(calibration.forward(new), robot_of_six.forward(chain.completed(old)), atol=1e-7)
+    moved = robot_of_six.forward(new)
+    np.testing.assert_allclose(pose, [*moved[:3, 3], *rotation_vector(moved[:3, :3])], atol=1e-7)

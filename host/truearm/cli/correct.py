@@ -93,7 +93,7 @@ def correct(
         raise InputError("needs-option", place="--mark", needed="--partial")
     shown = numbers_of("--home", home)
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
-    home_joints = joints_of("--home", shown, calibration.joint_units)
+    home_joints = joints_of("--home", shown, calibration.chain)
     try:
         done = correct_file(calibration, files, replace(options, near=home_joints, document=json))
     except ProgramRefused as exc:

@@ -63,7 +63,7 @@ def map_(
     varied, shown = _joints_of(vary), numbers_of("--at", at)
     map_task = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
-    stand = joints_of("--at", shown, calibration.joint_units)
+    stand = joints_of("--at", shown, calibration.chain)
     section = Section(varied, stand, MM.to_si(cell_mm), own_frames)
     mapped = map_files(calibration, files, section, map_task)
     findings = map_findings(mapped, section.cell, task, calibration.simulated)

@@ -127,6 +127,7 @@ from truearm.record.robots.sources import sources_help
 from truearm.units import DEG, KG, MM, Scale, from_shown
 
 if TYPE_CHECKING:
+    from truearm.model.chain import Chain
     from truearm.model.poses import Six
     from truearm.model.workspace import Branch
     from truearm.types import Payload
@@ -235,10 +236,13 @@ def spans_of(
     return tuple(scale.to_si(low) for low, _ in spans), tuple(scale.to_si(high) for _, high in spans)
 
 
-def joints_of(option: str, shown: Sequence[float] | None, units: Sequence[str]) -> tuple[float, ...] | None:
-    """Return the joints [rad, m] of an option in deg and mm; ``units`` are those of the joints. Raises InputError."""
+def joints_of(option: str, shown: Sequence[float] | None, chain: Chain) -> tuple[float, ...] | None:
+    """Return the joints [rad, m] of an option in deg and mm; those of mimic joints may be missing. Raises InputError."""
+    from truearm.model.mimic import units_of
+
     if shown is None:
         return None
+    units = units_of(len(shown), chain.joint_units, chain.mimics)
     if len(shown) != len(units) or not all(map(math.isfinite, shown)):
         text = ",".join(f"{value:g}" for value in shown)
         raise InputError(

@@ -22,7 +22,6 @@ from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
 from truearm.correct.renders_methods import false_target, joint_space, offsets
 from truearm.display import Displayed
-from truearm.model.mimic import completed
 from truearm.model.poses import apart
 from truearm.model.rotation import rotation_vector
 from truearm.option_defaults import MARGIN
@@ -173,7 +172,7 @@ def _at(
     singular = np.minimum(*(singular_value(pair.chain, *model, oriented) for model in models))
     problem = [""] * len(q)
 
-    q = completed(q, pair.chain.mimics, q.shape[1])
+    q = pair.chain.completed(q)
 
     def refuse(refused: Any, words: str) -> None:
         for i in np.flatnonzero(refused):

@@ -26,7 +26,6 @@ from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.display import Displayed
 from truearm.errors import Argument, RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
-from truearm.model.mimic import completed
 from truearm.results import MOVES
 from truearm.text import counted
 from truearm.types import Floats, rms
@@ -131,7 +130,7 @@ def error_map(
         point[block] = believed(pair, q_grid[block])[:, :3, 3]
         error[block] = np.linalg.norm(reached(pair, q_grid[block])[:, :3, 3] - point[block], axis=1)
         sigma[block] = _sigma(pair, q_grid[block], covariance, unseen)
-    return ErrorMap(u, v, axes, completed(q_grid, pair.chain.mimics, q.size), point, error, sigma)
+    return ErrorMap(u, v, axes, pair.chain.completed(q_grid), point, error, sigma)
 
 
 def _spread(reach: Callable[[Floats, Floats], Floats], q: Floats, middles: Floats) -> None:

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.model.chain import Chain, end_and_jacobian
-from truearm.model.mimic import completed
 from truearm.model.poses import apart
 from truearm.progress import steps_of
 from truearm.types import Floats
@@ -88,7 +87,7 @@ def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, ori
         error[rows], jac[rows] = _error_and_jacobian(chain, params, targets[rows], q[rows], oriented)
         size[rows] = np.linalg.norm(error[rows], axis=-1)
         moving &= size > REACHED
-    return Inverse(completed(q, chain.mimics, q.shape[1]), size <= REACHED)
+    return Inverse(chain.completed(q), size <= REACHED)
 
 
 def _error_and_jacobian(
@@ -109,9 +108,8 @@ def jacobian(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> 
 
 def singular_value(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
     """Return the smallest singular value (n,) of ``jacobian`` by the joints that move on their own."""
-    moving = [joint for joint in range(len(chain.joints)) if joint not in chain.mimics]
     chunks = [slice(first, first + CHUNK) for first in range(0, max(len(q), 1), CHUNK)]
-    jacs = (jacobian(chain, params, q[rows], oriented)[..., moving] for rows in chunks)
+    jacs = (jacobian(chain, params, q[rows], oriented)[..., chain.motors] for rows in chunks)
     return np.concatenate([np.linalg.svd(jac, compute_uv=False)[:, -1] for jac in jacs])
 
 

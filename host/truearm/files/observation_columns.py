@@ -10,6 +10,7 @@ from typing import NamedTuple
 from truearm.errors import TableError
 from truearm.kinds import registry
 from truearm.kinds.columns import identifiers, is_label, quantities
+from truearm.model.mimic import units_of
 from truearm.schema import quoted
 from truearm.text import page
 from truearm.units import SUFFIXES, named, suffixes
@@ -106,8 +107,7 @@ def joint_columns(
         raise TableError("missing-column", place=name, column="q1_rad")
     if joint_units is None:
         return joints
-    if len(joints) == len(joint_units) - len(mimics):
-        joint_units = [unit for joint, unit in enumerate(joint_units) if joint not in mimics]
+    joint_units = units_of(len(joints), joint_units, mimics)
     if len(joints) != len(joint_units):
         raise TableError("other-robot", place=name, joints=len(joints), expected=len(joint_units))
     for joint, unit in zip(joints, joint_units, strict=True):

@@ -8,7 +8,7 @@ the controller will choose; without them the configuration is searched for. ``na
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from truearm.errors import TableError, TargetError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells
 from truearm.files.disk import read_text
 from truearm.files.observation_columns import Column
+from truearm.model.mimic import NO_MIMICS, Mimic, completed, units_of
 from truearm.model.poses import pose_of
 from truearm.model.rotation import rotation_vector
 from truearm.schema import IDENTIFIER, Key, Number, hint, quoted
@@ -51,35 +52,37 @@ def check_is_table(path: Path, programs: Sequence[str] = ()) -> None:
         raise TargetError(f"{path}: is {expectation if programs else 'no table of targets (.csv)'}; give one of these")
 
 
-def read_targets(path: Path, joint_units: Sequence[str]) -> Targets:
-    """Read a table of targets for a robot with these joints ("rad" or "m").
+def read_targets(path: Path, joint_units: Sequence[str], mimics: Mapping[int, Mimic] = NO_MIMICS) -> Targets:
+    """Read a table of targets for a robot with these joints ("rad" or "m"), with or without its ``mimics``.
 
     Raises TargetError, with row and column if the file is a table.
     """
     check_is_table(path)
     try:
-        return parse_targets(read_text(path, MAX_BYTES, TargetError), str(path), joint_units)
+        return parse_targets(read_text(path, MAX_BYTES, TargetError), str(path), joint_units, mimics)
     except TableError as exc:
         raise TargetError(*exc.args, **exc.values) from exc
 
 
-def parse_targets(text: str, name: str, joint_units: Sequence[str]) -> Targets:
+def parse_targets(text: str, name: str, joint_units: Sequence[str], mimics: Mapping[int, Mimic] = NO_MIMICS) -> Targets:
     """Parse the text of a table of targets; ``name`` stands for the file in messages. Raises TargetError or TableError."""
     header, rows = read_cells(text, name)
     if not rows:
         raise TargetError("no-rows", place=name)
     if len(rows) > MAX_TARGETS:
         raise TargetError(f"{name}: has {len(rows)} targets, the maximum is {MAX_TARGETS}; split it")
-    joints = [Key(f"q{i}", Number(unit)) for i, unit in enumerate(joint_units, start=1)]
+    units = units_of(sum(title.startswith("q") for title in header), joint_units, mimics)
+    joints = [Key(f"q{i}", Number(unit)) for i, unit in enumerate(units, start=1)]
     columns = _columns(header, name, joints)
     xyz = _together(rows, columns, XYZ, name)
     turn = _together(rows, columns, TURN, name)
+    q = _together(rows, columns, joints, name)
     if xyz is None:
         raise TargetError("missing-column", place=name, column="x_mm", example="x_mm,y_mm,z_mm")
     return Targets(
         pose=pose_of(xyz, np.zeros_like(xyz) if turn is None else turn),
         oriented=turn is not None,
-        q_start=_together(rows, columns, joints, name),
+        q_start=None if q is None else completed(q, mimics, len(joint_units)),
         name=identifiers(rows, columns.get("name"), name),
         source=tuple(f"{name} row {row.number}" for row in rows),
     )

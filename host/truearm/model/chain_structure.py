@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from truearm.model.constant_folding import Constants, constants_of, multiplied
-from truearm.model.mimic import Mimic
+from truearm.model.mimic import Mimic, completed
 from truearm.model.transforms import Element
 from truearm.types import Floats, Payload
 
@@ -78,6 +78,15 @@ class Structure:
     def mimics(self) -> dict[int, Mimic]:
         """Return what each mimic joint follows, by its index."""
         return {index: joint.mimic for index, joint in enumerate(self.joints) if joint.mimic is not None}
+
+    @cached_property
+    def motors(self) -> list[int]:
+        """Return the joints that are not mimic joints."""
+        return [index for index, joint in enumerate(self.joints) if joint.mimic is None]
+
+    def completed(self, q: Floats) -> Floats:
+        """Return the readings of all joints (…, j), from those of all joints or of the motors alone."""
+        return completed(q, self.mimics, len(self.joints))
 
     @cached_property
     def limits(self) -> Floats:

@@ -17,7 +17,6 @@ from truearm.model.chain import Chain
 from truearm.model.chain_structure import Parameter
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
-from truearm.model.mimic import completed
 from truearm.model.robot import Robot
 from truearm.types import CurveKnots, Law, Payload, SagMasses
 
@@ -82,7 +81,7 @@ def distal_frames(chain: Chain, joint: int) -> tuple[int, ...]:
         parameters=(*chain.parameters, *_parameters(chain, SagMasses(joint, tuple(range(joint + 1, motions + 1))))),
     )
     rng = np.random.default_rng(0)
-    q = completed(rng.uniform(-np.pi, np.pi, (motions, 64)).T, chain.mimics, motions).T
+    q = chain.completed(rng.uniform(-np.pi, np.pi, (motions, 64)).T).T
     sag = Sag.of_chain(extended)
     # about three directions of gravity, so that none is unlucky for the torque
     frames: list[int] = []

@@ -6,7 +6,7 @@ this reading by its own law, so a robot with mimic joints is an ordinary serial 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,13 @@ class Mimic(NamedTuple):
 
 
 NO_MIMICS: Mapping[int, Mimic] = {}
+
+
+def units_of(n_readings: int, joint_units: Sequence[str], mimics: Collection[int]) -> Sequence[str]:
+    """Return the units of the readings of all joints, or of all that are not mimic joints if there are as many readings."""
+    if n_readings != len(joint_units) - len(mimics):
+        return joint_units
+    return [unit for joint, unit in enumerate(joint_units) if joint not in mimics]
 
 
 def completed(q: Floats, mimics: Mapping[int, Mimic], n_joints: int) -> Floats:

@@ -18,7 +18,6 @@ from scipy.spatial import KDTree
 
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
-from truearm.model.mimic import completed
 from truearm.model.robot import Robot
 from truearm.plan.collision_shapes import Shapes, Sizes, along_joints, clear, make_shapes
 from truearm.plan.socket_block import SocketBlock
@@ -63,7 +62,7 @@ class Site:
 @dataclass(frozen=True)
 class _Arm:
     shapes: Shapes
-    limits: Floats  # (2, j)
+    limits: Floats  # (2, m) of the motors: a mimic joint has none of its own
     ball: Floats  # (3,) in the end frame, m
 
     def p_ball(self, q: Floats) -> Floats:
@@ -84,9 +83,9 @@ class _Arm:
             p, _, jacobian = point_jacobians(self.shapes.chain, self.shapes.params, q, self.ball)
             step = (np.linalg.pinv(jacobian, rcond=1e-3) @ (socket - p)[..., None])[..., 0]
             q = q + np.clip(step, -STEP, STEP)
-        q = completed(q, self.shapes.chain.mimics, q.shape[1])
+        q, motors = self.shapes.chain.completed(q), self.shapes.chain.motors
         usable = (np.linalg.norm(self.p_ball(q) - socket, axis=1) < SEATED) & self.is_clear(q)
-        usable &= np.all((q > lower + MARGIN) & (q < upper - MARGIN), axis=1)
+        usable &= np.all((q[:, motors] > lower + MARGIN) & (q[:, motors] < upper - MARGIN), axis=1)
         q = q[usable]
         q = q[_spread(q, count, min_distance=DIFFERENT)]
         distance = np.abs(q[:, None] - q).max(axis=2)
@@ -103,12 +102,12 @@ def plans_of_sites(
     not reach as many places.
     """
     chain = robot.chain
-    joints = len(chain.joints) - len(chain.mimics)
+    joints = len(chain.motors)
     if joints < MIN_JOINTS:
         raise PlanError(f"robot {chain.name} has {joints} joints; a plan of sockets needs four or more")
     arm = _arm(robot, np.array(ball), block, table)
-    q = np.random.default_rng(0).uniform(arm.limits[0], arm.limits[1], (N_POSTURES, len(chain.joints)))
-    q = completed(q, chain.mimics, len(chain.joints))
+    q = np.random.default_rng(0).uniform(arm.limits[0], arm.limits[1], (N_POSTURES, joints))
+    q = chain.completed(q)
     q = q[arm.is_clear(q)]
     p_ball = arm.p_ball(q)
     distance = np.linalg.norm(p_ball[:, :2], axis=1)
@@ -154,7 +153,7 @@ def _arm(robot: Robot, ball: Floats, block: SocketBlock, table: float) -> _Arm:
         links.radius[-1] = min(link, block.radius)  # it may be the stem
     rig = Rig(spheres={"ball": Point("ball", (float(ball[0]), float(ball[1]), float(ball[2])))})
     sizes = Sizes(link=link, stud=block.radius, table=table, edge=EDGE * length if table > 0.0 else 0.0)
-    return _Arm(make_shapes(chain, params, rig, sizes, links), limits, ball)
+    return _Arm(make_shapes(chain, params, rig, sizes, links), limits[:, chain.motors], ball)
 
 
 def _level(block: SocketBlock, p_ball: Floats, height: float, reach: float) -> Floats:

@@ -321,13 +321,13 @@ def mounting_values(chain: Chain, nominal: Floats, identified: Floats) -> dict[s
 
 
 def check_joints(argument: str, readings: Sequence[float] | None, chain: Chain) -> Floats | None:
-    """Check joint readings (j,) [rad, m] given as an argument; None if it was not given. Raises InputError."""
+    """Return the readings (j,) [rad, m] of an argument, completed and checked; None if it was not given. Raises InputError."""
     if readings is None:
         return None
     q = np.array(readings, dtype=float)
-    if q.shape != (len(chain.joints),) or not np.isfinite(q).all():
+    if q.shape not in ((len(chain.joints),), (len(chain.motors),)) or not np.isfinite(q).all():
         raise InputError(Argument(argument), f": must be {len(chain.joints)} finite numbers, one per joint")
-    largest = largest_readings(chain)
+    q, largest = chain.completed(q), largest_readings(chain)
     lower, upper = chain.limits
     check_within(argument, q[None], chain, np.maximum(lower, -largest), np.minimum(upper, largest))
     return q

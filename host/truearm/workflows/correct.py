@@ -189,15 +189,16 @@ def _corrected(
 
 
 def _correct_table(path: Path, method: HowCorrected, options: CorrectOptions) -> Corrected:
-    units, tool = method.pair.chain.joint_units, frame_of(options.frames[1])
-    targets = read_targets(path, units)
+    chain, tool = method.pair.chain, frame_of(options.frames[1])
+    targets = read_targets(path, chain.joint_units, chain.mimics)
     if not targets.oriented and not np.array_equal(tool, np.eye(4)):
         raise TargetError(
             f"{path}: positions without orientations cannot be moved by ", Argument("tool"), "; give rx, ry, rz too"
         )
     done, commanded = _corrected(method, targets.pose, options, targets.source, targets.q_start, targets.oriented)
     _refuse(done, targets.source)
-    text = format_corrected(targets, commanded, done.q, done.before, done.after, units, method.simulated)
+    q, units = done.q[:, chain.motors], [chain.joint_units[joint] for joint in chain.motors]
+    text = format_corrected(targets, commanded, q, done.before, done.after, units, method.simulated)
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)

@@ -125,6 +125,7 @@ class Solution:
     ``rows``: the first visit of each goal. ``requested`` and ``commanded`` (n, 4, 4): the tools' poses in the goals' frames; for
     joint readings, those of the end in the base. ``tools`` (n, 4, 4): in the end frame. ``quarters`` (n, 6): quarter
     turns that a goal asks for, NaN if it asks for none. ``determined`` (n,): the program determines the configuration.
+    ``motors``: the joints of the chain that a program's six joints are.
     """
 
     visits: Sequence[Visit]
@@ -136,6 +137,7 @@ class Solution:
     tools: Floats
     quarters: Floats
     determined: NDArray[np.bool_]
+    motors: Sequence[int]
 
     @property
     def wanted(self) -> dict[Goal, Floats]:
@@ -145,7 +147,8 @@ class Solution:
     @property
     def joints(self) -> dict[Goal, Joints]:
         """The joint readings of each goal before and after the correction."""
-        return {goal: Joints(self.correction.q_nominal[row], self.correction.q[row]) for goal, row in self.rows.items()}
+        q_nominal, q = (q[:, self.motors] for q in (self.correction.q_nominal, self.correction.q))
+        return {goal: Joints(q_nominal[row], q[row]) for goal, row in self.rows.items()}
 
 
 @uncollected()
@@ -187,7 +190,7 @@ def correct_program(
     posed, tools = rows < solution.n_poses, solution.tools[rows]
     correction = at_tools(method.pair, _selected(solution.correction, rows), tools)
     lines = [label.removeprefix("line ") for label, is_pose in zip(labels, posed, strict=True) if is_pose]
-    columns = (solution.correction.q_nominal, solution.quarters, solution.determined)
+    columns = (solution.correction.q_nominal[:, solution.motors], solution.quarters, solution.determined)
     q, quarters, determined = (column[rows[posed]] for column in columns)
     return Corrected(
         CorrectedTargets(tuple(labels), ~posed, solution.requested[rows], solution.commanded[rows], tools, correction),
@@ -227,9 +230,8 @@ def _check_moves(title: str, programs: Sequence[Program], pair: ModelPair, optio
     moves = [(program, move) for program in programs for move in program.moves]
     if not moves:
         raise InputError("no-move", place=title)
-    joints = len(pair.chain.joints) - len(pair.chain.mimics)
-    if joints != N_JOINTS:
-        raise InputError("redundant", place=title, joints=joints)
+    if len(pair.chain.motors) != N_JOINTS:
+        raise InputError("redundant", place=title, joints=len(pair.chain.motors))
     to_joints = (pair for pair in moves if any(goal.is_joints for goal in pair[1].goals))
     lines = list(dict.fromkeys(program.where(move.place) for program, move in to_joints))
     if lines and options.joint_moves is None:
@@ -292,12 +294,12 @@ def _rows_of(values: Sequence[Sequence[float] | Floats], *shape: int) -> Floats:
 
 def _solution(visits: Sequence[Visit], method: HowCorrected, frames: tuple[Frame, Frame]) -> Solution:
     """Correct all visits: poses nearest to where the robot comes from, joint readings near themselves."""
-    goals, pair = [visit.goal for visit in visits], method.pair
+    goals, pair, chain = [visit.goal for visit in visits], method.pair, method.pair.chain
     rows: dict[Goal, int] = {}
     for row, goal in enumerate(goals):
         rows.setdefault(goal, row)
     n = sum(not goal.is_joints for goal in goals)
-    hints = _rows_of([_near(goal) for goal in goals], N_JOINTS)
+    hints = chain.completed(_rows_of([_near(goal) for goal in goals], N_JOINTS))
     base, tools = np.tile(np.eye(4), (2, len(goals), 1, 1))
     base[:n] = frames[0].pose @ _rows_of([goal.frame for goal in goals[:n]], 4, 4)
     tools[:n] = frames[1].pose @ _rows_of([goal.tool for goal in goals[:n]], 4, 4)
@@ -305,23 +307,28 @@ def _solution(visits: Sequence[Visit], method: HowCorrected, frames: tuple[Frame
     ends = base @ requested @ inverted(tools)
     quarters = np.full((len(goals), N_JOINTS), np.nan)
     quarters[:, CONFIGURED] = _rows_of([goal.quarters or (np.nan,) * 3 for goal in goals], 3)
+    quadrants = np.full(hints.shape, np.nan)
+    quadrants[:, chain.motors] = quarters
     direct: NDArray[np.bool_] = np.asarray(np.isfinite(hints).all(axis=1))
-    q = inverse(pair.chain, pair.nominal, ends[direct], hints[direct]).q
+    q = inverse(chain, pair.nominal, ends[direct], hints[direct]).q
     direct[direct] = np.abs(q - hints[direct]).max(axis=1, initial=0.0) < NEAR
     corrections = [method.correct(ends[direct], Configuration(q_start=hints[direct]))]
     if not direct.all():
         number = np.where(direct, -1, np.cumsum(~direct) - 1)  # of a search
         origins = [visit.origin for visit, is_direct in zip(visits, direct, strict=True) if not is_direct]
         origin_rows = np.array([-1 if origin not in rows else number[rows[origin]] for origin in origins])
-        q_origin = np.where(np.isnan(hints[~direct]), _rows_of([_near(o) for o in origins], N_JOINTS), hints[~direct])
-        searching = Configuration(home=method.home, quadrants=quarters[~direct], origins=Origins(origin_rows, q_origin))
+        q_origin = chain.completed(_rows_of([_near(origin) for origin in origins], N_JOINTS))
+        q_origin = np.where(np.isnan(hints[~direct]), q_origin, hints[~direct])
+        searching = Configuration(
+            home=method.home, quadrants=quadrants[~direct], origins=Origins(origin_rows, q_origin)
+        )
         corrections.append(method.correct(ends[~direct], searching))
     correction = _selected(joined(corrections), np.argsort(np.argsort(~direct, kind="stable")))
     commanded = inverted(base) @ correction.commanded @ tools
     determined = np.isfinite(hints).any(axis=1) | np.array([visit.origin is not None for visit in visits], dtype=bool)
     searched = np.flatnonzero(~determined)
-    determined[searched] = ~several_fit(pair.chain, pair.nominal, ends[searched], quarters[searched])
-    return Solution(visits, n, rows, correction, requested, commanded, tools, quarters, determined)
+    determined[searched] = ~several_fit(chain, pair.nominal, ends[searched], quadrants[searched])
+    return Solution(visits, n, rows, correction, requested, commanded, tools, quarters, determined, chain.motors)
 
 
 def _settle(censuses: Sequence[Census], solution: Solution, method: HowCorrected) -> None:
@@ -348,7 +355,8 @@ def _reason(row: int, visit: Visit, language: str, solution: Solution, has_home:
         and np.abs(apart(solution.commanded[first][None], solution.commanded[row][None])).max() > SAME_TARGET
     ):
         return Reason("other-configuration")
-    if not _turns_fit(visit, language, solution.correction.q_nominal[row], solution.correction.q[row]):
+    q_nominal, q = (q[row, solution.motors] for q in (solution.correction.q_nominal, solution.correction.q))
+    if not _turns_fit(visit, language, q_nominal, q):
         return Reason("turns")
     return None
 
@@ -389,9 +397,11 @@ def _straight_moves(pair: ModelPair, programs: Sequence[Program], solution: Solu
     if not moves or len(moves) > MOST_MOVES:
         return CorrectedMoves(unchecked=len(straight))
     rows = [row for row, *_ in moves]
-    q = {goal: solution.correction.q[row] for goal, row in solution.rows.items()}
+    q = {goal: joints.after for goal, joints in solution.joints.items()}
     starts = np.array([q[origin] if origin in q else readings_of(origin.target.literal) for *_, origin in moves])
-    simulated = straight_moves(pair, starts, solution.correction.commanded[rows], solution.tools[rows])
+    simulated = straight_moves(
+        pair, pair.chain.completed(starts), solution.correction.commanded[rows], solution.tools[rows]
+    )
     ends = tuple(_label(programs, number, move.place) for _, number, move, _ in moves)
     begins = tuple(_label(programs, number, origin.target.literal.place) for _, number, _, origin in moves)
     return CorrectedMoves(ends, begins, simulated, len(straight) - len(moves))

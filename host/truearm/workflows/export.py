@@ -245,6 +245,6 @@ def _poses_of(path: Path, chain: Chain) -> Floats:
     """Return the poses (n, j) of a table or a plan. Raises InputError."""
     is_plan = read_text(path, MAX_BYTES, InputError).lstrip().startswith("pose,")
     q = read_plan(path).q if is_plan else read_table(path, chain.joint_units, chain.mimics).q
-    if q.shape[1] != len(chain.joints):
+    if q.shape[1] not in (len(chain.joints), len(chain.motors)):
         raise InputError("other-robot", place=path, joints=q.shape[1], expected=len(chain.joints))
-    return q
+    return chain.completed(q)

@@ -248,7 +248,7 @@ def _read_session(
     table = result.table
     if chain is not None and len(table):
         expected = len(chain.joints)
-        if table.q.shape[1] not in (expected, expected - len(chain.mimics)):
+        if table.q.shape[1] not in (expected, len(chain.motors)):
             raise InputError("other-robot", place=path, joints=table.q.shape[1], expected=expected)
         table = table.completed(chain.mimics, expected)
     labels = read_labels(path) is not None

@@ -18,7 +18,6 @@ from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, Words, mountings
 from truearm.files.labels_file import labels_path, write_labels
 from truearm.live.session_progress import check_mounted
-from truearm.model.mimic import completed
 from truearm.progress import step
 from truearm.session.plan_matching import Pairing, distances, match_plan, pairing_of
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
@@ -173,8 +172,8 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
 
 def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances:
     """Return the probability of what was mounted at each stop, by all evidence. Raises InputError."""
-    dwells, n_joints, mimics = [stop.dwell for stop in stops], len(robot.chain.joints), robot.chain.mimics
-    for joints in {dwell.q.size for dwell in dwells} - {n_joints, n_joints - len(mimics)}:
+    dwells, n_joints = [stop.dwell for stop in stops], len(robot.chain.joints)
+    for joints in {dwell.q.size for dwell in dwells} - {n_joints, len(robot.chain.motors)}:
         raise InputError("other-robot", place="session", joints=joints, expected=n_joints)
     extension, beyond = np.full(len(dwells), np.nan), np.zeros(len(dwells), dtype=bool)
     for i, dwell in enumerate(dwells):
@@ -183,7 +182,7 @@ def chances_of(robot: Robot, rig: Rig, stops: Sequence[Stop]) -> MountingChances
             extension[i] = (dwell.value - bar.zero) / bar.gain
         beyond[i] = dwell.reason == "out of travel" or (dwell.reason == "rail" and "fault" not in dwell.detail)
     words = Words([stop.planned for stop in stops], [stop.typed for stop in stops])
-    readings = Readings(completed(np.array([dwell.q for dwell in dwells]), mimics, n_joints), extension, beyond)
+    readings = Readings(robot.chain.completed(np.array([dwell.q for dwell in dwells])), extension, beyond)
     return mountings(robot.chain, rig, readings, words, robot.free)
 
 

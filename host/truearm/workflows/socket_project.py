@@ -104,7 +104,7 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
         raise PlanError(
             f"{len(seated)} seats at {len(sites)} places do not determine the arm; plan more seats or places"
         )
-    moving = [joint for joint in range(len(robot.chain.joints)) if joint not in robot.chain.mimics]
+    moving = robot.chain.motors
     units = [DEG if robot.chain.joints[joint].kind == "revolute" else MM for joint in moving]
     joints = [f"q{i}_{'deg' if unit is DEG else 'mm'}" for i, unit in enumerate(units, start=1)]
     plan: list[list[object]] = [["seat", "place", "socket", "ball_x_mm", "ball_y_mm", "ball_z_mm", *joints]]
