@@ -338,8 +338,9 @@ def test_errors_of_poses_of_earlier_results_have_todays_names() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c["matrix"].pop(), "covariance.matrix: needs"),
-        (lambda c: c["matrix"][0].pop(), "covariance.matrix: needs"),
+        (lambda c: c["matrix"].pop(), "covariance: needs"),
+        (lambda c: c["matrix"][0].pop(), "covariance: needs"),
+        (lambda c: c["units"].pop(), "covariance: needs 18 units and 18 rows of 18 numbers"),
         (lambda c: c["matrix"][0].__setitem__(0, "1"), "covariance.matrix[0][0]: expected float | null, got str"),
         (lambda c: c.pop("matrix"), "covariance: object missing required field matrix"),
     ],

@@ -352,8 +352,8 @@ def _converted(document: dict[str, Any]) -> dict[str, Any]:
 def _of_version_4(document: dict[str, Any]) -> dict[str, Any]:
     covariance = msgspec.convert(document, _EarlierResult).covariance
     n = len(covariance.names)
-    if [len(row) for row in covariance.matrix] != [n] * n:
-        raise msgspec.ValidationError(f"needs {n} rows of {n} numbers, one per name - at `$.covariance.matrix`")
+    if [len(covariance.units), *map(len, covariance.matrix)] != [n] * (n + 1):
+        raise msgspec.ValidationError(f"needs {n} units and {n} rows of {n} numbers, one per name - at `$.covariance`")
     packed = Covariance.of(covariance.names, covariance.units, np.array(covariance.matrix, dtype=float).reshape(n, n))
     is_converged = document.get("status") == "converged"
     verdict = {"usable": is_converged, "unusable_because": None if is_converged else Unusable.NOT_CONVERGED}
