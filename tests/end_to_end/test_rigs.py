@@ -112,4 +112,4 @@ def test_names_that_fit_nothing_are_told(days, tmp_path):
         "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere\n"
         "ball_bar,0,0,0,0,0,0,460,bar46,c1,s1\n"
     )
-    assert "t.csv row 2 names rig '' in its column rig, which is none of monday, tuesday" in told(days, table)
+    assert told(days, table).rstrip().endswith("t.csv row 2 names no rig in its column rig")

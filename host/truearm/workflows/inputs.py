@@ -174,10 +174,9 @@ def completed_rigs(rigs: Rigs, table: ObservationTable) -> Rigs:
         return _completed(rigs, table)
     for name, source in zip(table.rig.tolist(), table.source, strict=True):
         if name not in rigs:
-            text = (
-                f": {source} names rig {name!r} in its column rig, which is none of {', '.join(sorted(rigs)) or 'them'}"
-            )
-            raise InputError(Argument("rig"), text)
+            names = ", ".join(sorted(rigs)) or "them"
+            wrong = f"rig {name!r} in its column rig, which is none of {names}" if name else "no rig in its column rig"
+            raise InputError(Argument("rig"), f": {source} names {wrong}")
     return {name: _completed(rig, table.select(table.rig == name)) for name, rig in rigs.items()}
 
 
