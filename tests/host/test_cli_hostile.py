@@ -266,7 +266,7 @@ OPTIONS = {
     f"{CORRECT} --model ur5e": "robot ur5e",
     f"{CORRECT} --method magic": "magic",
     f"{CORRECT} --mark": "--mark needs --partial",
-    CORRECT.replace("new.csv", "-"): "wrong-suffix",
+    CORRECT.replace("new.csv", "-"): "--out - is not a file",
     CORRECT.replace(
         "targets.csv", "targets.urdf"
     ): ".mod, .prg, .modx, .sys, .sysx, .script, .urscript, .src, .dat, .sub, .ls",

@@ -86,7 +86,8 @@ class ProjectCommand(TyperCommand):
                 if isinstance(value, float) and not math.isfinite(value):
                     raise InputError(f"{parameter.opts[0]} must be a finite number, is {value}")
                 if value in ("-", Path("-")) and parameter.type.name == "path":
-                    raise InputError("wrong-suffix", place=parameter.opts[0], stream=True)
+                    option = parameter.opts[0] if parameter.opts[0].startswith("-") else ""
+                    raise InputError(f"{option} - is not a file; give its path".lstrip())
                 if parameter.name in TAKES and isinstance(value, str | Path):
                     _check_kind(parameter.name, value, self.params)
         project_words = [
