@@ -1,6 +1,6 @@
 """Plan files: CSV with one row per pose or line, in the order of the visits (docs/reference/table-format.md).
 
-The columns are the fields of ``_Visit`` and ``q1_rad … qj_rad``. Written are ``pose, shell, bar, chuck, sphere``; in
+The columns are ``COLUMNS`` and ``q1_rad … qj_rad``, in any order. Written are ``pose, shell, bar, chuck, sphere``; in
 plans that contain more than dwells, ``move, line, target, speed_mm_s``; ``robot``, if the plan was made for one.
 ``pose`` counts from 0. The recorder stores the plan in the session. Later a dwell is recognised by the planned joint
 vector near it, and a line by the planned joint vectors between which it was driven.
@@ -12,51 +12,23 @@ import csv
 import io
 import math
 from pathlib import Path
-from typing import Annotated
 
-import msgspec
 import numpy as np
-from msgspec import Meta, Struct
 
 from truearm.errors import Argument, PlanError, TableError
-from truearm.files.csv_cells import numbers, read_cells
+from truearm.files.csv_cells import identifiers, numbers, read_cells
 from truearm.files.disk import read_text, write_atomic
 from truearm.files.observation_columns import Column
 from truearm.model.robot_tables import MAX_JOINTS
-from truearm.schema import NAME
+from truearm.schema import quoted
 from truearm.types import BAR_MOUNTED, Move, Plan, Rig
 from truearm.units import MM_S, UNITS
 
 MAX_BYTES = 16 * 2**20
-FASTEST = 10.0  # m/s; a higher speed was written in another unit
-HEADER = "pose,shell,bar,chuck,sphere,q1_rad,..., for lines with move,line,target,speed_mm_s before the joints"
-
-Name = Annotated[str, Meta(pattern=rf"^(?:{NAME.pattern})\Z")]
-
-
-class _Visit(Struct, frozen=True, forbid_unknown_fields=True):
-    """A row without its joints; an empty cell has the default."""
-
-    pose: int
-    shell: Name = ""
-    bar: Name = ""
-    chuck: Name = ""
-    sphere: Name = ""
-    move: Move = Move.DWELL
-    line: Name = ""
-    target: Name = ""
-    speed_mm_s: Annotated[float, Meta(gt=0.0, le=MM_S.of(FASTEST))] = math.nan
-    robot: Annotated[str, Meta(max_length=100)] = ""
-
-    def __post_init__(self) -> None:
-        n_mounted, has_speed = sum(bool(getattr(self, name)) for name in BAR_MOUNTED), not math.isnan(self.speed_mm_s)
-        if self.move == Move.LINE:
-            if n_mounted or not self.line or not has_speed:
-                raise ValueError("a line needs line and speed_mm_s, and no bar, chuck or sphere")
-        elif self.line or self.target or has_speed:
-            raise ValueError("only lines have line, target or speed_mm_s; leave them empty")
-        elif n_mounted not in (0, 3) or (self.move == Move.DWELL and not n_mounted):
-            raise ValueError("needs bar, chuck and sphere" + ", or none of them" * (self.move == Move.VIA))
+SLOWEST, FASTEST = 1e-12, 10.0  # m/s; a higher speed was written in another unit
+MAX_ROBOT = 100  # characters of a robot's name
+MOTION = ("line", "target", "speed_mm_s")
+COLUMNS = ("pose", *Plan.IDS, "move", *MOTION, "robot")
 
 
 def concatenate(*plans: Plan) -> Plan:
@@ -78,43 +50,68 @@ def parse_plan(text: str, name: str) -> Plan:
     """Parse the text of a plan; ``name`` stands for the file in messages. See ``read_plan``."""
     try:
         header, rows = read_cells(text, name)
-        joints = [Column(title, i, "rad") for i, title in enumerate(header) if title.startswith("q")]
-        names = [joint.name for joint in joints]
-        if names != _joints(len(names)) or not 0 < len(names) <= MAX_JOINTS or len({*header}) < len(header):
-            raise PlanError(
-                f"{name} row 1: needs the columns q1_rad to at most q{MAX_JOINTS}_rad, and none twice; write {HEADER}"
-            )
+        joints = _check_header(header, name)
         if not rows:
             raise PlanError("no-rows", place=name)
-        q = np.stack([numbers(rows, joint, name, UNITS["rad"].largest, required=True) for joint in joints], axis=1)
+        units = {**dict.fromkeys(joints, "rad"), "speed_mm_s": MM_S.suffix}
+        columns = {title: Column(title, i, units.get(title, "")) for i, title in enumerate(header)}
+        q = np.stack([numbers(rows, columns[j], name, UNITS["rad"].largest, required=True) for j in joints], axis=1)
+        ids = {title: identifiers(rows, columns.get(title), name) for title in (*Plan.IDS, *MOTION[:2])}
+        speed = numbers(rows, columns.get("speed_mm_s"), name, FASTEST, SLOWEST)
     except TableError as exc:
         raise PlanError(*exc.args, **exc.values) from exc
-    titles = {title: i for i, title in enumerate(header) if not title.startswith("q")}
-    visits = [_visit({title: row.cells[i] for title, i in titles.items()}, f"{name} row {row.number}") for row in rows]
-    for number, visit in enumerate(visits):
-        if visit.pose != number:
-            raise PlanError(
-                f"{name}: pose {visit.pose} is in the place of pose {number}; number them from 0 without gaps"
-            )
-    if visits[0].move == Move.LINE:
-        raise PlanError(f"{name} row {rows[0].number}: a line starts at the pose of the row before it; add that row")
-    columns = {title: np.array([getattr(visit, title) for visit in visits]) for title in _Visit.__struct_fields__[1:]}
-    speed = MM_S.to_si(columns.pop("speed_mm_s"))
-    if (columns["move"] == Move.VIA).all():
+    visits = [dict.fromkeys(COLUMNS, "") | dict(zip(header, row.cells, strict=True)) for row in rows]
+    for pose, (visit, row) in enumerate(zip(visits, rows, strict=True)):
+        _check_visit(visit, pose, f"{name} row {row.number}")
+    move = np.array([visit["move"] or Move.DWELL.value for visit in visits])
+    if (move == Move.VIA).all():
         raise PlanError(
             f"{name}: has nothing to measure, only poses to pass through; add poses with bar, chuck and sphere, or a line"
         )
-    return Plan(q, **columns, speed=speed)
+    return Plan(q, **ids, move=move, speed=speed, robot=np.array([visit["robot"] for visit in visits]))
 
 
-def _visit(cells: dict[str, str], place: str) -> _Visit:
-    """Return a row from its cells by title. Raises PlanError."""
-    try:
-        return msgspec.convert({title: cell for title, cell in cells.items() if cell}, _Visit, strict=False)
-    except msgspec.ValidationError as exc:
-        reason, _, column = str(exc).replace("`", "").partition(" - at $.")
-        prefix = f"{place} column {column}: {cells[column][:40]!r}: " if column else f"{place}: "
-        raise PlanError(f"{prefix}{reason[0].lower()}{reason[1:]}; the columns are {HEADER}") from exc
+def _check_header(header: list[str], name: str) -> list[str]:
+    """Return the titles of the joints, from the first on. Raises PlanError."""
+    joints = [title for title in _joints(MAX_JOINTS) if title in header]
+    for i, title in enumerate(header):
+        place = f"{name} column {i + 1} ({quoted(title)})"
+        if title not in (*COLUMNS, *joints):
+            remedy = f"the columns are {', '.join(COLUMNS)} and q1_rad to at most q{MAX_JOINTS}_rad"
+            raise PlanError("unknown-column", place=place, remedy=remedy)
+        if title in header[:i]:
+            raise PlanError("given-twice", place=place, what="it")
+    for title in ("pose", *_joints(len(joints) or 1)):
+        if title not in header:
+            example = ",".join(("pose", *Plan.IDS, "q1_rad,..."))
+            raise PlanError("missing-column", place=name, column=title, example=example)
+    return joints
+
+
+def _check_visit(visit: dict[str, str], pose: int, place: str) -> None:
+    """Raise PlanError if the cells of a row, by column, are not those of ``pose``, or do not fit its move."""
+    if visit["pose"] != str(pose):
+        text = f"{quoted(visit['pose'])}, expected {pose}; rows are numbered from 0 without gaps"
+        raise PlanError(f"{place} column pose: {text}")
+    if len(visit["robot"]) > MAX_ROBOT:
+        raise PlanError(f"{place} column robot: has more than {MAX_ROBOT} characters; give the robot's name")
+    move = visit["move"] or Move.DWELL.value
+    if move not in tuple(Move):
+        raise PlanError("wrong-value", place=f"{place} column move", value=move[:40], names=list(Move))
+    mounted = [title for title in BAR_MOUNTED if visit[title]]
+    needed: tuple[str, ...] = BAR_MOUNTED if mounted or move == Move.DWELL else ()
+    foreign, reason = [title for title in MOTION if visit[title]], "only lines have this value"
+    if move == Move.LINE:
+        if pose == 0:
+            raise PlanError(f"{place}: a line starts at the pose of the row before it; add that row")
+        needed, foreign, reason = ("line", "speed_mm_s"), mounted, "no bar is mounted on a line"
+    if missing := [title for title in needed if not visit[title]]:
+        remedy = f"every {move} needs {' and '.join(needed)}"
+        if move == Move.VIA:
+            remedy = "name bar, chuck and sphere, or none of them"
+        raise PlanError(f"{place}: has no {' and '.join(missing)}; {remedy}")
+    if foreign:
+        raise PlanError(f"{place} column {foreign[0]}: {reason}; leave it empty")
 
 
 def _joints(n_joints: int) -> list[str]:
