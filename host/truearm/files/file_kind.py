@@ -22,6 +22,7 @@ class FileKind(NamedTuple):
 
 
 RIG_KEYS = rb"^(\[\[?(bar|chuck|sphere|socket|target|tracker|line)\b|\w+_sigma_(m|mm|rad|deg)\s*=)"
+PLAN_HEADER = rb'\A[\xef\xbb\xbf\s]*+(?!.*\bkind\b)([\w" ]*,)*[" ]*pose[" ]*[,\r\n]'  # its columns stand in any order
 KINDS = {
     "session": FileKind("a session (.mcap)", (".mcap",), rb"\A\x89MCAP"),
     "result": FileKind("a result (result.json)", (".json",), rb'\A\s*\{\s*"format":\s*"truearm-result"'),
@@ -30,7 +31,7 @@ KINDS = {
     "robot": FileKind("a robot (.toml or .urdf)", (), rb"<robot\b|^convention\s*="),
     "exported": FileKind("a robot for another program", (), rb"written by truearm export"),
     "noise": FileKind("a noise file (.toml)", (".toml",), rb"\A# noise of a robot"),
-    "plan": FileKind("a plan (plan.csv)", (".csv",), rb"\Apose,"),
+    "plan": FileKind("a plan (plan.csv)", (".csv",), PLAN_HEADER),
     "program": FileKind("a program", (), rb"\A(pose,|def truearm_|MODULE truearm_)"),
     "map": FileKind("a map (.csv)", (".csv",), rb"\Au_mm,v_mm"),
     "fleet": FileKind("a table of arms (.csv)", (".csv",), rb"\Aarm,robot,serial"),

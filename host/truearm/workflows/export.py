@@ -14,6 +14,7 @@ from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
 from truearm.export.writing import FormatFit, RobotToWrite, fit_to, held, written
 from truearm.files.disk import check_outputs, check_writable, read_text, write_atomic
+from truearm.files.file_kind import HEAD, KINDS
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES
@@ -243,7 +244,7 @@ def _anywhere(calibration: Calibration) -> Floats:
 
 def _poses_of(path: Path, chain: Chain) -> Floats:
     """Return the poses (n, j) of a table or a plan. Raises InputError."""
-    is_plan = read_text(path, MAX_BYTES, InputError).lstrip().startswith("pose,")
+    is_plan = KINDS["plan"].fits(read_text(path, MAX_BYTES, InputError)[:HEAD].encode())
     q = read_plan(path).q if is_plan else read_table(path, chain.joint_units, chain.mimics).q
     if q.shape[1] not in (len(chain.joints), len(chain.motors)):
         raise InputError("other-robot", place=path, joints=q.shape[1], expected=len(chain.joints))
