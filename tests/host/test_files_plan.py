@@ -1,7 +1,5 @@
 """Plan files are read back as written, and errors in them are named."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from tests.refusals import refused
 
+from truearm.api import load_robot
 from truearm.errors import PlanError
 from truearm.files.file_kind import kind_of
 from truearm.files.plan_file import check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
@@ -54,16 +53,15 @@ def test_a_plan_by_hand():
 @pytest.mark.parametrize("text", [GOOD, MOVING])
 def test_columns_stand_in_any_order(text, tmp_path):
     """A plan is recognised by its column pose: as --over of export, and as a file of another kind than expected."""
-    rows = [line.split(",")[::-1] for line in text.splitlines()]
-    (tmp_path / "plan.csv").write_text("\n".join(map(",".join, rows)) + "\n")
-    assert_same(read_plan(tmp_path / "plan.csv"), parse_plan(text, "plan.csv"))
-    assert kind_of(tmp_path / "plan.csv") == "plan"
-    np.testing.assert_array_equal(
-        _poses_of(tmp_path / "plan.csv", SimpleNamespace(joints="12", joint_units=(), mimics=())),
-        read_plan(tmp_path / "plan.csv").q,
-    )
-    (tmp_path / "plan.csv").write_text("pose,kind,q1_rad\n0,seat,0.1\n")
-    assert kind_of(tmp_path / "plan.csv") != "plan"
+    path, chain = tmp_path / "plan.csv", load_robot("puma560").chain
+    header, *rows = text.splitlines()
+    text = "\n".join([f"{header},q3_rad,q4_rad,q5_rad,q6_rad", *(f"{row},0.1,0.2,0.3,0.4" for row in rows)])
+    path.write_text("\n".join(",".join(line.split(",")[::-1]) for line in text.splitlines()))
+    assert_same(read_plan(path), parse_plan(text, "plan.csv"))
+    assert kind_of(path) == "plan"
+    np.testing.assert_array_equal(_poses_of(path, chain), read_plan(path).q)
+    path.write_text("pose,kind,q1_rad\n0,seat,0.1\n")
+    assert kind_of(path) != "plan"
 
 
 @given(arrays(float, st.tuples(st.integers(1, 5), st.integers(1, 7)), elements=st.floats(-60.0, 60.0)))
