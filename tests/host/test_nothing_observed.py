@@ -10,7 +10,7 @@ from test_relabel import ROBOT, plan, recorded, right
 from truearm.cli.main import main
 from truearm.record.recover import recover
 from truearm.session.session_file import open_session
-from truearm.workflows import inputs
+from truearm.workflows import relabel
 from truearm.workflows.session_observations import nothing_observed
 from truearm.workflows.session_parts import SETUP, recorded_model
 
@@ -39,7 +39,7 @@ def test_a_confirmed_pairing_that_the_plan_never_needs(tmp_path, plan, capsys):
 def test_labels_that_the_readings_do_not_support(tmp_path, plan, capsys, monkeypatch):
     path = tmp_path / "s.mcap"
     recorded(path, plan, right(plan))
-    monkeypatch.setattr(inputs, "borne_out_rows", lambda robot, rig, result: np.zeros(len(result.table), dtype=bool))
+    monkeypatch.setattr(relabel, "borne_out_rows", lambda robot, rig, result: np.zeros(len(result.table), dtype=bool))
     error = identified(path, capsys)
     assert "40 dwells (40 doubtful)" in error
     assert f"truearm session relabel {path}" in error
@@ -54,7 +54,7 @@ def test_a_session_of_another_robot(tmp_path, plan, capsys, monkeypatch):
     assert recorded_model(path) == "irb120"
     assert main(["identify", str(path), "--model", ROBOT.chain.name, "--out", str(tmp_path / "fits.json")]) != 2
     capsys.readouterr()
-    monkeypatch.setattr(inputs, "borne_out_rows", lambda robot, rig, result: np.arange(len(result.table)) < 3)
+    monkeypatch.setattr(relabel, "borne_out_rows", lambda robot, rig, result: np.arange(len(result.table)) < 3)
     error = identified(path, capsys)
     assert all(word in error for word in (f"{path}: ", "irb120", "37", "40", ROBOT.chain.name))
     assert "relabel" not in error

@@ -26,7 +26,7 @@ GROWTH = 3e-4  # relative: an arm of 0.5 m that warms by 15 K
 MOVED_SHARE = 1e-3  # of its last move, by which a joint that has not settled is off
 LAST_MOVE = {"backlash": DriftWith.DIRECTION, "settling": DriftWith.MOVE}  # forms of what follows a joint's last move
 LEAST_ROWS = 4  # in a span, and before it
-KNOTS = 25  # rows at which a run may begin or end; the best is refined row by row
+KNOTS = 23  # rows at which a run may begin or end; the best is refined row by row
 STEPS = 60  # rows at which a step may begin
 OWN_EDGE = 8  # rows
 LEAST_WARMING = 0.2  # K
@@ -106,9 +106,6 @@ class Catalogue:
         self.hypotheses: list[Hypothesis] = []
         self.always = Candidates(np.ones((1, fit.n)), np.array([[0, fit.n]]))
         self.drifts = drifts_of(fit)
-        # Inside the rows: a run that ends with them is a step.
-        knots = away_from_edges(np.unique(np.linspace(0, fit.n, KNOTS)[1:-1].astype(np.intp)), fit)
-        self.runs = spans_of(np.stack([knots[edge] for edge in np.triu_indices(knots.size, 1)], axis=1), fit.n)
 
     def add(
         self,
@@ -132,10 +129,19 @@ class Catalogue:
         self.hypotheses.append(Hypothesis(self.fit, kind, item, form, whole, size, tuple(units), candidates))
 
     def steps(self, columns: Floats) -> Candidates:
-        """Return steps between the rows that some columns (m, d) touch, with LEAST_ROWS of them on either side."""
-        rows = away_from_edges(rows_used(columns, self.fit)[LEAST_ROWS : 1 - LEAST_ROWS], self.fit)
-        knots = rows[thinned(rows.size, STEPS)]
+        """Return steps between the rows that some columns (m, d) touch."""
+        knots = self._knots(columns, STEPS)
         return spans_of(np.stack([knots, np.full(knots.size, self.fit.n)], axis=1), self.fit.n)
+
+    def runs(self, columns: Floats) -> Candidates:
+        """Return runs inside the rows that some columns (m, d) touch: one that ends with them is a step."""
+        knots = self._knots(columns, KNOTS)
+        return spans_of(np.stack([knots[edge] for edge in np.triu_indices(knots.size, 1)], axis=1), self.fit.n)
+
+    def _knots(self, columns: Floats, count: int) -> Indices:
+        """Return some of the rows that columns (m, d) touch, with LEAST_ROWS of them on either side."""
+        rows = away_from_edges(rows_used(columns, self.fit)[LEAST_ROWS : 1 - LEAST_ROWS], self.fit)
+        return rows[thinned(rows.size, count)]
 
 
 def catalogue(fit: WhitenedFit) -> list[Hypothesis]:
@@ -163,8 +169,8 @@ def add_item(out: Catalogue, cause: Cause) -> None:
         out.add(cause.name, "offset", columns, units, out.always)
     if fault.step:
         out.add(cause.name, "step", columns, units, out.steps(columns))
-    if fault.run or fault.window:
-        out.add(cause.name, "run", columns, units, out.runs)
+    if fault.run or fault.window or fault.step:
+        out.add(cause.name, "run", columns, units, out.runs(columns))
     out.add(cause.name, "drift", columns, units, out.drifts)
 
 
@@ -203,7 +209,7 @@ def add_joints(out: Catalogue) -> None:
         z = (reading - reading.mean()) / max(float(reading.std()), 1e-9)
         polynomial = columns * np.stack([z, z**2, z**3], axis=1) * TYPICAL[units[0]]
         out.add(name, "step", columns, units, out.steps(columns))
-        out.add(name, "run", columns, units, out.runs)
+        out.add(name, "run", columns, units, out.runs(columns))
         out.add(name, "drift", columns, units, out.drifts)
         for form, drift in LAST_MOVE.items():
             course = fit.how.table.during(name, drift, 0, fit.how.total)
