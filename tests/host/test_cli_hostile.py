@@ -199,7 +199,7 @@ SCRIPTS = {
 }
 VISITS = {
     "empty": ("", "no-rows"),
-    "a gap": (visit("1,0,0,0,0,0", 3), "number them from 0"),
+    "a gap": (visit("1,0,0,0,0,0", 3), "numbered from 0"),
     "one joint": ("pose,shell,bar,chuck,sphere,q1_rad\n0,s,b,c,s,1\n", "1 joint"),
 }
 ROWS = {
