@@ -158,10 +158,19 @@ def test_the_joints_come_from_the_log_of_the_arm(tmp_path, run, monkeypatch, kin
     assert "Rests: 100.0 to 103.0 s, 104.5 to" in again
 
 
+def facets(data):
+    return np.frombuffer(data[84:], [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def test_the_block_for_a_ball_of_20_mm_is_kept_as_a_file():
+    kept = (Path(__file__).parents[2] / "hardware" / "socket_20mm.stl").read_bytes()
+    np.testing.assert_allclose(facets(kept)["corners"], facets(stl(SocketBlock(10e-3)))["corners"], atol=1e-4)
+
+
 @pytest.mark.parametrize("ball_mm", [6.0, 20.0, 40.0])
 def test_the_block_is_closed_and_holds_the_ball(ball_mm):
     block = SocketBlock(0.5e-3 * ball_mm)
-    file = np.frombuffer(stl(block)[84:], [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    file = facets(stl(block))
     assert int.from_bytes(stl(block)[80:84], "little") == len(file)
     corners = [[tuple(corner) for corner in facet] for facet in file["corners"].tolist()]
     edges = Counter((facet[i], facet[(i + 1) % 3]) for facet in corners for i in range(3))
