@@ -341,6 +341,21 @@ def test_rotation_vectors_are_in_base_axes():
     np.testing.assert_allclose(there[0, :3, :3], expected.as_matrix(), atol=1e-15)
 
 
+@pytest.mark.parametrize("name", ["puma560", "ur5e"])
+def test_rounding_does_not_decide_between_configurations(name):
+    """Solutions tie in the largest motion where they differ in other joints alone."""
+    chain, rng = builtin_robot(name).chain, np.random.default_rng(3)
+    nominal = chain.params_nominal
+    q = rng.uniform(*np.clip(chain.limits, -np.pi, np.pi), (300, 6))
+    targets = forward(chain, nominal, q[singular_value(chain, nominal, q) > 0.05][:100])
+    noisy = targets.copy()
+    noisy[:, :3, 3] += rng.normal(0.0, 1e-13, (len(targets), 3))
+    near, also = (search(chain, nominal, poses, home=q[0]) for poses in (targets, noisy))
+    assert near.reached.all()
+    assert also.reached.all()
+    np.testing.assert_allclose(also.q, near.q, atol=1e-6)
+
+
 def check_configurations(name, n):
     """The arm stays in its configuration, and the identified robot reaches the target to rounding."""
     chain, rng = builtin_robot(name).chain, np.random.default_rng(7)

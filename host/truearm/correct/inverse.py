@@ -27,9 +27,8 @@ from truearm.types import Floats
 
 LEVER = 0.5  # m
 MAX_STEPS = 100
-REACHED = (
-    1e-12  # LEVERs and rad, of ‖e‖: rounding leaves 1e-16 for an arm of one metre; as damping, it exceeds that of J·Jᵀ
-)
+# Rounding leaves 1e-16 for an arm of one metre; as damping, it exceeds that of J·Jᵀ.
+REACHED = 1e-12  # LEVERs and rad, of ‖e‖
 STATIONARY = 0.01  # of ‖e‖: a step that moves no joint by more reduces the error hardly
 N_STARTS = 40  # of a search: an arm with six joints has up to 16 configurations
 PASSES = 4  # continuations from the previous solution, whose configuration the starts may have missed
@@ -298,8 +297,10 @@ def _chosen(
         usable = stock.reached[rows] & within(chain, q)
         # Without orientation, joints at a limit or a singularity are the worse choice.
         poor = ~within(chain, q, ROOM) | singular[rows] if not oriented else np.zeros_like(usable)
-        distance = np.abs(q - near[:, None]).max(axis=-1)
-        order = np.lexsort((distance, poor, _misplaced(q, quadrants[rows, None]), ~usable), axis=1)
+        motion = np.abs(q - near[:, None])
+        # Solutions that differ in other joints alone tie but for rounding, as do those of parallel axes in a mere sum.
+        largest, total = motion.max(axis=-1).round(9), (motion**2).sum(axis=-1)
+        order = np.lexsort((total, largest, poor, _misplaced(q, quadrants[rows, None]), ~usable), axis=1)
         best = np.arange(len(rows)), order[:, 0]
         return Inverse(q[best], usable[best])
 
