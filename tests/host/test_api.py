@@ -372,7 +372,7 @@ WRONG = [
     (TypeError, "table: must be ObservationTable (see read_table)", lambda a: truearm.identify(a.robot, "poses.csv", a.rig)),
     (FileNotFoundError, "no.toml: no such", lambda a: truearm.identify(a.robot, a.table, a.folder / "no.toml")),
     (InputError, "rig: ", lambda a: truearm.identify(a.robot, a.table)),
-    (InputError, "rig ''", lambda a: truearm.identify(a.robot, a.table, {"a": a.rig})),
+    (InputError, "names no rig", lambda a: truearm.identify(a.robot, a.table, {"a": a.rig})),
     (InputError, "6 joints", lambda a: truearm.identify(truearm.load_robot("panda"), a.table, a.rig)),
     (InputError, "hold_out shell=x", lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out="shell=x")),
     (InputError, "hold_out: must be one bool per row", lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=np.zeros(3, bool))),
