@@ -57,8 +57,7 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
     rig.write_text(Path("rehearsal/rig.toml").read_text().replace("8.4e-05", "3e-05"))
     for out, poses, draw in (("plan.csv", POSES, 0), ("check.csv", 60, 5)):
         budget = ["--poses", poses, "--candidates", 6000, "--seed", draw]
-        printed = run("plan", "ballbar", *known, "--rig", rig, *budget, "--joint-laws", "--out", out)
-        assert "are those of the geometry: curves and sag add to them." in printed
+        run("plan", "ballbar", *known, "--rig", rig, *budget, "--joint-laws", "--out", out)
     run(*fast, *LAWS, "--plan", "plan.csv", "--rig", rig, "--out", "first", "--seed", seed)
     run(*fast, *LAWS, "--plan", "check.csv", "--rig", rig, "--out", "second", "--seed", 9, "--truth-seed", seed)
 
