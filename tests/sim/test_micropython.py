@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -218,7 +219,7 @@ def test_lists_of_a_mirror_that_is_being_renewed_are_asked_for_again(monkeypatch
     monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=":")
     monkeypatch.setattr(debian, "machine_sources", lambda etc, suites: [Source("http://deb.example/debian", None)])
     waited = []
-    monkeypatch.setattr(debian.time, "sleep", waited.append)
+    monkeypatch.setattr(debian, "time", SimpleNamespace(sleep=waited.append))  # not the sleep of other threads
     with pytest.raises(debian.DebianError, match="unexpected size"):
         debian.private_apt(tmp_path / "apt", "trixie", ("i386",))
     assert waited == list(debian.PAUSES)
