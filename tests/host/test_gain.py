@@ -66,7 +66,8 @@ def test_the_fit_of_an_arm_without_errors_is_worse_in_cross_validation(tmp_path)
     assert found.document["mean_change"]["by"] == "cross-validation"
     page = tmp_path / "report.html"
     write_page(page, found, "", [])
-    assert found.document["findings"][0]["code"] == "worse-than-nominal"
+    assert found.findings[0].code == "worse-than-nominal"
+    assert [finding.entry() for finding in found.findings] == found.document["findings"]
     assert f'class="verdict">{found.document["findings"][0]["text"][:60]}' in page.read_text()
 
 

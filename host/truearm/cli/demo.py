@@ -62,7 +62,6 @@ def demo(
     """
     from truearm.files.plan_file import read_plan
     from truearm.finding_texts import Severity
-    from truearm.report.result_findings import result_findings
     from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
     from truearm.workflows.selection import last_of_each
     from truearm.workflows.simulate import SESSION, simulate_fast
@@ -75,12 +74,12 @@ def demo(
     files = IdentifyFiles(
         request.robot, sources, (folder / "result.json",), table, page, command_line(context), force=True
     )
-    document = identify_files(files, last_of_each(read_plan(folder / "plan.csv")), DEFAULTS).document
+    identification = identify_files(files, last_of_each(read_plan(folder / "plan.csv")), DEFAULTS)
     answers = [
         finding
-        for finding in result_findings(document)
+        for finding in identification.findings
         if finding.code == "simulated" or (finding.severity is Severity.RESULT and finding.code != "identified")
     ]
     if open:
         typer.launch(str(page))
-    return Answer({"report": str(page), "result": document}, findings=answers, written=[page], more="")
+    return Answer({"report": str(page), "result": identification.document}, findings=answers, written=[page], more="")

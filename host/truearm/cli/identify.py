@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,8 +17,15 @@ from truearm.errors import InputError
 from truearm.estimate.solvers import SOLVERS, with_loss
 from truearm.exit_codes import ExitCode
 from truearm.files.robot_file import RobotChoice
+from truearm.findings import Finding
 from truearm.units import tolerances
 from truearm.workflows.requests import FitOptions
+
+
+def _located(finding: Finding, paths: Mapping[str, str]) -> Finding:
+    """Return a finding with the path of a session, by its name in the result, as the user gave it."""
+    names = finding.values.get("path", ())
+    return replace(finding, values={**finding.values, "path": [paths.get(name, name) for name in names]})
 
 
 @command(
@@ -102,7 +111,6 @@ def identify(
         Write all observations as one table (.csv).
     """
     from truearm.cli.details import result_tables
-    from truearm.report.result_findings import result_findings
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.selection import is_drawn
 
@@ -114,10 +122,11 @@ def identify(
     if out and default and typed(context, "out") and Path(default).resolve().parent != out.resolve().parent:
         results.append(Path(default))
     files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line(context), force)
-    document = identify_files(files, hold_out or [], IdentifyOptions(**vars(options))).document
+    identification = identify_files(files, hold_out or [], IdentifyOptions(**vars(options)))
+    document, paths = identification.document, {path.name: str(path) for path in inputs}
     return Answer(
         document,
-        findings=result_findings(document, {path.name: str(path) for path in inputs}),
+        findings=[_located(finding, paths) for finding in identification.findings],
         tables=result_tables(document),
         written=(*results, table_out, report),
         more="Parameters, residuals and all notes: --details, or --report report.html",

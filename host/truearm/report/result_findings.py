@@ -59,11 +59,8 @@ UNIT_RATIOS = {
 SAME_RATIO = 0.02  # relative
 
 
-def result_findings(document: Document, paths: Mapping[str, str] | None = None) -> list[Finding]:
-    """Return the findings: verdict, warnings, the error of the tool, notes, advice.
-
-    ``paths``: of the sessions as the user gave them, by file name; for commands that name one.
-    """
+def result_findings(document: Document) -> list[Finding]:
+    """Return the findings: verdict, warnings, the error of the tool, notes, advice."""
     findings = [
         verdict(document),
         *audit(*(sizes(document[name] or {}, "rms") for name in ("held_out_before", "held_out_drawing", "held_out"))),
@@ -71,7 +68,7 @@ def result_findings(document: Document, paths: Mapping[str, str] | None = None) 
         *little_freedom(document),
         *_doubts(document),
         *fault_findings(document),
-        *_sessions(document, paths or {}),
+        *_sessions(document),
         *tool_error(document),
         *_identified(document),
         *_residuals(document),
@@ -394,7 +391,7 @@ def _choice(fault: Document) -> Finding:
 # sessions, and the error of the tool
 
 
-def _sessions(document: Document, paths: Mapping[str, str]) -> Iterator[Finding]:
+def _sessions(document: Document) -> Iterator[Finding]:
     """Return how the dwells and lines of each session were used, and what must be decided."""
     for count in document.get("sessions", ()):
         has_dwells, has_lines = count["with_bar"] or not count["lines"], bool(count["lines"])
@@ -418,8 +415,7 @@ def _sessions(document: Document, paths: Mapping[str, str]) -> Iterator[Finding]
         n = sum(number for reason, number in rejected.items() if reason in NEED_DECISION)
         if has_dwells and n:
             none_fits = not count["used"] and set(rejected) == {DOUBTFUL}
-            path = paths.get(count["session"], count["session"])
-            values = {"session": count["session"], "n": n, "dwells": count["dwells"], "path": [path]}
+            values = {"session": count["session"], "n": n, "dwells": count["dwells"], "path": [count["session"]]}
             yield Finding("doubtful-dwells", {**values, "none_fits": none_fits})
 
 

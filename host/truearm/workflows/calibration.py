@@ -26,7 +26,7 @@ from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
 from truearm.model.robot import Robot, poses
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
-from truearm.report.result_findings import verdict
+from truearm.report.result_findings import result_findings
 from truearm.report.result_words import ParameterRow, direction_text, parameter_table
 from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, Rigs, SagMasses
@@ -70,8 +70,8 @@ class Calibration(Displayed):
     ``nominal`` and ``identified`` are the robot's parameters (p,). ``covariance`` (p, p) is that of the identified ones, 0
     for fixed ones. ``unseen`` (p, d) holds the null space: the directions that the observations did not determine,
     including those fixed as a choice of frame. The largest weight of each direction is 1. ``parameters`` maps the name of
-    each parameter, the rig's too, to a ``ParameterEstimate``. ``document`` is the content of
-    result.json. ``carrying(mass, centre)`` returns the calibration of the robot with a payload [kg, m].
+    each parameter, the rig's too, to a ``ParameterEstimate``. ``findings`` are what truearm states about it, and ``document``
+    the content of result.json. ``carrying(mass, centre)`` returns the calibration of the robot with a payload [kg, m].
 
     Examples
     --------
@@ -96,8 +96,8 @@ class Calibration(Displayed):
 
     def _headline(self) -> str:
         """Return the verdict, as the first line of ``truearm identify``, and the robot."""
-        simulated = Finding("simulated").text() + " " if self.simulated else ""
-        return f"{simulated}{verdict(self.document).text()} ({self.chain.name})"
+        first = self.findings[: 1 + self.simulated]
+        return f"{' '.join(finding.text() for finding in first)} ({self.chain.name})"
 
     def _columns(self) -> Mapping[str, Any]:
         return {name: self.stored.column(name) for name in ParameterEstimate._fields}
@@ -200,6 +200,21 @@ class Calibration(Displayed):
     def document(self) -> Mapping[str, Any]:
         """The content of result.json (docs/reference/result-format.md)."""
         return self.stored.document
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What screen, report and result.json state: the verdict, warnings, the error of the tool, notes, advice.
+
+        The verdict is the first one, after "simulated" if it is of simulated data.
+
+        Examples
+        --------
+        >>> import truearm
+        >>> verdict = truearm.read_result("result.json").findings[0]
+        >>> verdict.code, verdict.severity.value, verdict.values["n"]
+        ('usable', 'result', 90)
+        """
+        return tuple(result_findings(self.document))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -35,7 +35,6 @@ def write_page(
     from truearm.report.certificate import facts_of
     from truearm.report.law_findings import law_steps
     from truearm.report.residual_rows import row_name
-    from truearm.report.result_findings import result_findings
     from truearm.workflows.scene import calibration_scene
 
     table, estimate = identification.table, identification.estimate
@@ -58,7 +57,7 @@ def write_page(
         curves=_curves(identification),
         facts=(*facts_of(recordings), *_facts(table)),
         certificate=certificate,
-        findings=tuple(result_findings(identification.document)),
+        findings=identification.findings,
         scene=None if identification.estimate.unusable else calibration_scene(identification),
     )
     write_atomic(path, render(page))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import msgspec
@@ -34,12 +34,12 @@ from truearm.files.observation_table import write_table
 from truearm.files.result_document import copies_of, result_of
 from truearm.files.result_file import Input, RobotFrames, write_result
 from truearm.files.robot_file import RobotChoice
+from truearm.findings import entries
 from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
-from truearm.report.result_findings import result_findings
 from truearm.results import Effect, Estimate, Figures, Fold
 from truearm.types import Floats, Mask, Rigs
 from truearm.workflows.calibration import Identification, calibration_of
@@ -455,7 +455,7 @@ def identified(
         all_held_out=[] if held_out is None else all_held_out(table, held_out),
         hold_out_proposal=proposal and proposal._asdict(),
     )
-    findings = tuple(finding.entry() for finding in result_findings(result.document))
-    result = msgspec.structs.replace(result, findings=findings)
-    robot_fields = vars(calibration_of(result, robot, chain.name, "the identification"))
+    calibration = calibration_of(result, robot, chain.name, "the identification")
+    result = msgspec.structs.replace(result, findings=tuple(entries(calibration.findings)))
+    robot_fields = {field.name: getattr(calibration, field.name) for field in fields(calibration)} | {"stored": result}
     return Identification(**robot_fields, rig=rig, table=table, estimate=estimate, predicted=predicted)

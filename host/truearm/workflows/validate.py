@@ -30,7 +30,7 @@ from truearm.files.result_document import copies_of, fault_entries
 from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import without_nan
-from truearm.findings import entries, findings_of
+from truearm.findings import Finding, entries, findings_of
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
@@ -128,8 +128,12 @@ class Validation(Displayed):
 
     def summary(self) -> str:
         """Return errors, what is expected, and the verdict, as ``truearm validate`` prints them."""
-        texts = (finding.text() for finding in findings_of(self.document))
-        return "\n".join([*texts, *map(str, error_tables(self.document))])
+        return "\n".join([*(finding.text() for finding in self.findings), *map(str, error_tables(self.document))])
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the command states: the verdict, what limits it, notes; each with a code, values and a text."""
+        return tuple(findings_of(self.document))
 
 
 class Measured(NamedTuple):
