@@ -16,9 +16,8 @@ import numpy as np
 
 from truearm.box.gauge_polynomial import distinct_places
 from truearm.errors import InputError, TableError, WriteError
-from truearm.files.csv_cells import numbers, read_cells
+from truearm.files.csv_cells import Column, CsvTable, read_cells
 from truearm.files.disk import read_bytes, read_text, write_atomic
-from truearm.files.observation_columns import Column
 from truearm.session.sample_noise import MeanOfSamples
 from truearm.text import counted, one_line
 from truearm.types import Floats
@@ -103,14 +102,16 @@ class Places:
 
 def read_references(path: Path) -> list[float]:
     """Return the references [m] in a CSV file. Raises TableError."""
-    header, rows = read_cells(read_text(path, MAX_BYTES, TableError), str(path))
+    name = str(path)
+    header, rows = read_cells(read_text(path, MAX_BYTES, TableError), name)
     titles = {f"reference_{unit}": unit for unit in UNITS}
     columns = [Column(title, index, titles[title]) for index, title in enumerate(header) if title in titles]
     if len(columns) != 1:
         raise TableError("missing-column", place=path, column="reference_mm, reference_um or reference_in")
     if not 1 <= len(rows) <= MAX_REFERENCES:
         raise TableError(f"{path}: has {len(rows)} references; 1 to {MAX_REFERENCES} are possible")
-    return [float(value) for value in numbers(rows, columns[0], str(path), MAX_METRES, required=True)]
+    table = CsvTable(name, rows, {"reference": columns[0]})
+    return [float(value) for value in table.numbers("reference", MAX_METRES, required=True)]
 
 
 def parse_reference(text: str, scale: float) -> float:

@@ -24,8 +24,9 @@ from truearm.workflows.requests import FitOptions
 
 def _located(finding: Finding, paths: Mapping[str, str]) -> Finding:
     """Return a finding with the path of a session, by its name in the result, as the user gave it."""
-    names = finding.values.get("path", ())
-    return replace(finding, values={**finding.values, "path": [paths.get(name, name) for name in names]})
+    names = finding.values.get("path")
+    located = {"path": [paths.get(name, name) for name in names]} if names else {}
+    return replace(finding, values={**finding.values, **located})
 
 
 @command(

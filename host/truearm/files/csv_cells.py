@@ -1,4 +1,4 @@
-"""The cells of a CSV file: rows of equal width as text, and columns of them as identifiers or numbers in SI units.
+"""CSV files: rows of equal width as text, and columns by quantity, as identifiers or numbers in SI units.
 
 Every error message names the file, the row (as an editor counts, with the header as row 1) and the column.
 """
@@ -6,27 +6,31 @@ Every error message names the file, the row (as an editor counts, with the heade
 from __future__ import annotations
 
 import csv
+import difflib
 import io
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from truearm.errors import InputError, TableError
+from truearm.kinds.columns import is_label
+from truearm.model.mimic import units_of
 from truearm.schema import NAME, quoted
-from truearm.text import counted
-from truearm.units import SUFFIXES
+from truearm.text import counted, page
+from truearm.units import SUFFIXES, UNITS, named
 
 if TYPE_CHECKING:
-    from truearm.files.observation_columns import Column
     from truearm.types import Floats
 
 MAX_ROWS = 200_000  # 250 times the paper's grid of 800 poses
 MAX_COLUMNS = 200
 MAX_CELL = 200
+LIKE = 0.65  # similarity of a title and a known one, from 0 to 1, for which the known one was probably meant
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 NUMBER = re.compile(_NUMBER, re.ASCII)
@@ -100,61 +104,182 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
     return header[:width], [Row(row.number, row.cells[:width]) for row in rows[1:]]
 
 
-def identifiers(rows: list[Row], column: Column | None, name: str) -> np.ndarray:
-    """Return a column of names; "" where the column or a cell is empty."""
-    if column is None:
-        return np.full(len(rows), "", dtype="U1")
-    for row in rows:
-        cell = row.cells[column.position]
-        if cell and not NAME.fullmatch(cell):
-            raise TableError(
-                f"{name} row {row.number} column {column.name}: {quoted(cell)} is not an identifier; "
-                "use up to 64 letters, digits, '-', '_' and '.'"
-            )
-    return np.array([row.cells[column.position] for row in rows])
+class Column(NamedTuple):
+    """A column of a file: its title, its position, and the suffix of its unit, "" for text."""
+
+    title: str
+    position: int
+    unit: str
 
 
-def numbers(
-    rows: list[Row],
-    column: Column | None,
-    name: str,
-    largest: float,
-    least: Floats | float = -math.inf,
-    *,
-    required: bool = False,
-) -> Floats:
-    """Return a column of numbers in SI units; NaN where the column or, unless ``required``, a cell is empty.
+Titles = Mapping[str, tuple[str, str]]  # the quantity and the suffix of the unit that a title stands for
 
-    Magnitudes are at most ``largest``, and numbers at least ``least``, of each row (n,) or of all.
+
+def joint_titles(letter: str, suffixes: Iterable[str], joints: int) -> dict[str, tuple[str, str]]:
+    """Return the titles of a quantity with a column for each joint: "q1_rad", "q1_deg", …"""
+    numbered = [f"{letter}{i}" for i in range(1, joints + 1)]
+    return {named(quantity, suffix): (quantity, suffix) for suffix in suffixes for quantity in numbered}
+
+
+def read_header(header: list[str], titles: Titles, name: str, more: str, ignored: str = "") -> dict[str, Column]:
+    """Return the columns of a file by quantity, and the user's own by their title.
+
+    Columns without a title, ``note``, and those that match ``ignored`` are skipped. The first of ``titles`` must be there.
+    Raises TableError with the title that was probably meant; ``more`` is the page on which all are described.
     """
-    if column is None:
-        return np.full(len(rows), np.nan)
-    scale = SUFFIXES[column.unit].scale
-    cells = [row.cells[column.position] for row in rows]
-    plain = cells if _are_numbers(cells) else [cell if _is_number(cell) else "nan" for cell in cells]
-    out = scale * np.array([*map(float, plain)])
-    # Nearly all columns end here. The first wrong cell of the others is found one by one.
-    for i in np.flatnonzero(~((np.abs(out) <= largest) & (out >= least))).tolist():
-        cell, place = cells[i], f"{name} row {rows[i].number} column {column.name}"
-        value = math.nan if not cell and not required else scale * number(cell, place)
-        if abs(value) > largest:
-            raise TableError(f"{place}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
-        if value < (lowest := np.broadcast_to(least, out.shape)[i]):
-            wrong = "must be 0 or more" if lowest == 0.0 else "must be greater than 0"
-            if value > 0.0:
-                wrong = "is too small; is the column in another unit?"
-            raise TableError(f"{place}: {quoted(cell)} {wrong}")
-    return out
+    first, columns = next(iter(titles)), dict[str, Column]()
+    if not difflib.get_close_matches(first, [title.lower() for title in header]):
+        raise TableError("missing-column", place=name, column=first, header=quoted(header[0]))
+    for position, title in enumerate(header):
+        place = f"{name} column {position + 1} ({quoted(title)})"
+        if title and title in header[:position]:
+            raise TableError("given-twice", place=place, what="it")
+        if title in ("", "note") or re.fullmatch(ignored, title):
+            continue
+        if title not in titles and not is_label(title):
+            raise _unknown_title(title, titles, place, more)
+        quantity, unit = titles.get(title, (title, ""))
+        if quantity in columns:
+            raise TableError("given-twice", place=place, what=quantity)
+        columns[quantity] = Column(title, position, unit)
+    if titles[first][0] not in columns:
+        raise TableError("missing-column", place=name, column=first)
+    return columns
 
 
-def together(columns: list[Floats], rows: list[Row], words: str, name: str) -> Floats:
-    """Return columns side by side (n, c), where each row must have all of them or none."""
-    out = np.stack(columns, axis=1)
-    missing = np.isnan(out)
-    bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
-    if bad.size:
-        raise TableError(f"{name} row {rows[bad[0]].number}: has only some of {words}; give all of them or none")
-    return out
+def _unknown_title(title: str, titles: Titles, place: str, more: str) -> TableError:
+    """Return the error for a title that is none: of a known quantity in another unit, or like known ones."""
+    stem = title
+    while stem:
+        if names := [known for known, (_, unit) in titles.items() if known == named(stem, unit)]:
+            return TableError("wrong-value", place=place, names=names)
+        stem = stem.rpartition("_")[0]
+    close = difflib.get_close_matches(title[:40].lower(), titles, n=2, cutoff=LIKE)
+    meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {page(more)}; "
+    return TableError("unknown-column", place=place, remedy=f"{meant}begin its name with x_ if it is to be ignored")
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """The n rows of a file, and its columns by quantity; ``name`` stands for the file in messages."""
+
+    name: str
+    rows: list[Row]
+    columns: Mapping[str, Column]
+
+    @property
+    def sources(self) -> list[str]:
+        """The name of each row, as an editor counts: "poses.csv row 2"."""
+        return [f"{self.name} row {row.number}" for row in self.rows]
+
+    def cells(self, quantity: str) -> list[str]:
+        """Return the texts (n,) of a column; "" where it is missing."""
+        column = self.columns.get(quantity)
+        return [""] * len(self.rows) if column is None else [row.cells[column.position] for row in self.rows]
+
+    def place(self, row: int, quantity: str) -> str:
+        """Return the file, the row and the column of a cell, for a message."""
+        return f"{self.name} row {self.rows[row].number} column {self.columns[quantity].title}"
+
+    def identifiers(self, quantity: str) -> np.ndarray:
+        """Return a column of names (n,); "" where it is missing or a cell is empty. Raises TableError."""
+        cells = self.cells(quantity)
+        for i, cell in enumerate(cells):
+            if cell and not NAME.fullmatch(cell):
+                raise TableError(
+                    f"{self.place(i, quantity)}: {quoted(cell)} is not an identifier; "
+                    "use up to 64 letters, digits, '-', '_' and '.'"
+                )
+        return np.array(cells)
+
+    def numbers(
+        self, quantity: str, most: float | None = None, least: Floats | float = -math.inf, *, required: bool = False
+    ) -> Floats:
+        """Return a column of numbers (n,) in SI units; NaN where the column or, unless ``required``, a cell is missing.
+
+        Magnitudes are at most ``most``, by default the largest in their unit, and numbers at least ``least``, of each row
+        (n,) or of all. Raises TableError.
+        """
+        if quantity not in self.columns:
+            return np.full(len(self.rows), np.nan)
+        unit, cells = SUFFIXES[self.columns[quantity].unit], self.cells(quantity)
+        most = UNITS[unit.si].largest if most is None else most
+        plain = cells if _are_numbers(cells) else [cell if _is_number(cell) else "nan" for cell in cells]
+        out = unit.scale * np.array([*map(float, plain)])
+        # Nearly all columns end here. The first wrong cell of the others is found one by one.
+        for i in np.flatnonzero(~((np.abs(out) <= most) & (out >= least))).tolist():
+            cell, place = cells[i], self.place(i, quantity)
+            value = math.nan if not cell and not required else unit.scale * number(cell, place)
+            if abs(value) > most:
+                text = f"{place}: {quoted(cell)} is too large for {unit.suffix}; is the column in another unit?"
+                raise TableError(text)
+            if value < (lowest := np.broadcast_to(least, out.shape)[i]):
+                wrong = "must be 0 or more" if lowest == 0.0 else "must be greater than 0"
+                if value > 0.0:
+                    wrong = "is too small; is the column in another unit?"
+                raise TableError(f"{place}: {quoted(cell)} {wrong}")
+        return out
+
+    def vectors(
+        self,
+        quantities: Sequence[str],
+        words: str,
+        most: float | None = None,
+        least: Floats | float = -math.inf,
+        *,
+        required: bool = False,
+    ) -> Floats:
+        """Return columns side by side (n, c), of which each row must have all or none, as ``numbers`` does."""
+        columns = [self.numbers(quantity, most, least, required=required) for quantity in quantities]
+        out = np.stack(columns, axis=1)
+        missing = np.isnan(out)
+        bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
+        if bad.size:
+            raise TableError(f"{self.sources[bad[0]]}: has only some of {words}; give all of them or none")
+        return out
+
+    def numbered(self, letter: str) -> list[Column]:
+        """Return the columns of a quantity with one column per joint, in joint order, without gaps. Raises TableError."""
+        numbers = sorted(int(name[len(letter) :]) for name in self.columns if re.fullmatch(rf"{letter}\d+", name))
+        missing = set(range(1, max(numbers, default=0) + 1)) - set(numbers)
+        if missing:
+            raise TableError(
+                f"{self.name}: has columns up to {letter}{numbers[-1]} but none for {letter}{min(missing)}; number the joints from 1 without a gap"
+            )
+        return [self.columns[f"{letter}{i}"] for i in numbers]
+
+    def joints(self, joint_units: Sequence[str] | None = None, mimics: Collection[int] = ()) -> Floats:
+        """Return the joint readings (n, j), checked against the robot; a table may be without its mimic joints.
+
+        Raises TableError.
+        """
+        columns = self.numbered("q")
+        if not columns:
+            raise TableError("missing-column", place=self.name, column="q1_rad")
+        units = [] if joint_units is None else units_of(len(columns), joint_units, mimics)
+        if joint_units is not None and len(columns) != len(units):
+            raise TableError("other-robot", place=self.name, joints=len(columns), expected=len(units))
+        for column, unit in zip(columns, units, strict=False):
+            if SUFFIXES[column.unit].si != unit:
+                allowed = "rad or deg (it turns)" if unit == "rad" else "m or mm (it slides)"
+                raise TableError(f"{self.name} column {column.title}: the robot's joint is measured in {allowed}")
+        return np.stack([self.numbers(f"q{i + 1}", required=True) for i in range(len(columns))], axis=1)
+
+
+def read_csv(text: str, name: str, titles: Titles, more: str, ignored: str = "") -> CsvTable:
+    """Return the table in a text; see ``read_header``. Raises TableError, also for a table without rows."""
+    header, rows = read_cells(text, name)
+    table = CsvTable(name, rows, read_header(header, titles, name, more, ignored))
+    if not rows:
+        raise TableError("no-rows", place=name)
+    return table
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows of cells, the header first, as CSV."""
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def number(cell: str, place: str) -> float:

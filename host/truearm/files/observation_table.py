@@ -8,8 +8,6 @@ row 1) and the column.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,32 +16,25 @@ from typing import Any
 import numpy as np
 
 from truearm.errors import Argument, TableError
-from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, together
+from truearm.files.csv_cells import CsvTable, Titles, csv_text, joint_titles, read_csv
 from truearm.files.disk import read_text, write_atomic
-from truearm.files.observation_columns import (
-    Column,
-    base_unit,
-    joint_columns,
-    quantity_of,
-    rate_columns,
-    read_header,
-    sigma_column,
-)
-from truearm.files.orientation_columns import with_rotation_vectors
+from truearm.files.orientation_columns import HOMOGENEOUS, LAST_ROW, MATRIX, QUATERNION, rotation_vectors
 from truearm.kinds import registry
 from truearm.kinds.columns import ANYWHERE, is_label, quantities
 from truearm.kinds.columns import identifiers as identifier_columns
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.kinds.table import ObservationTable
 from truearm.model.mimic import NO_MIMICS, Mimic
+from truearm.model.robot_tables import MAX_JOINTS
 from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, Rig
-from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
+from truearm.units import SMALLEST, SUFFIXES, named, suffixes
 
 MAX_BYTES = 16 * 2**20
 OTHERS = (".toml", ".json", ".urdf", ".xml", ".xacro", ".html")  # of rigs, robots, results, reports
 RIG = ".toml"
+PAGE = "Observations, rigs and robots as files"
 LONGEST_LABEL = 64  # characters in a cell of the user's own columns; longer texts are notes
 AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
 
@@ -72,78 +63,88 @@ def parse_table(
     text: str, name: str, joint_units: Sequence[str] | None = None, mimics: Mapping[int, Mimic] = NO_MIMICS
 ) -> ObservationTable:
     """Parse the text of a table; ``name`` stands for the file in messages and in ``source``. See ``read_table``."""
-    header, rows = with_rotation_vectors(*read_cells(text, name), name)
-    columns = read_header(header, name)
-    joints = joint_columns(columns, joint_units, name, mimics)
-    if not rows:
-        raise TableError("no-rows", place=name)
-    kind = _kinds(rows, columns["kind"], name)
-    names = {column: identifiers(rows, columns.get(column), name) for column in identifier_columns()}
-    measured = {quantity.field: _measured(rows, kind, columns, quantity, name) for quantity in quantities()}
-    sigma = _sigmas(rows, kind, columns, name)
-    _check_kinds(rows, kind, names, measured, name)
-    q = np.stack([numbers(rows, joint, name, _largest(joint), required=True) for joint in joints], axis=1)
-    rates = [numbers(rows, rate, name, _largest(rate)) for rate in rate_columns(columns, joints, name)]
-    labels = {title: [row.cells[columns[title].position] for row in rows] for title in filter(is_label, columns)}
-    short = {title: np.array(cells) for title, cells in labels.items() if max(map(len, cells)) <= LONGEST_LABEL}
-    content: dict[str, Any] = {**names, **measured, **short, "sigma": sigma}
-    if rates:
-        content["q_rate"] = together(rates, rows, "the velocities of all joints", name)
-    source = np.array([f"{name} row {row.number}" for row in rows])
-    table = ObservationTable(
-        {field: column for field, column in content.items() if _filled(column).any()}, q=q, kind=kind, source=source
-    )
-    return table.completed(mimics, len(joint_units or joints))
+    cells = read_csv(text, name, table_titles(), PAGE, LAST_ROW)
+    q, kind = cells.joints(joint_units, mimics), _kinds(cells)
+    names = {column: cells.identifiers(column) for column in identifier_columns()}
+    measured = {quantity.field: _measured(cells, kind, quantity) for quantity in quantities()}
+    if (rotation := rotation_vectors(cells)) is not None:
+        measured["rotation"] = rotation
+    labels = {title: cells.cells(title) for title in filter(is_label, cells.columns)}
+    short = {title: np.array(texts) for title, texts in labels.items() if max(map(len, texts)) <= LONGEST_LABEL}
+    content: dict[str, Any] = {**names, **measured, **short, "sigma": _sigmas(cells, kind), "q_rate": _rates(cells)}
+    _check_kinds(cells.sources, kind, names, measured)
+    columns = {field: column for field, column in content.items() if _filled(column).any()}
+    table = ObservationTable(columns, q=q, kind=kind, source=np.array(cells.sources))
+    return table.completed(mimics, len(joint_units or q.T))
 
 
-def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:
-    for row in rows:
-        if row.cells[column.position] not in registry.kinds():
-            raise TableError(
-                f"{name} row {row.number} column kind: {quoted(row.cells[column.position])} is not an observation kind; "
-                f"use {' or '.join(registry.kinds())}"
-            )
-    return np.array([row.cells[column.position] for row in rows])
+def table_titles() -> Titles:
+    """Return the titles that a table may have, with the quantities that they stand for.
+
+    A ``sigma`` in a unit other than metres is a separate quantity, ``sigma_rad``: a table may have both.
+    """
+    numbers = {
+        named(column, unit): (column, unit)
+        for quantity in quantities()
+        for column in quantity.columns
+        for unit in suffixes(quantity.unit)
+    }
+    sigmas = {named("sigma", unit): (_sigma(si), unit) for si in registry.units() for unit in suffixes(si)}
+    positions = {named(f"m{i}3", unit): (axis, unit) for i, axis in enumerate("xyz") for unit in suffixes("m")}
+    plain = ("kind", *identifier_columns(), *QUATERNION, *MATRIX, *HOMOGENEOUS)
+    joints = joint_titles("q", (*suffixes("rad"), *suffixes("m")), MAX_JOINTS)
+    rates = joint_titles("qd", (*suffixes("rad/s"), *suffixes("m/s")), MAX_JOINTS)
+    return {title: (title, "") for title in plain} | sigmas | numbers | positions | joints | rates
 
 
-def _measured(
-    rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], quantity: Quantity, name: str
-) -> Floats:
+def _sigma(si: str) -> str:
+    """Return the quantity of the standard deviations in an SI unit."""
+    return "sigma" if si == "m" else f"sigma_{si}"
+
+
+def _kinds(cells: CsvTable) -> np.ndarray:
+    for row, kind in enumerate(cells.cells("kind")):
+        if kind not in registry.kinds():
+            text = f"{quoted(kind)} is not an observation kind; use {' or '.join(registry.kinds())}"
+            raise TableError(f"{cells.place(row, 'kind')}: {text}")
+    return np.array(cells.cells("kind"))
+
+
+def _measured(cells: CsvTable, kind: np.ndarray, quantity: Quantity) -> Floats:
     """Return one column of a quantity as (n,), or several as (n, c)."""
-    lower_bounds = np.full(len(rows), quantity.least)
-    for key, kind_entry in registry.kinds().items():  # a bar has a positive length; a distance from a plane has a sign
-        for variant in (
-            variant
-            for variant in kind_entry.quantities
-            if variant.field == quantity.field and variant.least != quantity.least
-        ):
-            lower_bounds[kind == key] = variant.least
-    components = [numbers(rows, columns.get(column), name, quantity.most, lower_bounds) for column in quantity.columns]
-    return components[0] if len(components) == 1 else together(components, rows, quantity.words, name)
+    least = np.full(len(kind), quantity.least)
+    for key, entry in registry.kinds().items():  # a bar has a positive length; a distance from a plane has a sign
+        for variant in (variant for variant in entry.quantities if variant.field == quantity.field):
+            least[kind == key] = variant.least
+    if len(quantity.columns) == 1:
+        return cells.numbers(quantity.columns[0], quantity.most, least)
+    return cells.vectors(quantity.columns, quantity.words, quantity.most, least)
 
 
-def _sigmas(rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], name: str) -> Floats:
+def _sigmas(cells: CsvTable, kind: np.ndarray) -> Floats:
     """Return the standard deviation (n,) of each row in the unit of its kind."""
-    sigma = np.full(len(rows), np.nan)
+    sigma = np.full(len(kind), np.nan)
     for unit in registry.units():
-        column = columns.get(sigma_column(unit))
-        values = numbers(rows, column, name, LARGEST_NOISE, SMALLEST)
-        has_unit = np.isin(
-            kind, [key for key, kind_entry in registry.kinds().items() if kind_entry.components[0] == unit]
-        )
-        wrong = np.flatnonzero(~has_unit & ~np.isnan(values))
-        if wrong.size and column:
-            raise TableError(
-                f"{name} row {rows[wrong[0]].number} column {column.name}: the residual of {with_article(kind[wrong[0]])} row is not "
-                f"in {column.unit}; leave that cell empty"
-            )
+        values = cells.numbers(_sigma(unit), LARGEST_NOISE, SMALLEST)
+        has_unit = np.isin(kind, [key for key, entry in registry.kinds().items() if entry.components[0] == unit])
+        for row in np.flatnonzero(~has_unit & ~np.isnan(values))[:1]:
+            text = f"the residual of {with_article(kind[row])} row is not in its unit; leave that cell empty"
+            raise TableError(f"{cells.place(row, _sigma(unit))}: {text}")
         sigma[has_unit] = values[has_unit]
     return sigma
 
 
-def _largest(column: Column) -> float:
-    """Return the value above which a joint's column must be in another unit than its name states."""
-    return UNITS[SUFFIXES[column.unit].si].largest
+def _rates(cells: CsvTable) -> Floats:
+    """Return the joint velocities (n, j), NaN if the table has none."""
+    joints, rates = cells.numbered("q"), cells.numbered("qd")
+    if rates and len(rates) != len(joints):
+        text = f"has {len(joints)} joint columns but {len(rates)} of velocities; give all or none"
+        raise TableError(f"{cells.name}: {text}")
+    for joint, rate in zip(joints, rates, strict=False):
+        if f"{SUFFIXES[joint.unit].si}/s" != SUFFIXES[rate.unit].si:
+            text = f"does not fit {joint.title}; one is revolute, the other prismatic"
+            raise TableError(f"{cells.name} column {rate.title}: {text}")
+    return cells.vectors([f"qd{i + 1}" for i in range(len(joints))], "the velocities of all joints")
 
 
 def _filled(column: np.ndarray) -> np.ndarray:
@@ -152,7 +153,7 @@ def _filled(column: np.ndarray) -> np.ndarray:
 
 
 def _check_kinds(
-    rows: list[Row], kind: np.ndarray, names: Mapping[str, np.ndarray], measured: Mapping[str, Floats], name: str
+    sources: Sequence[str], kind: np.ndarray, names: Mapping[str, np.ndarray], measured: Mapping[str, Floats]
 ) -> None:
     """Check that each row fills the cells its kind requires and leaves empty those that would contradict it."""
     titles = {column: with_article(column) for column in names} | {q.field: q.title for q in quantities()}
@@ -168,7 +169,7 @@ def _check_kinds(
             wrong += [(int(row), f"{with_article(key)} row {text.format(title)}") for row in bad[:1]]
     if wrong:
         row, text = min(wrong, key=lambda entry: entry[0])
-        raise TableError(f"{name} row {rows[row].number}: {text}")
+        raise TableError(f"{sources[row]}: {text}")
 
 
 def _field(column: str | Quantity) -> str:
@@ -256,12 +257,8 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
 def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
     """Return the text of a table, in rad and m so that numbers are stored bit for bit; ``source`` is not written."""
     columns = table_columns(table, joint_units)
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
     cells = [map(_written, c.tolist()) if c.dtype.kind == "f" else c.tolist() for c in columns.values()]
-    writer.writerows(zip(*cells, strict=True))
-    return text.getvalue()
+    return csv_text([columns, *zip(*cells, strict=True)])
 
 
 def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Any]:
@@ -293,16 +290,17 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
 
 def column_of_title(table: ObservationTable, title: str) -> Floats | None:
     """Return a column of numbers (n,) in the unit of its title, such as "payload_kg" or "q1_deg"; None if there is none."""
-    try:
-        if is_label(title) and title in table.columns:
+    if is_label(title) and title in table.columns:
+        try:
             return np.where(table[title] == "", "nan", table[title]).astype(float)
-        quantity, unit = quantity_of(title, title)
-    except ValueError:
+        except ValueError:
+            return None
+    if title not in (titles := table_titles()):
         return None
+    quantity, unit = titles[title]
     scale = SUFFIXES[unit]
-    si = named(quantity, _own(scale.si))
-    joint_units = [base_unit(unit)] * table.q.shape[1]
-    column = _number_columns(table, joint_units).get(si)
+    joint_units = [scale.si.removesuffix("/s")] * table.q.shape[1]
+    column = _number_columns(table, joint_units).get(named(quantity, _own(scale.si)))
     return None if column is None else np.asarray(scale.of(column))
 
 

@@ -8,21 +8,18 @@ vector near it, and a line by the planned joint vectors between which it was dri
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from pathlib import Path
 
 import numpy as np
 
 from truearm.errors import Argument, PlanError, TableError
-from truearm.files.csv_cells import identifiers, numbers, read_cells
+from truearm.files.csv_cells import csv_text, joint_titles, read_csv
 from truearm.files.disk import read_text, write_atomic
-from truearm.files.observation_columns import Column
 from truearm.model.robot_tables import MAX_JOINTS
 from truearm.schema import quoted
 from truearm.types import BAR_MOUNTED, Move, Plan, Rig
-from truearm.units import MM_S, UNITS
+from truearm.units import MM_S
 
 MAX_BYTES = 16 * 2**20
 SLOWEST, FASTEST = 1e-12, 10.0  # m/s; a higher speed was written in another unit
@@ -48,44 +45,24 @@ def read_plan(path: Path) -> Plan:
 
 def parse_plan(text: str, name: str) -> Plan:
     """Parse the text of a plan; ``name`` stands for the file in messages. See ``read_plan``."""
+    joints = joint_titles("q", ("rad",), MAX_JOINTS)
+    titles = {title: (title, "") for title in COLUMNS} | {"speed_mm_s": ("speed", MM_S.suffix)} | joints
     try:
-        header, rows = read_cells(text, name)
-        joints = _check_header(header, name)
-        if not rows:
-            raise PlanError("no-rows", place=name)
-        units = {**dict.fromkeys(joints, "rad"), "speed_mm_s": MM_S.suffix}
-        columns = {title: Column(title, i, units.get(title, "")) for i, title in enumerate(header)}
-        q = np.stack([numbers(rows, columns[j], name, UNITS["rad"].largest, required=True) for j in joints], axis=1)
-        ids = {title: identifiers(rows, columns.get(title), name) for title in (*Plan.IDS, *MOTION[:2])}
-        speed = numbers(rows, columns.get("speed_mm_s"), name, FASTEST, SLOWEST)
+        cells = read_csv(text, name, titles, "Observations, rigs and robots as files")
+        q = cells.joints()
+        ids = {title: cells.identifiers(title) for title in (*Plan.IDS, *MOTION[:2])}
+        speed = cells.numbers("speed", FASTEST, SLOWEST)
     except TableError as exc:
         raise PlanError(*exc.args, **exc.values) from exc
-    visits = [dict.fromkeys(COLUMNS, "") | dict(zip(header, row.cells, strict=True)) for row in rows]
-    for pose, (visit, row) in enumerate(zip(visits, rows, strict=True)):
-        _check_visit(visit, pose, f"{name} row {row.number}")
-    move = np.array([visit["move"] or Move.DWELL.value for visit in visits])
+    columns = {title: cells.cells(titles[title][0]) for title in COLUMNS}
+    for pose, (visit, place) in enumerate(zip(zip(*columns.values()), cells.sources, strict=True)):
+        _check_visit(dict(zip(columns, visit, strict=True)), pose, place)
+    move = np.array([move or Move.DWELL.value for move in columns["move"]])
     if (move == Move.VIA).all():
         raise PlanError(
             f"{name}: has nothing to measure, only poses to pass through; add poses with bar, chuck and sphere, or a line"
         )
-    return Plan(q, **ids, move=move, speed=speed, robot=np.array([visit["robot"] for visit in visits]))
-
-
-def _check_header(header: list[str], name: str) -> list[str]:
-    """Return the titles of the joints, from the first on. Raises PlanError."""
-    joints = [title for title in _joints(MAX_JOINTS) if title in header]
-    for i, title in enumerate(header):
-        place = f"{name} column {i + 1} ({quoted(title)})"
-        if title not in (*COLUMNS, *joints):
-            remedy = f"the columns are {', '.join(COLUMNS)} and q1_rad to at most q{MAX_JOINTS}_rad"
-            raise PlanError("unknown-column", place=place, remedy=remedy)
-        if title in header[:i]:
-            raise PlanError("given-twice", place=place, what="it")
-    for title in ("pose", *_joints(len(joints) or 1)):
-        if title not in header:
-            example = ",".join(("pose", *Plan.IDS, "q1_rad,..."))
-            raise PlanError("missing-column", place=name, column=title, example=example)
-    return joints
+    return Plan(q, **ids, move=move, speed=speed, robot=np.array(columns["robot"]))
 
 
 def _check_visit(visit: dict[str, str], pose: int, place: str) -> None:
@@ -112,10 +89,6 @@ def _check_visit(visit: dict[str, str], pose: int, place: str) -> None:
         raise PlanError(f"{place}: has no {' and '.join(missing)}; {remedy}")
     if foreign:
         raise PlanError(f"{place} column {foreign[0]}: {reason}; leave it empty")
-
-
-def _joints(n_joints: int) -> list[str]:
-    return [f"q{i + 1}_rad" for i in range(n_joints)]
 
 
 def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
@@ -148,12 +121,8 @@ def format_plan(plan: Plan) -> str:
         columns |= {"move": plan.move, "line": plan.line, "target": plan.target, "speed_mm_s": speeds}
     if (plan.robot != "").any():
         columns["robot"] = plan.robot
-    columns |= {title: map(repr, q.tolist()) for title, q in zip(_joints(plan.q.shape[1]), plan.q.T, strict=True)}
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
-    return text.getvalue()
+    columns |= {f"q{i}_rad": map(repr, q.tolist()) for i, q in enumerate(plan.q.T, start=1)}
+    return csv_text([columns, *zip(*columns.values(), strict=True)])
 
 
 def write_plan(path: Path, plan: Plan) -> None:

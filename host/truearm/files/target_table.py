@@ -7,7 +7,6 @@ the controller will choose; without them the configuration is searched for. ``na
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -15,24 +14,20 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import TableError, TargetError
-from truearm.files.csv_cells import Row, identifiers, numbers, read_cells
+from truearm.files.csv_cells import joint_titles, read_csv
 from truearm.files.disk import read_text
-from truearm.files.observation_columns import Column
-from truearm.model.mimic import NO_MIMICS, Mimic, completed, units_of
+from truearm.model.mimic import NO_MIMICS, Mimic, completed
 from truearm.model.poses import pose_of
+from truearm.model.robot_tables import MAX_JOINTS
 from truearm.model.rotation import rotation_vector
-from truearm.schema import IDENTIFIER, Key, Number, hint, quoted
 from truearm.types import Floats, Strings
-from truearm.units import DEG, MM, SUFFIXES, UNITS, key, shown
+from truearm.units import DEG, MM, key, named, shown, suffixes
 
 MAX_BYTES = 64 * 2**20
 MAX_TARGETS = 100_000
 ROWS = 10_000  # that are written at a time
-NAME = Key("name", IDENTIFIER)
-XYZ = tuple(Key(name, Number("m")) for name in "xyz")
-TURN = tuple(Key(name, Number("rad")) for name in ("rx", "ry", "rz"))
-# truearm's columns in a table that is corrected again
-RESULTS = re.compile(r"(before|after)_(mm|deg)|simulated|told_.*|x_.*")
+XYZ, TURN = ("x", "y", "z"), ("rx", "ry", "rz")
+RESULTS = r"(before|after)_(mm|deg)|simulated|told_.*"  # truearm's columns in a table that is corrected again
 
 
 class Targets(NamedTuple):
@@ -66,61 +61,22 @@ def read_targets(path: Path, joint_units: Sequence[str], mimics: Mapping[int, Mi
 
 def parse_targets(text: str, name: str, joint_units: Sequence[str], mimics: Mapping[int, Mimic] = NO_MIMICS) -> Targets:
     """Parse the text of a table of targets; ``name`` stands for the file in messages. Raises TargetError or TableError."""
-    header, rows = read_cells(text, name)
-    if not rows:
-        raise TargetError("no-rows", place=name)
-    if len(rows) > MAX_TARGETS:
-        raise TargetError(f"{name}: has {len(rows)} targets, the maximum is {MAX_TARGETS}; split it")
-    units = units_of(sum(title.startswith("q") for title in header), joint_units, mimics)
-    joints = [Key(f"q{i}", Number(unit)) for i, unit in enumerate(units, start=1)]
-    columns = _columns(header, name, joints)
-    xyz = _together(rows, columns, XYZ, name)
-    turn = _together(rows, columns, TURN, name)
-    q = _together(rows, columns, joints, name)
-    if xyz is None:
-        raise TargetError("missing-column", place=name, column="x_mm", example="x_mm,y_mm,z_mm")
+    lengths = {named(axis, unit): (axis, unit) for axis in XYZ for unit in suffixes("m")}
+    angles = {named(axis, unit): (axis, unit) for axis in TURN for unit in suffixes("rad")}
+    joints = joint_titles("q", (*suffixes("rad"), *suffixes("m")), MAX_JOINTS)
+    titles = {"x_mm": ("x", "mm"), "name": ("name", ""), **lengths, **angles, **joints}
+    cells = read_csv(text, name, titles, "Targets and programs", RESULTS)
+    if len(cells.rows) > MAX_TARGETS:
+        raise TargetError(f"{name}: has {len(cells.rows)} targets, the maximum is {MAX_TARGETS}; split it")
+    xyz, turn = (cells.vectors(axes, ", ".join(axes), required=True) for axes in (XYZ, TURN))
+    oriented, placed = "rx" in cells.columns, bool(cells.numbered("q"))
     return Targets(
-        pose=pose_of(xyz, np.zeros_like(xyz) if turn is None else turn),
-        oriented=turn is not None,
-        q_start=None if q is None else completed(q, mimics, len(joint_units)),
-        name=identifiers(rows, columns.get("name"), name),
-        source=tuple(f"{name} row {row.number}" for row in rows),
+        pose=pose_of(xyz, turn if oriented else np.zeros_like(xyz)),
+        oriented=oriented,
+        q_start=completed(cells.joints(joint_units, mimics), mimics, len(joint_units)) if placed else None,
+        name=cells.identifiers("name"),
+        source=tuple(cells.sources),
     )
-
-
-def _columns(header: list[str], name: str, joints: Sequence[Key]) -> dict[str, Column]:
-    keys = {spelled: key for key in (NAME, *XYZ, *TURN, *joints) for spelled in key.spellings}
-    columns: dict[str, Column] = {}
-    for position, title in enumerate(header):
-        place = f"{name} column {position + 1} ({quoted(title)})"
-        quantity, _, unit = title.rpartition("_")
-        spellings = [spelled for spelled, key in keys.items() if key.name == quantity]
-        if title not in keys:
-            if spellings and unit in SUFFIXES:
-                raise TargetError("wrong-value", place=place, names=spellings)
-            if title == "note" or RESULTS.fullmatch(title):
-                continue
-            raise TargetError("unknown-column", place=place, remedy=hint(title, list(keys)))
-        key = keys[title]
-        if key.name in columns:
-            raise TargetError("given-twice", place=place, what=key.name)
-        columns[key.name] = Column(title, position, key.spellings[title])
-    return columns
-
-
-def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], name: str) -> Floats | None:
-    """Return columns of numbers side by side (n, k); a table must have all of them or none."""
-    missing = [key for key in keys if key.name not in columns]
-    if len(missing) == len(keys):
-        return None
-    if missing:
-        unit = next(columns[key.name].unit for key in keys if key.name in columns)
-        written = ({suffix: title for title, suffix in key.spellings.items()} for key in keys)
-        titles = ", ".join(titles_by_unit.get(unit, next(iter(titles_by_unit.values()))) for titles_by_unit in written)
-        raise TargetError("missing-column", place=name, column=missing[0].name, example=titles)
-    largest = [UNITS[SUFFIXES[columns[key.name].unit].si].largest for key in keys]
-    both = zip(keys, largest, strict=True)
-    return np.stack([numbers(rows, columns[key.name], name, limit, required=True) for key, limit in both], axis=1)
 
 
 def format_corrected(

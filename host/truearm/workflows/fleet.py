@@ -5,8 +5,6 @@ Each arm writes files of its own, whole. A further run does only what is missing
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -19,6 +17,7 @@ import msgspec
 from truearm.errors import Argument, InputError, TruearmError
 from truearm.exit_codes import ExitCode
 from truearm.file_names import system_reason
+from truearm.files.csv_cells import csv_text
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.project_file import Project, read_project
 from truearm.files.project_folder import FILE
@@ -171,17 +170,8 @@ def identify_fleet(folders: Sequence[Path], options: FleetOptions) -> list[Arm]:
     lost = Arm("", code=ExitCode.FAILED, verdict=reason)
     fleet = [rows.get(str(home), replace(lost, arm=str(home))) for home in homes]
     if options.out is not None:
-        write_atomic(options.out, csv_text(fleet))
+        write_atomic(options.out, csv_text([Arm.__dataclass_fields__, *(asdict(row).values() for row in fleet)]))
     return fleet
-
-
-def csv_text(fleet: Sequence[Arm]) -> str:
-    """Return the rows as CSV with a header."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, Arm.__dataclass_fields__, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in fleet)
-    return text.getvalue()
 
 
 def worst(fleet: Sequence[Arm]) -> ExitCode:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 from truearm.correct.error_map import BestRectangle, ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError
+from truearm.files.csv_cells import csv_text
 from truearm.files.disk import check_outputs, write_atomic
 from truearm.findings import Finding, ordered
 from truearm.progress import step
@@ -171,10 +170,10 @@ def _table(grid: ErrorMap, calibration: Calibration) -> str:
     """
     units = calibration.joint_units
     mark = {"simulated": "yes"} if calibration.simulated else {}
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
     joints = [key(f"q{i}", unit) for i, unit in enumerate(units, start=1)]
-    writer.writerow(["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm", "covered", *mark])
+    rows: list[list[object]] = [
+        ["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm", "covered", *mark]
+    ]
     for i, j in zip(*np.nonzero(~np.isnan(grid.error)), strict=True):
         place = MM.of(np.array([grid.u[j], grid.v[i], *grid.point[i, j]]))
         sigma = number(grid.sigma[i, j], "m", 5) if np.isfinite(grid.sigma[i, j]) else ""
@@ -182,8 +181,8 @@ def _table(grid: ErrorMap, calibration: Calibration) -> str:
             number(value, unit, 5) for value, unit in zip(grid.q[i, j], units, strict=True)
         ]
         covered = "" if grid.outside is None else int(not grid.outside[i, j])
-        writer.writerow([*cells, number(grid.error[i, j], "m", 5), sigma, covered, *mark.values()])
-    return text.getvalue()
+        rows.append([*cells, number(grid.error[i, j], "m", 5), sigma, covered, *mark.values()])
+    return csv_text(rows)
 
 
 def _picture(grid: ErrorMap, region: BestRectangle | None, calibration: Calibration, styled: bool = True) -> str:

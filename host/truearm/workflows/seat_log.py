@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from truearm.errors import Argument, InputError
-from truearm.files.csv_cells import read_cells
+from truearm.files.csv_cells import CsvTable, csv_text, read_cells, read_header
 from truearm.files.disk import read_text, write_atomic
-from truearm.files.observation_columns import joint_columns, read_header
-from truearm.files.observation_table import MAX_BYTES
+from truearm.files.observation_table import MAX_BYTES, PAGE, table_titles
 from truearm.findings import Finding
 from truearm.progress import step
 from truearm.record.robots.sources import FileOptions, readings_of_file
@@ -64,7 +61,7 @@ def fill_seats(table: Path, source: Path, options: FileOptions, shortest: float,
     written.
     """
     header, rows = read_cells(read_text(table, MAX_BYTES, InputError), str(table))
-    joints = joint_columns(read_header(header, str(table)), None, str(table))
+    joints = CsvTable(str(table), rows, read_header(header, table_titles(), str(table), PAGE)).numbered("q")
     empty = [row.cells for row in rows if not all(row.cells[joint.position] for joint in joints)]
     lines = [reading.line for reading in readings_of_file(source, options)]
     log = parse_lines(lines, range(len(lines)))
@@ -88,9 +85,7 @@ def fill_seats(table: Path, source: Path, options: FileOptions, shortest: float,
     for cells, stop in zip(empty, stops, strict=True):
         for joint, unit, value in zip(joints, units, stop.q.tolist(), strict=True):
             cells[joint.position] = f"{unit.of(value):.7g}"
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([header, *(row.cells for row in rows)])
-    write_atomic(table, text.getvalue())
+    write_atomic(table, csv_text([header, *(row.cells for row in rows)]))
     durations = [stop.end - stop.begin for stop in stops]
     values = {"place": str(table), "n": len(stops), "shortest": {"s": min(durations)}, "longest": {"s": max(durations)}}
     return Finding("seats-filled", values)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
 from dataclasses import replace
 from operator import itemgetter
@@ -15,7 +13,7 @@ from scipy.spatial.distance import pdist
 
 from truearm.errors import InputError, PlanError
 from truearm.estimate.prior import weak_prior
-from truearm.files.csv_cells import read_cells
+from truearm.files.csv_cells import csv_text, read_cells
 from truearm.files.disk import read_text
 from truearm.files.observation_table import MAX_BYTES
 from truearm.files.rig_file import parse_rig
@@ -119,8 +117,8 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
                 seats.append(["seat", *row, *("" for _ in joints)])
     files: dict[str, str | bytes] = {
         "rig.toml": rig_text,
-        PLACES: _csv(plan),
-        SEATS: _csv(seats),
+        PLACES: csv_text(plan),
+        SEATS: csv_text(seats),
         BLOCK: stl(block),
         DRAWING: "\n".join(_drawing(sites, block, request.table)) + "\n",
     }
@@ -172,12 +170,6 @@ def stl(block: SocketBlock) -> bytes:
     facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     facets["normal"], facets["corners"] = normal / np.linalg.norm(normal, axis=1, keepdims=True), corners
     return b"truearm".ljust(80) + len(facets).to_bytes(4, "little") + bytes(facets.tobytes())
-
-
-def _csv(rows: list[list[object]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
 
 
 def _drawing(sites: list[Site], block: SocketBlock, table: float) -> Iterator[str]:
