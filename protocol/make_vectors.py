@@ -86,10 +86,6 @@ golden(
     "data-wraps", array(16, u32(2**32 - 1), 0, u64(2**32), u64(2**32 + 5), u32(983040), typed(78, counts(13, 99)), 1)
 )
 golden("data-far-time", array(16, u32(2**30), 0, u64(2**53), u64(2**63), u32(983040), typed(78, counts(2, 1)), 3))
-golden(
-    "data-with-stamps",
-    array(16, u32(8), 1, u64(3), u64(99), typed(69, struct.pack("<3H", 0, 1000, 2001)), typed(78, counts(3, 7)), 0),
-)
 golden("data-mag-full", array(16, u32(5), 1, u64(52), u64(2**33), u32(983040), typed(78, flights(52, 0)), 4))
 golden("data-mag-one-sample", array(16, u32(6), 1, u64(104), u64(2**33), u32(200000), typed(78, flights(1, 0)), 0))
 golden("event-rising", array(17, u32(9), 1, u64(5_000_000_123), 1))

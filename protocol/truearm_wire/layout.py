@@ -10,7 +10,7 @@ LAYOUT = {
         "stream",
         "n0:u64",
         "t0_us:u64",
-        "timing:u32",
+        "period_ns:u32",
         "samples",
         "flags",
     ),

@@ -110,8 +110,6 @@ def decode_payload(payload):
 def _accepted(entry):
     if entry == "samples":
         return Tag
-    if entry == "timing:u32":
-        return (int, Tag)
     if entry == "data":
         return bytes
     if entry == "text":

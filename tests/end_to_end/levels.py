@@ -14,10 +14,9 @@ from tests.end_to_end.conftest import interpreter
 from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import Ident
-from truearm.session.frames import data_of, decode
-from truearm.session.session_file import columns_of
+from truearm.session.frames import data_frame
+from truearm.session.session_file import open_session
 from truearm.session.streams import BoxReader
-from truearm.types import Message
 from truearm_sim.chip import ChipBox
 from truearm_sim.hardware import Edge, PowerOn
 from truearm_sim.lab import Lab
@@ -61,7 +60,7 @@ class Session:
         """Return the data frames of a stream."""
         with self.path.open("rb") as f:
             topic = ("/box/adc", "/box/mag")[stream]
-            return [data_of(decode(m.data)) for _, _, m in make_reader(f).iter_messages(topics=[topic])]
+            return [data_frame(m.data) for _, _, m in make_reader(f).iter_messages(topics=[topic])]
 
     def heartbeats(self) -> list[dict[str, int]]:
         """Return the heartbeats' elements by name."""
@@ -75,8 +74,8 @@ class Session:
     def ident(self) -> Ident:
         """Return the box's ident, as read by the host."""
         reader = BoxReader()
-        frames = self.frames("/box/ident")
-        reader.feed(columns_of(Message("/box/ident", 0, bytes(wire.encode_payload(frame))) for frame in frames))
+        for messages in open_session(self.path).batches():
+            reader.feed(messages)
         reader.finish()
         ident = reader.segment.ident
         assert ident is not None

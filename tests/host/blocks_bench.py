@@ -4,11 +4,10 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
-from session_stream import CHANNELS, PERIOD_NS, Box
+from session_stream import CHANNELS, PERIOD_NS, Box, columns_of
 
 from truearm.session.box_ident import Ident
 from truearm.session.frames import Data
-from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 
 BLOCK_NS = 13 * PERIOD_NS
@@ -42,11 +41,9 @@ class Block(NamedTuple):
 
 def singly(blocks):
     """Yield the rows of the blocks of one stream."""
-    counts, within_ns = (np.split(of, blocks.first[1:-1]) for of in (blocks.counts, blocks.within_ns()))
-    for row, samples, within in zip(blocks.table.tolist(), counts, within_ns, strict=True):
+    for row, samples in zip(blocks.table.tolist(), np.split(blocks.counts, blocks.first[1:-1]), strict=True):
         n0, t0_us, period_ns, n, run, flags, gap = row
-        offsets = b"" if period_ns else (within // 1000).astype("<u2").tobytes()
-        data = Data(-1, blocks.stream.id, n0, t0_us, period_ns, offsets, samples.tobytes(), flags)
+        data = Data(-1, blocks.stream.id, n0, t0_us, period_ns, samples.tobytes(), flags)
         yield Block(blocks.segment, run, gap, n, samples.shape[1], data, samples, blocks.ident)
 
 

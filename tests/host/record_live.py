@@ -72,7 +72,7 @@ class Session:
             extension = self.position + speed * within + NOISE * self.rng.standard_normal(13)
             counts = np.zeros((13, 4), "<i4")
             counts[:, 0] = np.rint(extension / MM)
-            data = Data(0, 0, self.n0, self.t // 1000, BLOCK_NS // 13, b"", counts.tobytes(), 0)
+            data = Data(0, 0, self.n0, self.t // 1000, BLOCK_NS // 13, counts.tobytes(), 0)
             self.n0 += 13
             self.t += BLOCK_NS
             self.position += speed * BLOCK_NS * 1e-9

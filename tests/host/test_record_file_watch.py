@@ -41,9 +41,9 @@ def lost(lab, path, happens, at_ns=AT_NS):
 
 def samples(path):
     """Return the indices of the frames' first samples, in the order of the file."""
-    from truearm.session.frames import data_of, decode
+    from truearm.session.frames import data_frame
 
-    return [data_of(decode(m.data)).n0 for m in topics(path)["/box/adc"]]
+    return [data_frame(m.data).n0 for m in topics(path)["/box/adc"]]
 
 
 def is_head_whole(path):

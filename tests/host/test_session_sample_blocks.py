@@ -245,17 +245,6 @@ def test_data_without_ident_is_counted_not_guessed():
     assert reader.losses().frames_lost == 0
 
 
-def test_offsets_instead_of_a_period():
-    box = box_with(blocks=0)
-    offsets = np.array([0, 980, 1970], "<u2").tobytes()
-    samples = Tag(78, COUNTS[:3].astype("<i4").tobytes())
-    box.frame("adc", 5, wire.DATA, 0, 0, 77, Tag(69, offsets), samples, 0)
-    box.frame("adc", 5, wire.DATA, 0, 3, 99, Tag(69, offsets[:4]), samples, 0)  # too few
-    blocks, reader = read(box.messages)
-    assert [(block.data.period_ns, block.data.offsets_us, block.n) for block in blocks] == [(0, offsets, 3)]
-    assert reader.losses().frames_malformed == 1
-
-
 def test_a_wrong_ident_is_malformed_and_a_later_one_is_taken():
     box = Box()
     wrong = cbor2.dumps({**ident_document(), "streams": 5})

@@ -133,7 +133,7 @@ def test_json_schemas_are_such_as_viewers_read(recorded):
 
 def test_frames_are_described_element_by_element():
     assert encodings_of("/box/adc", b"").data == (
-        "frame = [16, seq: any, stream: any, n0: any, t0_us: any, timing: any, samples: any, flags: any, * any]\n"
+        "frame = [16, seq: any, stream: any, n0: any, t0_us: any, period_ns: any, samples: any, flags: any, * any]\n"
     )
     assert encodings_of("/box/reply", b"").data.count("[") == 2
 

@@ -23,21 +23,19 @@ from truearm_wire import messages as wire
 from truearm_wire.messages import PAGE_BYTES, PAGES_MAX
 
 TAG_INT32 = 78
-TAG_UINT16 = 69
 MAX_PAYLOAD = 250
 MAX_DEVICE_US = 2**53  # 285 years: a later time comes from a damaged or hostile file, and ns still fit 63 bits
 MAX_N0 = 2**62
 
 
 class Data(NamedTuple):
-    """A data frame. If ``period_ns`` is 0, ``offsets_us`` holds one uint16 per sample."""
+    """A data frame; ``samples`` are int32."""
 
     seq: int
     stream: int
     n0: int
     t0_us: int
     period_ns: int
-    offsets_us: bytes
     samples: bytes
     flags: int
 
@@ -45,7 +43,13 @@ class Data(NamedTuple):
 def data_frame(payload: bytes) -> Data | None:
     """Decode a data frame; None if it is not a data frame."""
     frame = decode(payload)
-    return None if frame is None or frame[0] != wire.DATA else data_of(frame)
+    return data_of(frame) if frame is not None and frame[0] == wire.DATA and conforms(frame) else None
+
+
+def data_of(frame: list[Any]) -> Data:
+    """Return the elements of a data frame that conforms."""
+    _, seq, stream, n0, t0_us, period_ns, samples, flags = frame[:8]
+    return Data(seq, stream, n0, t0_us, period_ns, samples.value, flags)
 
 
 def decode(payload: bytes) -> list[Any] | None:
@@ -61,38 +65,23 @@ def decode(payload: bytes) -> list[Any] | None:
     return frame if 0 <= frame[1] < 2**32 else None
 
 
-def data_of(frame: list[Any]) -> Data | None:
-    """Check a decoded data frame and return it; None if it is invalid."""
-    if len(frame) < 8:
-        return None
-    _, seq, stream, n0, t0_us, timing, samples, flags = frame[:8]
-    if not (type(stream) is type(n0) is type(t0_us) is type(flags) is int and min(stream, n0, flags) >= 0):
-        return None
-    if not (0 <= t0_us < MAX_DEVICE_US and max(stream, n0, flags) < MAX_N0 and _is_array(samples, TAG_INT32)):
-        return None
-    if type(timing) is int and 0 < timing < 2**32:
-        return Data(seq, stream, n0, t0_us, timing, b"", samples.value, flags)
-    if _is_array(timing, TAG_UINT16):
-        return Data(seq, stream, n0, t0_us, 0, timing.value, samples.value, flags)
-    return None
-
-
-def _is_array(value: object, tag: int) -> bool:
-    return isinstance(value, cbor2.CBORTag) and value.tag == tag and type(value.value) is bytes
-
-
 MAX_HOST_NS = 2**62
 
 # The key "boot_id" and its unsigned integer in an ident, of which the first page has only a part.
 _BOOT_ID = re.compile(rb"\x67boot_id(?:([\x00-\x17])|\x18(.)|\x19(..)|\x1a(....))", re.DOTALL)
 
-_TYPES: dict[str, type] = {"data": bytes, "text": str}  # of elements; all others are integers
-_BOUNDS = dict.fromkeys(("t_us", "t1_us", "t2_us"), MAX_DEVICE_US) | {"boot_id": 2**32}
-# By type of a frame: the types of its elements, and the index and limit of those that have one.
+# Of elements; all others are integers
+_TYPES: dict[str, type] = {"data": bytes, "text": str, "samples": cbor2.CBORTag}
+_RANGES = {
+    **dict.fromkeys(("t_us", "t0_us", "t1_us", "t2_us"), range(MAX_DEVICE_US)),
+    **dict.fromkeys(("stream", "n0", "flags"), range(MAX_N0)),
+    **{"boot_id": range(2**32), "period_ns": range(1, 2**32)},
+}
+# By type of a frame: the types of its elements, and the index and range of those that have one.
 _ELEMENTS = {
     kind: (
         [_TYPES.get(name, int) for name in wire.names(kind)],
-        [(k, _BOUNDS[name]) for k, name in enumerate(wire.names(kind), start=1) if name in _BOUNDS],
+        [(k, _RANGES[name]) for k, name in enumerate(wire.names(kind), start=1) if name in _RANGES],
     )
     for kind in wire.LAYOUT
 }
@@ -150,13 +139,13 @@ def conforms(frame: list[Any]) -> bool:
     Frames of other types conform. A box with a newer minor version may append elements.
     """
     kind = frame[0]
-    if kind == wire.DATA:
-        return data_of(frame) is not None
     if kind not in wire.LAYOUT:
         return True
-    types, limits = _ELEMENTS[kind]
-    complete = len(frame) > wire.needed(kind) and list(map(type, frame[1 : len(types) + 1])) == types[: len(frame) - 1]
-    return complete and all(0 <= frame[k] < limit for k, limit in limits)
+    types, ranges = _ELEMENTS[kind]
+    if len(frame) <= wire.needed(kind) or list(map(type, frame[1 : len(types) + 1])) != types[: len(frame) - 1]:
+        return False
+    is_samples = kind != wire.DATA or (frame[6].tag == TAG_INT32 and type(frame[6].value) is bytes)
+    return is_samples and all(frame[k] in allowed for k, allowed in ranges)
 
 
 def fields_of(kind: int, payload: bytes) -> dict[str, Any] | None:
@@ -172,14 +161,12 @@ def is_boot(frame: list[Any]) -> bool:
     return frame[0] == wire.IDENT and frame[2:4] == [0, 0]
 
 
-def boot_id(frame: list[Any]) -> int | None:
-    """Return the boot id that a heartbeat or the first page of an ident states; None for other frames."""
-    if frame[0] == wire.HEARTBEAT and len(frame) > 2:
-        return frame[2] if type(frame[2]) is int else None
-    if frame[0] == wire.IDENT and len(frame) > 5 and frame[3] == 0 and type(frame[5]) is bytes:
-        match = _BOOT_ID.search(frame[5])
-        return None if match is None else int.from_bytes(match[1] or match[2] or match[3] or match[4])
-    return None
+def boot_id(frame: list[Any]) -> int:
+    """Return the boot id that a heartbeat or the first page of an ident states; NONE for other frames."""
+    if frame[0] == wire.HEARTBEAT:
+        return int(frame[2])
+    match = _BOOT_ID.search(frame[5]) if frame[0] == wire.IDENT and frame[3] == 0 else None
+    return NONE if match is None else int.from_bytes(match[1] or match[2] or match[3] or match[4])
 
 
 class Pages:
@@ -209,8 +196,8 @@ class Pages:
 
 
 NONE = -1  # of a frame without this element
-_OF_ALL = ("message", "seq", "type", "boot_id")
-_OF_DATA = ("t_us", "stream", "n0", "period_ns", "flags", "samples_at", "samples_bytes")
+_OF_ALL = ["message", "seq", "type", "boot_id"]
+_OF_DATA = ["t_us", "stream", "n0", "period_ns", "flags", "samples_at", "samples_bytes"]
 FRAME = np.dtype([(name, np.int64) for name in (*_OF_ALL, *_OF_DATA)])
 
 _BEGIN = [("begin", "u1"), ("type", "u1"), ("m_seq", "u1"), ("seq", ">u4"), ("stream", "u1")]
@@ -227,8 +214,8 @@ _UINT32, _UINT64 = 0x1A, 0x1B  # CBOR: an unsigned integer of this many bits fol
 class Frames:
     """The frames (f,) in a batch of messages, which may follow frames of earlier ones. Messages that are not frames are left out.
 
-    ``table`` (f,) of FRAME; ``message`` is an index in the batch, ``samples_at`` is an offset in ``data``. The
-    period is 0 if the frame states the offset of each sample. ``elements``: of each frame that was decoded singly, by row.
+    ``table`` (f,) of FRAME; ``message`` is an index in the batch, ``samples_at`` is an offset in ``data``.
+    ``elements``: of each frame that was decoded singly, by row.
     The type of a frame that violates the specification is NONE; ``malformed`` counts these and the messages that are not
     frames.
     """
@@ -267,29 +254,23 @@ def frames_of(messages: Messages) -> Frames:
     usual = _usual_data(messages, begin, end, table) | _usual_syncs(messages, begin, end, table)
     elements: dict[int, list[Any]] = {}
     is_frame = np.ones(len(rows), bool)
-    malformed = 0
     for k in np.flatnonzero(~usual).tolist():
         payload = messages.payload(int(rows[k]))
         frame = decode(payload)
         if frame is None or is_echo(frame):
             is_frame[k] = False
-            malformed += 1
             continue
-        elements[k] = frame
-        table["seq"][k] = frame[1]
+        elements[k], table["seq"][k] = frame, frame[1]
         if not conforms(frame):
-            malformed += 1
             continue
-        stated = boot_id(frame)
-        table["type"][k], table["boot_id"][k] = frame[0], NONE if stated is None else stated
-        if frame[0] == wire.DATA and (data := data_of(frame)) is not None:
-            offset = int(begin[k]) + payload.rfind(data.samples)
-            table["t_us"][k] = data.t0_us
-            for name in ("stream", "n0", "period_ns", "flags"):
-                table[name][k] = getattr(data, name)
-            table["samples_at"][k], table["samples_bytes"][k] = offset, len(data.samples)
-    place = (np.cumsum(is_frame) - 1).tolist()
-    return Frames(messages.data, table[is_frame], {place[k]: frame for k, frame in elements.items()}, malformed)
+        table["type"][k], table["boot_id"][k] = frame[0], boot_id(frame)
+        if frame[0] == wire.DATA:
+            data = data_of(frame)
+            place = int(begin[k]) + payload.rfind(data.samples), len(data.samples)
+            table[_OF_DATA][k] = (data.t0_us, data.stream, data.n0, data.period_ns, data.flags, *place)
+    row = (np.cumsum(is_frame) - 1).tolist()
+    malformed = int(np.count_nonzero(table["type"] == NONE))
+    return Frames(messages.data, table[is_frame], {row[k]: frame for k, frame in elements.items()}, malformed)
 
 
 def _usual_data(messages: Messages, begin: Ints, end: Ints, table: NDArray[Any]) -> NDArray[np.bool_]:

@@ -135,7 +135,7 @@ class ChannelSamples:
                 counts = with_ratios(block.counts, block.stream.channels)[:, place[1]]
                 begin_us = int(block.table["t_us"].min()) - block.stream.group_delay_ns // 1000 - SLACK_US
                 end_us = int(block.table["t_us"].max()) + block.reach_ns // 1000 + SLACK_US
-                self._arrays.append((block.table, counts, block.stated_ns), (block.segment, begin_us, end_us))
+                self._arrays.append((block.table, counts), (block.segment, begin_us, end_us))
                 self._kept.append(partial(Blocks, block.segment, block.ident, block.stream, place[1]))
 
     def _load(self, number: int) -> tuple[Blocks, Ints, Floats]:
@@ -197,7 +197,7 @@ class ChannelSamples:
             piece=np.asarray(np.cumsum(gap, dtype=np.int64))[order],
             fault=fault[order],
             channels=last.channels,
-            period_ns=int(period_ns[-1]) or last.stream.period_ns,
+            period_ns=int(period_ns[-1]),
             bound_ns=float(bound.max()),
         )
 

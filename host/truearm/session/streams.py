@@ -216,7 +216,6 @@ class Blocks:
 
     ``table`` (b,) of BLOCK: index and device time of the first sample, period, number of samples per channel, run, flags,
     and whether samples before the block are missing. ``counts`` (Σ n, c): of the stream's channels at ``columns``.
-    ``stated_ns`` (Σ n,): time from the block's first sample to each sample; (0,) if the periods give it.
     """
 
     segment: int
@@ -225,7 +224,6 @@ class Blocks:
     columns: tuple[int, ...]
     table: NDArray[Any]
     counts: NDArray[np.int32]
-    stated_ns: Ints
 
     def __len__(self) -> int:
         return len(self.table)
@@ -243,8 +241,7 @@ class Blocks:
     @cached_property
     def reach_ns(self) -> int:
         """The longest time from the first sample of a block to its last."""
-        by_period = int(self.table["n"].max()) * max(int(self.table["period_ns"].max()), self.stream.period_ns)
-        return int(self.stated_ns.max(initial=0)) or by_period
+        return int(self.table["n"].max()) * max(int(self.table["period_ns"].max()), self.stream.period_ns)
 
     def within_ns(self, rows: slice = slice(None)) -> Ints:
         """Return the time [ns] from the first sample of its block to each sample of some blocks.
@@ -252,8 +249,6 @@ class Blocks:
         The nominal period is used: 1000 ppm over 13 ms is 13 µs.
         """
         table, first = self.table[rows], self.first[:-1][rows]
-        if self.stated_ns.size:
-            return self.stated_ns[first[0] : first[-1] + table["n"][-1]]
         place = np.arange(table["n"].sum()) - np.repeat(first - first[0], table["n"])
         return np.asarray(place * np.repeat(table["period_ns"], table["n"]))
 
@@ -471,8 +466,6 @@ class BoxReader:
         table = frames.table[index[rows]]
         n, remainder = np.divmod(table["samples_bytes"], 4 * len(stream.channels))
         complete = (remainder == 0) & (n > 0)
-        for k in np.flatnonzero(table["period_ns"] == 0).tolist():
-            complete[k] &= len(frames.elements[int(index[rows[k]])][5].value) == 2 * n[k]
         self._count["frames_malformed"] += int(np.count_nonzero(~complete))
         return np.asarray(rows[complete])
 
@@ -487,23 +480,17 @@ class BoxReader:
         table["n0"], table["t_us"], table["period_ns"], table["n"] = rows["n0"], rows["t_us"], rows["period_ns"], n
         table["flags"] = rows["flags"] & 0xFF
         counts = np.empty((int(n.sum()), channels), np.int32)
-        blocks = Blocks(self.segment.index, ident, stream, tuple(range(channels)), table, counts, np.empty(0, np.int64))
+        first = np.cumsum(n) - n
         data = np.frombuffer(frames.data, np.uint8)
         for length in np.unique(n).tolist():
             alike = np.flatnonzero(n == length)
             window = np.lib.stride_tricks.sliding_window_view(data, 4 * length * channels)
             samples = np.asarray(window[rows["samples_at"][alike]]).view("<i4")
             if len(alike) == len(rows):
-                blocks.counts = samples.reshape(-1, channels)
+                counts = samples.reshape(-1, channels)
             else:
-                counts[blocks.first[alike][:, None] + np.arange(length)] = samples.reshape(-1, length, channels)
-        single = np.flatnonzero(rows["period_ns"] == 0)
-        if single.size:
-            blocks.stated_ns = blocks.within_ns()
-            for k in single.tolist():
-                offsets = np.frombuffer(frames.elements[int(index[k])][5].value, "<u2")
-                blocks.stated_ns[blocks.first[k] : blocks.first[k + 1]] = 1000 * offsets.astype(np.int64)
-        return blocks
+                counts[first[alike][:, None] + np.arange(length)] = samples.reshape(-1, length, channels)
+        return Blocks(self.segment.index, ident, stream, tuple(range(channels)), table, counts)
 
 
 _TEMPERATURE_AT = wire.names(wire.HEARTBEAT)[1:].index("temperature_mdegc")
