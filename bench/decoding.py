@@ -8,6 +8,7 @@ or timed. Seconds are of the processor, on one core.
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable
@@ -18,11 +19,14 @@ import cbor2
 import numpy as np
 from cobs import cobs
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "host"))
+from session_stream import columns_of
+
 from truearm.record.frame_splitter import FrameSplitter
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import Ident, parse_ident
-from truearm.session.session_file import Messages, Session, columns_of, open_session
+from truearm.session.session_file import Messages, Session, open_session
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire.cbor import Tag

@@ -40,7 +40,7 @@ from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_format import JOINTS, format_reading
 from truearm.session.joint_readings import SegmentedReadings
-from truearm.session.observations import observations
+from truearm.session.observations import observations, survey
 from truearm.session.session_file import Messages, Session, chunk_records, open_session
 from truearm.session.streams import BoxReader
 from truearm.types import Message
@@ -221,7 +221,7 @@ def show(name: str, path: Path) -> None:
         "samples": lambda: samples(session),
         "joints": lambda: joints(batches),
         "joints: the library's json": lambda: sum(len(json.loads(line)) for line in lines),
-        "observations": lambda: observations(open_session(path).batches, session_stream.RIG),
+        "observations": lambda: observations(survey(open_session(path).batches), session_stream.RIG),
     }
     seconds = {stage: [] for stage in stages}
     for _ in range(RUNS):
@@ -267,7 +267,7 @@ def observing(path: Path) -> tuple[float, float]:
 
 if __name__ == "__main__":
     if "--memory" in sys.argv:
-        observations(open_session(Path(sys.argv[-1])).batches, session_stream.RIG)
+        observations(survey(open_session(Path(sys.argv[-1])).batches), session_stream.RIG)
         status = Path("/proc/self/status").read_text()  # getrusage's is no less than the parent's
         print(int(status.split("VmHWM:")[1].split()[0]) / 1024, time.process_time())
     elif "--long" in sys.argv:

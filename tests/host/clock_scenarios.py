@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from session_stream import columns_of
 
 from truearm.clocks import SLEWED_WANDER, WANDER
 from truearm.session.clock import Arrivals, ClockReport, fit_clock, fit_robot_clock
-from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire.messages import HEARTBEAT, SYNC_REPLY, encode_payload, names

@@ -6,12 +6,14 @@ Frames are written by ``truearm_wire``. The truth is kept with them.
 from __future__ import annotations
 
 import json
+import struct
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import cbor2
 import numpy as np
 
-from truearm.session.session_file import Source, columns_of
+from truearm.session.session_file import Messages, Source, columns_of_records
 from truearm.types import BallBar, Message, Point, Rig
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
@@ -109,6 +111,20 @@ class Box:
         self.frame("sync", t3, wire.SYNC_REPLY, ident, t1, t2)
         exchange = {"id": ident, "t0_ns": t_host_ns, "t1_us": t1, "t2_us": t2, "t3_ns": t3}
         self.messages.append(Message("/sync", t3, json.dumps(exchange).encode()))
+
+
+def columns_of(messages: Iterable[Message]) -> Messages:
+    """Return messages as the reader of a session does, from the records of a chunk."""
+    numbers: dict[str, int] = {}
+    records = []
+    for sequence, (topic, t_host_ns, data) in enumerate(messages):
+        if topic not in numbers:
+            numbers[topic] = len(numbers)
+            body = struct.pack("<HHI", numbers[topic], 0, len(topic.encode())) + topic.encode() + bytes(8)
+            records.append(struct.pack("<BQ", 4, len(body)) + body)
+        head = struct.pack("<HIQQ", numbers[topic], sequence, t_host_ns, t_host_ns)
+        records.append(struct.pack("<BQ", 5, len(head) + len(data)) + head + data)
+    return columns_of_records([b"".join(records)], {})
 
 
 def stream_of(messages: list[Message], size: int = 1000) -> Source:

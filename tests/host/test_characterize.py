@@ -24,7 +24,7 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import REPEATABILITY
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.session.observations import observations
+from truearm.session.observations import observations, survey
 from truearm.types import Message
 from truearm.workflows.characterize import characterized, visits
 from truearm.workflows.session_parts import SETUP
@@ -54,7 +54,7 @@ def said(seed):
 
 
 def characterize(stream):
-    result = observations(stream, standard_rig(), name="run")
+    result = observations(survey(stream), standard_rig(), name="run")
     return characterized([result], PUMA.chain, standard_rig(), BANDS, "run")
 
 
@@ -116,7 +116,7 @@ def stop_of(seed, dwell):
 
 
 def test_every_visit_came_from_the_side_it_came_from():
-    found = visits(observations(messages(1), standard_rig()), standard_rig(), BANDS)
+    found = visits(observations(survey(messages(1)), standard_rig()), standard_rig(), BANDS)
     controller = world(1).controller
     for visit in found:
         assert np.array_equal(np.nan_to_num(visit.side), controller.direction[stop_of(1, visit.dwell)])
@@ -132,7 +132,7 @@ def settled_after(size, band_first, band_last):
 def test_settling_times_are_those_of_the_bar_without_noise():
     """Each between what a band narrower and one wider by the noise allow, and a sample's period. Noise: five sigma of a sample
     and four of the dwell's mean. Of a wide band that says it to some samples, and the medians are alike."""
-    result = observations(messages(1), standard_rig())
+    result = observations(survey(messages(1)), standard_rig())
     found = visits(result, standard_rig(), BANDS)
     controller = world(1).controller
     for k, band in enumerate(BANDS):
@@ -172,7 +172,7 @@ class Calibration:
 
     def __init__(self, seed):
         self.world = World(seed, standard_plan(100, seed), arm=WORN)
-        self._synced = observations(stream_of(messages_of(self.world, seed)), standard_rig())
+        self._synced = observations(survey(stream_of(messages_of(self.world, seed))), standard_rig())
         used = [dwell for dwell in self._synced.dwells if not dwell.reason]
         controller = self.world.controller
         middle = np.array([0.5e-9 * (d.start_host_ns + d.end_host_ns - 2 * HOST_NS) for d in used])

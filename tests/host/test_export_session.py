@@ -16,6 +16,7 @@ import pytest
 from blocks_bench import read
 from record_box import Lab
 from session_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of
+from session_stream import columns_of as message_columns
 from tests.refusals import ended
 
 from truearm.cli.main import main
@@ -26,7 +27,6 @@ from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_format import parse_lines
 from truearm.session.observations import observations, survey
-from truearm.session.session_file import columns_of as message_columns
 from truearm.session.session_file import open_session
 from truearm.session.session_tables import MAX_TABLES, tabulate
 from truearm.types import Message
@@ -134,7 +134,7 @@ def test_what_sync_sees(made, tmp_path, format):
     for title in ("t0_ns", "t1_us", "t2_us", "t3_ns"):
         np.testing.assert_array_equal(tables["sync"][title], [row[title] for row in exchanges])
 
-    result = observations(opened.batches, RIG, name="s.mcap")
+    result = observations(survey(opened.batches), RIG, name="s.mcap")
     dwells = tables["dwells"]
     np.testing.assert_array_equal(dwells["value_m"], [dwell.value for dwell in result.dwells])
     assert dwells["reason"].tolist() == [dwell.reason for dwell in result.dwells]
@@ -151,7 +151,7 @@ def test_what_sync_sees(made, tmp_path, format):
 def test_the_observations_are_a_table_for_identify(made, tmp_path):
     _, path = made
     export(path, tmp_path / "x")
-    result = observations(open_session(path).batches, RIG)
+    result = observations(survey(open_session(path).batches), RIG)
     read = read_table(tmp_path / "x" / "observations.csv")
     np.testing.assert_array_equal(read.value, result.table.value)
     np.testing.assert_array_equal(read.q, result.table.q)

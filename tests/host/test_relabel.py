@@ -16,7 +16,7 @@ from truearm.cli.main import main
 from truearm.files.labels_file import labels_path, read_labels
 from truearm.files.write_lock import hold
 from truearm.model.robot import builtin_robot
-from truearm.types import BAR_MOUNTED, NEED_DECISION
+from truearm.types import BAR_MOUNTED
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.record import recorded_dwells, unsettled
 from truearm.workflows.relabel import relabel
@@ -293,9 +293,3 @@ def test_a_wrong_part_that_was_confirmed_is_not_used(tmp_path, plan):
     assert not set(run) & set(used(path))
     assert count.rejected["doubtful"] == len(run)
     assert len(used(path)) == np.isfinite(extension).sum() - len(run)
-
-
-def test_reasons_that_need_a_decision_are_reasons():
-    from truearm.session.dwells import REASONS
-
-    assert set(NEED_DECISION) <= set(REASONS)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from record_box import MS, SECOND, Lab
+from session_stream import columns_of
 from test_session_joint_readings import assert_same
 
 from truearm.errors import SessionError
@@ -18,7 +19,7 @@ from truearm.record.robots.sources import AddedReading
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, concatenate, pack, parse_line, parse_lines, unpack
 from truearm.session.joint_readings import JointReader
-from truearm.session.session_file import columns_of, open_session
+from truearm.session.session_file import open_session
 from truearm.types import Message
 
 number = st.one_of(st.floats(-10, 10), st.integers(-9, 9))

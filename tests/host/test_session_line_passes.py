@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import cache
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from line_stream import MAGNET, STEP, LineBox, line_session, some_lines, true_pa
 from session_stream import PERIOD_NS, renumber, stream_of
 
 from truearm.errors import RigError
-from truearm.session.line_passes import MISSED, REASONS, LineRules, find_legs, fit_locally
+from truearm.report.session_findings import REJECTED
+from truearm.session.line_passes import MISSED, find_legs, fit_locally
 from truearm.session.observations import observations, survey
 from truearm.types import Device, Point, Rig
 
@@ -21,7 +23,7 @@ RIG = Rig(targets={"magnet": Point("magnet", tuple(MAGNET))})
 
 
 def synced(messages, rig=RIG, **options):
-    return observations(stream_of(messages), rig, **options)
+    return observations(survey(stream_of(messages)), rig, **options)
 
 
 @pytest.fixture(scope="module")
@@ -124,9 +126,9 @@ def test_a_line_that_the_rig_has_not(clean):
 
 
 def test_as_many_points_as_wanted(clean, found):
-    result = synced(clean.messages, line_rules=LineRules(points=7))
+    result = synced(clean.messages, line_points=7)
     assert [len(one.xyz) for one in result.passes] == [7] * 4
-    most = synced(clean.messages, line_rules=LineRules(points=10_000))
+    most = synced(clean.messages, line_points=10_000)
     for one in (*found.passes, *most.passes):
         begin, end = windows(one)
         assert np.all(begin[1:] > end[:-1] - 2 * PERIOD_NS)  # rows are snapped to interrogations
@@ -293,7 +295,7 @@ def test_a_pass_that_the_plan_has_not(clean):
     result = synced([*plan, said, *rest])
     assert [one.reason for one in result.passes[:2]] == ["", ""]
     assert result.pass_reasons["no plan match"] >= 2
-    assert set(result.pass_reasons) <= set(REASONS)
+    assert set(result.pass_reasons) <= set(chain.from_iterable(REJECTED.values()))
 
 
 # ---------------------------------------------------------------------------------------------- invariants
@@ -336,7 +338,7 @@ def test_any_readings_and_blocks_may_be_missing(data):
     messages = short_session()
     usable = [i for i, m in enumerate(messages) if m.topic in ("/robot/joints", "/box/mag", "/box/adc")]
     gone = set(data.draw(st.lists(st.sampled_from(usable), max_size=6)))
-    result = synced([m for i, m in enumerate(messages) if i not in gone], line_rules=LineRules(points=10))
+    result = synced([m for i, m in enumerate(messages) if i not in gone], line_points=10)
     for one in (p for p in result.passes if not p.reason):
         begin, end = windows(one)
         assert np.all(np.diff(one.t_host_ns) > 0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from session_stream import RIG, session, stream_of
 
-from truearm.session.observations import observations
+from truearm.session.observations import observations, survey
 from truearm.types import Message
 
 
@@ -31,7 +31,7 @@ def noted(truth, at, shift=0.0):
 
 
 def synced(*parts):
-    return observations(stream_of(sorted(chain(*parts), key=lambda m: m.t_host_ns)), RIG)
+    return observations(survey(stream_of(sorted(chain(*parts), key=lambda m: m.t_host_ns))), RIG)
 
 
 def test_each_note_is_of_the_rest_in_which_it_was_taken(recorded):

@@ -2,26 +2,25 @@
 
 import json
 from dataclasses import replace
-from itertools import count
+from itertools import chain, count
 
 import numpy as np
 import pytest
-from session_stream import PERIOD_NS, RIG, Box, counts_of, ident_document, renumber, session, stream_of
+from session_stream import PERIOD_NS, RIG, Box, columns_of, counts_of, ident_document, renumber, session, stream_of
 
 from truearm.errors import RigError, SessionError
+from truearm.report.session_findings import REJECTED
 from truearm.session.box_ident import parse_ident
 from truearm.session.clock import fit_clock
-from truearm.session.dwells import REASONS, DwellRules
 from truearm.session.frames import Exchange
-from truearm.session.observations import observations
+from truearm.session.observations import observations, survey
 from truearm.session.samples import ChannelSamples
-from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 
 
-def synced(messages, rig=RIG, **options):
-    return observations(stream_of(messages), rig, **options)
+def synced(messages, rig=RIG, ident=None, **options):
+    return observations(survey(stream_of(messages), ident), rig, **options)
 
 
 def blocks_between(messages, start_ns, end_ns):
@@ -157,7 +156,7 @@ def test_readings_that_cannot_be_trusted(clean, change, reason):
     result = synced(with_lvdt(messages, start + 9e8, start + 1.3e9, change))
     assert result.reasons == {reason: 1}
     assert result.dwells[4].reason == reason
-    assert set(result.reasons) <= set(REASONS)
+    assert set(result.reasons) <= set(chain.from_iterable(REJECTED.values()))
 
 
 def test_a_sensor_that_still_moves(clean):
@@ -265,14 +264,6 @@ def test_ident_from_elsewhere_serves_where_the_session_has_none(clean):
     messages = [m for m in clean[0] if m.topic != "/box/ident"]
     assert synced(messages).reasons == {"no samples": 10}
     assert len(synced(messages, ident=parse_ident(ident_document())).table) == 10
-
-
-def test_rules_are_obeyed(clean):
-    messages, _ = clean
-    assert synced(messages, rules=DwellRules(shortest_s=1.8)).reasons["too short"] >= 8
-    short = synced(messages, rules=DwellRules(settle_s=1.0, shortest_s=0.5))
-    assert short.reasons == {}
-    assert max(dwell.n_samples for dwell in short.dwells[1:-1]) < 1000
 
 
 def test_samples_are_those_of_the_interval_by_signal_time():

@@ -8,11 +8,10 @@ import pytest
 from blocks_bench import BLOCK_NS, COUNTS, account, box_with, read
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from session_stream import CHANNELS, PERIOD_NS, Box, ident_document
+from session_stream import CHANNELS, PERIOD_NS, Box, columns_of, ident_document
 
 from truearm.session import streams
 from truearm.session.box_ident import parse_ident
-from truearm.session.session_file import columns_of
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire

@@ -11,8 +11,7 @@ from session_stream import stream_of
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import wide_prior
 from truearm.model.rotation import rotation_vector
-from truearm.session.line_passes import LineRules
-from truearm.session.observations import observations
+from truearm.session.observations import observations, survey
 from truearm.types import Device, Point, Rig
 
 DELAY_S = 8e-3
@@ -33,7 +32,7 @@ def observed(there_and_back=True, only_offsets=False):
     cov = tuple(map(tuple, SIGMA))
     devices = {name: Device(name, cov, rotation=turn, turn_sigma=0.05) for name, turn in turned.items()}
     rig = Rig(targets={"magnet": Point("magnet", tuple(MAGNET))}, lines=devices)
-    return rig, observations(stream_of(made.messages), rig, line_rules=LineRules(points=40)).table
+    return rig, observations(survey(stream_of(made.messages)), rig, line_points=40).table
 
 
 def identified(rig, table, solver="map", free=ROBOT.free):

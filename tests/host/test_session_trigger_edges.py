@@ -7,13 +7,13 @@ import json
 
 import numpy as np
 import pytest
+from session_stream import columns_of
 
 from truearm.clocks import fit
 from truearm.session.clock import RobotClock, fit_clock
 from truearm.session.frames import Exchange
 from truearm.session.joint_format import NO_INPUTS, parse_lines
 from truearm.session.joint_readings import InputTrack, JointReader
-from truearm.session.session_file import columns_of
 from truearm.session.trigger_edges import EDGE, fit_edges, match, with_edges
 from truearm.types import Message
 

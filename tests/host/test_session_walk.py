@@ -11,7 +11,7 @@ import truearm.session
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session import session_file
-from truearm.session.observations import observations
+from truearm.session.observations import observations, survey
 from truearm.session.session_file import open_session
 from truearm.workflows.inputs import Sources, read_sources
 
@@ -52,7 +52,7 @@ def test_a_session_passes_through_the_files_in_the_order_of_the_table(tmp_path):
 
     sys.setprofile(listen)
     try:
-        observations(open_session(tmp_path / "session.mcap").batches, session_stream.RIG)
+        observations(survey(open_session(tmp_path / "session.mcap").batches), session_stream.RIG)
     finally:
         sys.setprofile(None)
     assert walked == [hop for hop in hops.values() if hop not in ("line_passes", "session_tables")]

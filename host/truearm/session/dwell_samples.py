@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.kinds.kind import DwellSensor
-from truearm.session.dwells import Dwell, DwellRules, begun_at
+from truearm.session.dwells import GUARD_S, LEAST_DWELL_S, Dwell, begun_at
 from truearm.session.joint_readings import JointStream
 from truearm.session.sample_noise import (
     LEAST_BLOCKS,
@@ -49,7 +49,6 @@ MICRON = 1e-6  # a ball-bar's spheres are not rounder: less noise, ringing or dr
 class Sensing:
     """Settings common to all dwells of a session. ``any_clock``: the session has exchanges; ``noise``: of the sensor."""
 
-    rules: DwellRules
     joints: JointStream
     any_clock: bool
     noise: Noise
@@ -85,15 +84,14 @@ def block_length(samples: Samples) -> int:
 
 def measured(dwell: Dwell, samples: Samples | None, sensor: DwellSensor, sensing: Sensing) -> Dwell:
     """Return the dwell with its mean length, or with the reason why it has none."""
-    rules = sensing.rules
     if samples is None:
         return replace(dwell, reason="no samples" if sensing.any_clock else "no clock")
     begin_ns, counts = samples.longest()
     dwell = replace(dwell, clock_bound_ns=samples.bound_ns)
-    if samples.bound_ns > 1e9 * rules.guard_s:
+    if samples.bound_ns > 1e9 * GUARD_S:
         return replace(dwell, reason="clock", detail=f"±{MS.text(NS.to_si(samples.bound_ns), '.0f')}")
     period_s = 1e-9 * samples.period_ns
-    if counts.size < LEAST_SAMPLES or period_s * (counts.size + 1) < rules.shortest_s:
+    if counts.size < LEAST_SAMPLES or period_s * (counts.size + 1) < LEAST_DWELL_S:
         return replace(dwell, reason="gap", detail=f"{period_s * counts.size:.2f} s at most without a gap")
     if samples.fault.any():
         return replace(dwell, reason="rail", detail="the converter's fault")
@@ -103,14 +101,14 @@ def measured(dwell: Dwell, samples: Samples | None, sensor: DwellSensor, sensing
     at_rest = settled(length, block, sensor.gain**2 * sensing.noise.block_var, max(UNSETTLED * sensor.sigma, MICRON))
     # Samples before the first block belong to it.
     first = counts.size % block + int(at_rest.first) * block if at_rest is not None and at_rest.first else 0
-    if period_s * (counts.size - first + 1) < rules.shortest_s:
+    if period_s * (counts.size - first + 1) < LEAST_DWELL_S:
         reason, detail = _unusable(counts, stretched, sensor)
         quick = quick_noise(length)
         limit = NOISY * abs(sensor.gain) * sensing.noise.quick
         if not reason and quick > max(limit, MICRON):
             reason, detail = "noisy", _noise_words(quick, limit)
         elif not reason:
-            reason, detail = _unsettled(at_rest, round(rules.shortest_s / (block * period_s)))
+            reason, detail = _unsettled(at_rest, round(LEAST_DWELL_S / (block * period_s)))
         return replace(dwell, reason=reason, detail=detail)
     mean = mean_of(length[first:])
     dwell = replace(dwell, sigma=float(np.sqrt(mean.value_var + sensor.sigma**2)), **mean._asdict())

@@ -21,32 +21,18 @@ from numpy.typing import NDArray
 
 from truearm.session.joint_readings import Bins, JointStream
 from truearm.session.sample_noise import LEAST_BLOCKS, rests_within, settled_from
-from truearm.types import DOUBTFUL, MOUNTING, NEED_DECISION, Floats
+from truearm.types import NEED_DECISION, Floats
 
 WINDOW_BINS = 4
 QUIET_SHARE = 0.1
 QUIET_FACTOR = 3.0
 LEAST_MOTION = 1e-6  # rad or m
-SHORTEST_S = 0.25  # shorter pauses (a change of direction) are not attempts at a dwell and are not listed
-
-REASONS = (
-    "too short",
-    "still moving",  # the joints
-    "ringing",  # the sensor, from side to side
-    "drift",  # the sensor, in one direction
-    "gap",
-    "rail",
-    "out of travel",
-    "noisy",
-    "no samples",
-    "no clock",
-    "clock",  # its bound is larger than the guard
-    "no plan match",
-    MOUNTING,
-    "contradiction",  # at a pose of the plan, but something else was confirmed
-    DOUBTFUL,
-    "ambiguous",  # the plan has this pose with different fittings, and nothing tells which were mounted
-)
+PAUSE_S = 0.25  # shorter pauses (a change of direction) are not attempts at a dwell and are not listed
+SETTLE_S = 0.2  # always discarded at the beginning; more if robot or sensor settle later
+LEAST_DWELL_S = 1.0  # minimum that must remain
+LONGEST_DWELL_S = 60.0  # maximum that is used: a robot parked overnight is one dwell too
+GUARD_S = 0.1  # discarded at the end: the robot's clock runs late by an unknown latency
+POSE_TOLERANCE = np.pi / 180.0  # rad (or m), for every joint: what is nearer to a pose of the plan is at it
 
 
 def needs_decision(reason: str, planned: bool) -> bool:
@@ -55,21 +41,11 @@ def needs_decision(reason: str, planned: bool) -> bool:
 
 
 @dataclass(frozen=True)
-class DwellRules:
-    """Requirements for a dwell to give an observation. Times in s, ``pose_tolerance`` in rad (or m) for every joint."""
-
-    settle_s: float = 0.2  # always discarded at the beginning; more if robot or sensor settle later
-    shortest_s: float = 1.0  # minimum that must remain
-    longest_s: float = 60.0  # maximum that is used: a robot parked overnight is one dwell too
-    guard_s: float = 0.1  # discarded at the end: the robot's clock runs late by an unknown latency
-    pose_tolerance: float = np.pi / 180.0
-
-
-@dataclass(frozen=True)
 class Dwell:
     """A stop of the robot and its outcome.
 
-    ``reason`` is "" if it gave an observation, else one of REASONS, and ``detail`` quantifies it. ``stood_s``:
+    ``reason`` is "" if it gave an observation, else one that ``report.session_findings.REJECTED`` explains, MOUNTING,
+    "contradiction" (with a pose of the plan) or DOUBTFUL. ``detail`` quantifies it. ``stood_s``:
     controller time during which the joints stood still. ``start_s``, ``end_s``: the part that is used, in which robot
     and sensor had settled. ``bins``: first and past-the-last bin of its readings. ``q_var``: variances of single
     readings about their mean, including quantisation. ``value`` [m]: mean length of the bar. ``value_var`` [m²]:
@@ -102,16 +78,16 @@ class Dwell:
     mounted: dict[str, str] = field(default_factory=dict)  # bar, chuck, sphere, shell
 
 
-def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
+def find_dwells(stream: JointStream) -> list[Dwell]:
     """Return all stops in order of time; those ruled out by the joint readings carry their reason."""
-    dwells = [] if stream.bins is None else find_stops(stream.bins, stream.step, rules)
+    dwells = [] if stream.bins is None else find_stops(stream.bins, stream.step)
     segment = np.array([dwell.segment for dwell in dwells], np.int64)
     times = np.array([(dwell.start_s, dwell.end_s) for dwell in dwells]).reshape(-1, 2)
     host = zip(dwells, stream.to_host_ns(segment, times).tolist(), strict=True)
     return [replace(dwell, start_host_ns=start, end_host_ns=end) for dwell, (start, end) in host]
 
 
-def find_stops(bins: Bins, step: Floats, rules: DwellRules) -> list[Dwell]:
+def find_stops(bins: Bins, step: Floats) -> list[Dwell]:
     """Return the stops of the signals in the bins, given their own noise and their step (j,)."""
     quiet = complete = _whole_windows(bins)
     if not np.any(complete):
@@ -122,10 +98,10 @@ def find_stops(bins: Bins, step: Floats, rules: DwellRules) -> list[Dwell]:
     runs = [
         slice(first, last)
         for first, last in _runs(quiet, len(bins.n))
-        if bins.t_last_s[last - 1] - bins.t_first_s[first] >= SHORTEST_S
+        if bins.t_last_s[last - 1] - bins.t_first_s[first] >= PAUSE_S
     ]
     resting = _Rest(resting_variance(bins, runs), np.maximum(1.001 * step, LEAST_MOTION), step)
-    return [_dwell(bins, run, rules, resting) for run in runs]
+    return [_dwell(bins, run, resting) for run in runs]
 
 
 @dataclass(frozen=True)
@@ -181,23 +157,23 @@ def _runs(quiet: NDArray[np.bool_], b: int) -> Iterator[tuple[int, int]]:
         yield int(first), min(int(last) + 1, b)
 
 
-def _dwell(bins: Bins, run: slice, rules: DwellRules, at_rest: _Rest) -> Dwell:
+def _dwell(bins: Bins, run: slice, at_rest: _Rest) -> Dwell:
     stood = float(bins.t_first_s[run.start])
-    begin_s = stood + rules.settle_s
-    inside = np.flatnonzero((bins.t_first_s[run] >= begin_s) & (bins.t_last_s[run] <= begin_s + rules.longest_s))
+    begin_s = stood + SETTLE_S
+    inside = np.flatnonzero((bins.t_first_s[run] >= begin_s) & (bins.t_last_s[run] <= begin_s + LONGEST_DWELL_S))
     if inside.size:
         span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1)
-        lasts_s = _seconds(bins, span, rules)
+        lasts_s = _seconds(bins, span)
     else:
-        span, lasts_s = run, float(bins.t_last_s[run.stop - 1]) - begin_s - rules.guard_s
-    if not inside.size or lasts_s < rules.shortest_s:
-        return of_bins(bins, span, rules, at_rest.step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
+        span, lasts_s = run, float(bins.t_last_s[run.stop - 1]) - begin_s - GUARD_S
+    if not inside.size or lasts_s < LEAST_DWELL_S:
+        return of_bins(bins, span, at_rest.step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
     first, late = _settled(bins, span, at_rest)
     settled = slice(min(span.start + first, span.stop - 1), span.stop)
-    if first and _seconds(bins, settled, rules) < rules.shortest_s:
+    if first and _seconds(bins, settled) < LEAST_DWELL_S:
         swing = float(np.ptp(bins.mean[span][:, late]))
-        return of_bins(bins, span, rules, at_rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
-    return of_bins(bins, settled, rules, at_rest.step, stood)
+        return of_bins(bins, span, at_rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
+    return of_bins(bins, settled, at_rest.step, stood)
 
 
 def _settled(bins: Bins, span: slice, resting: _Rest) -> tuple[int, int]:
@@ -213,17 +189,15 @@ def _settled(bins: Bins, span: slice, resting: _Rest) -> tuple[int, int]:
     return int(np.max(firsts)), int(np.argmax(firsts))
 
 
-def _seconds(bins: Bins, span: slice, rules: DwellRules) -> float:
-    return float(bins.t_last_s[span.stop - 1]) - rules.guard_s - float(bins.t_first_s[span.start])
+def _seconds(bins: Bins, span: slice) -> float:
+    return float(bins.t_last_s[span.stop - 1]) - GUARD_S - float(bins.t_first_s[span.start])
 
 
-def of_bins(
-    bins: Bins, span: slice, rules: DwellRules, step: Floats, stood: float, reason: str = "", detail: str = ""
-) -> Dwell:
+def of_bins(bins: Bins, span: slice, step: Floats, stood: float, reason: str = "", detail: str = "") -> Dwell:
     return Dwell(
         segment=int(bins.segment[span.start]),
         start_s=float(bins.t_first_s[span.start]),
-        end_s=float(bins.t_last_s[span.stop - 1]) - rules.guard_s,
+        end_s=float(bins.t_last_s[span.stop - 1]) - GUARD_S,
         stood_s=stood,
         reason=reason,
         detail=detail,

@@ -166,19 +166,6 @@ def fit_locally(t: Floats, values: Floats, centres: Floats, half_s: float) -> Lo
     return out
 
 
-REASONS = (
-    "too short",
-    "too long",
-    "gap",
-    "out of range",
-    "no stop pulses",
-    "noisy",
-    "not along the line",
-    "no samples",
-    "no clock",
-    "no plan match",
-    "ambiguous",
-)
 READINGS = 7.0  # width of a window in periods of the robot's readings
 LEAST_WINDOW_S = 0.1
 LONGEST_S = 300.0
@@ -195,21 +182,8 @@ FORGOTTEN = 2.0  # integrated correlation times after which noise is independent
 
 
 @dataclass(frozen=True)
-class LineRules:
-    """Rules for passes.
-
-    ``points``: maximum number of rows per pass; None: as many as the noise allows. ``pose_tolerance`` in rad (or m).
-    ``reach`` [m]: range within which the transducers are valid.
-    """
-
-    points: int | None = None
-    pose_tolerance: float = np.pi / 180.0
-    reach: float = np.inf
-
-
-@dataclass(frozen=True)
 class LinePass:
-    """One motion along a line and its outcome; ``reason`` is "" if it gave rows, else one of REASONS.
+    """One motion along a line and its outcome; ``reason`` is "" if it gave rows.
 
     ``direction`` is +1 where y rises. The r rows hold instants on the host's clock, joints and their rates, the
     device's reading and the standard deviations of its own noise and of its time, excluding the uncertainty declared by
@@ -278,11 +252,13 @@ def measure(
     samples: Sequence[ChannelSamples],
     joints: JointStream,
     any_clock: bool,
-    rules: LineRules,
+    reach: float,
+    points: int | None,
 ) -> LinePass | None:
     """Return the pass with its rows or with the reason why it has none; None if nothing moved along the device.
 
-    ``samples``: of the channels along and across the device. Raises SessionError for a channel without a calibration to
+    ``samples``: of the channels along and across the device. ``reach`` [m]: range within which the transducers are valid.
+    ``points``: maximum number of rows; None: as many as the noise allows. Raises SessionError for a channel without a calibration to
     metres.
     """
     leg = passing.leg
@@ -291,7 +267,7 @@ def measure(
         return replace(passing, reason="no samples" if any_clock else "no clock")
     bound_ns = max(along.bound_ns, across.bound_ns)
     passing = replace(passing, clock_bound_ns=bound_ns, time_sigma_s=_time_sigma(bound_ns, leg, joints))
-    signals = _signals(leg, along, across, joints, rules.reach)
+    signals = _signals(leg, along, across, joints, reach)
     if signals is None:
         return replace(passing, reason="gap")
     grid = np.arange(signals.half_s, 1e-9 * (leg.end_host_ns - leg.start_host_ns), signals.half_s)
@@ -314,7 +290,7 @@ def measure(
         lost = (why != "") & (coarse.rate[:, 0] * direction >= STEADY * passing.speed)
     lost[first : last + 1] = False  # rows in between are counted one by one
     beyond = Counter(why[lost][::2].tolist())  # a row is as wide as two steps of the grid
-    return _rows(passing, signals, span, beyond, along.period_ns, joints.step, rules)
+    return _rows(passing, signals, span, beyond, along.period_ns, joints.step, points)
 
 
 def _readings(leg: Leg, joints: JointStream) -> tuple[_Signal, float]:
@@ -412,7 +388,7 @@ def _rows(
     beyond: Counter[str],
     period_ns: int,
     step: Floats,
-    rules: LineRules,
+    points: int | None,
 ) -> LinePass:
     """Return the rows between two times.
 
@@ -421,7 +397,7 @@ def _rows(
     first, last = span
     correlation, correlation_s = _correlation(s, first, last, 1e-9 * period_ns)
     passing = replace(passing, correlation_s=correlation_s, window_ns=round(1e9 * s.half_s))
-    centres = _instants(s.y.t, first + s.half_s, last - s.half_s, 2.0 * s.half_s, FORGOTTEN * correlation_s, rules)
+    centres = _instants(s.y.t, first + s.half_s, last - s.half_s, 2.0 * s.half_s, FORGOTTEN * correlation_s, points)
     why = _wrong(s, centres)
     along, aside, joints = (fit_locally(*signal[:2], centres, s.half_s) for signal in (s.y, s.across, s.q))
     rms = _beside(along.rms, aside.rms)
@@ -459,10 +435,10 @@ def _beside(y: Floats, xz: Floats) -> Floats:
     return np.stack([xz[:, 0], y[:, 0], xz[:, 1]], axis=1)
 
 
-def _instants(y_t: Floats, first: float, last: float, width: float, forgotten: float, rules: LineRules) -> Floats:
+def _instants(y_t: Floats, first: float, last: float, width: float, forgotten: float, points: int | None) -> Floats:
     """Return the interrogations (r,) at which rows are made, evenly spaced and with windows that do not overlap."""
     limit = max(1, int((last - first) / width) + 1)
-    n = max(1, int((last - first) / max(width, forgotten)) + 1) if rules.points is None else min(rules.points, limit)
+    n = max(1, int((last - first) / max(width, forgotten)) + 1) if points is None else min(points, limit)
     instants = np.linspace(first, last, n) if n > 1 else np.array([0.5 * (first + last)])
     following = np.clip(np.searchsorted(y_t, instants), 1, y_t.size - 1)
     nearer = instants - y_t[following - 1] < y_t[following] - instants

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from truearm.session.dwells import Dwell, DwellRules, find_stops, of_bins
+from truearm.session.dwells import GUARD_S, POSE_TOLERANCE, Dwell, find_stops, of_bins
 from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream
 from truearm.session.samples import ChannelSamples, extension, railed
 
@@ -25,7 +25,7 @@ def has_manual_joints(stream: JointStream) -> bool:
     return stream.bins is not None and (stream.readings == 1 or stream.rate_hz * NOTED_S < 1.0)
 
 
-def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRules) -> list[Dwell]:
+def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
     """Return one dwell per reading, in order.
 
     Those in no rest of the sensor, or in one with another reading, carry their reason.
@@ -34,9 +34,9 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRule
     if bins is None:
         return []
     sensor = sensor_bins(samples)
-    stops = [] if sensor is None else find_stops(sensor, NO_STEP, rules)
+    stops = [] if sensor is None else find_stops(sensor, NO_STEP)
     rests = [stop for stop in stops if stop.reason != "too short"]
-    end_s = np.array([*(stop.end_s + rules.guard_s for stop in rests), -np.inf])
+    end_s = np.array([*(stop.end_s + GUARD_S for stop in rests), -np.inf])
     noted_ns = stream.to_host_ns(bins.segment, bins.t_first_s)
     rest_of = np.searchsorted([stop.stood_s for stop in rests], 1e-9 * noted_ns, side="right") - 1
     rest_of[1e-9 * noted_ns > end_s[rest_of]] = -1
@@ -44,12 +44,12 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples, rules: DwellRule
     for k, (number, t_ns) in enumerate(zip(rest_of.tolist(), noted_ns.tolist(), strict=True)):
         alike = np.flatnonzero(rest_of == number)
         span = float(np.max(np.abs(bins.mean[alike] - bins.mean[k])))
-        dwell = of_bins(bins, slice(k, k + 1), rules, stream.step, float(bins.t_first_s[k]))
+        dwell = of_bins(bins, slice(k, k + 1), stream.step, float(bins.t_first_s[k]))
         dwell = replace(dwell, end_s=dwell.start_s, start_host_ns=t_ns, end_host_ns=t_ns)
         if number < 0:
             detail = "the bar did not rest when the joints were noted"
             dwells.append(replace(dwell, reason="still moving", detail=detail))
-        elif span > rules.pose_tolerance:
+        elif span > POSE_TOLERANCE:
             detail = f"{len(alike)} readings in one rest, {span:.3f} rad apart"
             dwells.append(replace(dwell, reason="ambiguous", detail=detail))
         elif k == alike[0]:
@@ -66,7 +66,7 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
     rows = []
     for block, host_ns in samples:
         blocks_n, blocks_gap, period_ns = (block.table[name] for name in ("n", "gap", "period_ns"))
-        period_ns = np.where(period_ns > 0, period_ns, block.stream.period_ns).astype(np.int64)
+        period_ns = period_ns.astype(np.int64)
         bin_of_block = np.cumsum(blocks_gap) * 1e9 + np.floor(1e-9 * (host_ns - host_ns[0]) / BIN_S)
         starts = np.flatnonzero(np.diff(bin_of_block, prepend=-1.0))
         ends = np.append(starts[1:], len(block)) - 1

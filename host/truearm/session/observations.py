@@ -22,26 +22,16 @@ from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
 from truearm.session.clock import BoxTemperature, ClockReport, DeviceClock, box_temperature, fit_clock
 from truearm.session.dwell_samples import LEARNT, Sensing, measured, usual_noise, without_noisy
-from truearm.session.dwells import Dwell, DwellRules, find_dwells
+from truearm.session.dwells import Dwell, find_dwells
 from truearm.session.joint_readings import Bins, JointReader, JointStream
-from truearm.session.line_passes import Leg, LinePass, LineRules, find_legs, measure
+from truearm.session.line_passes import Leg, LinePass, find_legs, measure
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
-from truearm.session.plan_matching import (
-    Marks,
-    PlannedPoses,
-    check_rig,
-    contradict,
-    distances,
-    labelled,
-    match_plan,
-    passes_of,
-    with_mountings,
-)
+from truearm.session.plan_matching import Marks, check_rig, labelled, paired, passes_of, with_mountings
 from truearm.session.samples import ChannelSamples, Samples
-from truearm.session.session_file import Messages, Source, columns_of
+from truearm.session.session_file import Messages, Source
 from truearm.session.streams import Blocks, BoxReader, Losses, Segment, StreamReport
 from truearm.session.trigger_edges import with_edges
-from truearm.types import BAR_MOUNTED, MOUNTING, DwellLabel, Floats, Rig
+from truearm.types import MOUNTING, DwellLabel, Floats, Rig
 
 # Names given by the box's configuration: the columns that kinds of observation declare
 THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}
@@ -110,17 +100,14 @@ class SyncResult:
 
 def read_blocks(source: Source, box: BoxReader) -> Iterator[tuple[Messages, list[Blocks]]]:
     """Yield the messages of a session in batches, with the blocks of samples released by each."""
+    messages = None
     for messages in source():
         yield messages, box.feed(messages)
-    yield columns_of([]), box.finish()
+    if messages is not None:
+        yield messages.take(np.empty(0, np.intp)), box.finish()
 
 
-def survey(
-    source: Source,
-    ident: Ident | None = None,
-    rules: DwellRules | None = None,
-    wander: float = WANDER,
-) -> Survey:
+def survey(source: Source, ident: Ident | None = None, wander: float = WANDER) -> Survey:
     """Read all messages and return the survey.
 
     ``ident`` (from the session's metadata) is used until the box sends its own; ``wander``: how far the rate of the host's clock may wander.
@@ -144,8 +131,7 @@ def survey(
         name: box_temperature({s.index: s.temperatures.get(name, []) for s in box.segments}, clocks)
         for name in dict.fromkeys([None, *(name for s in box.segments for name in s.temperatures)])
     }
-    rules = rules or DwellRules()
-    dwells = manual_dwells(joints, samples[BAR][0], rules) if has_manual_joints(joints) else find_dwells(joints, rules)
+    dwells = manual_dwells(joints, samples[BAR][0]) if has_manual_joints(joints) else find_dwells(joints)
     return Survey(
         losses=box.losses(),
         streams=box.streams(),
@@ -165,43 +151,38 @@ def survey(
 
 
 def observations(
-    source: Source,
+    surveyed: Survey,
     rig: Rig,
-    ident: Ident | None = None,
-    rules: DwellRules | None = None,
     name: str = "session",
-    surveyed: Survey | None = None,
-    line_rules: LineRules | None = None,
+    line_points: int | None = None,
     labels: Sequence[DwellLabel] | None = None,
 ) -> SyncResult:
     """Return the observations of the ball-bar and of a line device.
 
-    ``surveyed`` is the survey of the same messages, if it was already made. ``labels``: what was mounted, if settled
-    afterwards; plan and events are then not used. ``name`` is the session's name in the table's ``source``. Raises
-    RigError if a dwell's bar, chuck or sphere, a line or its target is not in the rig. Raises SessionError if the box
-    has no channel for the ball-bar or no calibration of it.
+    ``name`` is the session's name in the table's ``source``. ``line_points``: maximum number of rows per pass along a
+    line; None: as many as the noise allows. ``labels``: what was mounted, if settled afterwards; plan and events are then
+    not used. Raises RigError if a dwell's bar, chuck or sphere, a line or its target is not in the rig. Raises
+    SessionError if the box has no channel for the ball-bar or no calibration of it.
     """
-    rules, line_rules = rules or DwellRules(), line_rules or LineRules()
-    if rig.line_travel is not None:
-        line_rules = replace(line_rules, reach=0.5 * rig.line_travel)
-    surveyed = surveyed or survey(source, ident, rules)
-    dwells = _pair(surveyed, rules) if labels is None else labelled(surveyed.dwells, labels)
+    marks = surveyed.marks
+    dwells = paired(surveyed.dwells, marks) if labels is None else labelled(surveyed.dwells, labels)
     for dwell in dwells:
         if not dwell.reason:
             check_rig(dwell.mounted, rig)
-    dwells = with_mountings(dwells, surveyed.marks, rules.pose_tolerance)
-    passes = passes_of(surveyed.legs, surveyed.marks, rig, line_rules.pose_tolerance)
+    dwells = with_mountings(dwells, marks)
+    passes = passes_of(surveyed.legs, marks, rig)
+    reach = np.inf if rig.line_travel is None else 0.5 * rig.line_travel
     by_kind: dict[str, list[Dwell]] = {}
     for kind_name, kind in registry.kinds().items():
         if kind.dwell is not None:  # what was mounted does not rule out sensors other than the bar
             rested = (replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, surveyed.dwells, strict=True))
             stops = dwells if kind_name == BAR else list(rested)
-            by_kind[kind_name] = _measured(stops, kind_name, kind.dwell, surveyed, rig, rules)
+            by_kind[kind_name] = _measured(stops, kind_name, kind.dwell, surveyed, rig)
     dwells = by_kind[BAR]
     measurable = (
         line_pass
         if line_pass.reason in ("too long", "ambiguous")
-        else measure(line_pass, surveyed.samples[LINE], surveyed.joints, bool(surveyed.clocks), line_rules)
+        else measure(line_pass, surveyed.samples[LINE], surveyed.joints, bool(surveyed.clocks), reach, line_points)
         for line_pass in passes
     )
     driven = tuple(line_pass for line_pass in measurable if line_pass is not None)
@@ -219,9 +200,7 @@ def observations(
     return SyncResult(table, tuple(dwells), driven, surveyed, sum(counts))
 
 
-def _measured(
-    dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, surveyed: Survey, rig: Rig, rules: DwellRules
-) -> list[Dwell]:
+def _measured(dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, surveyed: Survey, rig: Rig) -> list[Dwell]:
     """Return the dwells, those without a reason with what the sensor of a kind measured."""
     (samples,) = surveyed.samples[name]
     dwells = list(dwells)
@@ -233,7 +212,7 @@ def _measured(
         return samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns)
 
     first_samples = {i: during(i) for i in list(sensors)[:LEARNT]}
-    sensing = Sensing(rules, surveyed.joints, bool(surveyed.clocks), usual_noise(first_samples.values()))
+    sensing = Sensing(surveyed.joints, bool(surveyed.clocks), usual_noise(first_samples.values()))
     for i, sensor in sensors.items():
         if sensor is None:
             dwells[i] = replace(dwells[i], reason="no plan match")
@@ -242,49 +221,6 @@ def _measured(
             dwell = dwell if sensor.names is dwell.mounted else replace(dwell, mounted=dict(sensor.names))
             dwells[i] = measured(dwell, first_samples.pop(i) if i in first_samples else during(i), sensor, sensing)
     return without_noisy(dwells)
-
-
-def _pair(surveyed: Survey, rules: DwellRules) -> list[Dwell]:
-    """Return the dwells with what was mounted. A rejected dwell takes no pose from its neighbour."""
-    dwells = list(surveyed.dwells)
-    good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
-    confirmed = [surveyed.marks.mounted_at(dwells[i].start_host_ns) for i in good]
-    plan = surveyed.marks.plan()
-    if plan is None or not good:
-        for i, words in zip(good, confirmed, strict=True):
-            dwells[i] = _mounted(dwells[i], None, words)
-        return dwells
-    matches = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, confirmed)
-    for k, (i, pose) in enumerate(zip(good, matches.poses, strict=True)):
-        if k in matches.ambiguous:
-            dwells[i] = replace(dwells[i], reason="ambiguous", detail=" or ".join(matches.ambiguous[k]))
-        elif pose is None:
-            reason, detail = _unmatched(dwells[i], plan, rules, confirmed[k])
-            dwells[i] = replace(dwells[i], reason=reason, detail=detail)
-        else:
-            dwells[i] = _mounted(dwells[i], plan.rows[pose], plan.mounted[pose])
-    return dwells
-
-
-def _unmatched(dwell: Dwell, plan: PlannedPoses, rules: DwellRules, confirmed: Mapping[str, str]) -> tuple[str, str]:
-    """Return the reason why a dwell is not a pose of the plan, and its distance."""
-    distance = distances(dwell.q, plan)
-    nearest = int(np.argmin(distance))
-    row, planned = plan.rows[nearest], plan.mounted[nearest]
-    if np.isinf(distance[nearest]):
-        return "no plan match", f"the plan is of {plan.q.shape[1]} joints"
-    if distance[nearest] > rules.pose_tolerance:
-        return "no plan match", f"{distance[nearest]:.3f} rad from pose {row}"
-    if contradict(confirmed, planned):
-        needed, named = (" ".join(m.get(key) or "?" for key in BAR_MOUNTED) for m in (planned, confirmed))
-        return "contradiction", f"pose {row} needs {needed}; {named} was confirmed"
-    return "no plan match", f"pose {row} is not next in the order of the plan"
-
-
-def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str]) -> Dwell:
-    """Return the dwell with its fittings, or with the reason why some are missing."""
-    reason = "no plan match" if any(key not in mounted for key in BAR_MOUNTED) else ""
-    return replace(dwell, pose=pose, mounted=mounted, reason=reason)
 
 
 def table_of(

@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from truearm.errors import Argument, RigError
-from truearm.session.dwells import Dwell
+from truearm.session.dwells import POSE_TOLERANCE, Dwell
 from truearm.session.joint_format import are_joints
 from truearm.session.line_passes import LONGEST_S, Leg, LinePass
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, MOUNTING, DwellLabel, Floats, Move, Plan, Rig
@@ -135,26 +135,26 @@ class Matches:
     ambiguous: Mapping[int, tuple[str, ...]]
 
 
-class _Pair(NamedTuple):
-    """A dwell near a planned pose. ``closeness`` is 0 to 1, scaled so that the sum over all pairs is less than REPEAT."""
-
-    dwell: int
-    pose: int
-    closeness: float
-
-
-def match_plan(q: Floats, plan: PlannedPoses, tolerance: float, confirmed: Sequence[Mapping[str, str]]) -> Matches:
+def match_plan(q: Floats, plan: PlannedPoses, confirmed: Sequence[Mapping[str, str]]) -> Matches:
     """Assign a planned pose to each dwell.
 
-    ``q`` (d, j): mean readings in order. ``tolerance`` [rad or m] applies to every joint. ``confirmed``: what events said to
-    be mounted at each dwell; the pose must not contradict it.
+    ``q`` (d, j): mean readings in order. ``confirmed``: what events said to be mounted at each dwell; the pose must not
+    contradict it.
     """
-    pairs = _near_pairs(q, plan, tolerance, confirmed)
+    scale = REPEAT / (POSE_TOLERANCE * (len(q) + 1))
+    pairs: list[tuple[int, int]] = []  # (dwell, pose) that are near, by dwell, then by pose
+    closeness: list[float] = []  # of each; the sum over all pairs is less than REPEAT
+    for dwell, reading in enumerate(q):
+        distance = distances(reading, plan)
+        for pose in np.flatnonzero(distance <= POSE_TOLERANCE).tolist():
+            if not contradict(confirmed[dwell], plan.mounted[pose]):
+                pairs.append((dwell, pose))
+                closeness.append(scale * (POSE_TOLERANCE - float(distance[pose])))
     matched: list[int | None] = [None] * len(q)
-    worth, previous = _ways(pairs, [pair.closeness for pair in pairs], len(plan.q))
+    worth, previous = _paths(pairs, closeness, len(plan.q))
     k = max(range(len(pairs)), key=worth.__getitem__, default=-1)
     while k >= 0:
-        matched[pairs[k].dwell] = pairs[k].pose
+        dwell, matched[dwell] = pairs[k]
         k = previous[k]
     return Matches(tuple(matched), _ambiguous(pairs, plan))
 
@@ -169,24 +169,12 @@ def distances(q: Floats, plan: PlannedPoses) -> Floats:
     return np.asarray(np.max(np.abs(plan.q.T - q[:, np.newaxis]), axis=0))  # a long row per joint is faster
 
 
-def _near_pairs(q: Floats, plan: PlannedPoses, tolerance: float, confirmed: Sequence[Mapping[str, str]]) -> list[_Pair]:
-    """Return the near pairs by dwell, then by pose."""
-    scale = REPEAT / (tolerance * (len(q) + 1))
-    pairs = []
-    for dwell, reading in enumerate(q):
-        distance = distances(reading, plan)
-        for pose in np.flatnonzero(distance <= tolerance).tolist():
-            if not contradict(confirmed[dwell], plan.mounted[pose]):
-                pairs.append(_Pair(dwell, pose, scale * (tolerance - float(distance[pose]))))
-    return pairs
-
-
 def contradict(confirmed: Mapping[str, str], planned: Mapping[str, str]) -> bool:
     """Return whether what was said to be mounted contradicts the plan."""
     return any(confirmed.get(key) and planned.get(key) and confirmed[key] != planned[key] for key in MOUNTED)
 
 
-def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
+def _paths(pairs: Sequence[tuple[int, int]], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
     """Return the value of the best path that ends at each pair, and the previous pair on that path (-1 for none)."""
     nothing = (0.0, -1)
     tree = [nothing] * (poses + 1)  # of the best paths that end before a pose
@@ -194,18 +182,19 @@ def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tup
     best = nothing
     worth: list[float] = []
     previous: list[int] = []
-    for _, group in groupby(enumerate(pairs), key=lambda numbered: numbered[1].dwell):
-        of_dwell = [(k, pair.pose) for k, pair in group]
-        for k, pose in of_dwell:
-            coming, i = nothing, pose
+    for _, group in groupby(range(len(pairs)), key=lambda k: pairs[k][0]):
+        rows = list(group)
+        for k in rows:
+            pose = i = pairs[k][1]
+            coming = nothing
             while i > 0:
                 coming, i = max(coming, tree[i]), i & (i - 1)
             again = ending.get(pose, nothing)
             coming = max(coming, (again[0] - REPEAT, again[1]), (best[0] - BACK, best[1]))
             worth.append(coming[0] + 1.0 + closeness[k])
             previous.append(coming[1])
-        for k, pose in of_dwell:  # only now: a dwell is in at most one pair
-            path = (worth[k], k)
+        for k in rows:  # only now: a dwell is in at most one pair
+            pose, path = pairs[k][1], (worth[k], k)
             best, ending[pose] = max(best, path), max(ending.get(pose, nothing), path)
             i = pose + 1
             while i <= poses:
@@ -213,21 +202,22 @@ def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tup
     return worth, previous
 
 
-def _ambiguous(pairs: list[_Pair], plan: PlannedPoses) -> dict[int, tuple[str, ...]]:
+def _ambiguous(pairs: Sequence[tuple[int, int]], plan: PlannedPoses) -> dict[int, tuple[str, ...]]:
     """Return the dwells to which paths of the highest value assign different fittings, and these fittings."""
-    poses = len(plan.q)
-    exact = [0.0] * len(pairs)  # multiples of 1/8: their sums are exact
-    ending, _ = _ways(pairs, exact, poses)
-    backward = [_Pair(pair.dwell, poses - 1 - pair.pose, 0.0) for pair in reversed(pairs)]
-    beginning = _ways(backward, exact, poses)[0][::-1]
+    poses, exact = len(plan.q), [0.0] * len(pairs)  # values are multiples of 1/8: their sums are exact
+    ending, _ = _paths(pairs, exact, poses)
+    beginning = _paths([(dwell, poses - 1 - pose) for dwell, pose in reversed(pairs)], exact, poses)[0][::-1]
     greatest = max(ending, default=0.0)
     keys = [key for key in MOUNTED if any(mounted.get(key) for mounted in plan.mounted)]
     suits: dict[int, dict[str, None]] = {}
-    for pair, end, begin in zip(pairs, ending, beginning, strict=True):
+    for (dwell, pose), end, begin in zip(pairs, ending, beginning, strict=True):
         if end + begin - 1.0 == greatest:
-            fittings = " ".join(plan.mounted[pair.pose].get(key) or "?" for key in keys)
-            suits.setdefault(pair.dwell, {})[fittings] = None
+            suits.setdefault(dwell, {})[_words(plan.mounted[pose], keys)] = None
     return {dwell: tuple(fittings) for dwell, fittings in suits.items() if len(fittings) > 1}
+
+
+def _words(mounted: Mapping[str, str], keys: Sequence[str]) -> str:
+    return " ".join(mounted.get(key) or "?" for key in keys)
 
 
 def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
@@ -235,7 +225,45 @@ def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
     return {key: str(value)[:MAX_NAME] for key, value in named.items() if isinstance(value, str) and value}
 
 
-def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> list[LinePass]:
+def paired(dwells: Sequence[Dwell], marks: Marks) -> list[Dwell]:
+    """Return the dwells with what was mounted. A rejected dwell takes no pose from its neighbour."""
+    dwells, plan = list(dwells), marks.plan()
+    good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
+    confirmed = [marks.mounted_at(dwells[i].start_host_ns) for i in good]
+    matches = None if plan is None else match_plan(np.array([dwells[i].q for i in good]), plan, confirmed)
+    for k, i in enumerate(good):
+        dwell, pose, mounted = dwells[i], None, confirmed[k]
+        if plan is not None and matches is not None:
+            pose = matches.poses[k]
+            if k in matches.ambiguous:
+                dwells[i] = replace(dwell, reason="ambiguous", detail=" or ".join(matches.ambiguous[k]))
+                continue
+            if pose is None:
+                reason, detail = _unmatched(dwell, plan, mounted)
+                dwells[i] = replace(dwell, reason=reason, detail=detail)
+                continue
+            pose, mounted = plan.rows[pose], plan.mounted[pose]
+        reason = "no plan match" if any(key not in mounted for key in BAR_MOUNTED) else ""
+        dwells[i] = replace(dwell, pose=pose, mounted=mounted, reason=reason)
+    return dwells
+
+
+def _unmatched(dwell: Dwell, plan: PlannedPoses, confirmed: Mapping[str, str]) -> tuple[str, str]:
+    """Return the reason why a dwell is not a pose of the plan, and its distance."""
+    distance = distances(dwell.q, plan)
+    nearest = int(np.argmin(distance))
+    row, planned = plan.rows[nearest], plan.mounted[nearest]
+    if np.isinf(distance[nearest]):
+        return "no plan match", f"the plan is of {plan.q.shape[1]} joints"
+    if distance[nearest] > POSE_TOLERANCE:
+        return "no plan match", f"{distance[nearest]:.3f} rad from pose {row}"
+    if contradict(confirmed, planned):
+        needed, named = (_words(mounted, BAR_MOUNTED) for mounted in (planned, confirmed))
+        return "contradiction", f"pose {row} needs {needed}; {named} was confirmed"
+    return "no plan match", f"pose {row} is not next in the order of the plan"
+
+
+def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig) -> list[LinePass]:
     """Return the legs that may be lines, in order; a leg that is already ruled out carries its reason.
 
     With lines in the plan, a leg is a motion from the previous row to the line's own row, in the order of the plan.
@@ -247,7 +275,7 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     if plan is None:
         passes = [LinePass(leg, words) for leg, words in zip(legs, confirmed, strict=True) if "line" in words]
     else:
-        passes = _matched(legs, plan, tolerance, confirmed)
+        passes = _matched(legs, plan, confirmed)
     for k, line_pass in enumerate(passes):
         check_rig(line_pass.mounted, rig)
         if line_pass.leg.end_s - line_pass.leg.start_s > LONGEST_S:
@@ -255,11 +283,9 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     return passes
 
 
-def _matched(
-    legs: Sequence[Leg], plan: PlannedPoses, tolerance: float, confirmed: Sequence[Mapping[str, str]]
-) -> list[LinePass]:
+def _matched(legs: Sequence[Leg], plan: PlannedPoses, confirmed: Sequence[Mapping[str, str]]) -> list[LinePass]:
     ends = np.array([np.concatenate([leg.q_start, leg.q_end]) for leg in legs]).reshape(len(legs), -1)
-    matches = match_plan(ends, plan, tolerance, confirmed)
+    matches = match_plan(ends, plan, confirmed)
     passes = []
     for k, (leg, pose, words) in enumerate(zip(legs, matches.poses, confirmed, strict=True)):
         if pose is not None:
@@ -316,7 +342,7 @@ def labelled(dwells: Sequence[Dwell], labels: Sequence[DwellLabel]) -> list[Dwel
     return settled
 
 
-def with_mountings(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Dwell]:
+def with_mountings(dwells: Sequence[Dwell], marks: Marks) -> list[Dwell]:
     """Return the dwells, with the stops for mounting marked as such.
 
     These are stops near no pose of the plan, either before the first matched pose or between two matched poses with
@@ -329,7 +355,7 @@ def with_mountings(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> l
     matched = [i for i, dwell in enumerate(dwells) if dwell.pose is not None]
     marked = list(dwells)
     for i, dwell in enumerate(dwells):
-        if dwell.reason != "no plan match" or not tolerance < distances(dwell.q, plan).min() < np.inf:
+        if dwell.reason != "no plan match" or not POSE_TOLERANCE < distances(dwell.q, plan).min() < np.inf:
             continue
         following = bisect_right(matched, i)
         if following == len(matched):

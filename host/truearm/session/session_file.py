@@ -20,7 +20,7 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -212,25 +212,6 @@ class Messages:
         columns = (column[rows].tolist() for column in (self.topic, self.t_host_ns, self.begin, self.end))
         for topic, t_host_ns, begin, end in zip(*columns, strict=True):
             yield Message(self.topics[topic], t_host_ns, self.data[begin:end])
-
-
-def columns_of(messages: Iterable[Message]) -> Messages:
-    """Return single messages as columns; ``sequence`` counts them."""
-    messages = list(messages)
-    numbers: dict[str, int] = {}
-    topic = np.array([numbers.setdefault(m.topic, len(numbers)) for m in messages], dtype=np.int64)
-    size = np.array([len(m.data) for m in messages], dtype=np.int64)
-    end = np.cumsum(size)
-    return Messages(
-        data=b"".join([*(m.data for m in messages), bytes(MARGIN)]),
-        topics=tuple(numbers),
-        topic=topic,
-        t_host_ns=np.array([m.t_host_ns for m in messages], dtype=np.int64),
-        begin=end - size,
-        end=end,
-        sequence=np.arange(len(messages), dtype=np.int64),
-        log_ns=np.array([m.t_host_ns for m in messages], dtype=np.uint64),
-    )
 
 
 def columns_of_records(chunks: Sequence[bytes], channels: dict[int, str]) -> Messages:

@@ -94,9 +94,7 @@ def _tables(session: Session, survey: Survey, rig: Rig | None, units: Sequence[s
     if rig is None:
         yield "dwells", dwell_columns(survey, survey.dwells, units)
         raise InputError("was recorded without a rig; give a rig to get observations")
-    result = observations(
-        session.batches, rig, name=session.path.name, surveyed=survey, labels=read_labels(session.path)
-    )
+    result = observations(survey, rig, session.path.name, labels=read_labels(session.path))
     yield "dwells", dwell_columns(survey, result.dwells, units)
     if result.passes:
         yield "passes", pass_columns(result.passes)

@@ -193,7 +193,7 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
         if rig is None:
             dwells["not_paired"] = "no rig is attached"
             return document
-        result = observations(session.batches, rig, surveyed=survey, labels=read_labels(session.path))
+        result = observations(survey, rig, labels=read_labels(session.path))
     except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
         dwells["not_paired"] = one_line(str(exc))
         return document

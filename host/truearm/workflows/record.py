@@ -311,7 +311,7 @@ def recorded_dwells(session: Path) -> RecordedDwells | None:
 
 def counted_dwells(result: SyncResult) -> RecordedDwells:
     """Return the account of a session's dwells."""
-    from truearm.session.dwells import DwellRules, needs_decision
+    from truearm.session.dwells import POSE_TOLERANCE, needs_decision
 
     plan = result.survey.marks.plan()
     counts: dict[str, int] = {}
@@ -323,7 +323,7 @@ def counted_dwells(result: SyncResult) -> RecordedDwells:
                 continue
         else:
             gaps = np.max(np.abs(plan.q - dwell.q), axis=1) if plan.q.shape[1] == dwell.q.size else np.array([np.inf])
-            if gaps.min() > DwellRules().pose_tolerance:
+            if gaps.min() > POSE_TOLERANCE:
                 continue
             visited.add(int(gaps.argmin()))
             if not dwell.reason:

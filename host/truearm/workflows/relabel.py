@@ -138,19 +138,19 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
 
     They are measured as if one bar had been mounted all the time: the sensor's readings do not depend on it.
     """
-    from truearm.session.dwells import DwellRules
+    from truearm.session.dwells import POSE_TOLERANCE
     from truearm.session.observations import observations
 
-    dwells, tolerance, plan = survey.dwells, DwellRules().pose_tolerance, survey.marks.plan()
+    dwells, plan = survey.dwells, survey.marks.plan()
     bar = max(rig.bars.values(), key=lambda bar: bar.travel).name
     mounted = dict(zip(BAR_MOUNTED, (bar, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
     labels = [DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted) for dwell in dwells]
-    measured = observations(lambda: iter(()), rig, surveyed=survey, labels=labels).dwells
+    measured = observations(survey, rig, labels=labels).dwells
     numbers = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     if plan is not None:
-        numbers = [i for i in numbers if distances(dwells[i].q, plan).min() <= tolerance]
+        numbers = [i for i in numbers if distances(dwells[i].q, plan).min() <= POSE_TOLERANCE]
         q = np.array([dwells[i].q for i in numbers])
-        matches = match_plan(q, plan, tolerance, [{}] * len(numbers))
+        matches = match_plan(q, plan, [{}] * len(numbers))
     times = [t for t, _ in survey.marks.mountings]
     words = [pairing_of(pairing) for _, pairing in survey.marks.mountings]
     stops, begin = list[Stop](), 0
@@ -160,7 +160,7 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
         rows, planned, begin = list[tuple[int, dict[str, str]]](), list[Pairing | None](), end
         if plan is not None:
             distance, pose = distances(dwells[i].q, plan), matches.poses[k]
-            poses = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= tolerance)].tolist()
+            poses = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= POSE_TOLERANCE)].tolist()
             rows = [(plan.rows[p], plan.mounted[p]) for p in sorted(poses, key=lambda p: p != pose)]
             alike = [] if pose is None else poses if k in matches.ambiguous else [pose]
             planned = [pairing_of(plan.mounted[p]) for p in alike]

@@ -131,7 +131,6 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
 def observations_of_opened(session: Session, rig: Rig | None, options: SessionOptions) -> SyncResult:
     """Do the same as ``observations_of_session`` with a session that was opened with the same ``allow_damaged``."""
     from truearm.report.session_findings import damage_finding
-    from truearm.session.line_passes import LineRules
     from truearm.session.observations import observations
 
     path = session.path
@@ -140,13 +139,12 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
         count = f" And in {counted(len(session.damage) - SAID, 'place')} more." if len(session.damage) > SAID else ""
         options.say(one_line(f"{path}: {damage_text}{count}"))
     rig = rig or recorded_rig(session, path)
-    rules = LineRules(points=options.line_points)
     labels = read_labels(path)
     try:
         read = surveyed(session)
         if options.plan is not None:
             read = replace(read, marks=read.marks.with_plan(options.plan))
-        result = observations(session.batches, rig, name=path.name, surveyed=read, line_rules=rules, labels=labels)
+        result = observations(read, rig, path.name, options.line_points, labels)
     except (RigError, SessionError) as exc:
         if str(exc).startswith(str(path)):
             raise
