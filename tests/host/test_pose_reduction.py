@@ -10,11 +10,12 @@ from truearm.estimate import law_fit
 from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_choice import GATE
 from truearm.estimate.law_fit import law_problem, learn, posterior
-from truearm.estimate.law_rows import law_rows
 from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_noise import PoseNoise, RowsByPose
 from truearm.estimate.problem import build_problem
+from truearm.estimate.row_errors import row_errors
 from truearm.estimate.solvers import LawMode
+from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.law_chain import with_laws
@@ -55,12 +56,18 @@ def curves_of(table, rig=TARGETS):
     return law_problem(problem, columns, problem.start, laws, poses(table))
 
 
+def judged_rows(of, learned):
+    fitted = posterior(of, learned)
+    root = covariance_root(fitted.covariance)
+    return row_errors(of.problem, fitted.x, of.columns, root, np.ones(of.pose.size), of.pose, learned.noise)
+
+
 def test_the_reduction_of_a_pose_is_exact(monkeypatch):
     of = curves_of(repeated(repeats=8, n_poses=8))
     results = []
     for _ in range(2):
         learned = learn(of, PoseNoise.of(1.0, 6, 1e-4))
-        results.append((learned, law_rows(of, posterior(of, learned), learned.noise)))
+        results.append((learned, judged_rows(of, learned)))
         monkeypatch.setattr(RowsByPose, "projected", lambda poses, columns: poses)
     (learned, rows), (dense, dense_rows) = results
     assert learned.evidence == pytest.approx(dense.evidence, rel=1e-7)
@@ -93,7 +100,7 @@ def test_nothing_contradicts_the_only_row_of_a_target():
     rig = replace(TARGETS, targets={**TARGETS.targets, "once": Point("once", (0.1, 0.0, 0.1), None)})
     of = curves_of(table.replace(target=target), rig)
     learned = learn(of, PoseNoise.of(1.0, 6, 1e-4))
-    rows = law_rows(of, posterior(of, learned), learned.noise)
+    rows = judged_rows(of, learned)
     assert rows.distance[7] < 1e-3
     assert not rows.beyond.any()
 

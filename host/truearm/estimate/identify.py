@@ -67,7 +67,6 @@ from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
 DAMPINGS = ("scaled", "plain")
-WORTH = 1e-4  # of χ², by all of the last steps: a figure of the nominal robot, and a start, need no more
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
@@ -281,7 +280,7 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
     problem, of_rig = task.problem, task.problem.of_rig
     x = problem.start
     if of_rig.any():
-        placed = fit(problem, of_rig, x, Options(options.max_iterations, ends=idle(WORTH)))
+        placed = fit(problem, of_rig, x, Options(options.max_iterations, ends=idle()))
         x, raw = placed.x, placed.information.residual
     else:
         raw = observe(problem, x, of_rig).residual
@@ -299,7 +298,7 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
         prior = (problem.start - x)[mounts], problem.prior_sigma[mounts]
         root = with_prior(observe(problem, x, mounts), *prior).half
         return _Nominal(x, raw, x, raw, mounts, root, gross)
-    placed = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH)))
+    placed = fit(only(problem, ~gross), mounts, x, Options(ends=idle()))
     residual = observe(problem, placed.x, of_rig).residual if gross.any() else placed.information.residual
     return _Nominal(x, raw, placed.x, residual, mounts, placed.information.half, gross)
 

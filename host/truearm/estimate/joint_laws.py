@@ -26,16 +26,16 @@ from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_peri
 from truearm.estimate.law_elsewhere import nearer_geometry
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, law_problem, learn, posterior
 from truearm.estimate.law_outliers import WithLaws, outlying_beside_laws
-from truearm.estimate.law_rows import law_rows, with_predicted
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_noise import PoseNoise
-from truearm.estimate.problem import build_problem, modelled_of, settled, without_knowledge
+from truearm.estimate.problem import Problem, build_problem, modelled_of, settled, without_knowledge
+from truearm.estimate.row_errors import row_errors
 from truearm.estimate.scatter import JOINT_NOISE
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic_effects import Modelled
-from truearm.estimate.uncertainty import goodness
+from truearm.estimate.uncertainty import covariance_root, goodness
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
@@ -242,16 +242,19 @@ class _Work:
     def centred(self, best: _Fitted) -> Posterior:
         return _centred(best.of, best.result, self.table.q[self.before.fitted])
 
-    def problem(self, laws: Sequence[Law], used: bool = True, beside: tuple[Effect, ...] = ()) -> LawProblem:
-        """Compile the fitted rows for a robot with laws and further effects: those that are ``used``, or the outliers."""
-        chain, before, prior = with_laws(self.chain, laws), self.before, self.request.prior_sigma
+    def rows(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> Problem:
+        """Compile the fitted rows, and those left out of the fit as outliers, for a robot with laws and further effects."""
+        chain, prior, fitted = with_laws(self.chain, laws), self.request.prior_sigma, self.before.fitted
         if prior is not None:
             prior = np.append(prior, np.full(len(chain.parameters) - len(self.chain.parameters), np.inf))
-        fitted = before.fitted
         effects = modelled_of(chain, self.rig, self.table, (*self.request.effects, *beside))
         effects = [effect.select(fitted) for effect in effects]
-        problem = build_problem(chain, self.rig, self.table.select(fitted), prior, effects)
-        problem = only(problem, (before.weight[fitted] > 0.0) == used)
+        return build_problem(chain, self.rig, self.table.select(fitted), prior, effects)
+
+    def problem(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> LawProblem:
+        """Return the problem of the rows that are no outliers."""
+        before, fitted = self.before, self.before.fitted
+        problem = only(self.rows(laws, beside), before.weight[fitted] > 0.0)
         known = dict(zip(before.parameter_names, before.value, strict=True))
         free = dict(zip(before.parameter_names, before.free, strict=True))
         columns = np.array([free.get(name, True) for name in problem.names])
@@ -273,9 +276,8 @@ class _Work:
         covariance = _without_null(covariance, sight.unseen, problem.units)
         identifiable = np.insert(before.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
-        rows, weight = law_rows(of, fitted, learned.noise), before.weight[before.fitted]
-        if not weight.all():
-            rows = with_predicted(rows, law_rows(self.problem(of.laws, False), fitted, learned.noise, fitted=False))
+        weight, root = before.weight[before.fitted], covariance_root(fitted.covariance)
+        rows = row_errors(self.rows(of.laws), fitted.x, of.columns, root, weight, of.pose, learned.noise)
         freedom = before.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         judging = held_out is not None

@@ -17,8 +17,8 @@ import numpy as np
 
 from truearm.estimate.law_choice import LawChoice
 from truearm.estimate.law_fit import LawProblem
-from truearm.estimate.law_rows import LawRows
 from truearm.estimate.outliers import matter, misfit, single, within
+from truearm.estimate.row_errors import RowErrors
 from truearm.estimate.scatter import scatter_of
 from truearm.estimate.whitened_rows import gate
 from truearm.model.chain import Chain
@@ -40,7 +40,7 @@ class WithLaws(NamedTuple):
     problem: LawProblem | None = None
 
 
-def outlying_beside_laws(rows: LawRows, used: Mask) -> Mask:
+def outlying_beside_laws(rows: RowErrors, used: Mask) -> Mask:
     """Return which rows (n,) to leave out next, after a fit with laws of the ``used`` rows (n,)."""
     square = np.nan_to_num(rows.distance) ** 2
     staying = within(square, gate(rows.width) * misfit(square, rows.width, used), used)

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate.measured_order import first_alike
 from truearm.estimate.problem import Problem
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import constants_of
@@ -59,9 +60,9 @@ def stepper(problem: Problem, columns: NDArray[np.bool_]) -> Step:
 
 def _free_triples(columns: NDArray[np.bool_], every: Sequence[Indices]) -> Indices:
     """Return the indices (r, 3) in x[columns] of those triples in x that are unknown and free."""
-    triples = {tuple(triple) for some in every for triple in some.tolist()}
-    free = sorted(triple for triple in triples if max(triple) < columns.size and columns[list(triple)].all())
-    return (np.cumsum(columns) - 1)[np.array(free, dtype=np.intp).reshape(-1, 3)]
+    triples = np.concatenate([np.zeros((0, 3), dtype=np.intp), *every])
+    free = triples[np.append(columns, False)[np.minimum(triples, columns.size)].all(axis=1)]
+    return np.asarray((np.cumsum(columns) - 1)[free[first_alike(free.T)[0]]])
 
 
 class _Base(NamedTuple):

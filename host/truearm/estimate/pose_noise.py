@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from truearm.estimate.information import fold
+from truearm.estimate.measured_order import first_alike
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.group import Group
@@ -55,13 +56,21 @@ class PoseNoise(NamedTuple):
         """Return the variances (6 + j,) of the columns of [T|W|C]."""
         return np.concatenate([np.repeat([self.shared, self.turned], MOTIONS), self.joint])
 
+    def covariances(self, moved: Floats) -> Floats:
+        """Return R (n, w, w) of some poses, or rows of these, with [T|W|C] (n, w, 6 + j)."""
+        out = (moved * self.by_column) @ moved.swapaxes(1, 2)
+        w = moved.shape[1]
+        out[:, range(w), range(w)] += self.sensor
+        return np.asarray(out)
+
 
 class RowsOfKind(NamedTuple):
     """Rows of one kind, equally many for each of n poses, pose by pose."""
 
     group: Group
+    row: Indices  # (n·rows a pose,) of the table; empty for knowledge
     declared: Floats  # (n·rows a pose, …) their covariances, as ``residual_noise`` has them
-    at: slice  # of the residuals of a pose
+    place: slice  # among the residuals of a pose
 
 
 class RowsByPose(NamedTuple):
@@ -91,27 +100,33 @@ class RowsByPose(NamedTuple):
         """Return the number of a pose's directions beyond the basis."""
         return 0 if self.basis is None else self.basis.shape[1] - self.basis.shape[2]
 
-    def expanded(self, vectors: Floats) -> Floats:
-        """Return vectors (n, N) of the residuals from those on the basis (n, w)."""
-        return vectors if self.basis is None else (self.basis @ vectors[..., None])[..., 0]
+    def expanded(self, columns: Floats) -> Floats:
+        """Return columns (n, N, c) of the residuals from those on the basis (n, w, c)."""
+        return columns if self.basis is None else self.basis @ columns
 
-    def diagonals(self, matrices: Floats) -> Floats:
-        """Return diagonals (n, N) by residual of matrices on the basis (n, w, w)."""
-        if self.basis is None:
-            return np.diagonal(matrices, axis1=1, axis2=2)
-        return np.asarray(((self.basis @ matrices) * self.basis).sum(axis=2))
+    def own_blocks(self, matrices: Floats, beyond: float, place: slice, width: int) -> Floats:
+        """Return blocks (n · rows, w, w) of single rows of ``width`` residuals, in the ``place`` of a kind.
+
+        They are of matrices on the basis (n, q, q), which are ``beyond`` in all other directions.
+        """
+        n, q = len(matrices), matrices.shape[1]
+        basis = np.broadcast_to(np.eye(q), matrices.shape) if self.basis is None else self.basis
+        rows = basis[:, place].reshape(n, -1, width, q)
+        turned = rows.swapaxes(2, 3)
+        out = rows @ matrices[:, None] @ turned + beyond * (np.eye(width) - rows @ turned)
+        return np.asarray(out.reshape(-1, width, width))
 
     @property
     def is_knowledge(self) -> bool:
         """Return whether these are no rows of the table: their noise is as declared."""
-        return self.kinds[0].group.row is None
+        return not self.kinds[0].row.size
 
     def covariances(self, noise: PoseNoise) -> Floats:
         """(n, w, w) R"""
         n, w = self.rows.shape[:2]
         if self.is_knowledge:
             return np.broadcast_to(np.eye(w), (n, w, w))
-        return _covariances(self.moved, noise)
+        return noise.covariances(self.moved)
 
 
 class PoseInformation(NamedTuple):
@@ -133,7 +148,9 @@ def pose_rows(
         ends = np.cumsum([count * group.sensor_cov.shape[1] for group, count in pieces]).tolist()
         whitened = [_whitened(problem, x, group, count) for group, count in pieces]
         places = (slice(first, last) for first, last in pairwise([0, *ends]))
-        kinds = (RowsOfKind(group, of[0], at) for (group, _), of, at in zip(pieces, whitened, places, strict=True))
+        numbers = (np.zeros(0, dtype=np.intp) if group.row is None else group.row for group, _ in pieces)
+        groups, declared = (group for group, _ in pieces), (of_group[0] for of_group in whitened)
+        kinds = map(RowsOfKind, groups, numbers, declared, places)
         rows, moved = (np.concatenate(arrays, axis=1) for arrays in zip(*(of[1:] for of in whitened), strict=True))
         n, w, _ = rows.shape
         yield RowsByPose(tuple(kinds), (rows.reshape(n * w, -1) @ by_unknowns).reshape(n, w, -1), moved)
@@ -146,14 +163,14 @@ def _pieces(groups: Sequence[Group], pose: Indices, width: int, every: int) -> I
     if not measured:
         return
     of_group = [pose[group.row] for group in measured]
-    numbers = np.unique(np.concatenate(of_group))[::every]
+    numbers = np.flatnonzero(np.bincount(np.concatenate(of_group)))[::every]
     orders = [np.argsort(mine, kind="stable") for mine in of_group]
     ends = [np.searchsorted(mine, numbers, "right", order) for mine, order in zip(of_group, orders, strict=True)]
     starts = [np.searchsorted(mine, numbers, "left", order) for mine, order in zip(of_group, orders, strict=True)]
     counts = np.stack(ends) - np.stack(starts)  # (groups, poses)
-    signatures, which = np.unique(counts, axis=1, return_inverse=True)
-    for number, signature in enumerate(signatures.T.tolist()):
-        some = np.flatnonzero(which == number)
+    example, which = first_alike(counts)
+    for k, signature in enumerate(counts[:, example].T.tolist()):
+        some = np.flatnonzero(which == k)
         size = sum(count * group.sensor_cov.shape[1] for count, group in zip(signature, measured, strict=True))
         each = max(1, CHUNK // (size * width))
         for first in range(0, some.size, each):
@@ -268,20 +285,12 @@ def noise_change(samples: Sequence[PoseSample], old: PoseNoise, new: PoseNoise) 
     """
     square, count = 0.0, 0
     for sample in samples:
-        before, after = (_covariances(sample.moved, noise) for noise in (old, new))
+        before, after = (noise.covariances(sample.moved) for noise in (old, new))
         change = np.linalg.solve(after, after - before)
         square += float((change * change.swapaxes(1, 2)).sum())
         square += sample.beyond[0] * (new.sensor / old.sensor - 1.0) ** 2
         count += sample.residual.size + sample.beyond[0]
     return math.sqrt(square / max(count, 1))
-
-
-def _covariances(moved: Floats, noise: PoseNoise) -> Floats:
-    """Return R (n, w, w) of some poses with [T|C] (n, w, 3 + j)."""
-    out = (moved * noise.by_column) @ moved.swapaxes(1, 2)
-    w = moved.shape[1]
-    out[:, range(w), range(w)] += noise.sensor
-    return np.asarray(out)
 
 
 class _Parts(NamedTuple):
@@ -295,7 +304,7 @@ class _Parts(NamedTuple):
 def _parts(samples: Sequence[PoseSample], noise: PoseNoise) -> _Parts:
     out = np.zeros((3, 3 + noise.joint.size))
     for sample in samples:
-        inverse = np.linalg.inv(_covariances(sample.moved, noise))
+        inverse = np.linalg.inv(noise.covariances(sample.moved))
         e = (inverse @ sample.residual[..., None])[..., 0]
         by = inverse @ sample.moved
         along = (sample.moved * e[..., None]).sum(axis=1)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.information import Information, fold
-from truearm.estimate.problem import BLOCK, Problem, blocks, note
+from truearm.estimate.problem import Problem, blocks, note
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.estimate.robust import Moments, clean_square, weigh
 from truearm.estimate.solvers import Loss
@@ -175,27 +175,6 @@ def only(problem: Problem, included: NDArray[np.bool_]) -> Problem:
     return replace(problem, groups=tuple(group for group in groups if len(group.sensor_cov)))
 
 
-def by_pose(problem: Problem, pose: Indices) -> Iterator[Problem]:
-    """Yield the table's rows in parts that contain whole poses; ``pose`` (n_rows,) holds their numbers from 0.
-
-    A part has about BLOCK rows, or a single pose.
-    """
-    groups = [group for group in problem.groups if group.row is not None]
-    of_group = [pose[group.row] for group in groups]
-    count = np.bincount(np.concatenate([*of_group, np.zeros(0, np.intp)]))
-    _, first = np.unique(np.cumsum(count) // BLOCK, return_index=True)
-    edges = np.append(first, count.size)
-    orders = [np.argsort(number, kind="stable") for number in of_group]
-    cuts = [np.searchsorted(number[order], edges) for number, order in zip(of_group, orders, strict=True)]
-    for i in range(edges.size - 1):
-        selected = [
-            group.take(order[cut[i] : cut[i + 1]])
-            for group, order, cut in zip(groups, orders, cuts, strict=True)
-            if cut[i] < cut[i + 1]
-        ]
-        yield replace(problem, groups=tuple(selected))
-
-
 def noise_root(cov: Floats) -> Floats:
     """Return L (n, w, w) for variances (n, w) or covariances (n, w, w)."""
     if cov.ndim == 3:
@@ -206,5 +185,5 @@ def noise_root(cov: Floats) -> Floats:
 
 
 def in_units(noise_root: Floats, whitened: Floats) -> Floats:
-    """Return whitened (n, w) in the units of the components."""
+    """Return ``noise_root`` (n, w, w) times vectors (n, w): whitened ones in the units of the components."""
     return np.asarray((noise_root @ whitened[..., None])[..., 0])

@@ -57,7 +57,7 @@ class BallBarRows(Group):
 
     def beside_base(self) -> Indices:
         """Return the chucks."""
-        return np.unique(self.chuck, axis=0)
+        return self.chuck
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (n,) and their derivatives at x (P,)."""
@@ -113,12 +113,12 @@ def bar_numbers(name: str, bar: BallBar) -> list[RigNumber]:
     return [zero, gain, expansion, RigNumber(f"{name}.gain_drift", "1/K", bar.gain_drift, bar.gain_drift_sigma)]
 
 
-def warmer(table: ObservationTable, bars: Sequence[BallBar]) -> Floats:
+def warmer(table: ObservationTable, bars: Sequence[BallBar], which: Indices) -> Floats:
     """Return how much warmer [K] bar and sensor of each row are than the temperatures of zero and gain, (n, 2).
 
-    0 where the table does not hold the temperature.
+    ``which`` (n,) of the bars each row is of. 0 where the table does not hold the temperature.
     """
-    holds = np.array([(bar.temperature, bar.sensor_temperature) for bar in bars]).reshape(-1, 2)
+    holds = np.array([(bar.temperature, bar.sensor_temperature) for bar in bars])[which]
     read = [table[quantity.field] for quantity in (BAR_TEMPERATURE, SENSOR_TEMPERATURE)]
     return np.asarray(np.nan_to_num(np.stack(read, axis=1) - holds))
 
@@ -133,7 +133,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     declared = np.array([[number.value for number in bar[:2]] for bar in bars.numbers])[bars.which]
     entries = [rig.bars[str(label)] for label in bars.labels]
     sigma = np.array([bar.sigma for bar in entries])[bars.which]
-    of_rows = warmer(table.select(rows), [entries[k] for k in bars.which])
+    of_rows = warmer(table.select(rows), entries, bars.which)
     variance = sigmas(scope, rows, sigma[:, None]) ** 2
 
     def make(layout: Layout) -> list[Group]:

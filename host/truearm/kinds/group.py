@@ -65,11 +65,11 @@ class Group(ABC):
         return []
 
     def orientations(self) -> Indices:
-        """Return the indices (r, 3) of unknown rotation vectors. An estimator rotates these instead of adding to them."""
+        """Return the indices (r, 3) of rotation vectors, known and repeated ones too. An estimator rotates these instead of adding to them."""
         return np.zeros((0, 3), dtype=np.intp)
 
     def beside_base(self) -> Indices:
-        """Return the indices (r, 3) of unknown points that stand beside the robot, in its base frame."""
+        """Return the indices (r, 3) of points that stand beside the robot, in its base frame, known and repeated ones too."""
         return np.zeros((0, 3), dtype=np.intp)
 
     def take(self, which: slice | NDArray[Any]) -> Self:

@@ -71,7 +71,7 @@ class PositionRows(Group):
 
     def orientations(self) -> Indices:
         """Return the indices (r, 3) of the devices' rotation vectors."""
-        return np.unique(self.devices[:, 3:], axis=0)
+        return self.devices[:, 3:]
 
 
 def joints_in_time(rows: PositionRows, x: Floats) -> Floats:

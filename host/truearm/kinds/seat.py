@@ -41,7 +41,7 @@ class SeatRows(Group):
 
     def beside_base(self) -> Indices:
         """Return the sockets."""
-        return np.unique(self.socket, axis=0)
+        return self.socket
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (3n,) and their derivatives at x (P,)."""
