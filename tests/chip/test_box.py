@@ -12,7 +12,6 @@ from tests.wire_frames import command
 from truearm_sim.box import COMMAND, WATCHDOG
 from truearm_sim.chip import STORE, make_flash, read_flash
 from truearm_sim.hardware import CRASH, STALL
-from truearm_wire import frame
 from truearm_wire.messages import (
     BOOT_LOADER,
     CONFIGURE,
@@ -23,7 +22,6 @@ from truearm_wire.messages import (
     RESTART,
     SELF_TEST,
     START,
-    STOP,
     SYNC_REPLY,
     SYNC_REQUEST,
     TO_REPL,
@@ -251,24 +249,6 @@ def test_a_host_that_stalls_or_leaves_costs_what_the_ring_does_not_hold_and_it_i
     assert heartbeats(back)[-1]["reset_cause"] == 1
     assert heartbeats(back)[-1]["overruns"] > lost
     assert len(blocks(back, 0)) > 200
-
-
-def rubbish(rng) -> tuple[bytes, int | None]:
-    """What a broken or hostile host may send at once, and the id that has to be answered. Nothing of it stops the box by right."""
-    kind = rng.randrange(20)
-    if kind < 4:
-        return rng.randbytes(rng.randrange(1, 60)), None
-    if kind < 8:  # a frame of random payload
-        return frame.frame(rng.randbytes(rng.randrange(1, 60))), None
-    if kind == 8:  # a frame that is too long
-        return b"\0" + bytes([rng.randrange(1, 256) for _ in range(700)]) + b"\0", None
-    number = rng.choice([n for n in range(40, 72) if n not in (START, STOP)])
-    arguments = [rng.choice([0, -1, 5, 2**40, "text", b"bytes", [1, [2]], None]) for _ in range(rng.randrange(4))]
-    if kind < 11:
-        return frame.frame(cbor2.dumps([number, *arguments])), None
-    req_id = rng.randrange(1, 2**28)
-    readable = None not in arguments  # the protocol has no null: what holds one is not a command
-    return frame.frame(cbor2.dumps([number, req_id, *arguments])), req_id if readable and 48 <= number < 64 else None
 
 
 def test_a_board_with_another_clock_is_refused(power_on, tmp_path):

@@ -152,18 +152,6 @@ def ticks_of(counted, top):
     return top + sum(start) - sum(stop)
 
 
-EDGES = {"first": magnetostrictive.FIRST, "second": magnetostrictive.SECOND, "gate": magnetostrictive.GATE}
-
-
-def pulses(edge, start, flight, length=125):
-    """Return what a head of this kind sends for a start and a time of flight."""
-    if edge == magnetostrictive.GATE:
-        return [(start, start + flight)]
-    if edge == magnetostrictive.SECOND:  # their ends are start and stop
-        start -= length
-    return [(start, start + length), (start + flight, start + flight + length)]
-
-
 START = (6.5, 130)  # a start pulse; its tick is 6
 
 

@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from tests.firmware.conftest import PERIOD_NS, Bench, flash_folder, ident_document, real_micropython, records
+from tests.firmware.conftest import PERIOD_NS, Bench, flash_folder, ident_document, real_micropython
 from tests.wire_frames import command, frames
 from truearm_sim.box import CRASH, STALL, BoxDied
 from truearm_wire import cbor, frame
@@ -157,26 +157,6 @@ def test_a_command_is_executed_once(bench):
     assert data_of(bench.sample(13))[0][3] == 26, "the repeated start did not begin again"
 
 
-@pytest.mark.parametrize(
-    ("values", "code"), [((49, 7, 0, 4096), 4), ((50, 7), 4)], ids=["configure while streaming", "start twice"]
-)
-def test_refused_while_streaming(bench, values, code):
-    bench.start()
-    (error,) = bench.give(rx=command(*values))
-    assert (error[0], error[2], error[3]) == (ERROR, 7, code)
-
-
-def test_refused_values(bench):
-    for values in ((49, 5, 0, 1000), (49, 6, 3, 4096)):
-        (error,) = bench.give(rx=command(*values))
-        assert (error[0], error[2], error[3]) == (ERROR, values[1], 3)
-
-
-def test_unknown_command_is_refused_by_name(bench):
-    (error,) = bench.give(rx=frame.frame(cbor.encode([60, 8])))
-    assert (error[0], error[2], error[3]) == (ERROR, 8, 1)
-
-
 def test_rubbish_is_counted_and_harmless(bench):
     rubbish = [b"\x05hello\0", b"\xff" * 300 + b"\0"]
     rubbish += [
@@ -207,12 +187,6 @@ def test_sync_requests_of_any_form_are_answered(bench, payload):
     (reply,) = bench.give(rx=frame.frame(payload))
     assert reply[0] == SYNC
     assert reply[2] == 5
-
-
-def test_malformed_commands_are_refused(bench):
-    for values in ([49, 4], [49, 5, 0], [49, 6, 0, "4096"]):
-        (error,) = bench.give(rx=frame.frame(cbor.encode(values)))
-        assert (error[0], error[2], error[3]) == (ERROR, values[1], 2)
 
 
 def test_short_writes_lose_nothing(bench):
@@ -256,27 +230,6 @@ def test_an_exception_is_printed_between_frames_and_the_box_restarts():
     box.box.close()
 
 
-def test_configuration_of_the_flash_reaches_ident():
-    config = {
-        "osr": 1024,
-        "channels": [
-            {
-                "name": "lvdt",
-                "unit": "V",
-                "scale": [1430511474609375, -22],
-                "calibration": {"unit": "m", "poly": [[-123, -6], [375, -4]], "serial": "s1", "date": "2026-01-02"},
-            }
-        ]
-        * 4,
-    }
-    box = Bench(real_micropython(), config=config)
-    stream = ident_document(box.boot)["streams"][0]
-    assert stream["period_ns"] == 245760
-    assert stream["group_delay_ns"] == 360 * 1023
-    assert stream["channels"] == config["channels"]
-    box.box.close()
-
-
 GOOD = {"name": "lvdt", "unit": "V", "scale": [1, -7]}
 
 
@@ -306,7 +259,3 @@ def test_damaged_configuration_is_reported_and_the_box_still_boots(config, fault
     assert fault in document["fault"]
     assert document["streams"][0]["osr"] == 4096
     box.box.close()
-
-
-def test_records_of_the_tests_are_what_the_board_expects():
-    assert records(3, 1, 10)[:4] == (10 + 3 * PERIOD_NS // 1000).to_bytes(4, "big")

@@ -1,5 +1,6 @@
 """The configuration: read and written by command, kept on flash, old and damaged files; self-test, reset, the last traceback."""
 
+import copy
 import json
 
 import cbor2
@@ -8,7 +9,7 @@ import pytest
 from tests.firmware.conftest import Bench, flash_folder, ident_document, real_micropython
 from tests.wire_frames import command, frames
 from truearm_sim.box import CRASH, HEALTHY
-from truearm_wire import messages
+from truearm_wire import cbor, frame, messages
 from truearm_wire.messages import ERROR, IDENT, PUT_CONFIG, REPLY
 
 OLD = {  # as a box of version 1.0 has it
@@ -39,8 +40,8 @@ def boot(flash):
 
 
 def changed(config, **changes):
-    """Return the configuration with changed keys, also by dotted path: magnetostrictive__serial."""
-    config = json.loads(json.dumps(config))
+    """Return the configuration with changed keys, also by path: magnetostrictive__serial."""
+    config = copy.deepcopy(config)
     for key, value in changes.items():
         *path, last = key.split("__")
         table = config
@@ -70,7 +71,9 @@ def test_a_configuration_is_put_told_kept_and_in_force(boot):
     assert [f[0] for f in answer] == [REPLY] + [IDENT] * (len(answer) - 1)
     assert {f[2] for f in answer} == {box.req_id}
     said = ident_document(answer)
-    assert said["streams"][0]["osr"] == 512
+    adc = said["streams"][0]
+    assert (adc["osr"], adc["period_ns"], adc["group_delay_ns"]) == (512, 122_880, 360 * 511)
+    assert adc["channels"] == config["channels"]
     of_head = said["streams"][1]["channels"][0]["calibration"]
     assert of_head["serial"] == "T-1234"
     assert (of_head["reference"], of_head["reference_sigma"]) == ("gauge blocks 4711", [1, -6])
@@ -115,82 +118,83 @@ def test_an_old_configuration_is_completed_with_the_head_off(boot, flash):
     assert box.put(OLD)[0][0] == REPLY
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"version": 3}, "version 3"),
-        ({"osr": 1000}, "osr"),
-        ({"osr": "4096"}, "osr"),
-        ({"channels": []}, "four channels"),
-        ({"channels__1": 7}, "a table with a name"),
-        ({"channels__1__gain": 3}, "transverse_a: gain"),
-        ({"channels__1__scale": [1, 2, 3]}, "mantissa"),
-        (
-            {"channels__0__calibration": {"unit": "m", "poly": [[1, 0]], "serial": 5, "date": ""}},
-            "serial: must be text",
-        ),
-        ({"magnetostrictive": 7}, "magnetostrictive"),
-        ({"magnetostrictive__blanking_ns": 4992}, "blanking_ns"),
-        ({"magnetostrictive__blanking_ns": 10_001}, "blanking_ns"),
-        ({"magnetostrictive__timeout_ns": 10_000}, "timeout_ns"),
-        ({"magnetostrictive__period_ns": 503_992}, "period_ns"),
-        ({"magnetostrictive__us_per_inch": [905, -1]}, "us_per_inch"),
-        ({"magnetostrictive__us_per_inch": [0, 0]}, "us_per_inch"),
-        ({"magnetostrictive__us_per_inch": [2**63, 0]}, "us_per_inch"),
-        ({"magnetostrictive__delay_ns": 100_001}, "delay_ns"),
-        ({"magnetostrictive__date": 1993}, "date: must be text"),
-        ({"debounce_us": [0]}, "debounce_us"),
-        ({"debounce_us": [0, -1]}, "debounce_us"),
-        ({"watchdog_ms": 20}, "watchdog_ms"),
-        ({"watchdog_ms": 9000}, "watchdog_ms"),
-        ({"note": b"bytes"}, "bytes have no place"),
-        ({"channels__3__notes": [{"deep": b""}]}, "bytes have no place"),
-    ],
-)
-def test_what_is_no_configuration_is_refused_in_words_and_changes_nothing(boot, flash, changes, text):
+# changes of a configuration, by key or path (channels__1__gain), and words of the refusal
+NO_CONFIGURATIONS = [
+    ({"version": 3}, "version 3"),
+    ({"osr": 1000}, "osr"),
+    ({"osr": "4096"}, "osr"),
+    ({"channels": []}, "four channels"),
+    ({"channels__1": 7}, "a table with a name"),
+    ({"channels__1__gain": 3}, "transverse_a: gain"),
+    ({"channels__1__scale": [1, 2, 3]}, "mantissa"),
+    ({"channels__0__calibration": {"unit": "m", "poly": [[1, 0]], "serial": 5, "date": ""}}, "serial: must be text"),
+    ({"magnetostrictive": 7}, "magnetostrictive"),
+    *(({"magnetostrictive__blanking_ns": ns}, "blanking_ns") for ns in (4992, 10_001)),
+    ({"magnetostrictive__timeout_ns": 10_000}, "timeout_ns"),
+    ({"magnetostrictive__period_ns": 503_992}, "period_ns"),
+    *(({"magnetostrictive__us_per_inch": number}, "us_per_inch") for number in ([905, -1], [0, 0], [2**63, 0])),
+    ({"magnetostrictive__delay_ns": 100_001}, "delay_ns"),
+    ({"magnetostrictive__date": 1993}, "date: must be text"),
+    *(({"debounce_us": times}, "debounce_us") for times in ([0], [0, -1])),
+    *(({"watchdog_ms": ms}, "watchdog_ms") for ms in (20, 9000)),
+    ({"note": b"bytes"}, "bytes have no place"),
+    ({"channels__3__notes": [{"deep": b""}]}, "bytes have no place"),
+    *(({"thermometers": names}, "table of at most 4") for names in ([], {f"t{k}": f"{k:016x}" for k in range(5)})),
+    ({"thermometers": {"": "28aa01020304050f"}}, "1 to 32 characters"),
+    *(({"thermometers": {"bar": uid}}, "16 hexadecimal digits") for uid in (7, "28AA01020304050F", "28aa01020304050")),
+    ({"thermometers": {"bar": "28aa01020304050f", "x": "28aa01020304050f"}}, "the same address"),
+    *(
+        ({"trigger_ms": limits}, "trigger_ms")
+        for limits in ([0, 100], [9, 100], [100, 100], [300, 200], [10, 16001], [10], [-5, 5], "fast", 3)
+    ),
+]
+
+
+def test_what_is_no_configuration_is_refused_in_words_and_changes_nothing(boot, flash):
     box = boot()
     before = box.document(messages.GET_CONFIG)
-    (error,) = box.put(_with(before, changes))
-    assert (error[0], error[3]) == (ERROR, messages.ERROR_RANGE)
-    assert text in error[4]
-    assert box.document(messages.GET_CONFIG) == before
+    for changes, text in NO_CONFIGURATIONS:
+        (error,) = box.put(changed(before, **changes))
+        assert (error[0], error[3]) == (ERROR, messages.ERROR_RANGE), changes
+        assert text in error[4], changes
+        assert box.document(messages.GET_CONFIG) == before, changes
     assert sorted(p.name for p in flash.glob("config*")) == []
 
 
-def _with(config, changes):
-    plain = {
-        key: value for key, value in changes.items() if "bytes" not in repr(type(value)) and "b'" not in repr(value)
-    }
-    config = changed(config, **plain)
-    for key in changes.keys() - plain.keys():
-        if key == "note":
-            config["note"] = changes[key]
-        else:
-            config["channels"][3]["notes"] = changes[key]
-    return config
-
-
-@pytest.mark.parametrize(
-    ("values", "code"),
-    [
-        ((1, 2, b"x"), 3),  # not from 0
-        ((0, 0, b"x"), 3),
-        ((0, 17, b"x"), 3),
-        ((0, 1, b""), 3),
-        ((0, 1, b"\xff"), 3),  # no CBOR
-        ((0, 1, b"\x9f\xff"), 3),
-        ((0, 1), 2),
-        ((0, 1, "x"), 2),
-        (("0", 1, b"x"), 2),
-        ((-1, 1, b"x"), 2),
-        ((), 2),
+# commands without their id, and the code of the refusal: unknown, malformed, out of range
+NO_COMMANDS = {
+    messages.ERROR_UNKNOWN: [(60,)],
+    messages.ERROR_MALFORMED: [
+        *((49,), (49, 0), (49, 0, "4096"), (56,), (56, "0"), (57,), (57, -1)),
+        *((PUT_CONFIG, *page) for page in ((0, 1), (0, 1, "x"), ("0", 1, b"x"), (-1, 1, b"x"), ())),
     ],
-)
-def test_pages_that_are_none_are_refused(bench, values, code):
-    from truearm_wire import cbor, frame
+    messages.ERROR_RANGE: [
+        *((49, 0, 1000), (49, 3, 4096), (56, 2), (57, 2)),
+        *((49, 1, period) for period in (8, 983_041, 99_992, 500_000, 1_000_000_008, 2**30 - 8)),
+        # not from 0; no pages; too many; empty; no CBOR
+        *(
+            (PUT_CONFIG, *page)
+            for page in ((1, 2, b"x"), (0, 0, b"x"), (0, 17, b"x"), (0, 1, b""), (0, 1, b"\xff"), (0, 1, b"\x9f\xff"))
+        ),
+    ],
+}
 
-    (error,) = bench.give(rx=frame.frame(cbor.encode([PUT_CONFIG, 9, *values])))
-    assert (error[0], error[2], error[3]) == (ERROR, 9, code)
+
+def test_what_is_no_command_is_refused_by_code(bench):
+    req_id = 0
+    for code, commands in NO_COMMANDS.items():
+        for kind, *values in commands:
+            req_id += 1
+            (error,) = bench.give(rx=frame.frame(cbor.encode([kind, req_id, *values])))
+            assert (error[0], error[2], error[3]) == (ERROR, req_id, code), (kind, values)
+
+
+def test_refused_while_streaming(bench):
+    bench.start()
+    for kind, *values in ((49, 0, 4096), (49, 1, 0), (50,), (52,), (53, 0, 1, b"x"), (54,), (55,), (56, 0)):
+        (error,) = bench.command(kind, *values)
+        assert (error[0], error[3]) == (ERROR, messages.ERROR_STREAMING), kind
+        assert bench.answer.end == ""
 
 
 def test_pages_come_in_order_and_page_0_begins_anew(bench):
@@ -247,29 +251,6 @@ def test_a_file_of_many_small_parts_does_not_keep_the_box_from_booting(boot, fla
     (flash / "config.json").write_text(json.dumps(config, separators=(",", ":"))[:8000])
     said = ident_document(boot().boot)
     assert said["streams"][0]["osr"] == 4096
-
-
-@pytest.mark.parametrize("kind", [49, 52, 53, 54, 55, 56])
-def test_refused_while_streaming(bench, kind):
-    bench.start()
-    values = {49: (1, 0), 53: (0, 1, b"x"), 56: (0,)}.get(kind, ())
-    (error,) = bench.command(kind, *values)
-    assert (error[0], error[3]) == (ERROR, messages.ERROR_STREAMING)
-    assert bench.answer.end == ""
-
-
-@pytest.mark.parametrize("values", [(56,), (56, "0"), (57,), (57, -1)])
-def test_malformed(bench, values):
-    from truearm_wire import cbor, frame
-
-    (error,) = bench.give(rx=frame.frame(cbor.encode([values[0], 9, *values[1:]])))
-    assert (error[0], error[3]) == (ERROR, 2)
-
-
-@pytest.mark.parametrize("values", [(56, 2), (57, 2)])
-def test_out_of_range(bench, values):
-    (error,) = bench.command(*values)
-    assert (error[0], error[3]) == (ERROR, 3)
 
 
 # -- what the flash does

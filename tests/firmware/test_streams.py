@@ -136,12 +136,6 @@ def test_the_streams_have_rates_of_their_own(bench):
     assert [f[5] for f in blocks(found, 1)] == [2_000_000]
 
 
-@pytest.mark.parametrize("period", [8, 983_041, 99_992, 500_000, 1_000_000_008, 2**30 - 8])
-def test_periods_that_the_head_cannot_keep_are_refused(bench, period):
-    (error,) = bench.give(rx=command(49, 5, 1, period))
-    assert (error[0], error[3]) == (ERROR, messages.ERROR_RANGE)
-
-
 def test_a_pulse_is_an_edge_of_line_2_also_while_streaming(bench):
     bench.start()
     found = []

@@ -6,7 +6,7 @@ import pytest
 
 from tests.firmware.conftest import Bench, ident_document, real_micropython
 from tests.wire_frames import command, frames
-from truearm_wire.messages import DATA, ERROR, GET_CONFIG, HEARTBEAT, SELF_TEST, TEMPERATURE
+from truearm_wire.messages import DATA, GET_CONFIG, HEARTBEAT, SELF_TEST, TEMPERATURE
 
 BAR = bytes.fromhex("28aa01020304050f")
 SENSOR = bytes.fromhex("28bb0102030405f0")
@@ -110,24 +110,6 @@ def test_a_new_configuration_names_them_anew(boot):
     found = bench.put(configuration() | {"thermometers": {"bar": SENSOR.hex(), "sensor": BAR.hex()}})
     assert [entry["uid"] for entry in ident_document(found)["thermometers"]] == [SENSOR, BAR]
     assert temperatures(pass_time(bench, 3)) == [(0, 21_000), (1, 20_000)]
-
-
-@pytest.mark.parametrize(
-    ("named", "text"),
-    [
-        ([], "table of at most 4"),
-        ({f"t{k}": f"{k:016x}" for k in range(5)}, "table of at most 4"),
-        ({"": BAR.hex()}, "1 to 32 characters"),
-        ({"bar": 7}, "16 hexadecimal digits"),
-        ({"bar": BAR.hex().upper()}, "16 hexadecimal digits"),
-        ({"bar": BAR.hex()[:-1]}, "16 hexadecimal digits"),
-        ({"bar": BAR.hex(), "x": BAR.hex()}, "the same address"),
-    ],
-)
-def test_what_is_no_table_of_thermometers_is_refused(bench, named, text):
-    found = bench.put(configuration() | {"thermometers": named})
-    assert found[0][0] == ERROR
-    assert text in found[0][4]
 
 
 def test_reading_them_allocates_nothing_and_loses_nothing():
