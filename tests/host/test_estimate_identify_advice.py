@@ -135,7 +135,7 @@ def test_poor_data_still_give_an_answer(solver, case):
     assert np.isfinite(e.value).all()
     assert e.rank == {"alike": 6, "few": 12, "one": 1}[case]  # one pose, nine pairings: six numbers place the end
     assert len(e.null_space) == 36 - e.rank
-    assert e.additions
+    assert ("poses" in by_kind(e)) or (e.additions and case != "alike")
     assert np.isnan(e.sigma[FREE]).any()
 
 

@@ -64,13 +64,6 @@ def held_to(shells, runs, seed, mse_band, **how):
     assert RIG.bars == BARS
 
 
-@pytest.mark.parametrize("solver", ["lm", "recursive"])
-def test_forty_runs(shells, solver):
-    # Squared normalised errors of correlated parameters: at worst all 36 move together, a standard error sqrt(2/runs);
-    # the 0.085 for 200 runs is 0.19 for 40.
-    held_to(shells, 40, 1, 0.19, options=SolverOptions(solver=solver))
-
-
 def test_two_hundred_runs(shells):
     held_to(shells, 200, 2, 0.085)
 

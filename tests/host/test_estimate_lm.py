@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truearm.estimate.information import Information, covariance, fold, spectrum, with_prior
+from truearm.estimate.information import Information, fold
 from truearm.estimate.levenberg_marquardt import (
     DAMPING_MAX,
     DAMPING_START,
@@ -105,36 +105,6 @@ def test_a_gain_below_the_rounding_of_chi2_is_the_minimum():
     found = minimise(at, np.array([1.0 + 2e-4]), 50)
     assert found.status == "converged"
     assert len(calls) < 40  # one a refusal: λ from 1e-4 to 1e10 in factors of 4 is 24
-
-
-def test_steps_are_reported_in_order_and_descend():
-    heard = []
-    hard = linearised(lambda x: -np.array([np.exp(x[0]) - 2.0]), lambda x: np.array([[np.exp(x[0])]]))
-    found = minimise(hard, np.array([3.0]), 50, lambda i, information: heard.append((i, information.chi2)))
-    assert [i for i, _ in heard] == list(range(1, found.iterations + 1))
-    assert (np.diff([c for _, c in heard]) < 0).all()
-
-
-def test_folding_in_blocks_is_folding_at_once():
-    rows = np.random.default_rng(0).normal(size=(50, 4))
-    whole, parts = fold(np.zeros((4, 4)), rows), np.zeros((4, 4))
-    for block in np.split(rows, [7, 8, 30]):
-        parts = fold(parts, block)
-    np.testing.assert_allclose(parts.T @ parts, rows.T @ rows, atol=1e-12)
-    np.testing.assert_allclose(parts.T @ parts, whole.T @ whole, atol=1e-12)
-
-
-def test_a_prior_is_a_row():
-    rng = np.random.default_rng(1)
-    j, f = rng.normal(size=(10, 3)), rng.normal(size=10)
-    data = linearised(lambda x: f, lambda x: j)(np.zeros(3))
-    both = with_prior(data, np.array([0.3, 9.0, -0.2]), np.array([0.5, np.inf, 2.0]))
-    normal = j.T @ j + np.diag([4.0, 0.0, 0.25])
-    np.testing.assert_allclose(both.root.T @ both.root, normal, atol=1e-12)
-    np.testing.assert_allclose(both.root.T @ both.rhs, j.T @ f + [0.3 * 4.0, 0.0, -0.2 * 0.25], atol=1e-12)
-    assert both.chi2 == pytest.approx(f @ f + 0.36 + 0.01)
-    assert both.n_residuals == 12
-    np.testing.assert_allclose(covariance(spectrum(both.root)), np.linalg.inv(normal), atol=1e-12)
 
 
 def test_a_step_that_brings_far_more_than_was_foretold_is_no_overflow():

@@ -14,7 +14,7 @@ from truearm.kinds.pose import PoseRows
 from truearm.kinds.position import place
 from truearm.kinds.rig_references import Scope, use_points
 from truearm.kinds.unknowns import Layout
-from truearm.model.chain import about, joint_jacobian, point_jacobians, trace_point
+from truearm.model.chain import point_jacobians
 from truearm.model.rotation import rotation, rotation_vector, skew
 from truearm.types import Device, LinePlacement, Plane, Point, Rig
 
@@ -242,15 +242,6 @@ def test_axes_of_a_flat_are_right_handed():
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=4e-16)
         np.testing.assert_allclose(frame[2] * np.linalg.norm(normal), normal, atol=4e-16)
         assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-15)
-
-
-def test_turning_derivatives_are_the_chains_angular_velocity():
-    rng = np.random.default_rng(13)
-    q = random_poses(6, rng)
-    direction = rng.normal(size=(6, 3))
-    found = about(trace_point(CHAIN, TRUTH, q, np.zeros(3)), direction).jac_joints
-    expected = np.einsum("ni,nij->nj", direction, joint_jacobian(CHAIN, TRUTH, q)[:, 3:])
-    np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
 def test_an_item_that_two_columns_name_has_its_numbers_once():

@@ -27,7 +27,7 @@ from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import seen, spectrum, weighed
 from truearm.estimate.problem import build_problem
-from truearm.estimate.residual_noise import checked_joint_cov, residual_cov, whiten
+from truearm.estimate.residual_noise import checked_joint_cov
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation, rotation_vector
@@ -217,43 +217,6 @@ def test_all_kinds_with_drawn_priors_claim_what_they_err():
     rank = int(seen(spectrum(information.root)).sum())
     assert rank == columns.sum()
     assert abs(np.mean(found) - rank) < 3 * np.sqrt(2.0 * rank / len(found))
-
-
-def test_whitening_is_the_root_of_the_inverse_covariance():
-    rng = np.random.default_rng(5)
-    half = rng.normal(size=(7, 3, 3))
-    sensor, joints = half @ np.swapaxes(half, 1, 2), rng.normal(size=(6, 6))
-    jac, joint_cov, f = rng.normal(size=(21, 6)), joints @ joints.T, rng.normal(size=(21, 2))
-    cov = residual_cov(sensor, jac, joint_cov)
-
-    def whitened(cov):
-        rows = f.reshape(7, 3, 2).copy()
-        whiten(rows.T, cov)
-        return rows
-
-    white = whitened(cov)
-    for i in range(7):
-        part, g = f.reshape(7, 3, 2)[i], jac.reshape(7, 3, 6)[i]
-        by_hand = part.T @ np.linalg.solve(sensor[i] + g @ joint_cov @ g.T, part)
-        np.testing.assert_allclose(white[i].T @ white[i], by_hand, rtol=1e-9)  # condition 1e5 or so
-    variances = rng.uniform(1.0, 2.0, (7, 3))
-    as_matrix = variances[:, :, None] * np.eye(3)
-    np.testing.assert_allclose(whitened(variances), whitened(as_matrix), rtol=1e-14)
-    np.testing.assert_allclose(
-        residual_cov(variances, jac, joint_cov), residual_cov(as_matrix, jac, joint_cov), rtol=1e-14
-    )
-    scalar = residual_cov(variances[:, :1], jac[:7], joint_cov)
-    np.testing.assert_allclose(scalar[:, 0], variances[:, 0] + np.einsum("ni,ij,nj->n", jac[:7], joint_cov, jac[:7]))
-
-
-def test_exact_joints_cost_nothing(tracker_bench):
-    rig, t = tracker_bench
-    problem = build_problem(CHAIN, replace(rig, joint_cov=matrix(np.zeros(6))), t)
-    assert problem.joint_cov is None
-    assert weighed(problem, problem.start) is problem
-    (group,) = problem.groups
-    assert group.sensor_cov.shape == (99, 3)  # S_x is diagonal: no 3×3 is ever factored
-    assert residual_cov(group.sensor_cov, np.zeros((297, 6)), None) is group.sensor_cov
 
 
 def distances(problem, x):

@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 
 from truearm import units
 
-FINITE = st.floats(-1e9, 1e9, allow_nan=False)
-
 
 @pytest.mark.parametrize("name", units.SUFFIXES)
 def test_a_scale_is_filed_under_its_suffix_and_its_factor_undoes_it(name):
@@ -38,18 +36,6 @@ def test_every_scale_belongs_to_a_unit():
 def test_symbols_and_suffixes_name_one_scale_each():
     scales = units.SUFFIXES.values()
     assert len({s.symbol for s in scales}) == len({s.suffix for s in scales}) == len(scales)
-
-
-@given(st.sampled_from(sorted(units.SUFFIXES)), FINITE)
-def test_every_scale_is_undone(name, value):
-    scale = units.SUFFIXES[name]
-    assert scale.to_si(scale.of(value)) == pytest.approx(value, rel=1e-14, abs=1e-300)
-    assert scale.of(scale.to_si(value)) == pytest.approx(value, rel=1e-14, abs=1e-300)
-
-
-@given(st.sampled_from(sorted(units.UNITS)), FINITE)
-def test_what_is_shown_is_read_back(si, value):
-    assert units.from_shown(units.shown(value, si), si) == pytest.approx(value, rel=1e-14, abs=1e-300)
 
 
 @given(st.sampled_from(sorted(units.UNITS)), st.floats(-1e3, 1e3))
