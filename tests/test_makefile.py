@@ -39,10 +39,7 @@ def test_only_what_cannot_be_fetched_is_left_out(make, tmp_path, code):
 
 @pytest.mark.parametrize(
     ("left_out", "last"),
-    [
-        ((), "make test: passed"),
-        (("a (no b)", "c (no d)"), "make test: passed; LEFT OUT: a (no b); c (no d)"),
-    ],
+    [((), "make test: passed"), (("a (no b)", "c (no d)"), "make test: passed; LEFT OUT: a (no b); c (no d)")],
 )
 def test_the_last_line_names_what_was_left_out(make, tmp_path, left_out, last):
     script = tmp_path / "inner"

@@ -86,7 +86,7 @@ while time.ticks_diff(end, time.ticks_ms()) > 0:
     longest = max(longest, time.ticks_diff(time.ticks_us(), t))
 other.stop()
 print([other.resets, longest])
-""",
+"""
         },
     }
     start_ns = (2**32 - 5_000_000) * 1000  # the boot window lasts 2 s

@@ -68,12 +68,7 @@ def test_both_blocks_have_room_for_the_programs():
     pacer = len(magnetostrictive.pacer_program(Assembler, 14).words)
     for counter in (magnetostrictive.counter_program, magnetostrictive.gate_program):
         assert pacer + len(counter(Assembler).words) <= 32
-    others = (
-        ads131m04_dma.program,
-        ads131m04_dma.counter_program,
-        triggers.program,
-        ds18b20.program,
-    )
+    others = (ads131m04_dma.program, ads131m04_dma.counter_program, triggers.program, ds18b20.program)
     assert sum(len(program(Assembler).words) for program in others) <= 32
 
 

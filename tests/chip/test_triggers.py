@@ -41,10 +41,7 @@ def random_edges(seed, n):
 STEPS = {
     "make": {"script": MAKE + "print(edges())"},
     "words": {"script": "from drivers import triggers as d\nprint(list(d.program(rp2)[0]))"},
-    "random": {
-        "script": "time.sleep_ms(40)\nprint(edges())\nprint(t.dropped)",
-        "edges": random_edges(1, 200),
-    },
+    "random": {"script": "time.sleep_ms(40)\nprint(edges())\nprint(t.dropped)", "edges": random_edges(1, 200)},
     # both lines at one moment, and back; a pulse of 10 µs; the lines end low
     "together": {
         "script": "time.sleep_ms(21)\nprint(edges())",

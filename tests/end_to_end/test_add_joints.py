@@ -192,11 +192,7 @@ def test_the_order_of_the_joints_from_a_robot(tmp_path):
 
 @pytest.mark.parametrize(
     ("joints", "robot", "says"),
-    [
-        ("a,b", PANDA, "give one"),
-        ("a,,b", None, "different names"),
-        ("a,b,a", None, "different names"),
-    ],
+    [("a,b", PANDA, "give one"), ("a,,b", None, "different names"), ("a,b,a", None, "different names")],
 )
 def test_names_that_are_none(joints, robot, says):
     with pytest.raises(InputError, match=says):

@@ -24,11 +24,7 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
 
 @pytest.mark.parametrize(
     ("version", "says"),
-    [
-        (__version__, f"firmware {__version__} on vm, as"),
-        ("0.10.0", "newer 0.10.0"),
-        ("0.1.9", "older 0.1.9"),
-    ],
+    [(__version__, f"firmware {__version__} on vm, as"), ("0.10.0", "newer 0.10.0"), ("0.1.9", "older 0.1.9")],
 )
 def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsys, version, says):
     path, drive = tmp_path / "box.uf2", tmp_path / "RPI-RP2"

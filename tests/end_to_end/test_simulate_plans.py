@@ -57,14 +57,8 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
         (["--plan", "{}/short.csv"], "other-robot"),
         (["--plan", "{}/lines.csv"], "not-in-rig"),
         (["--plan", "{}/none.csv"], "missing-file"),
-        (
-            ["--plan", "{}/ur5e.csv", "--rig", "{}/ur5e.toml"],
-            "ur5e.csv: was made for robot ur5e",
-        ),
-        (
-            ["--plan", "{}/nameless.csv", "--rig", "{}/ur5e.toml", "--model", "panda"],
-            "other-robot",
-        ),
+        (["--plan", "{}/ur5e.csv", "--rig", "{}/ur5e.toml"], "ur5e.csv: was made for robot ur5e"),
+        (["--plan", "{}/nameless.csv", "--rig", "{}/ur5e.toml", "--model", "panda"], "other-robot"),
         (["--model", "nope"], "wrong-value"),
         (["--masses-kg", "1,2"], "wrong-value"),
         (["--masses-kg", "1,2,x"], "wrong-value"),
@@ -72,10 +66,7 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
         (["--gear-periods-deg", "0"], "--gear-periods-deg:"),
         (["--fast", "--protocol", "rtde"], "--fast opens no ports"),
         (["--fast", "--truth-out", "{}/ur5e.toml"], "ur5e.toml"),
-        (
-            ["--model", "panda", "--protocol", "rtde", "--poses", "9"],
-            "--protocol rtde:",
-        ),
+        (["--model", "panda", "--protocol", "rtde", "--poses", "9"], "--protocol rtde:"),
         (["--robot-delay-ms", "nan"], "--robot-delay-ms must be"),
     ],
 )

@@ -119,8 +119,7 @@ def test_a_filter_with_capacitors_of_a_wider_tolerance_is_found(tools, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("values", "failed"),
-    [({"R2": "20k"}, ["U1.GP27"]), ({"R21": "22k"}, ["U4.OUTB", "J5.3", "J5.4", "J5.5"])],
+    ("values", "failed"), [({"R2": "20k"}, ["U1.GP27"]), ({"R21": "22k"}, ["U4.OUTB", "J5.3", "J5.4", "J5.5"])]
 )
 def test_the_readings_of_the_first_power_up_show_a_wrong_part(tools, values, failed):
     rows = power_up.check(tools, changed(**values))

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 from truearm.estimate.information import Information, fold
-from truearm.estimate.levenberg_marquardt import (
-    DAMPING_MAX,
-    DAMPING_START,
-    REFUSED,
-    Damping,
-    after_step,
-    minimise,
-)
+from truearm.estimate.levenberg_marquardt import DAMPING_MAX, DAMPING_START, REFUSED, Damping, after_step, minimise
 
 
 def linearised(residual, jacobian):

@@ -11,13 +11,7 @@ from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, TRUTH, random_t
 from truearm.estimate import prediction
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.prediction import (
-    MOST_POSES,
-    ParametersKnown,
-    end_sigmas,
-    point_covariance,
-    predicted_point_error,
-)
+from truearm.estimate.prediction import MOST_POSES, ParametersKnown, end_sigmas, point_covariance, predicted_point_error
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import predicted_error
 from truearm.files.robot_file import load_robot

@@ -180,21 +180,11 @@ def tracker(**fields):
         (Rig(), "line", {"line": "l"}, "line 1: a line row needs x, y and z"),
         (Rig(), "position", {"tracker": "t", **POINT}, "position 1: tracker 't'"),
         (Rig(lines={"l": Device("l", COV)}), "line", {"line": "k", **POINT}, "line 'k'"),
-        (
-            tracker(sigma=0.0),
-            "position",
-            {"tracker": "t", **POINT},
-            r"tracker\.t .*sigma 0 .*xyz_mm",
-        ),
+        (tracker(sigma=0.0), "position", {"tracker": "t", **POINT}, r"tracker\.t .*sigma 0 .*xyz_mm"),
         (tracker(xyz=AT, sigma=-1.0), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x .* 1 ± -1"),
         (tracker(xyz=(np.nan, 0.0, 0.0)), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x .*nan"),
         (tracker(), "pose", {"tracker": "t", **POINT}, "pose 1: a pose row needs rx, ry and rz"),
-        (
-            tracker(rotation_sigma=None),
-            "pose",
-            {"tracker": "t", "rotation": np.zeros((2, 3)), **POINT},
-            "pose 1:",
-        ),
+        (tracker(rotation_sigma=None), "pose", {"tracker": "t", "rotation": np.zeros((2, 3)), **POINT}, "pose 1:"),
         (tracker(), "position", {"tracker": "t", "sigma": np.array([1e-5, 0.0]), **POINT}, "position 2: sigma must be"),
         (
             Rig(time_offset_sigma=None),

@@ -14,12 +14,7 @@ from truearm.model.transforms import Element
 def two_links():
     """Return a planar arm, 0.4 and 0.3 m, whose errors are known in closed form."""
     parameters = (Parameter("o1", "rad", 0.0, "offset", 0), Parameter("a1", "m", 0.4), Parameter("a2", "m", 0.3))
-    elements = (
-        Element("rz", joint=0),
-        Element("tx", parameter=1),
-        Element("rz", joint=1),
-        Element("tx", parameter=2),
-    )
+    elements = (Element("rz", joint=0), Element("tx", parameter=1), Element("rz", joint=1), Element("tx", parameter=2))
     joints = tuple(Joint(f"j{i}", "revolute", -3.0, 3.0) for i in (1, 2))
     return Chain("planar", elements, parameters, joints)
 

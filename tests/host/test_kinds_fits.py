@@ -8,18 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from device_bench import (
-    TARGETS,
-    join,
-    joints_at,
-    line_rows,
-    named,
-    random_pose,
-    rows,
-    touches,
-    tracked,
-    values,
-)
+from device_bench import TARGETS, join, joints_at, line_rows, named, random_pose, rows, touches, tracked, values
 from puma_bench import CHAIN, CHUCKS, FREE, RIG, SPHERES, TRUTH, random_table
 
 from truearm.errors import ProblemError

@@ -8,11 +8,7 @@ import pytest
 from tests.firmware.conftest import real_micropython
 from tests.recipes.recipes import Copy
 
-BY_HAND = {
-    "firmware/truearm_box/health.py": "+4 -1",
-    "protocol/SPEC.md": "+2 -1",
-    "protocol/frames.cddl": "+1 -1",
-}
+BY_HAND = {"firmware/truearm_box/health.py": "+4 -1", "protocol/SPEC.md": "+2 -1", "protocol/frames.cddl": "+1 -1"}
 # A box that runs the copy's firmware answers requests to identify itself; its frames go into a session.
 RECORD = """
 import json, sys
