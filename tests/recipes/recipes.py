@@ -59,11 +59,12 @@ def findings(text: str) -> dict[str, dict[str, object]]:
 
 
 class Copy:
-    """A copy of the package in a folder, in which commands run; ``parts``: its folders of the repository."""
+    """A copy of the package in a folder, in which commands run; ``parts``: its folders of the repository, all imported."""
 
     def __init__(self, folder: Path, parts: tuple[str, ...] = ("host",)) -> None:
         self.folder = folder
         self.parts = parts
+        self.paths = [folder / part for part in parts]
         for part in parts:
             shutil.copytree(ROOT / part, folder / part, ignore=NOISE)
 
@@ -96,11 +97,6 @@ class Copy:
                 found[name] = f"+{signs['+']} -{signs['-']}"
         return found
 
-    def run(self, *command: str, code: int = 0) -> str:
-        """Return what truearm prints; also errors, if it should end with a code other than 0."""
-        done = self.python("-m", "truearm", *command, code=code)
-        return done.out if code == 0 else done.err
-
     def run_each(self, *commands: tuple[str, ...]) -> list[Said]:
         """Return what several commands of truearm print, in one process."""
         done = self.python("-c", ALL_IN_ONE, text=json.dumps(commands))
@@ -108,7 +104,7 @@ class Copy:
 
     def python(self, *arguments: str, text: str = "", code: int = 0) -> Said:
         """Return the output of a Python that imports the copy."""
-        paths = os.pathsep.join(str(self.folder / part) for part in self.parts)
+        paths = os.pathsep.join(map(str, self.paths))
         done = subprocess.run(
             [sys.executable, *arguments],
             cwd=self.folder,

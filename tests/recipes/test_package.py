@@ -2,18 +2,13 @@
 
 import json
 import math
-import os
 import re
-import subprocess
-import sys
 
 import pytest
 
 from tests.host.tcp_peer import Peer
-from tests.recipes.recipes import ALL_IN_ONE, PAGE, Said, findings, new_files
-from tests.recipes.test_kind import ZERO, write_inputs
-from tests.recipes.test_source import OPEN, SENT
-from tests.recipes.test_term import SPRUNG
+from tests.recipes.recipes import PAGE, Copy, findings, new_files
+from tests.recipes.test_recipes import OPEN, SENT, SPRUNG, ZERO, write_inputs
 from truearm.session.joint_format import parse_line
 
 ROBOT = """
@@ -44,42 +39,26 @@ def site(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def python(site, tmp_path_factory):
-    """Return a function that runs Python with the package, in a folder with inputs."""
-    folder = tmp_path_factory.mktemp("work")
-    write_inputs(folder)
-    (folder / "sprung.toml").write_text(SPRUNG)
-
-    def run(*arguments, text=""):
-        done = subprocess.run(
-            [sys.executable, *arguments],
-            cwd=folder,
-            env={**os.environ, "PYTHONPATH": str(site)},
-            input=text,
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    run.folder = folder
-    return run
+def work(site, tmp_path_factory):
+    """Return a folder with inputs, in which Python finds the package."""
+    work = Copy(tmp_path_factory.mktemp("work"), ())
+    work.paths = [site]
+    write_inputs(work.folder)
+    (work.folder / "sprung.toml").write_text(SPRUNG)
+    return work
 
 
 @pytest.fixture(scope="module")
-def said(python):
+def said(work):
     """Return what commands print."""
     inputs = ("poses.csv", "--model", "puma560", "--rig", "rig.toml")
-    commands = [
+    return work.run_each(
         ("export", "--help"),
         ("record", "--help"),
         ("plan", "ballbar", "--help"),
         ("identify", *inputs, "--joint-laws", "none", "--out", "result.json"),
         ("export", "result.json", "--format", "screws", "--out", "screws.json", "--over", "poses.csv", "--json"),
-    ]
-    return [Said(*each) for each in json.loads(python("-c", ALL_IN_ONE, text=json.dumps(commands)))]
+    )
 
 
 def test_help_names_what_was_added(said):
@@ -89,9 +68,9 @@ def test_help_names_what_was_added(said):
     assert "ur3lab" in plan
 
 
-def test_the_kind_is_identified(python, said):
+def test_the_kind_is_identified(work, said):
     assert said[3].code == 0, said[3].err
-    document = json.loads((python.folder / "result.json").read_text())
+    document = json.loads((work.folder / "result.json").read_text())
     zeros = {p["name"]: p for p in document["parameters"] if p["name"].startswith("inclinometer.")}
     assert set(zeros) == {f"inclinometer.{name}.zero" for name in ZERO}
     for name, zero in ZERO.items():
@@ -99,16 +78,16 @@ def test_the_kind_is_identified(python, said):
         assert abs(found["value"] - zero) < 5.0 * max(found["sigma"], 1e-5)
 
 
-def test_the_format_is_written(python, said):
+def test_the_format_is_written(work, said):
     assert said[4].code == 0, said[4].err
     assert "exported" in findings(said[4].out)
-    assert len(json.loads((python.folder / "screws.json").read_text())["joints"]) == 6
+    assert len(json.loads((work.folder / "screws.json").read_text())["joints"]) == 6
 
 
-def test_term_and_robot_are_loaded(python):
-    assert python("-c", ROBOT).split() == ["True", "ur3lab"]
+def test_term_and_robot_are_loaded(work):
+    assert work.python("-c", ROBOT).out.split() == ["True", "ur3lab"]
 
 
-def test_the_source_is_opened(python):
-    lines = bytes.fromhex(python("-c", OPEN, f"semicolons://{Peer(SENT).address}")).split(b"\n")
+def test_the_source_is_opened(work):
+    lines = bytes.fromhex(work.python("-c", OPEN, f"semicolons://{Peer(SENT).address}").out).split(b"\n")
     assert parse_line(lines[1]).q == pytest.approx([math.pi / 2, math.radians(-45.5)], rel=1e-15)
