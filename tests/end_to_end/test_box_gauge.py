@@ -321,28 +321,24 @@ def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypat
         assert "7 places, sigma" in said
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("\0", "holds no places"),
-        ('{"channel"', "truncated"),
-        ("{}", "`uid`"),
-        ('{"uid": "u", "channel": "lvdt", "unit": "V", "scale": 1.0}', "('lvdt' of box 'u')"),
-        (
-            '{"uid": "u", "channel": "lvdt", "unit": "V", "scale": 1.0,'
-            ' "places": [{"reference": null, "mean": [0, 0, 0, 0], "temperature": 0}]}',
-            "places[0].reference",
-        ),
-    ],
-)
-def test_kept_places_of_something_else_are_refused(text, says, tmp_path, monkeypatch, capsys):
+def test_kept_places_of_something_else_are_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    kept = tmp_path / "gauge-lvdt.places.json"
-    kept.write_text(text)
+    kept, lvdt = tmp_path / "gauge-lvdt.places.json", '{"uid": "u", "channel": "lvdt", "unit": "V", "scale": 1.0'
     with served() as (device, _, _):
-        assert box("gauge", "lvdt", "--box", device) == 2
-    assert says in capsys.readouterr().err
-    assert kept.read_text() == text
+        for text, says in (
+            ("\0", "holds no places"),
+            ('{"channel"', "truncated"),
+            ("{}", "`uid`"),
+            (f"{lvdt}}}", "('lvdt' of box 'u')"),
+            (
+                f'{lvdt}, "places": [{{"reference": null, "mean": [0, 0, 0, 0], "temperature": 0}}]}}',
+                "places[0].reference",
+            ),
+        ):
+            kept.write_text(text)
+            assert box("gauge", "lvdt", "--box", device) == 2
+            assert says in capsys.readouterr().err
+            assert kept.read_text() == text
 
 
 class Rehearsal(io.StringIO):
