@@ -127,19 +127,18 @@ def command_page(path: str, command: Any, level: int = 1) -> str:
     rows: dict[str, list[str]] = defaultdict(list)  # by heading of the help page
     for parameter in () if subcommands else command.params:
         if record := parameter.get_help_record(context):
-            rows[getattr(parameter, "rich_help_panel", None) or "argument or option"].append(_row(*record))
+            rows["expert option" if parameter.name in command.expert else "argument or option"].append(_row(*record))
     for heading, texts in rows.items():
-        lines += [f"| {heading.lower().removesuffix('s')} | meaning |", "|---|---|", *texts, ""]
+        lines += [f"| {heading} | meaning |", "|---|---|", *texts, ""]
     for name, sub in subcommands.items():
         lines += [command_page(f"{path} {name}", sub, level + 1)]
     return "\n".join(lines)
 
 
 def _row(names: str, said: str) -> str:
-    """A row of a table of options, of what the help page says of one; the parser's own types of arguments are left out."""
-    shown = re.sub(r" <(path|list\[Path\]|text|str)>$", "", names, flags=re.IGNORECASE)
+    """A row of a table of options, of what the help page says of one."""
     meaning = _escaped(" ".join(said.split())).replace("|", r"\|")
-    return f"| `{shown}` | {meaning} |"
+    return f"| `{names}` | {meaning} |"
 
 
 def _escaped(text: str) -> str:

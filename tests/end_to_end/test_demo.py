@@ -73,7 +73,7 @@ def test_its_result_and_page_are_marked_as_simulated(demo):
 
 def test_lines_are_fitted_but_for_the_last_one(tmp_path, monkeypatch):
     opened = []
-    monkeypatch.setattr("typer.launch", opened.append)
+    monkeypatch.setattr("click.launch", opened.append)
     assert main(["demo", "--lines", "4", "--out", str(tmp_path), "--open"]) == 0
     result = json.loads((tmp_path / "result.json").read_text())
     assert opened == [str(tmp_path / "report.html")]

@@ -19,7 +19,7 @@ from truearm.findings import Finding
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
 from truearm.workflows.calibration import NEAR_OBSERVED, read_calibration, unseen_within
-from truearm.workflows.map import Mapped, Section, map_findings, mapped
+from truearm.workflows.map import Section, map_findings, mapped
 
 P = len(CHAIN.parameters)
 NONE = np.zeros((P, 0))
@@ -106,14 +106,16 @@ def test_the_uncertainty_is_that_of_the_covariance(estimate):
     assert np.mean(found.sigma[reached] / sigma) == pytest.approx(1.0, abs=0.06)
 
 
-def test_unseen_directions_leave_no_uncertainty_to_tell():
+def test_unseen_directions_leave_no_uncertainty_to_tell(result):
     pair = ModelPair(CHAIN, DESIGN, TRUTH)
     moving = np.array([[float(name == "link4.x")] for name in CHAIN.parameter_names])
     found = error_map(pair, np.zeros(6), (1, 2), 0.2, np.eye(P), moving)
     assert np.isnan(found.sigma).all()
     assert np.isfinite(found.error).any()
     cells = int(np.isfinite(found.error).sum())
-    assert Finding("map-sigma-unknown", {"n": cells, "cells": cells}) in map_findings(Mapped(found, None), 0.2, None)
+    assert Finding("map-sigma-unknown", {"n": cells, "cells": cells}) in map_findings(
+        read_calibration(result), Section(cell=0.2), found
+    )
 
 
 def test_a_map_ends_where_the_measured_readings_end(result, tmp_path, run):
@@ -142,7 +144,7 @@ def test_a_direction_that_only_places_base_or_tool_leaves_relative_errors(result
     assert unseen_within(left_out)[1] == relative
     sigma = mapped(left_out, section).sigma
     assert np.isnan(sigma).all() if not relative else np.array_equal(sigma, within.sigma, equal_nan=True)
-    (spread,) = (of.values for of in map_findings(Mapped(within, None, relative), 0.2, None) if of.code == "map-sigma")
+    (spread,) = (of.values for of in map_findings(left_out, section, within) if of.code == "map-sigma")
     assert spread["relative_to"] == list(relative)
 
 

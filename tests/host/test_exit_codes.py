@@ -24,7 +24,7 @@ def commands(command, words=()):
 
 
 # of the trees that a command line gets: one for each word
-COMMANDS = dict(one for name in cli.command_tree().commands for one in commands(cli.command_tree(name)))
+COMMANDS = dict(one for name in cli.command_tree().commands for one in commands(cli.command_tree((name,))))
 
 
 def test_the_codes_that_scripts_rely_on():
@@ -105,12 +105,15 @@ def test_every_error_has_a_code_of_the_table():
 
 
 def test_no_command_ends_by_a_number_of_its_own():
-    """typer.Exit, sys.exit and os._exit have no number but one of the table; __main__ may import nothing. An Answer's end is declared as one."""
+    """click.exceptions.Exit, sys.exit and os._exit have no number but one of the table; __main__ may import nothing. An Answer's end is declared as one."""
     for path in sorted(HOST.rglob("*.py")):
         text = path.read_text()
         nodes = ast.walk(ast.parse(text)) if re.search(r"Exit\(|exit\(", text) else ()
         for node in nodes:
-            if not (isinstance(node, ast.Call) and ast.unparse(node.func) in ("typer.Exit", "sys.exit", "os._exit")):
+            if not (
+                isinstance(node, ast.Call)
+                and ast.unparse(node.func) in ("click.exceptions.Exit", "sys.exit", "os._exit")
+            ):
                 continue
             given = [ast.unparse(one) for one in node.args]
             allowed = path.name == "__main__.py" or (

@@ -26,7 +26,7 @@ from truearm.files.result_file import parse_result
 from truearm.files.rig_file import format_rig, parse_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import strict_json
-from truearm.findings import Finding
+from truearm.findings import Finding, findings_of
 from truearm.kinds.position import nearest_rotation
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
@@ -43,7 +43,7 @@ from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import correct_file
 from truearm.workflows.export import curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
-from truearm.workflows.map import Section, map_files, map_findings, mapped
+from truearm.workflows.map import Section, map_files, mapped
 from truearm.workflows.requests import CorrectFiles, CorrectOptions, MapFiles
 from truearm.workflows.validate import validated
 
@@ -486,16 +486,15 @@ def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
     reached = ~np.isnan(everywhere.error)
     assert everywhere.outside[reached].all()  # joint 1 stands in the gap
     files = MapFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "map.csv", tmp_path / "map.svg")
-    assert Finding("joints-outside", {"joints": ["joint1"]}) in map_findings(
-        map_files(found, files, section), 0.1, None
-    )
+    outside = Finding("joints-outside", {"joints": ["joint1"]})
+    assert outside in findings_of(map_files(found, files, section))
     section = section._replace(at=(0.8, *section.at[1:]))
     some = mapped(found, section)
     q, limits = some.q[reached], np.array([found.table.q.min(axis=0), found.table.q.max(axis=0)])
     beyond = ((q < limits[0] - 0.051) | (q > limits[1] + 0.051)).any(axis=1)
     assert 0 < some.outside[reached].sum() < reached.sum()
     assert some.outside[reached][beyond].all()
-    findings = map_findings(map_files(found, replace(files, force=True), section), 0.1, None)
+    findings = findings_of(map_files(found, replace(files, force=True), section))
     assert Finding("joints-outside", {"n": some.outside[reached].sum()}) in findings
     rows = [line.rpartition(",")[2] for line in (tmp_path / "map.csv").read_text().splitlines()]
     assert rows[0] == "covered"

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import typer
+import click
 
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.box.requests import FlashOptions, GaugeOptions
 from truearm.cli.command import Answer, command
 from truearm.cli.output import print_lines
-from truearm.cli.project import ProjectCommand, command_group
+from truearm.cli.project import CommandGroup
 from truearm.errors import ConfigError, InputError, TruearmError
 from truearm.exit_codes import ExitCode
 from truearm.live.choose_box import choose_box
@@ -22,21 +22,20 @@ from truearm.live.choose_box import choose_box
 SHOW_S, PLAIN_S = 0.5, 1.0  # between two views of the monitor
 _LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it runs
 
-app = command_group(
+app = CommandGroup(
     "box",
-    "Find, flash, test, configure, calibrate and monitor a sensor box.",
-    "Example: truearm box test --box /dev/ttyACM0",
+    help="Find, flash, test, configure, calibrate and monitor a sensor box.",
+    epilog="Example: truearm box test --box /dev/ttyACM0",
 )
-config = command_group(
+config = CommandGroup(
     "config",
-    "Read and change a box's configuration: rates, channels, calibrations, magnetostrictive sensor.",
-    "Example: truearm box config get --box /dev/ttyACM0 --out box.toml",
+    help="Read and change a box's configuration: rates, channels, calibrations, magnetostrictive sensor.",
+    epilog="Example: truearm box config get --box /dev/ttyACM0 --out box.toml",
 )
-app.add_typer(config, name="config")
+app.add_command(config)
 
 
-@app.command("list", cls=ProjectCommand)
-@command()
+@command(app, "list")
 def list_boxes(
     *,
     all: bool = False,
@@ -78,8 +77,7 @@ def _asked(port: Any) -> dict[str, Any]:
     return {**row, "box": dict(ident.document), "answer": one_line_of(ident) + faults}
 
 
-@app.command(cls=ProjectCommand)
-@command()
+@command(app)
 def info(
     *,
     box: str | None = None,
@@ -95,8 +93,7 @@ def info(
     return Answer(ident.document, ident_lines(ident))
 
 
-@app.command("test", cls=ProjectCommand)
-@command()
+@command(app, "test")
 def self_test(
     *,
     box: str | None = None,
@@ -123,8 +120,7 @@ def self_test(
     return Answer([vars(f) for f in verdicts], lines, end=ExitCode.FAILED if failed else ExitCode.DONE)
 
 
-@app.command(cls=ProjectCommand)
-@command()
+@command(app)
 def reset(
     *,
     box: str | None = None,
@@ -139,11 +135,10 @@ def reset(
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
         connected.reset(RESTART)
-    typer.echo(f"{device}: the box restarts")
+    click.echo(f"{device}: the box restarts")
 
 
-@config.command(cls=ProjectCommand)
-@command()
+@command(config)
 def get(
     *,
     box: str | None = None,
@@ -175,10 +170,9 @@ def get(
     return Answer(config, [f"{out}: the configuration of {device}"])
 
 
-@config.command("set", cls=ProjectCommand)
-@command()
+@command(config, "set")
 def put(
-    changes: list[str],
+    changes: tuple[str, ...],
     *,
     box: str | None = None,
     dry_run: bool = False,
@@ -219,7 +213,7 @@ def put(
     return Answer({"changes": changed, "stored": stored, "config": config}, [*changed, f"{device}: {outcome}"])
 
 
-def _read(changes: list[str]) -> list[tuple[str, str | None]]:
+def _read(changes: Sequence[str]) -> list[tuple[str, str | None]]:
     """(name of a file, its text) or (KEY=VALUE, None) of each argument."""
     from truearm.box.configuration import MAX_BYTES
     from truearm.files.disk import read_text
@@ -243,8 +237,7 @@ def _changed(config: dict[str, Any], texts: list[tuple[str, str | None]]) -> dic
     return config
 
 
-@app.command(cls=ProjectCommand)
-@command()
+@command(app)
 def flash(options: FlashOptions) -> None:
     """Flash a box, then check that it answers.
 
@@ -281,8 +274,7 @@ def flash(options: FlashOptions) -> None:
     print_lines(flash_box(options))
 
 
-@app.command(cls=ProjectCommand)
-@command()
+@command(app)
 def gauge(options: GaugeOptions) -> None:
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
@@ -339,19 +331,18 @@ class _Terminal:
     """The operator of ``gauge`` at standard input and output."""
 
     def say(self, text: str) -> None:
-        typer.echo(text)
+        click.echo(text)
 
     def ask(self, prompt: str) -> str | None:
-        typer.echo(prompt, nl=False)
+        click.echo(prompt, nl=False)
         try:
             return input().strip()
         except EOFError:
-            typer.echo()
+            click.echo()
             return None
 
 
-@app.command(cls=ProjectCommand)
-@command()
+@command(app)
 def monitor(
     *,
     box: str | None = None,

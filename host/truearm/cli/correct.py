@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
-import typer
+import click
 
 from truearm.cli.command import Answer, command
-from truearm.cli.options import joints_of, numbers_of, payload_of
+from truearm.cli.options import joints_of
 from truearm.cli.output import print_lines
 from truearm.correct.methods import methods_help, with_steps
 from truearm.errors import InputError
@@ -20,8 +21,8 @@ def correct(
     files: CorrectFiles,
     *,
     options: CorrectOptions,
-    home: str | None = None,
-    payload: str | None = None,
+    home: tuple[float, ...] | None = None,
+    payload: Any = None,
     allow_unusable: bool = False,
     json: bool = False,
 ) -> Answer:
@@ -91,14 +92,13 @@ def correct(
 
     if options.program.mark and not options.program.partial:
         raise InputError("needs-option", place="--mark", needed="--partial")
-    shown = numbers_of("--home", home)
-    calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
-    home_joints = joints_of("--home", shown, calibration.chain)
+    calibration = read_usable(files.result, files.robot, allow_unusable, payload)
+    home_joints = joints_of("--home", home, calibration.chain)
     try:
         done = correct_file(calibration, files, replace(options, near=home_joints, document=json))
     except ProgramRefused as exc:
         for line in refused_lines(exc.refused):
-            typer.echo(line, err=True)
+            click.echo(line, err=True)
         raise
     if not json:
         print_lines(refused_lines(done.refused))

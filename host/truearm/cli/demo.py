@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import typer
+import click
 
 from truearm.cli.command import Answer, command
 from truearm.cli.options import command_line, sources_of
@@ -18,7 +18,7 @@ FULL_POSES = 800
 
 @command()
 def demo(
-    context: typer.Context,
+    context: click.Context,
     request: SimulateOptions = DEMO,
     *,
     full: bool = False,
@@ -70,7 +70,7 @@ def demo(
     simulate_fast(request, lambda text: print(text, file=sys.stderr if json else None, flush=True))
     folder = request.out
     table, page = folder / "observations.csv", folder / "report.html"
-    sources = sources_of([folder / SESSION], None)
+    sources = sources_of((folder / SESSION,))
     files = IdentifyFiles(
         request.robot, sources, (folder / "result.json",), table, page, command_line(context), force=True
     )
@@ -81,5 +81,5 @@ def demo(
         if finding.code == "simulated" or (finding.severity is Severity.RESULT and finding.code != "identified")
     ]
     if open:
-        typer.launch(str(page))
+        click.launch(str(page))
     return Answer({"report": str(page), "result": identification.document}, findings=answers, written=[page], more="")

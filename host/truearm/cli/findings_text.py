@@ -20,7 +20,7 @@ MAX_LINES = 15  # of the short form
 def show(
     findings: Sequence[Finding],
     tables: Iterable[Table | str] | None = None,
-    written: Iterable[Path | None] = (),
+    written: Iterable[Path | str | None] = (),
     more: str = "All notes and tables: --details",
 ) -> None:
     """Print findings and the files that were written.

@@ -12,7 +12,7 @@ from truearm.workflows.requests import FleetOptions
 
 
 @command()
-def fleet(folders: list[Path], *, options: FleetOptions) -> Answer:
+def fleet(folders: tuple[Path, ...], *, options: FleetOptions) -> Answer:
     """Identify the robots of all projects in some folders, several at a time.
 
     Each project is identified as by truearm identify in its folder, and its result is written into its folder results.

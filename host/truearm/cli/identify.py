@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
+import click
 
 from truearm.bounds import LINE_POINTS
 from truearm.cli.command import Answer, command
@@ -36,13 +36,13 @@ def _located(finding: Finding, paths: Mapping[str, str]) -> Finding:
     solvers=". ".join(f"{name}: {entry.summary}" for name, entry in SOLVERS.items()),
 )
 def identify(
-    context: typer.Context,
-    inputs: list[Path],
+    context: click.Context,
+    inputs: tuple[Path, ...],
     *,
     robot: RobotChoice,
-    rig: list[str] | None = None,
+    rig: tuple[str, ...] = (),
     noise: Path | None = None,
-    hold_out: list[str] | None = None,
+    hold_out: tuple[str, ...] = (),
     options: FitOptions,
     out: Path | None = None,
     force: bool = False,
@@ -115,7 +115,7 @@ def identify(
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.selection import is_drawn
 
-    if typed(context, "seed") is not None and not any(map(is_drawn, hold_out or ())):
+    if typed(context, "seed") is not None and not any(map(is_drawn, hold_out)):
         raise InputError("needs-option", place="--seed", needed="a fraction to hold out, such as --hold-out 0.2")
     sources = sources_of(inputs, rig, noise=noise, allow_damaged=allow_damaged, line_points=line_points)
     results = [] if out is None else [out]
@@ -123,7 +123,7 @@ def identify(
     if out and default and typed(context, "out") and Path(default).resolve().parent != out.resolve().parent:
         results.append(Path(default))
     files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line(context), force)
-    identification = identify_files(files, hold_out or [], IdentifyOptions(**vars(options)))
+    identification = identify_files(files, hold_out, IdentifyOptions(**vars(options)))
     document, paths = identification.document, {path.name: str(path) for path in inputs}
     return Answer(
         document,

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import typer
+import click
 
 from truearm.bounds import OneOf, Within
 from truearm.cli.command import Answer, command
@@ -34,10 +34,10 @@ INSTRUMENTS_HELP = ", ".join(f"{name}: {MM.text(sigma)}" for name, sigma in INST
 
 @command(instruments=INSTRUMENTS_HELP)
 def init(
-    context: typer.Context,
+    context: click.Context,
     folder: Path = Path(),
     *,
-    model: str | None = None,
+    robot: str | None = None,
     base: str = "",
     tip: str = "",
     branch: str | None = None,
@@ -126,8 +126,8 @@ def init(
         x, y, z = numbers_of("--ball-xyz-mm", ball_xyz_mm, 3) or (0.0, 0.0, 0.0)
         ball = MM.to_si(x), MM.to_si(y), MM.to_si(z)
         sockets = SocketsWanted(MM.to_si(0.5 * ball_mm), ball, MM.to_si(table_mm), places, seats)
-    asking = model is None and sys.stdin is not None and sys.stdin.isatty()
-    if model is None and not asking:
+    asking = robot is None and sys.stdin is not None and sys.stdin.isatty()
+    if robot is None and not asking:
         raise InputError("--model is missing: give a built-in robot, a robot file or a URDF (see truearm init --help)")
 
     def ask(option_text: str | None, question: str, read: Callable[[str], str], default: str = "") -> str:
@@ -136,11 +136,11 @@ def init(
             return read(default if option_text is None else option_text)
         while True:
             try:
-                return read(typer.prompt(question, default=default, err=True).strip())
+                return read(click.prompt(question, default=default, err=True).strip())
             except InputError as exc:
-                typer.echo(f"  {exc}", err=True)
+                click.echo(f"  {exc}", err=True)
 
-    model = ask(model, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", _model, "ur5e")
+    model = ask(robot, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", _model, "ur5e")
     project = Project(
         model=_from_folder(model, folder),
         base=base,
@@ -157,7 +157,7 @@ def init(
         _instrument,
         NOTHING,
     )
-    bounds = branch_given(branch or None)
+    bounds = branch_given(branch) if branch else None
     request = ProjectWanted(
         project, _lengths(bars_mm or ""), instrument, chucks, spheres, minutes or None, bounds, sockets
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
+import click
 
 from truearm.cli.command import command
 from truearm.cli.output import print_json
@@ -41,5 +41,5 @@ def inspect(
         return
     for document in (first, *further):
         if document is not first:
-            typer.echo(f"\n{one_line(document['file'])} continues it:")
+            click.echo(f"\n{one_line(document['file'])} continues it:")
         show(session_findings(document), session_tables(document) if details else None)

@@ -1,7 +1,7 @@
-"""The command line: one typer app; errors become one line on stderr and an exit code.
+"""The command line: click's; errors become one line on stderr and an exit code.
 
 The exit codes stand in ``truearm.exit_codes``. To add a command, write ``cli/NAME.py``
-with a function NAME, or a typer app for a group of commands, and add it to its task in ``TASKS``.
+with a command NAME, or a group of commands ``app``, and add it to its task in ``TASKS``.
 """
 
 from __future__ import annotations
@@ -11,18 +11,17 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Any
 
-import typer
+import click
 
-from truearm.cli.command import OPTIONS, stem_of
 from truearm.cli.names import option_for
 from truearm.cli.output import print_json
-from truearm.cli.project import CommandGroup, ProjectCommand, defaults, missing_file
+from truearm.cli.project import CommandGroup, defaults, missing_file
 from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode, table
 from truearm.findings import Finding, option
@@ -59,11 +58,7 @@ TASKS = {
     },
     "Box": {"box": "Find, flash, test, configure, calibrate and monitor a sensor box."},
 }
-COMMANDS = {name: task for task, summaries in TASKS.items() for name in summaries}
-
-# Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
-# typer, which exports only its subclass BadParameter.
-_UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
+COMMANDS = tuple(name for summaries in TASKS.values() for name in summaries)
 
 # The parser's words for a wrong command line, and plainer ones.
 _PLAINER = (
@@ -73,77 +68,36 @@ _PLAINER = (
     (r"requires an argument", "needs a value"),
     (r"\.$", ""),
 )
-_COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-completion writes
+_COMPLETE = "_TRUEARM_COMPLETE"  # set by the function with which a shell completes
 
 
-def _print_version(requested: bool) -> None:
-    if requested:
-        typer.echo(f"truearm {VERSION}")
-        raise typer.Exit
+class Tasks(CommandGroup):
+    """All commands, listed by task; for this, none of their modules is imported."""
 
-
-def _root(
-    context: typer.Context,
-    version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
-    ] = False,
-) -> None:
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
+    def summaries(self) -> Mapping[str, Mapping[str, str]]:
+        """Return the commands below headings, with their first sentences."""
+        return TASKS
 
 
 @functools.cache
-def command_tree(only: str | None = None) -> Any:
-    """Return the commands as typer builds them, or with ``only`` one of them: all take as long as to import typer."""
-    app = _app()
-    for name in COMMANDS if only is None else (only,):
-        module, shown = import_module(f"truearm.cli.{name}"), {"rich_help_panel": COMMANDS[name]}
-        group: typer.Typer | None = getattr(module, "app", None)
-        if group is not None:
-            app.add_typer(group, name=name, **cast(Any, shown))
-        else:
-            command = getattr(module, name, None) or getattr(module, f"{name}_")
-            own_class = getattr(module, f"{name.capitalize()}Command", ProjectCommand)
-            app.command(name, cls=own_class, **cast(Any, shown))(command)
-    return _in_order(app)
-
-
-def _app() -> typer.Typer:
-    app = typer.Typer(
-        name="truearm",
-        cls=CommandGroup,
+def command_tree(names: tuple[str, ...] = COMMANDS) -> Tasks:
+    """Return the commands, or only some of them: to import all takes as long as to import click."""
+    tree = Tasks(
+        "truearm",
         help="Measure a robot arm, identify its kinematic parameters with their uncertainty, and correct its targets.",
-        epilog=f"In a project folder, you can leave out options and files, even those marked as required: truearm.toml provides them. See truearm init --help.\n\nExit codes: {table()}\n\nExample: truearm demo",
-        rich_markup_mode=None,
-        pretty_exceptions_enable=False,
-        add_completion=True,
+        epilog=f"In a project folder, you can leave out options and files, even those marked as required: truearm.toml provides them. See truearm init --help.\n\nTo complete commands in bash: source <({_COMPLETE}=bash_source truearm); zsh and fish work alike.\n\nExit codes: {table()}\n\nExample: truearm demo",
     )
-    app.callback(invoke_without_command=True)(_root)
-    return app
-
-
-def _in_order(app: typer.Typer) -> Any:
-    """Return the tree of an app in the order of COMMANDS: typer lists groups last."""
-    tree: Any = typer.main.get_command(app)
-    tree.commands = {name: tree.commands[name] for name in COMMANDS if name in tree.commands}
+    for name in names:
+        module = vars(import_module(f"truearm.cli.{name}"))
+        tree.add_command(module.get("app") or module.get(name) or module[f"{name}_"])
+    click.version_option(VERSION, message="truearm %(version)s", help="Print the version and exit.")(tree)
     return tree
 
 
-def listing() -> Any:
-    """Return the commands without their options, as ``truearm --help`` lists them: none of their modules is imported."""
-    app = _app()
-    for task, summaries in TASKS.items():
-        for name, summary in summaries.items():
-            app.command(name, cls=ProjectCommand, help=summary, rich_help_panel=task)(lambda: None)
-    return _in_order(app)
-
-
-def tree_for(arguments: Sequence[str]) -> Any:
-    """Return the commands that a command line may use: the one that it names, their list, or all."""
+def tree_for(arguments: Sequence[str]) -> Tasks:
+    """Return the commands that a command line may use: the one that it names, none for their list, or all."""
     first = arguments[0] if arguments else "--help"
-    if first in ("--help", "--version"):
-        return listing()
-    return command_tree(first if first in COMMANDS else None)
+    return command_tree((first,) if first in COMMANDS else () if first in ("--help", "--version") else COMMANDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -162,13 +116,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except TruearmError as exc:
         _complain(exc.text(_option_of(arguments)), exc.finding, arguments)
         return exc.exit_code
-    except _UsageError as exc:
-        message = _unknown_option(exc) or _missing(exc, arguments) or _plain(exc.format_message())
+    except click.UsageError as exc:
+        message = _reason(exc, arguments)
         command = exc.ctx.command_path if exc.ctx else _command_of(arguments)
         finding = Finding("usage", {"reason": message, "command": command})
         _complain(finding.text("--{}".format), finding, arguments)
         return ExitCode.INPUT
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, click.Abort):
         _complain("interrupted")
         return ExitCode.INTERRUPTED
     except BrokenPipeError:  # the reader of the output closed it, as `| head` does
@@ -192,18 +146,13 @@ def _discard_stdout() -> None:
 
 def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
     """Return a function from an argument's name to the option that this command line's command declares for it."""
-    command = tree_for(arguments)
+    command: Any = tree_for(arguments)
     for word in arguments:
         if word not in getattr(command, "commands", {}):
             break
         command = command.commands[word]
-    options = {
-        key: parameter.opts[0]
-        for parameter in command.params
-        if parameter.opts[0].startswith("-")
-        for key in (stem_of(parameter.name), parameter.name)
-    }
-    return lambda name: options.get(OPTIONS.get(name, name), option(name))
+    flags = {parameter.name: parameter.opts[0] for parameter in command.params} | getattr(command, "flags", {})
+    return lambda name: flags[name] if flags.get(name, "").startswith("-") else option(name)
 
 
 def _plain(message: str) -> str:
@@ -218,19 +167,14 @@ def _command_of(arguments: Sequence[str]) -> str:
     return " ".join(["truearm", *(word for word in arguments[:1] if word in COMMANDS)])
 
 
-def _unknown_option(exc: typer.BadParameter) -> str | None:
-    """Return the message for an option that the command does not have, None for any other error."""
-    option = getattr(exc, "option_name", None)  # only of unknown options
-    if option is None or exc.ctx is None:
-        return None
-    return option_for(exc.ctx.command, exc.ctx.info_name or "", option)
-
-
-def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:
-    """Return the message for a file that is missing on a project's command line, None for any other error."""
-    parameter = getattr(exc, "param", None)
-    is_missing = type(exc).__name__ == "MissingParameter" and parameter is not None
-    return missing_file(parameter.name or "", arguments[0], Path.cwd()) if is_missing and parameter else None
+def _reason(exc: click.UsageError, arguments: Sequence[str]) -> str:
+    """Return why the parser refuses a command line: an unknown option, a file that a project does not have, or its message."""
+    if isinstance(exc, click.NoSuchOption) and exc.ctx is not None:
+        return option_for(exc.ctx.command, exc.ctx.info_name or "", exc.option_name)
+    if isinstance(exc, click.MissingParameter) and exc.param is not None:
+        missing = missing_file(exc.param.name or "", arguments[0], Path.cwd())
+        return missing or _plain(exc.format_message())
+    return _plain(exc.format_message())
 
 
 def _shown_progress() -> AbstractContextManager[None]:
@@ -252,7 +196,7 @@ def _run(arguments: list[str]) -> int:
         with context, _shown_progress():
             command.invoke(context)
         sys.stdout.flush()
-    except typer.Exit as exc:
+    except click.exceptions.Exit as exc:
         return int(exc.exit_code)
     return ExitCode.DONE
 

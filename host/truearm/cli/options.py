@@ -111,11 +111,11 @@ import re
 import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
+import click
 
 from truearm import option_defaults
 from truearm.bounds import Within
@@ -130,6 +130,7 @@ if TYPE_CHECKING:
     from truearm.model.chain import Chain
     from truearm.model.poses import Six
     from truearm.model.workspace import Branch
+    from truearm.plan.region import Region
     from truearm.types import Payload
     from truearm.workflows.certificates import Issue
     from truearm.workflows.inputs import Sources
@@ -157,13 +158,13 @@ def issue_of(number: str, tolerance_mm: float | None) -> Issue:
     return Issue(project, number, None if tolerance_mm is None else MM.to_si(tolerance_mm))
 
 
-def rigs_of(texts: list[str] | None) -> dict[str, Path]:
+def rigs_of(texts: Sequence[str]) -> dict[str, Path]:
     """Return the files of ``--rig`` by rig name, "" for one without a name, such as ./a=b.toml.
 
     Raises InputError if several rigs have the same name or none.
     """
     files: dict[str, Path] = {}
-    for text in texts or ():
+    for text in texts:
         name, equals, file = text.partition("=")
         named = bool(equals) and re.fullmatch(rf"[\w-]{{1,{LONGEST_NAME}}}", name, re.ASCII) is not None
         name, path = (name, Path(file)) if named else ("", Path(text))
@@ -176,7 +177,7 @@ def rigs_of(texts: list[str] | None) -> dict[str, Path]:
     return files
 
 
-def sources_of(inputs: list[Path], rig: list[str] | None, **options: Any) -> Sources:
+def sources_of(inputs: Sequence[Path], rig: Sequence[str] = (), **options: Any) -> Sources:
     """Return what a command reads: sessions with their further parts, tables, and the rigs of ``--rig``; it warns on standard error."""
     from truearm.cli.output import warn
     from truearm.workflows.inputs import Sources
@@ -185,15 +186,13 @@ def sources_of(inputs: list[Path], rig: list[str] | None, **options: Any) -> Sou
     return Sources(tuple(with_parts(inputs)), rigs_of(rig), say=warn, **options)
 
 
-def command_line(context: typer.Context) -> str:
+def command_line(context: click.Context) -> str:
     """Return what was typed, as reports quote it."""
     return shlex.join(["truearm", *(context.obj or [])])
 
 
-def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple[float, ...] | None:
-    """Return the numbers of an option, separated by commas; None if it was not given. Raises InputError."""
-    if text is None:
-        return None
+def numbers_of(option: str, text: str, count: int | None = None) -> tuple[float, ...]:
+    """Return the numbers of an option, separated by commas. Raises InputError."""
     try:
         values = tuple(float(word) for word in text.split(","))
     except ValueError:
@@ -205,14 +204,14 @@ def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple
     return values
 
 
-def payload_of(text: str | None) -> Payload:
-    """Return the payload of the option; none if it was not given. Raises InputError."""
+def payload_of(text: str) -> Payload:
+    """Return the payload of the option. Raises InputError."""
     from truearm.types import Payload
 
-    mass, *centre = numbers_of("--payload", text) or (0.0,)
+    mass, *centre = numbers_of("--payload", text)
     if len(centre) not in (0, 3):
         raise InputError(
-            "wrong-value", place="--payload", value=(text or "")[:60], form="KG, or KG,X,Y,Z with the centre in mm"
+            "wrong-value", place="--payload", value=text[:60], form="KG, or KG,X,Y,Z with the centre in mm"
         )
     x, y, z = map(MM.to_si, centre or (0.0, 0.0, 0.0))
     return Payload(mass, (x, y, z))
@@ -236,13 +235,13 @@ def spans_of(
     return tuple(scale.to_si(low) for low, _ in spans), tuple(scale.to_si(high) for _, high in spans)
 
 
-def joints_of(option: str, shown: Sequence[float] | None, chain: Chain) -> tuple[float, ...] | None:
+def joints_of(option: str, shown: Sequence[float] | None, arm: Chain) -> tuple[float, ...] | None:
     """Return the joints [rad, m] of an option in deg and mm; those of mimic joints may be missing. Raises InputError."""
     from truearm.model.mimic import units_of
 
     if shown is None:
         return None
-    units = units_of(len(shown), chain.joint_units, chain.mimics)
+    units = units_of(len(shown), arm.joint_units, arm.mimics)
     if len(shown) != len(units) or not all(map(math.isfinite, shown)):
         text = ",".join(f"{value:g}" for value in shown)
         raise InputError(
@@ -251,37 +250,73 @@ def joints_of(option: str, shown: Sequence[float] | None, chain: Chain) -> tuple
     return tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=True))
 
 
-def frame_of(option: str, text: str | None) -> Six:
-    """Return position [m] and rotation vector [rad] of an option in mm and deg; zeros if not given. Raises InputError."""
-    x, y, z, rx, ry, rz = numbers_of(option, text, 6) or (0.0,) * 6
+def frame_of(option: str, text: str) -> Six:
+    """Return position [m] and rotation vector [rad] of an option in mm and deg. Raises InputError."""
+    x, y, z, rx, ry, rz = numbers_of(option, text, 6)
     if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:
         raise InputError("wrong-value", place=option, value=text, form="x, y, z in mm and a rotation vector in deg")
     return MM.to_si(x), MM.to_si(y), MM.to_si(z), DEG.to_si(rx), DEG.to_si(ry), DEG.to_si(rz)
 
 
-def branch_given(text: str | None) -> Branch | None:
-    """Return the joint bounds [rad] of the option in deg, None if it was not given. Raises InputError."""
+def branch_given(text: str) -> Branch:
+    """Return the joint bounds [rad] of the option in deg. Raises InputError."""
     import numpy as np
 
     from truearm.model.workspace import Branch
 
-    if text is None:
-        return None
     lower, upper = spans_of("--branch", text, DEG)
     return Branch(np.array(lower), np.array(upper))
 
 
-def scaled_numbers(option: str, rule: Within, scales: Sequence[Scale], text: str | None) -> tuple[float, ...] | None:
+def region_of(text: str) -> Region:
+    """Return the box [m] of the option in mm. Raises InputError."""
+    import numpy as np
+
+    from truearm.plan.region import Region
+
+    lower, upper = spans_of("--region", text, MM, 3)
+    return Region(np.array(lower), np.array(upper))
+
+
+def span_of(text: str) -> tuple[float, ...]:
+    """Return u0, u1, v0, v1 [m] of the option in mm. Raises InputError."""
+    return tuple(chain.from_iterable(zip(*spans_of("--within", text, MM, 2), strict=True)))
+
+
+def size_of(text: str) -> tuple[float, float]:
+    """Return the width and height [m] of the option in mm. Raises InputError."""
+    match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)x([0-9]{1,6}(?:\.[0-9]{1,6})?)", text)
+    if match is None or min(float(match[1]), float(match[2])) <= 0.0:
+        raise InputError("wrong-value", place="--task", value=text[:40], form="width and height in mm, such as 300x200")
+    return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
+
+
+def joint_pair(text: str) -> tuple[int, int]:
+    """Return the numbers of the two joints of the option. Raises InputError."""
+    match = re.fullmatch(r"([1-9][0-9]?),([1-9][0-9]?)", text)
+    if match is None:
+        raise InputError("wrong-value", place="--vary", value=text[:40], form="two joints, such as 2,3")
+    return int(match[1]), int(match[2])
+
+
+def renames_of(text: str) -> tuple[tuple[str, str], ...]:
+    """Return the titles of columns with those of a file. Raises InputError."""
+    from truearm.record.robots.joint_table import parse_renames
+
+    return parse_renames(text)
+
+
+def scaled_numbers(option: str, rule: Within, scales: Sequence[Scale], text: str) -> tuple[float, ...]:
     """Return the numbers in SI of an option, one in each of several units, or any number in one. Raises InputError."""
     values = numbers_of(option, text, len(scales) if len(scales) > 1 else None)
-    rule.check(option.removeprefix("--").replace("-", "_"), values or ())
-    return values and tuple(scale.to_si(value) for scale, value in zip(cycle(scales), values, strict=False))
+    rule.check(option.removeprefix("--").replace("-", "_"), values)
+    return tuple(scale.to_si(value) for scale, value in zip(cycle(scales), values, strict=False))
 
 
-def named_frames(option: str, texts: list[str] | None) -> dict[str, Six]:
+def named_frames(option: str, texts: Sequence[str]) -> dict[str, Six]:
     """Return frames of an option in mm and deg by name, "" for one without a name. Raises InputError."""
     frames: dict[str, Six] = {}
-    for text in texts or ():
+    for text in texts:
         name, equals, pose = text.rpartition("=")
         if equals and not name.isidentifier():
             raise InputError(
@@ -293,7 +328,14 @@ def named_frames(option: str, texts: list[str] | None) -> dict[str, Six]:
     return frames
 
 
-READERS: dict[str, Callable[[Any], Any]] = {  # of fields that are given as texts
+READERS: dict[str, Callable[[Any], Any]] = {  # of arguments that are no texts, from those of the command line
+    "at": partial(numbers_of, "--at"),
+    "columns": renames_of,
+    "home": partial(numbers_of, "--home"),
+    "joints": joint_pair,
+    "region": region_of,
+    "task": size_of,
+    "within": span_of,
     "flange": partial(frame_of, "--flange"),
     "tools": partial(named_frames, "--tool"),
     "works": partial(named_frames, "--work"),

@@ -3,36 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from truearm.bounds import MINUTES, POSES
 from truearm.cli.command import Answer, command
-from truearm.cli.options import spans_of
-from truearm.cli.project import ProjectCommand, command_group
+from truearm.cli.project import CommandGroup
 from truearm.plan.options import ApproachOptions, LineOptions, PoseOptions
-from truearm.units import MM
 from truearm.workflows.requests import PlanFiles
 
-if TYPE_CHECKING:
-    from truearm.plan.region import Region
-
-app = command_group(
+app = CommandGroup(
     "plan",
-    "Plan what to measure, and predict what the measurements will determine.",
-    "\b\nExample:\n  truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv",
+    help="Plan what to measure, and predict what the measurements will determine.",
+    epilog="\b\nExample:\n  truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv",
 )
-
-
-def _region_of(text: str | None) -> Region | None:
-    """Return the box [m] of the option in mm, None if it was not given. Raises InputError."""
-    import numpy as np
-
-    from truearm.plan.region import Region
-
-    if text is None:
-        return None
-    lower, upper = spans_of("--region", text, MM, 3)
-    return Region(np.array(lower), np.array(upper))
 
 
 def _answer(document: dict[str, Any]) -> Answer:
@@ -41,15 +24,14 @@ def _answer(document: dict[str, Any]) -> Answer:
     return Answer(document, tables=plan_tables(document), written=map(Path, document["written"]))
 
 
-@app.command("ballbar", cls=ProjectCommand)
-@command()
+@command(app, "ballbar")
 def ballbar(
     files: PlanFiles,
     *,
     poses: Annotated[int | None, POSES] = None,
     minutes: Annotated[float | None, MINUTES] = None,
     chosen: PoseOptions,
-    region: str | None = None,
+    region: Any = None,
 ) -> Answer:
     """Plan ball-bar poses around the chucks.
 
@@ -90,17 +72,16 @@ def ballbar(
     """
     from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
 
-    options = BallBarOptions(**vars(chosen), region=_region_of(region))
+    options = BallBarOptions(**vars(chosen), region=region)
     return _answer(plan_ball_bar_files(files, Budget(poses, minutes), options))
 
 
-@app.command("line", cls=ProjectCommand)
-@command()
+@command(app, "line")
 def line(
     files: PlanFiles,
     *,
     options: LineOptions,
-    region: str | None = None,
+    region: Any = None,
 ) -> Answer:
     """Plan lines for a line device, driven there and back, preferably where the expected error is large.
 
@@ -142,11 +123,10 @@ def line(
     """
     from truearm.workflows.plan import plan_line_files
 
-    return _answer(plan_line_files(files, options, _region_of(region)))
+    return _answer(plan_line_files(files, options, region))
 
 
-@app.command("characterize", cls=ProjectCommand)
-@command()
+@command(app, "characterize")
 def characterize(files: PlanFiles, *, options: ApproachOptions) -> Answer:
     """Plan a short run that measures how well the robot repeats: a few poses, reached from both sides of every joint.
 

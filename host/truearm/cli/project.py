@@ -7,12 +7,11 @@ import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import typer
-from typer.core import TyperCommand, TyperGroup
+import click
+from click.core import ParameterSource
 
-from truearm.cli.command import ARGUMENTS, EXPERT
 from truearm.cli.names import command_for
 from truearm.errors import InputError
 from truearm.files.file_kind import KINDS, kind_of
@@ -21,9 +20,9 @@ from truearm.files.project_folder import project_of
 if TYPE_CHECKING:
     from truearm.files.project_file import Project
 
+EXPERT = "Expert options"
 SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut
 RESULT_TAKEN = "truearm.result"  # in a context: the project's result, set before the files that were typed
-BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash", "reset")
 # kinds of file that a parameter takes (``files.file_kind``)
 TAKES = {
     "session": ("session",),
@@ -39,32 +38,42 @@ TAKES = {
 Answer = Callable[[], Any]  # the value of an option; None: no default
 
 
-class ProjectCommand(TyperCommand):
-    """A command that prints on standard error what it took from truearm.toml and refuses numbers that are not finite."""
+class Parameter(NamedTuple):
+    """An option or argument of the command line for ``argument`` of a function, or a field of one of its records.
 
-    def get_short_help_str(self, limit: int = SUMMARY) -> str:
-        """Return the whole first sentence of the help page; ``limit`` would cut it."""
-        return super().get_short_help_str(max(limit, SUMMARY))
+    ``read`` makes the argument's value in SI of that of the command line.
+    """
 
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return the usage line's parts; typer sets braces about a required argument."""
-        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+    argument: str
+    declared: click.Parameter
+    is_expert: bool
+    read: Callable[[Any], Any]
 
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """List arguments and options below their headings."""
-        panels: dict[str, list[tuple[str, str]]] = {}
-        for parameter in self.get_params(ctx):
-            if row := parameter.get_help_record(ctx):
-                usual = "Options" if parameter.opts[0].startswith("-") else ARGUMENTS
-                panels.setdefault(getattr(parameter, "rich_help_panel", None) or usual, []).append(row)
-        for heading in (ARGUMENTS, "Options", EXPERT):
-            if heading in panels:
+
+class ProjectCommand(click.Command):
+    """A command that prints on standard error what it took from truearm.toml and refuses numbers that are not finite.
+
+    ``expert``: names of the options that its help page lists below a heading of their own. ``flags``: of arguments.
+    """
+
+    def __init__(self, name: str, callback: Callable[..., None], page: str, parameters: Sequence[Parameter]) -> None:
+        declared = [parameter.declared for parameter in parameters]
+        super().__init__(name, callback=callback, params=declared, help=page)
+        self.expert = {parameter.declared.name for parameter in parameters if parameter.is_expert}
+        self.flags = {parameter.argument: parameter.declared.opts[0] for parameter in parameters}
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List options below their headings."""
+        for heading, is_expert in (("Options", False), (EXPERT, True)):
+            listed = [option for option in self.get_params(ctx) if (option.name in self.expert) is is_expert]
+            rows = [option.get_help_record(ctx) for option in listed if isinstance(option, click.Option)]
+            if rows:
                 with formatter.section(heading):
-                    formatter.write_dl(panels[heading])
+                    formatter.write_dl(list(filter(None, rows)))
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the command line. Of a command that takes a result and further files, the project's result may be left out."""
-        files = [parameter.name or "" for parameter in self.params if not parameter.opts[0].startswith("-")]
+        files = [parameter.name for parameter in self.params if not parameter.opts[0].startswith("-")]
         if files[:1] == ["result"] and len(files) == 2:
             words, *_ = self.make_parser(ctx).parse_args(list(args))
             first, further = (words.get(name) for name in files)
@@ -76,12 +85,16 @@ class ProjectCommand(TyperCommand):
             if kind != "result" and (kind or not further) and takes_more and (result := ctx.lookup_default("result")):
                 ctx.meta[RESULT_TAKEN] = [result]
                 args = [result, *args]
-        return super().parse_args(ctx, args)
+        rest = super().parse_args(ctx, args)
+        for parameter in self.params:  # a project may have no such file
+            if parameter.required and ctx.params[parameter.name] in (None, ()) and not ctx.resilient_parsing:
+                raise click.MissingParameter(ctx=ctx, param=parameter)
+        return rest
 
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command. Raises InputError for nan, inf and "-", which typer accepts, and for a file of another kind."""
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command. Raises InputError for nan, inf and "-", which click accepts, and for a file of another kind."""
         for parameter in self.params:
-            argument = ctx.params[parameter.name or ""]
+            argument = ctx.params[parameter.name]
             for value in argument if isinstance(argument, list | tuple) else (argument,):
                 if isinstance(value, float) and not math.isfinite(value):
                     raise InputError(f"{parameter.opts[0]} must be a finite number, is {value}")
@@ -93,12 +106,13 @@ class ProjectCommand(TyperCommand):
         project_words = [
             word
             for parameter in self.params
-            if _source(ctx, parameter.name or "") == "DEFAULT_MAP" and ctx.params[parameter.name or ""] is not None
-            for word in _words(parameter, ctx.params[parameter.name or ""])
+            if ctx.get_parameter_source(parameter.name) is ParameterSource.DEFAULT_MAP
+            if ctx.params[parameter.name] is not None
+            for word in _words(parameter, ctx.params[parameter.name])
         ]
         project_result = ctx.meta.get(RESULT_TAKEN, [])
         if project_result or project_words:
-            typer.echo(f"from truearm.toml: {shlex.join([*project_result, *project_words])}", err=True)
+            click.echo(f"from truearm.toml: {shlex.join([*project_result, *project_words])}", err=True)
             if ctx.obj is not None:  # the command line, as results and reports quote it
                 ctx.obj.extend(project_words)
         return super().invoke(ctx)
@@ -115,56 +129,39 @@ def _check_kind(name: str, value: str | Path, parameters: Sequence[Any]) -> None
     raise InputError(f"{path}: is {KINDS[kind].description.partition(' (')[0]}, where {expected} is expected{instead}")
 
 
-class CommandGroup(TyperGroup):
-    """A group of commands that are listed by task, each with its whole first sentence, and suggested by meaning."""
+class CommandGroup(click.Group):
+    """Commands that are listed each with its whole first sentence, and suggested by meaning; alone, it prints its help."""
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """List the commands below the headings of their tasks."""
-        shown: list[tuple[str, Any]] = [
-            (name, command) for name, command in self.commands.items() if not command.hidden
-        ]
-        width = max(len(name) for name, _ in shown)
-        for task in dict.fromkeys(command.rich_help_panel for _, command in shown):
-            with formatter.section(task if isinstance(task, str) else "Commands"):
-                formatter.write_dl(
-                    (f"{name:<{width}}", command.get_short_help_str())
-                    for name, command in shown
-                    if command.rich_help_panel == task
-                )
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names in their order."""
+        return list(self.commands)
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+    def summaries(self) -> Mapping[str, Mapping[str, str]]:
+        """Return the commands below headings, with their first sentences."""
+        return {"Commands": {name: command.get_short_help_str(SUMMARY) for name, command in self.commands.items()}}
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands below headings."""
+        headings = self.summaries()
+        width = max(len(name) for summaries in headings.values() for name in summaries)
+        for heading, summaries in headings.items():
+            with formatter.section(heading):
+                formatter.write_dl([(f"{name:<{width}}", text) for name, text in summaries.items()])
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the command line."""
+        return super().parse_args(ctx, args or ["--help"])
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """Return the command of ``args``. Raises a UsageError if another one is meant."""
         if args[0] not in self.commands and (meant := command_for(ctx.find_root().command, args[0])):
             ctx.fail(meant)
         return super().resolve_command(ctx, args)
 
-    def get_short_help_str(self, limit: int = SUMMARY) -> str:
-        """Return the whole first sentence of the help page; ``limit`` would cut it."""
-        return super().get_short_help_str(max(limit, SUMMARY))
 
-
-def command_group(name: str, text: str, epilog: str) -> typer.Typer:
-    """Return an app without commands that prints its help if it is called without one."""
-    app = typer.Typer(
-        name=name, cls=CommandGroup, help=text, epilog=epilog, rich_markup_mode=None, add_completion=False
-    )
-
-    @app.callback(invoke_without_command=True)
-    def print_help(context: typer.Context) -> None:
-        if context.invoked_subcommand is None:
-            typer.echo(context.get_help())
-
-    return app
-
-
-def typed(context: typer.Context, name: str) -> Any:
+def typed(context: click.Context, name: str) -> Any:
     """Return an option's value if it was typed, None if it is a default or from truearm.toml."""
-    return context.params[name] if _source(context, name) == "COMMANDLINE" else None
-
-
-def _source(context: typer.Context, name: str) -> str:
-    source = context.get_parameter_source(name)
-    return "" if source is None else source.name
+    return context.params[name] if context.get_parameter_source(name) is ParameterSource.COMMANDLINE else None
 
 
 def _words(option: Any, value: Any) -> Sequence[str]:
@@ -174,13 +171,42 @@ def _words(option: Any, value: Any) -> Sequence[str]:
     return [word for item in values for word in (*flag, str(item))]
 
 
+ROBOT = "model base tip"
+# parameters that a command takes from truearm.toml
+DEFAULTS = {
+    "demo": ROBOT,
+    "simulate": f"{ROBOT} branch plan rig",
+    "robot read": "address model",
+    "record": "box address plan rig out",
+    "identify": f"inputs rig {ROBOT} out",
+    "report": f"result {ROBOT} out",
+    **dict.fromkeys(("validate", "correct", "map", "export"), f"result {ROBOT}"),
+    "inspect": "session",
+    **dict.fromkeys(("characterize", "session relabel", "session export"), f"session {ROBOT}"),
+    "seats": f"{ROBOT} table",
+    **dict.fromkeys(("plan ballbar", "plan line", "plan characterize"), f"{ROBOT} branch rig out"),
+    **dict.fromkeys((f"box {name}" for name in ("test", "monitor", "info", "flash", "reset")), "box"),
+    "box gauge": "box operator",
+    **dict.fromkeys(("box config get", "box config set"), "box"),
+}
+
+
 def defaults(folder: Path) -> dict[str, Any]:
     """Return the defaults from the project that contains ``folder``, by command and parameter; empty without a project.
 
     Raises InputError for an invalid truearm.toml.
     """
-    project = project_of(folder)
-    return {} if project is None else _answers(*project, folder)
+    project_and_home = project_of(folder)
+    tree: dict[str, Any] = {}
+    if project_and_home is None:
+        return tree
+    answers = _answers(*project_and_home, folder)
+    for command, names in DEFAULTS.items():
+        branch = tree
+        for word in command.split():
+            branch = branch.setdefault(word, {})
+        branch |= {name: answers.get(f"{command.split()[0]} {name}") or answers[name] for name in names.split()}
+    return tree
 
 
 def project_model(folder: Path) -> str:
@@ -190,7 +216,9 @@ def project_model(folder: Path) -> str:
     return str(home / model) if model and (home / model).is_file() else model
 
 
-def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
+def _answers(project: Project, home: Path, folder: Path) -> dict[str, Answer]:
+    """Return the values of parameters by name, or by command and name."""
+
     def shown(path: Path) -> str:
         return os.path.relpath(path, folder)
 
@@ -213,49 +241,19 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
 
     recordings, results = home / project.sessions, home / project.results
     sessions = project_file("sessions_of", recordings)
-    newest_session: Answer = lambda: (sessions() or [None])[-1]  # noqa: E731
-    newest_result, plan = project_file("result_in_use", results), project_file("new_plan", home / project.plan)
-    inputs = (lambda: [shown(home / project.table)]) if project.table else sessions
-    table_rig = (lambda: [shown(home / project.rig)]) if project.table else text("")  # a session has its own
-
-    def model() -> str:
-        return shown(home / project.model) if (home / project.model).is_file() else project.model
-
-    robot: Mapping[str, Answer] = {"model": model, "base": text(project.base), "tip": text(project.tip)}
-    rig = {"rig": there(project.rig)}
-
-    branch = {"branch": text(project.branch)}
-    planned = {"plan": there(project.plan), **rig}
-    planning: Mapping[str, Answer] = {**robot, **branch, **rig, "out": plan}
-    box: Mapping[str, Answer] = {"box": text(project.box)}
-    gauging = {"gauge": {"operator": text(project.operator)}}
-    result: Mapping[str, Answer] = {"result": newest_result, **robot}
+    model = home / project.model
     return {
-        "demo": robot,
-        "simulate": {**robot, **branch, **planned},
-        "robot": {"read": {"address": text(project.address), "model": model}},
-        "record": {
-            **box,
-            "address": text(project.address),
-            "plan": there(project.plan),
-            **rig,
-            "out": project_file("new_file", recordings, ".mcap"),
-        },
-        "identify": {"inputs": inputs, "rig": table_rig, **robot, "out": project_file("new_file", results, ".json")},
-        "report": {**result, "out": project_file("new_file", results, ".html")},
-        "validate": result,
-        "correct": result,
-        "map": result,
-        "export": result,
-        "inspect": {"session": newest_session},
-        "characterize": {"session": newest_session, **robot},
-        "seats": {**robot, "table": there(project.table)},
-        "session": {name: {"session": newest_session, **robot} for name in ("relabel", "export")},
-        "plan": {"ballbar": planning, "line": planning, "characterize": planning},
-        "box": {
-            **{name: {**box, **gauging.get(name, {})} for name in BOX_COMMANDS},
-            "config": {"get": box, "set": box},
-        },
+        "model": text(shown(model) if model.is_file() else project.model),
+        **{name: text(getattr(project, name)) for name in ("base", "tip", "branch", "address", "box", "operator")},
+        **{name: there(getattr(project, name)) for name in ("plan", "rig", "table")},
+        "session": lambda: (sessions() or [None])[-1],
+        "inputs": (lambda: [shown(home / project.table)]) if project.table else sessions,
+        "identify rig": lambda: [shown(home / project.rig)] if project.table else None,  # a session has its own
+        "result": project_file("result_in_use", results),
+        "record out": project_file("new_file", recordings, ".mcap"),
+        "identify out": project_file("new_file", results, ".json"),
+        "report out": project_file("new_file", results, ".html"),
+        "plan out": project_file("new_plan", home / project.plan),
     }
 
 

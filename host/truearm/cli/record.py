@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import typer
+import click
 
 from truearm.cli.command import Answer, command
 from truearm.cli.project import ProjectCommand, project_model, typed
@@ -26,7 +26,7 @@ class RecordCommand(ProjectCommand):
         return super().invoke(ctx)
 
 
-@command()
+@command(cls=RecordCommand)
 def record(request: RecordOptions) -> Answer:
     """Record a sensor box and a robot into a session file.
 
@@ -69,13 +69,13 @@ def record(request: RecordOptions) -> Answer:
     if request.patience < 0:
         raise InputError(f"--patience-s {request.patience:g} is not a duration; give seconds, or 0 not to wait")
     request = replace(request, project_model=project_model(Path.cwd()))
-    recorded = record_request(request, sys.stderr, lambda text: typer.echo(text, err=True))
+    recorded = record_request(request, sys.stderr, lambda text: click.echo(text, err=True))
     interrupted = recorded.summary.reason == "interrupted"
     end: ExitCode | IncompleteError = ExitCode.INTERRUPTED if interrupted else ExitCode.DONE
     if recorded.trouble:
-        typer.echo(recorded.trouble, err=True)
+        click.echo(recorded.trouble, err=True)
     if interrupted and not recorded.kept:
-        typer.echo("interrupted before the box had started; nothing was recorded", err=True)
+        click.echo("interrupted before the box had started; nothing was recorded", err=True)
     elif recorded.missing:
         data_place = f"; the received data are in {recorded.out}" if recorded.kept else "; nothing was recorded"
         named = recorded.kept and str(recorded.out) in recorded.missing

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+import click
 
 from truearm.bounds import LINE_POINTS, Within
 from truearm.cli.command import Answer, command
@@ -16,13 +16,13 @@ from truearm.text import one_line
 
 @command()
 def report(
-    context: typer.Context,
+    context: click.Context,
     result: Path,
-    inputs: list[Path] | None = None,
+    inputs: tuple[Path, ...] = (),
     *,
     out: Path,
     robot: RobotChoice = NO_ROBOT,
-    rig: list[str] | None = None,
+    rig: tuple[str, ...] = (),
     number: str = "",
     tolerance_mm: Annotated[float | None, Within(1e-3, 100.0)] = None,
     line_points: Annotated[int | None, LINE_POINTS] = None,
@@ -57,7 +57,7 @@ def report(
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.report import report_files
 
-    sources = sources_of(inputs or [], rig, allow_damaged=True, line_points=line_points)
+    sources = sources_of(inputs, rig, allow_damaged=True, line_points=line_points)
     files = IdentifyFiles(robot, sources, command=command_line(context), force=force)
     certificate = report_files(result, files, out, issue_of(number, tolerance_mm))
     lines = [f"{certificate.heading}: {certificate.decision}", f"Written: {one_line(str(out))}"]

@@ -5,22 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 from truearm.cli.command import Answer, command
-from truearm.cli.project import ProjectCommand, command_group
+from truearm.cli.project import CommandGroup
 from truearm.findings import entries
 
-app = command_group(
+app = CommandGroup(
     "robot",
-    "Read the model that a robot's controller computes with.",
-    "Example: truearm robot read rtde://192.168.0.2 --model ur5e",
+    help="Read the model that a robot's controller computes with.",
+    epilog="Example: truearm robot read rtde://192.168.0.2 --model ur5e",
 )
 
 
-@app.command(cls=ProjectCommand)
-@command()
+@command(app)
 def read(
     address: str,
     *,
-    model: str,
+    robot: str,
     out: Path = Path("robot.toml"),
     force: bool = False,
 ) -> Answer:
@@ -47,5 +46,5 @@ def read(
     """
     from truearm.workflows.controller_model import read_controller
 
-    finding = read_controller(address, model, out, force)
+    finding = read_controller(address, robot, out, force)
     return Answer({"findings": entries([finding]), "written": [str(out)]}, written=[out])

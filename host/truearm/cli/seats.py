@@ -18,12 +18,10 @@ def seats(
     source: Path,
     *,
     table: Path,
-    model: str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
+    robot: RobotChoice = NO_ROBOT,
     topic: str = "/joint_states",
     joints: str | None = None,
-    columns: str | None = None,
+    columns: tuple[tuple[str, str], ...] = (),
     rest_s: Annotated[float, Within(0.2, 600.0)] = 1.0,
     rest_deg: Annotated[float, Within(0.001, 5.0)] = 0.1,
     allow_damaged: bool = False,
@@ -50,12 +48,11 @@ def seats(
     rest_deg : DEG
         Range within which every joint remains during a rest; of a prismatic joint in mm.
     """
-    from truearm.record.robots.joint_table import parse_renames
     from truearm.workflows.seat_log import fill_seats
     from truearm.workflows.session_copies import joint_names
 
     named = joints is not None or file_entry(source) is TABLE  # a table's columns are in order
-    names = joint_names(joints, NO_ROBOT if named else RobotChoice(model, base, tip))
-    options = FileOptions(topic, names, allow_damaged, () if columns is None else parse_renames(columns))
+    names = joint_names(joints, NO_ROBOT if named else robot)
+    options = FileOptions(topic, names, allow_damaged, columns)
     finding = fill_seats(table, source, options, rest_s, DEG.to_si(rest_deg))
     return Answer({"findings": entries([finding]), "written": [str(table)]}, written=[table])

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from truearm.bounds import OneOf
-from truearm.cli.command import Answer, command, fill
+from truearm.cli.command import Answer, command
 from truearm.cli.output import warn_of_further_parts
-from truearm.cli.project import ProjectCommand, command_group
+from truearm.cli.project import CommandGroup
 from truearm.files.robot_file import NO_ROBOT, RobotChoice
 from truearm.record.robots.sources import FileOptions, files_help
 from truearm.text import counted, one_line
@@ -18,15 +18,14 @@ from truearm.workflows.requests import ExportSession
 if TYPE_CHECKING:
     from truearm.record.recover import Recovered
 
-app = command_group(
+app = CommandGroup(
     "session",
-    "Repair session files, and convert them for other programs.",
-    "Example: truearm session recover session.mcap",
+    help="Repair session files, and convert them for other programs.",
+    epilog="Example: truearm session recover session.mcap",
 )
 
 
-@app.command("recover", cls=ProjectCommand)
-@command()
+@command(app, "recover")
 def recover(
     session: Path,
     *,
@@ -93,15 +92,14 @@ def _named(names: tuple[str, ...], noun: str) -> str:
     return f"{noun} {', '.join(map(one_line, names))}" if names else f"no {noun}"
 
 
-@app.command("relabel", cls=ProjectCommand)
-@command()
+@command(app, "relabel")
 def relabel(
     session: Path,
     *,
     robot: RobotChoice = NO_ROBOT,
     rig: Path | None = None,
     trust: Annotated[str | None, OneOf(("plan", "typed", "evidence"))] = None,
-    mounted: list[str] | None = None,
+    mounted: tuple[str, ...] = (),
 ) -> Answer:
     """Decide what was mounted at each dwell of a session where plan, operator and readings disagree.
 
@@ -126,7 +124,7 @@ def relabel(
     from truearm.workflows.relabel import relabel as relabel_session
 
     nominal = robot.load() if robot.robot else None
-    document = relabel_session(session, nominal, trust, mounted or (), read_rig(rig) if rig else None)
+    document = relabel_session(session, nominal, trust, mounted, read_rig(rig) if rig else None)
     left_out, saved = document["left_out"], document["saved"]
     sessions, dwells = ", ".join(map(one_line, document["sessions"])), counted(document["dwells"], "dwell")
     summary = f"{sessions}: {dwells}, {document['with_reading']} with a reading within the stroke; "
@@ -139,8 +137,7 @@ def relabel(
     return Answer(document, text)
 
 
-@app.command("add-joints", cls=ProjectCommand)
-@command(files=files_help())
+@command(app, "add-joints", files=files_help())
 def add_joints(
     session: Path,
     source: Path,
@@ -149,8 +146,8 @@ def add_joints(
     topic: str = "/joint_states",
     joints: str | None = None,
     robot: RobotChoice = NO_ROBOT,
-    columns: str | None = None,
-    zero_s: float | None = None,
+    columns: tuple[tuple[str, str], ...] = (),
+    zero: float | None = None,
     replace: bool = False,
     allow_damaged: bool = False,
     force: bool = False,
@@ -179,15 +176,14 @@ def add_joints(
     replace
         Replace the joint readings that the session has.
     """
-    from truearm.record.robots.joint_table import parse_renames
     from truearm.workflows.session_copies import AddJoints, add_joints_file, joint_names
 
     joint_list = joint_names(joints, robot)
-    renames = () if columns is None else parse_renames(columns)
-    files = fill(AddJoints, locals(), options=FileOptions(topic, joint_list, allow_damaged, renames))
+    options = FileOptions(topic, joint_list, allow_damaged, columns)
+    files = AddJoints(session, source, out, options, zero, replace)
     count = add_joints_file(files, force)
-    times = "UTC" if zero_s is None else "from --zero-s"
-    by = "their own times" if zero_s is None else "their own times and --zero-s"
+    times = "UTC" if zero is None else "from --zero-s"
+    by = "their own times" if zero is None else "their own times and --zero-s"
     warn_of_further_parts(
         session,
         f"add the joints to each of them; later commands do not find the new files from {one_line(out.name)}, so name each file",
@@ -196,8 +192,7 @@ def add_joints(
     return Answer({"out": str(out), "readings": count, "times": times}, [text])
 
 
-@app.command("export", cls=ProjectCommand)
-@command()
+@command(app, "export")
 def export_session(request: ExportSession) -> Answer:
     """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
 

@@ -28,7 +28,7 @@ class SimulateCommand(ProjectCommand):
         return super().invoke(ctx)
 
 
-@command(fast_rate=f"{FAST_RATE_HZ:.0f}")
+@command(cls=SimulateCommand, fast_rate=f"{FAST_RATE_HZ:.0f}")
 def simulate(
     request: SimulateOptions,
     *,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+import click
 
 from truearm.bounds import Within
 from truearm.cli.command import Answer, command
@@ -16,12 +16,12 @@ from truearm.files.robot_file import NO_ROBOT, RobotChoice
 
 @command()
 def validate(
-    context: typer.Context,
+    context: click.Context,
     result: Path,
-    inputs: list[Path],
+    inputs: tuple[Path, ...],
     *,
     robot: RobotChoice = NO_ROBOT,
-    rig: list[str] | None = None,
+    rig: tuple[str, ...] = (),
     keep_rig: bool = False,
     report: Path | None = None,
     number: str = "",

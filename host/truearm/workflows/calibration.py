@@ -262,8 +262,10 @@ def read_calibration(result: Path, choice: RobotChoice = NO_ROBOT) -> Calibratio
     return calibration_of(stored, load_robot(name, base, tip), called, str(result))
 
 
-def read_usable(result: Path, choice: RobotChoice = NO_ROBOT, allow_unusable: bool = False) -> Calibration:
-    """Read a result and its robot, for a command that corrects a robot by it.
+def read_usable(
+    result: Path, choice: RobotChoice, allow_unusable: bool = False, payload: Payload | None = None
+) -> Calibration:
+    """Read a result and its robot, with a payload, for a command that corrects a robot by it.
 
     Raises InputError if the fit is not usable, unless that is allowed; see also ``read_calibration``.
     """
@@ -271,7 +273,7 @@ def read_usable(result: Path, choice: RobotChoice = NO_ROBOT, allow_unusable: bo
     because = calibration.stored.unusable_because
     if because and not allow_unusable:
         raise InputError("unusable-result", place=result, reason=because)
-    return calibration
+    return calibration if payload is None else calibration.carrying(*payload)
 
 
 def frames_of(robot: str, base: str | None, tip: str | None, stored: Result) -> tuple[str | None, str | None]:

@@ -20,7 +20,6 @@ from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES
 from truearm.findings import Finding, ordered
 from truearm.model.chain import Chain
-from truearm.model.chain_structure import NO_PAYLOAD
 from truearm.progress import step
 from truearm.text import one_line
 from truearm.types import CurveKnots, Floats, rms, thinned
@@ -121,7 +120,7 @@ def export_file(files: ExportFiles) -> ExportedRobot:
     inputs = [files.result, *files.robot.files, *filter(None, [files.over])]
     check_writable(files.out, files.force, inputs=inputs, kind="exported", suffixes=[FORMATS[files.format].suffix])
     check_outputs([("curves", files.curves_out)], files.force, [*inputs, files.out])
-    calibration = read_usable(files.result, files.robot, files.allow_unusable).carrying(*(files.payload or NO_PAYLOAD))
+    calibration = read_usable(files.result, files.robot, files.allow_unusable, files.payload)
     over = None if files.over is None else _poses_of(files.over, calibration.chain)
     robot = exported(calibration, files.format, over, files.own_frames, files.adjust)
     curves = files.curves_out

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,10 +13,11 @@ from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError
 from truearm.files.csv_cells import csv_text
 from truearm.files.disk import check_outputs, write_atomic
-from truearm.findings import Finding, ordered
+from truearm.findings import Finding, entries, ordered
 from truearm.progress import step
 from truearm.report.map_picture import Cells, map_picture
-from truearm.report.page_parts import html_page, scrolled, section
+from truearm.report.page_parts import html_page, scrolled
+from truearm.report.page_parts import section as page_section
 from truearm.results import Figures
 from truearm.text import one_line
 from truearm.types import Floats
@@ -56,25 +56,11 @@ class MapTask(NamedTuple):
     within: tuple[float, float, float, float] | None = None
 
 
-class Mapped(NamedTuple):
-    """A map, and the best region for the task; None if there is no task, or no place for it.
-
-    ``relative_to``: "base", "tool", of which the observations do not determine the pose. ``payload``: which payload the
-    map holds for. ``undetermined``: why the error with calibration is unknown in some cells. ``outside`` names the joints
-    whose readings are outside the fitted ones in every reachable cell.
-    """
-
-    map: ErrorMap
-    region: BestRectangle | None
-    relative_to: tuple[str, ...] = ()
-    payload: Sequence[Finding] = ()
-    undetermined: Sequence[Finding] = ()
-    outside: tuple[str, ...] = ()
-
-
 @step("mapping the errors")
-def map_files(calibration: Calibration, files: MapFiles, section: Section, task: MapTask | None = None) -> Mapped:
-    """Make a map by the calibration of ``files.result`` and write the requested files.
+def map_files(
+    calibration: Calibration, files: MapFiles, section: Section, task: MapTask | None = None
+) -> dict[str, Any]:
+    """Make a map by the calibration of ``files.result``, write the requested files, and return its axes and findings.
 
     Raises InputError with a one-line message.
     """
@@ -82,22 +68,19 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
     check_outputs(outputs, files.force, [files.result, *files.robot.files])
     grid = mapped(calibration, section)
     region = None if task is None else best_region(grid, *task.size, task.within)
+    findings = map_findings(calibration, section, grid, task, region)
     if files.out is not None:
         write_atomic(files.out, _table(grid, calibration))
     if files.picture_out is not None:
         write_atomic(files.picture_out, _picture(grid, region, calibration))
-    unknown = grid.q[np.isnan(grid.sigma) & ~np.isnan(grid.error)]
-    why = undetermined(calibration, unknown[:SOME], section.own_frames) if len(unknown) else []
-    relative_to, outside = unseen_within(calibration)[1], _outside_everywhere(calibration, grid)
-    return Mapped(grid, region, relative_to, calibration.payload_findings(), why, outside)
-
-
-def _outside_everywhere(calibration: Calibration, grid: ErrorMap) -> tuple[str, ...]:
-    """Return the joints whose readings are outside the fitted ones in every reachable cell."""
-    outside = calibration.outside(grid.q[~np.isnan(grid.error)])
-    if outside is None or not outside.size:
-        return ()
-    return tuple(joint.name for joint, out in zip(calibration.chain.joints, outside.T, strict=True) if out.all())
+    if files.report is not None:
+        write_atomic(files.report, _page(calibration, section, grid, region, findings))
+    best_place = region and {
+        name: [MM.of(end) for end in span] for name, span in (("u_mm", region.u), ("v_mm", region.v))
+    }
+    written = [str(path) for _, path in outputs if path is not None]
+    axes = [axis(direction) for direction in grid.axes]
+    return {"axes": axes, "best_region": best_place, "findings": entries(findings), "written": written}
 
 
 def _pair(calibration: Calibration, own_frames: bool) -> ModelPair:
@@ -150,16 +133,19 @@ def _within_readings(grid: ErrorMap) -> ErrorMap:
     return replace(grid, u=grid.u[columns], v=grid.v[rows], **cells)
 
 
-def write_map_page(
-    path: Path, findings: Sequence[Finding], mapped: Mapped, calibration: Calibration, own_frames: bool
-) -> None:
-    """Write the page of a map: its findings, the arm with the cells in 3-D, the picture."""
-    scene = map_scene(calibration, _pair(calibration, own_frames), mapped.map)
-    picture = scrolled(_picture(mapped.map, mapped.region, calibration, styled=False), "map")
-    blocks = [section("The section", f'<figure class="map">{picture}</figure>')]
+def _page(
+    calibration: Calibration,
+    section: Section,
+    grid: ErrorMap,
+    region: BestRectangle | None,
+    findings: Sequence[Finding],
+) -> str:
+    """Return the page of a map: its findings, the arm with the cells in 3-D, the picture."""
+    scene = map_scene(calibration, _pair(calibration, section.own_frames), grid)
+    picture = scrolled(_picture(grid, region, calibration, styled=False), "map")
+    blocks = [page_section("The section", f'<figure class="map">{picture}</figure>')]
     title = f"Error of {calibration.chain.name} without calibration"
-    subtitle = "over a section of the workspace"
-    write_atomic(path, html_page("truearm map", title, subtitle, blocks, findings, scene=scene))
+    return html_page("truearm map", title, "over a section of the workspace", blocks, findings, scene=scene)
 
 
 def _table(grid: ErrorMap, calibration: Calibration) -> str:
@@ -204,35 +190,48 @@ def axis(direction: Floats) -> str:
     return "along (" + ", ".join(f"{round(value, 2) + 0.0:.2f}" for value in direction) + ")"
 
 
-def map_findings(mapped: Mapped, cell: float, task: str | None, simulated: bool = False) -> list[Finding]:
-    """Return the errors over the section, what limits them, and the best place for a task (the option's text); ``cell`` [m]."""
-    grid = mapped.map
+def map_findings(
+    calibration: Calibration,
+    section: Section,
+    grid: ErrorMap,
+    task: MapTask | None = None,
+    region: BestRectangle | None = None,
+) -> list[Finding]:
+    """Return the errors over the section, what limits them, and the best place for a task."""
     reached = ~np.isnan(grid.error)
     error, sigma = grid.error[reached], grid.sigma[np.isfinite(grid.sigma)]
     n_outside = 0 if grid.outside is None else int((grid.outside & reached).sum())
     values = {"least": _mm(error.min()), "most": _mm(error.max()), "rms": _mm(Figures.of(error).rms)}
-    findings = [Finding("map-error", {**values, "cells": error.size, "cell": _mm(cell)})]
-    if task:
-        findings.append(_task(grid, mapped.region, task))
+    findings = [Finding("map-error", {**values, "cells": error.size, "cell": _mm(section.cell)})]
+    if task is not None:
+        findings.append(_task(grid, region, task))
     if sigma.size:
         ends = {"least": _mm(sigma.min()), "most": _mm(sigma.max())}
-        findings.append(Finding("map-sigma", {**ends, "relative_to": list(mapped.relative_to)}))
+        findings.append(Finding("map-sigma", {**ends, "relative_to": list(unseen_within(calibration)[1])}))
     if sigma.size < error.size:
         findings.append(Finding("map-sigma-unknown", {"n": error.size - sigma.size, "cells": error.size}))
-    findings += mapped.undetermined
+        findings += undetermined(calibration, grid.q[np.isnan(grid.sigma) & reached][:SOME], section.own_frames)
     findings += [Finding("joints-outside", {"n": n_outside})] if n_outside else []
-    findings += [Finding("joints-outside", {"joints": list(mapped.outside)})] if mapped.outside else []
-    findings += mapped.payload
-    return ordered(findings, simulated)
+    if joints := _outside_everywhere(calibration, grid.q[reached]):
+        findings.append(Finding("joints-outside", {"joints": joints}))
+    return ordered([*findings, *calibration.payload_findings()], calibration.simulated)
 
 
-def _task(grid: ErrorMap, region: BestRectangle | None, task: str) -> Finding:
+def _outside_everywhere(calibration: Calibration, q: Floats) -> list[str]:
+    """Return the joints whose readings are outside the fitted ones at all q (n, j)."""
+    outside = calibration.outside(q)
+    names = [joint.name for joint in calibration.chain.joints]
+    return [] if outside is None else [name for name, out in zip(names, outside.T, strict=True) if out.all()]
+
+
+def _task(grid: ErrorMap, region: BestRectangle | None, task: MapTask) -> Finding:
+    size = "x".join(f"{MM.of(side):g}" for side in task.size)
     if region is None:
-        return Finding("task-nowhere", {"task": task})
+        return Finding("task-nowhere", {"task": size})
     names = [axis(direction) for direction in grid.axes]
     spans = [tuple(round(MM.of(end)) for end in span) for span in (region.u, region.v)]
     place = [f"{name} {low} to {high} mm" for name, (low, high) in zip(names, spans, strict=True)]
-    return Finding("task-place", {"task": task, "place": place, "most": _mm(region.largest), "rms": _mm(region.rms)})
+    return Finding("task-place", {"task": size, "place": place, "most": _mm(region.largest), "rms": _mm(region.rms)})
 
 
 def _mm(length: float) -> dict[str, float]:

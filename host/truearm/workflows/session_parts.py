@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
@@ -92,7 +92,7 @@ def first_stem(path: Path) -> str:
     return match[1] if match and path.with_name(match[1] + SUFFIX).exists() else path.stem
 
 
-def with_parts(inputs: list[Path]) -> list[Path]:
+def with_parts(inputs: Sequence[Path]) -> list[Path]:
     """Return inputs with the further parts of each session after it; parts also given keep their place. Raises
     SessionError.
     """
