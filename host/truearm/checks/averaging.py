@@ -167,10 +167,12 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
     for hypothesis, moments in ((weighed.hypothesis, weighed.moments) for weighed in result.table):
         root = HIDDEN * moments.vectors / np.sqrt(1.0 + moments.values / result.design.variance)[:, None]
         loading = products(hypothesis, follow)[:, : hypothesis.sizes.size]
-        direction, moves, _ = np.linalg.svd(root.swapaxes(1, 2) @ loading, full_matrices=False)
-        median = int(np.argsort(moves[:, 0])[len(moves) // 2])
-        if moves[median, 0] > limit and hypothesis.kind not in named:
-            size = root[median] @ direction[median, :, 0] * (limit / moves[median, 0])
+        square = hypothesis.candidates.of_squares(np.tensordot(loading, loading, axes=(2, 2)))
+        moves, directions = np.linalg.eigh(root.swapaxes(1, 2) @ square @ root)
+        median = int(np.argsort(moves[:, -1])[len(moves) // 2])
+        motion = math.sqrt(max(moves[median, -1], 0.0))
+        if motion > limit and hypothesis.kind not in named:
+            size = root[median] @ directions[median, :, -1] * (limit / motion)
             sizes = {unit: float(np.linalg.norm(numbers)) for unit, numbers in hypothesis.by_unit(size).items()}
             fault, key = (float(np.linalg.norm(size)), hypothesis.name, sizes), (hypothesis.kind, *sizes)
             smallest[key] = min(fault, smallest.get(key, fault))

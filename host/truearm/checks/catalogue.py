@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -59,9 +60,24 @@ class Candidates(NamedTuple):
         first, last = self.pairs[number]
         return np.asarray(self.profiles[last] - self.profiles[first])
 
+    def products(self, columns: Floats, row: Indices, vectors: Floats, power: int = 1) -> Floats:
+        """Return (columns · profile)ᵀ ``vectors`` (p, d, x) for ``columns`` (m, d) of each ``row`` (m,); the profile to a ``power``."""
+        if self.pairs is None:
+            return np.stack([(columns * profile[row, None] ** power).T @ vectors for profile in self.profiles])
+        edges = [0, *np.searchsorted(row, np.unique(np.asarray(self.spans))).tolist()]  # sums before each
+        return np.cumsum([columns[a:b].T @ vectors[a:b] for a, b in pairwise(edges)], axis=0)
+
     def of_profiles(self, values: Floats) -> Floats:
         """Return what each candidate has of ``values`` (p, …) that each profile has."""
         return values if self.pairs is None else np.asarray(values[self.pairs[:, 1]] - values[self.pairs[:, 0]])
+
+    def of_squares(self, values: Floats) -> Floats:
+        """Return what each candidate has (c, d, d) of the products (p, d, p, d) of all profiles."""
+        if self.pairs is None:
+            return np.asarray(np.einsum("pdpe->pde", values))
+        first, last = self.pairs.T
+        crossed = values[last, :, first]
+        return np.asarray(values[last, :, last] + values[first, :, first] - crossed - crossed.swapaxes(1, 2))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -131,11 +130,14 @@ class Weighed(NamedTuple):
         return self.hypothesis.candidate(self.best)
 
 
-def moments(hypothesis: Hypothesis, design: Design) -> Moments:
-    """Return M and b of all candidates beside a design and the hypothesis' nuisance."""
-    square, cross, d = squares(hypothesis, design.kernel), products(hypothesis, design.follow), hypothesis.sizes.size
+def moments(hypothesis: Hypothesis, design: Design, square: Floats | None = None) -> Moments:
+    """Return M and b of all candidates beside a design and the hypothesis' nuisance; ``square``: its ``squares``, if known."""
+    candidates, d = hypothesis.candidates, hypothesis.sizes.size
+    square = squares(hypothesis, design.kernel) if square is None else square
+    cross = products(hypothesis, design.follow)
     size = np.trace(square[:, :d, :d], axis1=1, axis2=2)[:, None]
-    square, score = square - cross[..., :-1] @ cross[..., :-1].swapaxes(1, 2), cross[..., -1]
+    followed = np.tensordot(cross[..., :-1], cross[..., :-1], axes=(2, 2))
+    square, score = square - candidates.of_squares(followed), candidates.of_profiles(cross[..., -1])
     nuisance = square[:, d:, d:] + np.eye(square.shape[1] - d) / WIDEST**2
     follow = np.linalg.solve(nuisance, square[:, d:, :d])
     square = square[:, :d, :d] - square[:, :d, d:] @ follow
@@ -145,34 +147,28 @@ def moments(hypothesis: Hypothesis, design: Design) -> Moments:
     return Moments(values * significant, vectors, np.einsum("cdk,cd->ck", vectors, score) * significant)
 
 
-def products(hypothesis: Hypothesis, vectors: Floats, power: int = 1) -> Floats:
-    """Return Cᵀ times ``vectors`` (m, x) for each candidate, (c, d, x); its profile to a ``power``."""
-    candidates, columns, row = hypothesis.candidates, hypothesis.columns, hypothesis.fit.row
-    if candidates.pairs is None:
-        by_profile = np.stack([(columns * profile[row, None] ** power).T @ vectors for profile in candidates.profiles])
-    else:  # sums before each edge
-        edges = [0, *np.searchsorted(row, np.unique(np.asarray(candidates.spans))).tolist()]
-        by_profile = np.cumsum([columns[a:b].T @ vectors[a:b] for a, b in pairwise(edges)], axis=0)
-    return candidates.of_profiles(by_profile)
+def products(hypothesis: Hypothesis, vectors: Floats) -> Floats:
+    """Return Cᵀ times ``vectors`` (m, x) for each profile, (p, d, x)."""
+    return hypothesis.candidates.products(hypothesis.columns, hypothesis.fit.row, vectors)
 
 
 def squares(hypothesis: Hypothesis, kernel: Kernel) -> Floats:
-    """Return CᵀC (c, d, d) of the candidates, divided by the noise."""
+    """Return CᵀV⁻¹C (c, d, d) of the candidates."""
+    candidates, columns, row = hypothesis.candidates, hypothesis.columns / kernel.scale, hypothesis.fit.row
     if not kernel.shared:
-        return products(hypothesis, hypothesis.columns / kernel.scale**2, power=2)
-    profiles, pairs = hypothesis.candidates.profiles, hypothesis.candidates.pairs
-    by_profile = hypothesis.columns[:, None] * profiles.T[hypothesis.fit.row, :, None]
-    whitened = kernel.whiten(by_profile.reshape(len(by_profile), -1))
-    gram = (whitened.T @ whitened).reshape(*by_profile.shape[1:], *by_profile.shape[1:]).swapaxes(1, 2)
-    if pairs is None:
-        return np.asarray(gram[np.arange(len(gram)), np.arange(len(gram))])
-    first, last = pairs.T
-    return np.asarray(gram[last, last] - gram[last, first] - gram[first, last] + gram[first, first])
+        return candidates.of_profiles(candidates.products(columns, row, columns, power=2))
+    gram: Floats | float = 0.0
+    for residuals, precision in kernel.precisions:
+        for index in residuals.T:
+            half = candidates.products(columns[index], row[index], precision)
+            by_row = half.reshape(-1, len(index)).T
+            gram = gram + candidates.products(columns[index], row[index], by_row).reshape(half.shape[:2] * 2)
+    return candidates.of_squares(np.asarray(gram))
 
 
-def weigh(hypothesis: Hypothesis, design: Design) -> Weighed:
+def weigh(hypothesis: Hypothesis, design: Design, square: Floats | None = None) -> Weighed:
     """Return the evidence of a hypothesis and the probability of chance."""
-    sums = moments(hypothesis, design)
+    sums = moments(hypothesis, design, square)
     information, scores, significant = sums.values, sums.scores, sums.values > 0.0
     variance, square = design.variance, SCALES[:, None, None] ** 2
     gain = square * scores**2 / variance / (variance + square * information)

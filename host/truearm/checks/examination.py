@@ -9,9 +9,9 @@ import numpy as np
 
 from truearm.checks.averaging import Average, Choice, averaged, unseen
 from truearm.checks.catalogue import LAST_MOVE
-from truearm.checks.evidence import Design, Weighed, amount_of, build_design
+from truearm.checks.evidence import Design, Weighed, amount_of
 from truearm.checks.search import RIVAL, Search, checked, columns_of, gain, left_out
-from truearm.checks.whitened import DECLARED, WhitenedFit, whitened_fit
+from truearm.checks.whitened import WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
@@ -118,7 +118,7 @@ def of_fit(
         return None
     result = checked(fit)
     average, kernel = averaged(result, gram, covariance), result.design.kernel
-    declared = build_design(fit, DECLARED, fit.wide_prior).extended(columns_of(result.detections, fit))
+    declared = result.declared.extended(columns_of(result.detections, fit))
     chi2_reduced = declared.chi2 / max(declared.freedom, 1.0)
     noise = kernel.name, kernel.scale, chi2_reduced
     claim = ToolClaim(*average.decomposition(), *noise, unseen(result, average), result.refused)

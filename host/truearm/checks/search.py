@@ -9,13 +9,14 @@ import math
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from truearm.checks.catalogue import Hypothesis, catalogue, rows_used, spans_of
-from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, weigh
+from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, squares, weigh
 from truearm.checks.noise import learned_noise
 from truearm.checks.whitened import DECLARED, WhitenedFit
 from truearm.estimate.ties import largest_first
@@ -51,6 +52,7 @@ class Search:
     table: tuple[Weighed, ...]
     bare: Design  # without findings
     fitted: Design  # as the parameters were fitted, without findings
+    declared: Design  # without findings, with the declared noise
     block: Indices  # (m,) of residuals to leave out together
     refused: tuple[str, ...] = ()  # beyond chance, but they do not predict rows that were left out
 
@@ -88,7 +90,7 @@ def checked(fit: WhitenedFit) -> Search:
         kernel = beside if explained + beside.gain > kernel.gain else kernel
     if kernel.declared:
         return plain
-    return searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted)
+    return replace(searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted), declared=bare)
 
 
 def is_odd(design: Design) -> bool:
@@ -112,14 +114,15 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
     """
     fit, log_count = bare.fit, log_counts(hypotheses)
     block = left_out_blocks(fit.n, fit.how.place)[fit.row]
+    square = [squares(hypothesis, bare.kernel) for hypothesis in hypotheses]
     detections: list[Detection] = []
     refused: tuple[str, ...] = ()
     while True:
         design = bare.extended(columns_of(detections, fit))
-        table = tuple(weigh(hypothesis, design) for hypothesis in hypotheses)
+        table = tuple(map(weigh, hypotheses, repeat(design), square))
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count[weighed.hypothesis.kind])}
         if not significant or refused or len(detections) == MOST_FINDINGS:
-            return Search(tuple(detections), design, table, bare, fitted, block, refused)
+            return Search(tuple(detections), design, table, bare, fitted, bare, block, refused)
         detection = detected(significant, table, design)
         baseline = fitted.extended(columns_of(detections, fit))
         residual = left_out(baseline.extended(detection.best.columns), block)
@@ -207,16 +210,17 @@ def left_out(design: Design, block: Indices) -> Floats:
     """Return the residuals (m,) of each ``block`` (m,) in a fit to all other rows.
 
     They are (I − QQᵀ)⁻¹ times those of the fit to all rows, with Q the rows of the block. Directions in which the
-    inverse does not exist, which only these rows determine, such as the sockets of a place, are fitted to them.
+    inverse does not exist, which only these rows determine, such as the sockets of a place, are fitted to them: their
+    residual is 0, and stays so.
     """
     out = np.empty(block.size)
     for number in np.unique(block):
-        inside = np.flatnonzero(block == number)
-        values, u = np.linalg.eigh(design.basis[inside] @ design.basis[inside].T)
-        share = 1.0 - values
-        factor = np.where(share > LEAST, 1.0 / np.maximum(share, LEAST), 0.0)
-        residual = design.remainder[inside]
-        out[inside] = residual + u @ ((factor - 1.0) * (u.T @ residual))
+        inside = block == number
+        basis = design.basis[: block.size][inside]
+        share, residual = np.eye(len(basis)) - basis @ basis.T, design.remainder[: block.size][inside]
+        factor = linalg.cho_factor(share + LEAST * np.eye(len(basis)))
+        value = linalg.cho_solve(factor, residual)
+        out[inside] = value + linalg.cho_solve(factor, residual - share @ value)  # as without LEAST
     return out
 
 

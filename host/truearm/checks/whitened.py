@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -101,6 +101,11 @@ class Kernel:
     def log_determinant(self) -> float:
         """Return log det V."""
         return float(sum(2.0 * residuals.shape[1] * np.log(np.diag(root)).sum() for residuals, root in self.shared))
+
+    @cached_property
+    def precisions(self) -> tuple[tuple[Indices, Floats], ...]:
+        """Return the residuals (n', c) of each set of rows with V⁻¹ (n', n')."""
+        return tuple((residuals, linalg.cho_solve((root, True), np.eye(len(root)))) for residuals, root in self.shared)
 
     def whiten(self, columns: Floats) -> Floats:
         """Return columns (m, d) divided by the root of the noise's covariance."""
