@@ -107,7 +107,7 @@ class RtdeServer:
         names = [name for name in payload[8:].decode("ascii", "replace").split(",") if name]
         types = [type_of(name) for name in names]
         answer = ",".join(types).encode()
-        found = bool(names) and rtde.NOT_FOUND not in types and frequency >= 1.0
+        found = bool(names) and len(set(names)) == len(names) and rtde.NOT_FOUND not in types and frequency >= 1.0
         self._recipe = rtde.recipe_of(names, b"\1" + answer) if found else None
         self._every = max(1, round(self.rate_hz / frequency)) if found else 1
         return bytes([found]) + answer
@@ -117,27 +117,26 @@ class RtdeServer:
         if self._recipe is None:
             return b""
         rows = np.flatnonzero(states.number % self._every == 0)
-        columns = [self._column(name, place, states)[rows] for name, place in self._recipe.places.items()]
-        return b"".join(
-            rtde.package(rtde.DATA, self._recipe.layout.pack(self._recipe.number, *(x for part in row for x in part)))
-            for row in zip(*(column.tolist() for column in columns), strict=True)
-        )
+        packages = np.zeros(len(rows), self._recipe.layout)
+        for name in self._recipe.layout.names or ():
+            packages[name] = self._values(name, states)[rows]
+        number = bytes([self._recipe.number])
+        return b"".join(rtde.package(rtde.DATA, number + package.tobytes()) for package in packages)
 
-    def _column(self, name: str, place: slice, states: States) -> np.ndarray:
-        """Return the values (m, width) of a field."""
-        width, m = place.stop - place.start, len(states.t)
+    def _values(self, name: str, states: States) -> np.ndarray:
+        """Return the values (m,) or (m, n) of a field, one row for each state."""
         known = {
-            "timestamp": states.t_robot[:, None],
+            "timestamp": states.t_robot,
             "actual_q": states.q,
             "target_q": states.q_cmd,
             "actual_qd": states.qd,
             "target_qd": states.qd_cmd,
-            "actual_digital_input_bits": states.inputs[:, None],
+            "actual_digital_input_bits": states.inputs,
         }
         if name in known:
             return known[name]
-        whole = type_of(name) not in ("DOUBLE", "VECTOR3D", "VECTOR6D")
-        return np.full((m, width), CONSTANT.get(name, 0), dtype=np.int64 if whole else np.float64)
+        shape = (len(states.t), *np.dtype(rtde.TYPES[type_of(name)]).shape)
+        return np.full(shape, CONSTANT.get(name, 0))
 
 
 def _text(text: str) -> bytes:

@@ -120,18 +120,6 @@ def test_messages_that_are_none(tmp_path, storage, data, says):
         read(bag)
 
 
-@storages
-@pytest.mark.parametrize("share", range(0, 100, 9))
-def test_a_bag_that_is_cut_off_anywhere(tmp_path, storage, share):
-    (path,) = files_of(write_bag(tmp_path / "bag", storage, states(200)))
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) * share // 100])
-    with pytest.raises(InputError) as failure:
-        read(path)
-    assert str(failure.value).startswith(str(path))
-    assert "\n" not in str(failure.value)
-
-
 def test_what_is_no_bag(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="is not a bag"):

@@ -17,7 +17,7 @@ from record_files import events, topics
 from record_real import box_on_a_socket
 
 from truearm.cli.main import main
-from truearm.errors import InputError, LinkClosed, LinkError
+from truearm.errors import InputError, LinkError
 from truearm.record.links import HostClock
 from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import RtdeLink
@@ -111,23 +111,11 @@ class TestBytes:
         recipe = rtde.recipe_of(["x"], b"\7" + type_.encode())
         assert recipe.values(b"\7" + bytes.fromhex(data)) == {"x": value}
 
-    def test_a_refused_recipe(self):
-        assert rtde.recipe_of(["a", "actual_q"], SETUP_NOT_FOUND[3:]) is None
-        assert rtde.types_of(SETUP_NOT_FOUND[3:]) == ["NOT_FOUND", "VECTOR6D"]
-
     def test_a_text_message(self):
         ((_, payload),) = rtde.Packages().push(TEXT)
         assert rtde.text_message(payload) == ("warning", "Controlle", "Stopped")
         for end in range(len(payload)):
             assert rtde.text_message(payload[:end]) is None
-
-    @pytest.mark.parametrize("size", [1, 2, 5, 1000])
-    def test_pieces_of_any_size(self, size):
-        stream = VERSION_ACCEPTED + TEXT + DATA_Q + h("00 05 02 00 00") + DATA_Q  # a type that does not exist (UR)
-        packages = rtde.Packages()
-        found = [p for i in range(0, len(stream), size) for p in packages.push(stream[i : i + size])]
-        assert bytes(kind for kind, _ in found) == b"VMU\2U"
-        assert found[3][1] == b"\0\0"
 
     @pytest.mark.parametrize("size", [0, 1, 2])
     def test_a_size_that_cannot_be(self, size):
@@ -322,14 +310,6 @@ class TestClient:
         assert arrivals[0][0] >= sent[0]
         link.close()
         controller.finish()
-
-    def test_the_end(self):
-        controller = Controller(WHOLE, lambda peer: (peer.sendall(data(1.0)), peer.shutdown(socket.SHUT_RDWR)))
-        link = RtdeLink(controller.url, HostClock())
-        assert len(lines_of(link, 1)) == 1
-        with pytest.raises(LinkClosed):
-            lines_of(link, 2)
-        link.close()
 
     def test_a_stream_that_breaks(self):
         """What came before and the bytes that are none are handed out before the error."""

@@ -96,6 +96,26 @@ def backlog_of(link: Link) -> Backlog:
     return Backlog(*getattr(link, "backlog", ()))
 
 
+class LinkOnTop:
+    """A link whose bytes come from another one, in another form."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self.name = link.name
+        self._link = link
+        self._clock = clock
+
+    def write(self, data: bytes) -> int:
+        return self._link.write(data)
+
+    @property
+    def backlog(self) -> Backlog:
+        """Return the backlog."""
+        return backlog_of(self._link)
+
+    def close(self) -> None:
+        self._link.close()
+
+
 class HostClock:
     """The operating system's monotonic clock, without NTP slewing if available."""
 

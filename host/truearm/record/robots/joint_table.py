@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import TextIOWrapper
 from itertools import chain, cycle
-from operator import mul
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,7 +23,7 @@ from truearm.files.csv_cells import MAX_COLUMNS, NUMBER, Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted
-from truearm.session.joint_format import MAX_JOINTS, MAX_Q, are_joints, format_reading, parse_line
+from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_line
 from truearm.units import SUFFIXES
 
 # to divide by: 1e-9 is not exact in binary
@@ -37,6 +36,7 @@ _WHOLE = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
 QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
 CONVERTED = ("q", "q_cmd", "qd")  # of joints, with units
+MAX_CELL = 40  # characters of a number
 MAX_TIME = 2**63  # in any unit: nanoseconds since 1970 are 2⁶¹
 
 Name = str | tuple[str, ...]
@@ -66,7 +66,7 @@ class Names:
         """Return a value of a row, joints in SI; None if it is invalid, or the number of joints is not that of the units."""
         key = self.keys.get(quantity, quantity)
         value = row.get(key) if isinstance(key, str) else [row.get(name) for name in key]
-        if quantity in ("t", "seq"):
+        if value is None or quantity in ("t", "seq"):
             return value
         if quantity == "inputs":
             return value if type(value) is int else None
@@ -78,32 +78,27 @@ class Names:
 
 @dataclass(frozen=True)
 class Columns:
-    """Positions of the columns in a row of ``width`` cells. ``joints``: positions and factors to SI of each quantity."""
+    """The columns of a table. ``titles``: of all of them, None for those that are skipped; ``names`` refers to these."""
 
-    width: int
-    t: int
-    t_per_second: int
-    seq: int | None
-    inputs: int | None
-    joints: Mapping[str, tuple[tuple[int, ...], tuple[float, ...]]]
+    titles: Sequence[str | None]
+    names: Names
 
     def line(self, cells: Sequence[str], **entries: object) -> bytes | None:
         """Return a row as a line of a session, with ``entries`` added; None if it is not a reading."""
-        if len(cells) != self.width:
+        if len(cells) != len(self.titles):
             return None
-        joints: dict[str, list[float]] = {}
-        try:
-            t = _number(cells[self.t])
-            seq, inputs = (None if place is None else _whole(cells[place]) for place in (self.seq, self.inputs))
-            for quantity, (places, scale) in self.joints.items():
-                numbers = [_number(cells[place]) for place in places]
-                if min(numbers) > -MAX_Q and max(numbers) < MAX_Q:
-                    joints[quantity] = list(map(mul, scale, numbers))
-        except ValueError:
-            return None
-        if abs(t) >= MAX_TIME or "q" not in joints:
-            return None
-        return format_reading(t / self.t_per_second, seq, joints.pop("q"), **joints, inputs=inputs, **entries)
+        row = {title: _number(cell) for title, cell in zip(self.titles, cells, strict=True) if title}
+        return self.names.line(row, **entries)
+
+
+def _number(cell: str) -> int | float | None:
+    """Return a decimal number, whole if it is written so; None for any other text.
+
+    float() would accept "1_000", "nan" and digits of other scripts.
+    """
+    if _WHOLE.fullmatch(cell):
+        return int(cell)
+    return float(cell) if len(cell) <= MAX_CELL and NUMBER.fullmatch(cell) else None
 
 
 NUMBERED = "{}"  # stands for the number of a joint
@@ -170,27 +165,30 @@ def read_columns(titles: Sequence[str]) -> Columns:
     """Return the columns named by a header. Raises InputError."""
     if len(titles) > MAX_COLUMNS:
         raise InputError(f"{len(titles)} columns; the maximum is {MAX_COLUMNS}")
-    places: dict[tuple[str, int], tuple[int, float]] = {}  # quantity and joint: position and factor
-    for position, title in enumerate(titles):
-        if title != "note" and not title.startswith("x_"):
+    columns: dict[str, dict[int, tuple[str, float]]] = {}  # quantity and joint: title and factor
+    for title in titles:
+        if not _is_skipped(title):
             quantity, number, factor = _quantity(title)
-            if (quantity, number) in places:
+            if number in columns.setdefault(quantity, {}):
                 raise InputError("given-twice", place=f"column {quoted(title)}", what=f"{quantity}{number or ''}")
-            places[quantity, number] = position, factor
-    if ("t", 0) not in places:
+            columns[quantity][number] = title, factor
+    if "t" not in columns:
         raise InputError("missing-column", column="t_s", example=EXAMPLE)
-    t, t_per_second = places["t", 0]
-    seq, inputs = (places.get((name, 0), (None, 1.0))[0] for name in ("seq", "inputs"))
-    joints: dict[str, tuple[tuple[int, ...], tuple[float, ...]]] = {}
-    n = sum(name == "q" for name, _ in places)
+    n = len(columns.get("q", ()))
+    keys: dict[str, Name] = {name: columns[name][0][0] for name in ("t", "seq", "inputs") if name in columns}
+    scale: dict[str, tuple[float, ...]] = {}
     for quantity in CONVERTED:
-        numbers = sorted(number for name, number in places if name == quantity)
-        if numbers not in ([], [*range(1, n + 1)]) or not 1 <= n <= MAX_JOINTS:
+        joints = [joint for _, joint in sorted(columns.get(quantity, {}).items())]
+        if sorted(columns.get(quantity, ())) not in ([], [*range(1, n + 1)]) or not 1 <= n <= MAX_JOINTS:
             raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}")
-        if numbers:
-            positions, scale = zip(*(places[quantity, number] for number in numbers), strict=True)
-            joints[quantity] = positions, scale
-    return Columns(len(titles), t, int(t_per_second), seq, inputs, joints)
+        if joints:
+            keys[quantity], scale[quantity] = zip(*joints, strict=True)
+    used = [None if _is_skipped(title) else title for title in titles]
+    return Columns(used, Names(keys, scale, int(columns["t"][0][1])))
+
+
+def _is_skipped(title: str) -> bool:
+    return title == "note" or title.startswith("x_")
 
 
 def _quantity(title: str) -> tuple[str, int, float]:
@@ -207,22 +205,6 @@ def _quantity(title: str) -> tuple[str, int, float]:
             remedy=f"expected a header such as {EXAMPLE}; columns x_... are ignored",
         )
     return match[1] + (match[3] or ""), int(match[2]), SUFFIXES[match[4]].scale
-
-
-def _number(cell: str) -> float:
-    """Return a finite decimal number. Raises ValueError.
-
-    float() would accept "1_000", "nan" and digits of other scripts.
-    """
-    if len(cell) > 40 or not NUMBER.fullmatch(cell):
-        raise ValueError(cell[:40])
-    return float(cell)
-
-
-def _whole(cell: str) -> int:
-    if not _WHOLE.fullmatch(cell):
-        raise ValueError(cell[:40])
-    return int(cell)
 
 
 NO_ARRIVAL = {"arrival": False}  # in every such line: its arrival was not observed
@@ -267,7 +249,7 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
             reading = None if line is None else parse_line(line)
             if line is None or reading is None:
                 raise TableError(
-                    f"{path} row {number}: is not a reading: it needs {columns.width} numbers, with t not negative"
+                    f"{path} row {number}: is not a reading: it needs {len(columns.titles)} numbers, with t not negative"
                 )
             if reading.t < last:
                 raise TableError(

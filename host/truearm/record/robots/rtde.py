@@ -20,15 +20,14 @@ from contextlib import suppress
 from urllib.parse import parse_qsl, urlsplit
 
 from truearm.errors import InputError, LinkClosed, LinkError
-from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
+from truearm.record.links import Arrivals, Clock, Link, LinkOnTop, TcpLink
 from truearm.record.robots import rtde_packages as rtde
 from truearm.session.joint_format import MAX_T_S, format_reading
 
 PORT = 30004
 ANSWER_NS = 5_000_000_000
-NEEDED = ("timestamp", "actual_q")
-WANTED = ("target_q", "actual_qd", "actual_current", "actual_digital_input_bits", "robot_mode", "runtime_state")
-KEYS = {
+NEEDED = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D"}  # with their types
+WANTED = {  # with their keys in a line
     "target_q": "q_cmd",
     "actual_qd": "qd",
     "actual_current": "current",
@@ -45,7 +44,7 @@ def connect(url: str, clock: Clock, last: Link | None) -> Link:
     return RtdeLink(url, clock, last.first_s if isinstance(last, RtdeLink) else None)
 
 
-class RtdeLink:
+class RtdeLink(LinkOnTop):
     """Connects, negotiates the fields and starts the stream; ``read`` returns lines. See the module docstring.
 
     ``first_s``: the timestamp from which ``seq`` counts, taken from an earlier connection; None: the first one
@@ -55,15 +54,15 @@ class RtdeLink:
     """
 
     def __init__(self, url: str, clock: Clock, first_s: float | None = None) -> None:
-        self.name = url
-        self.numeric = True  # the recorder stores columns in place of lines
         host, port, hz = address_of(url)
-        self._clock = clock
+        super().__init__(
+            TcpLink(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}", clock, name=url), clock
+        )
+        self.numeric = True  # the recorder stores columns in place of lines
         self._packages = rtde.Packages()
         self._pending: Arrivals = []  # lines received during the set-up
         self._recipe: rtde.Recipe | None = None
         self.first_s = first_s
-        self._link = TcpLink(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}", clock, name=url)
         try:
             self._set_up(hz)
         except (LinkError, InputError):
@@ -82,20 +81,11 @@ class RtdeLink:
             for package in self._packages.push(data)
         ]
 
-    def write(self, data: bytes) -> int:
-        """Do nothing: the protocol has no requests once the stream runs."""
-        return self._link.write(data)
-
-    @property
-    def backlog(self) -> Backlog:
-        """Return the backlog."""
-        return backlog_of(self._link)
-
     def close(self) -> None:
         """Pause the stream and close the connection."""
         with suppress(LinkError):
             self._link.write(rtde.package(rtde.PAUSE))
-        self._link.close()
+        super().close()
 
     # --- set-up
 
@@ -117,18 +107,17 @@ class RtdeLink:
 
     def _agree(self) -> rtde.Recipe:
         """Return the recipe of the wanted fields that the controller has."""
-        names: tuple[str, ...] = NEEDED + WANTED
+        names = [*NEEDED, *WANTED]
         types = [""]
         for _ in range(2):  # the second time without the fields that were not found
             answer = self._ask(rtde.OUTPUTS, rtde.request_outputs(names, self._hz))
-            recipe = rtde.recipe_of(names, answer)
-            if recipe is not None:
+            recipe, types = rtde.recipe_of(names, answer), rtde.types_of(answer)
+            if recipe is not None and types[: len(NEEDED)] == list(NEEDED.values()):
                 return recipe
-            types = rtde.types_of(answer)
             missing = {name for name, type_ in zip(names, types, strict=False) if type_ == rtde.NOT_FOUND}
             if not missing or missing & set(NEEDED):
                 break
-            names = tuple(name for name in names if name not in missing)
+            names = [name for name in names if name not in missing]
         raise LinkError(
             f"{self.name}: the controller refuses the fields {', '.join(names)} ({','.join(types)[:200]!r}); update its software"
         )
@@ -170,21 +159,18 @@ class RtdeLink:
     def _line(self, kind: int, payload: bytes) -> bytes:
         values = self._recipe.values(payload) if kind == rtde.DATA and self._recipe is not None else None
         if values is not None:
-            return self._reading(values) + b"\n"
+            return self._reading(**values) + b"\n"
         row: dict[str, object] = {"rtde": kind, "hex": payload.hex()}
         if kind == rtde.TEXT and (text := rtde.text_message(payload)):
             row = {"rtde": "text", **dict(zip(("level", "source", "text"), text, strict=True))}
         return json.dumps(row).encode() + b"\n"
 
-    def _reading(self, values: dict[str, rtde.Value]) -> bytes:
-        t, q = values["timestamp"], values["actual_q"]
-        if not isinstance(t, float) or not isinstance(q, list):
-            return json.dumps({"rtde": "data", "timestamp": t, "actual_q": q}).encode()
+    def _reading(self, timestamp: float, actual_q: list[float], **values: rtde.Value) -> bytes:
         seq = None
-        if 0.0 <= t < MAX_T_S:  # else it is not a reading and cannot start the count
-            self.first_s = t if self.first_s is None or t < self.first_s else self.first_s
-            seq = round((t - self.first_s) * self._hz)
-        return format_reading(t, seq, q, **{KEYS[name]: values[name] for name in WANTED if name in values})
+        if 0.0 <= timestamp < MAX_T_S:  # else it is not a reading and cannot start the count
+            self.first_s = timestamp if self.first_s is None else min(timestamp, self.first_s)
+            seq = round((timestamp - self.first_s) * self._hz)
+        return format_reading(timestamp, seq, actual_q, **{WANTED[name]: value for name, value in values.items()})
 
 
 def address_of(url: str) -> tuple[str, int, float | None]:

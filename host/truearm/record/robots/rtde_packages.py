@@ -19,31 +19,33 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = b"VvOSPUM"
 BROKEN = 256  # not a type: data where a package should begin
 NOT_FOUND = "NOT_FOUND"
 LEVELS = ("exception", "error", "warning", "info")
 
-# type: struct's letter and count
 TYPES = {
-    "BOOL": ("?", 1),
-    "UINT8": ("B", 1),
-    "UINT32": ("I", 1),
-    "UINT64": ("Q", 1),
-    "INT32": ("i", 1),
-    "DOUBLE": ("d", 1),
-    "VECTOR3D": ("d", 3),
-    "VECTOR6D": ("d", 6),
-    "VECTOR6INT32": ("i", 6),
-    "VECTOR6UINT32": ("I", 6),
+    "BOOL": "?",
+    "UINT8": "u1",
+    "UINT32": ">u4",
+    "UINT64": ">u8",
+    "INT32": ">i4",
+    "DOUBLE": ">f8",
+    "VECTOR3D": "3>f8",
+    "VECTOR6D": "6>f8",
+    "VECTOR6INT32": "6>i4",
+    "VECTOR6UINT32": "6>u4",
 }
 
 _HEAD = struct.Struct(">HB")
 _FREQUENCY = struct.Struct(">d")
 _FOUR = struct.Struct(">4I")
 
-Value = float | list[float]
+Value = Any  # a number, or a list of them
 
 
 def package(kind: int, payload: bytes = b"") -> bytes:
@@ -114,21 +116,17 @@ class Packages:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Layout of a data package: names, struct layout, and each name's position among the unpacked numbers."""
+    """Layout of a data package: the number of the recipe, then the fields by name."""
 
     number: int
-    layout: struct.Struct
-    places: dict[str, slice]
+    layout: np.dtype[np.void]
 
     def values(self, payload: bytes) -> dict[str, Value] | None:
         """Return the values of a data package by name, vectors as lists; None if it does not match this recipe."""
-        if len(payload) != self.layout.size or payload[0] != self.number:
+        if len(payload) != 1 + self.layout.itemsize or payload[0] != self.number:
             return None
-        numbers = self.layout.unpack(payload)
-        return {
-            name: numbers[place.start] if place.stop - place.start == 1 else list(numbers[place])
-            for name, place in self.places.items()
-        }
+        package = np.frombuffer(payload, self.layout, offset=1)[0]
+        return {name: package[name].tolist() for name in self.layout.fields or ()}
 
 
 def types_of(payload: bytes) -> list[str]:
@@ -144,10 +142,4 @@ def recipe_of(names: Sequence[str], payload: bytes) -> Recipe | None:
     types = types_of(payload)
     if len(types) != len(names) or not payload[0] or not all(type_ in TYPES for type_ in types):
         return None
-    layout, places, end = ">B", {}, 1
-    for name, type_ in zip(names, types, strict=True):
-        letter, count = TYPES[type_]
-        layout += letter * count
-        places[name] = slice(end, end + count)
-        end += count
-    return Recipe(payload[0], struct.Struct(layout), places)
+    return Recipe(payload[0], np.dtype([(name, TYPES[type_]) for name, type_ in zip(names, types, strict=True)]))

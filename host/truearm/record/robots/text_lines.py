@@ -33,9 +33,9 @@ from truearm.record.links import (
     Backlog,
     Clock,
     Link,
+    LinkOnTop,
     StreamLink,
     TcpLink,
-    backlog_of,
     host_and_port,
 )
 from truearm.record.robots.joint_table import CONVERTED, PER_SECOND, QUANTITIES, Columns, Name, Names, read_columns
@@ -169,7 +169,7 @@ def _declared(specified: dict[str, str]) -> tuple[Names, Columns | None]:
     return read_names(declaration), None if columns is None else read_columns(columns.split(","))
 
 
-class LinesLink:
+class LinesLink(LinkOnTop):
     """The lines of ``link`` in a session's form, converted by a dialect that learns the format from them.
 
     ``joined``: the first line may be incomplete, and a number without its first digits is still a number, so a row is
@@ -177,9 +177,7 @@ class LinesLink:
     """
 
     def __init__(self, link: Link, clock: Clock, dialect: LineDialect, joined: bool = False) -> None:
-        self.name = link.name
-        self._link = link
-        self._clock = clock
+        super().__init__(link, clock)
         self.dialect = dialect
         self._joined = joined
         self._runs = Runs(b"\n", MAX_LINE)
@@ -199,17 +197,6 @@ class LinesLink:
         if self._end is not None and not lines:
             raise self._end
         return lines
-
-    def write(self, data: bytes) -> int:
-        return self._link.write(data)
-
-    @property
-    def backlog(self) -> Backlog:
-        """Return the backlog."""
-        return backlog_of(self._link)
-
-    def close(self) -> None:
-        self._link.close()
 
     def _lines(self, t_host_ns: int, data: bytes) -> list[bytes]:
         """Return the lines that ``data``, which arrived at ``t_host_ns``, completes."""
