@@ -4,11 +4,12 @@ import cbor2
 import pytest
 from tests.end_to_end.levels import LEVELS, lab_of
 
-from truearm.box.control import MAX_WAITING, BoxControl, NoAnswer
+from truearm.box.control import MAX_WAITING, BoxControl
 from truearm.box.gauge_run import sample
 from truearm.box.selftest import FAIL, PASS, WARN, findings
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.progress import listening
+from truearm.record.requests import NoAnswerError
 from truearm_wire import messages as wire
 from truearm_wire.frame import frame
 
@@ -156,7 +157,7 @@ def test_a_document_that_is_none(document, says):
 
 
 def test_answers_to_others_are_not_ours():
-    with pytest.raises(NoAnswer):
+    with pytest.raises(NoAnswerError):
         talk(lambda request: reply(request[1] + 1, b"")).command(wire.STOP)
 
 
@@ -173,7 +174,7 @@ def test_waiting_for_an_answer_is_a_step_that_a_terminal_shows():
             self.append("end")
 
     heard = Heard()
-    with listening(heard), pytest.raises(NoAnswer):
+    with listening(heard), pytest.raises(NoAnswerError):
         talk(lambda request: b"").command(wire.STOP)
     step, end = heard
     assert ("'stop'" in step, end) == (True, "end")

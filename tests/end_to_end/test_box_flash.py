@@ -22,18 +22,14 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
     assert said.splitlines()[-1].startswith("it answers: truearm box e6614103e7452b2f, firmware " + __version__)
 
 
-@pytest.mark.parametrize(
-    ("version", "says"),
-    [(__version__, f"firmware {__version__} on vm, as"), ("0.10.0", "newer 0.10.0"), ("0.1.9", "older 0.1.9")],
-)
-def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsys, version, says):
+@pytest.mark.parametrize("version", [__version__, "0.10.0"])
+def test_the_firmware_that_answers_is_compared_with_the_images(tmp_path, no_ports, capsys, version):
     path, drive = tmp_path / "box.uf2", tmp_path / "RPI-RP2"
     path.write_bytes(image(mark=f"truearm_box {version}".encode()))
     with served(drive=drive) as (device, _, _):
         assert box("flash", path, "--box", device, "--drive", drive) == 0
         said = capsys.readouterr().out
     assert f" firmware {version}\n" in said
-    assert says in said
     # The box that comes up is the simulated one, whatever was written.
     assert (f"{version}, but " in said) == (version != __version__)
 

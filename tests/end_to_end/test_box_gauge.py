@@ -193,15 +193,6 @@ def test_bad_reference_files(text, says, tmp_path, capsys):
     ended(capsys.readouterr().err, says)
 
 
-def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
-    """The error comes before any place is measured, also for a file that was named."""
-    session = tmp_path / "session.mcap"
-    session.write_bytes(b"an afternoon")
-    assert box("gauge", "lvdt", "--box", "/dev/none", "--out", session) == 2
-    ended(capsys.readouterr().err, "file-exists")
-    assert session.read_bytes() == b"an afternoon"
-
-
 class AtTheBox:
     """``truearm box gauge`` in a process of its own, as a terminal starts it: what it shows, and what is typed."""
 

@@ -179,14 +179,14 @@ def test_single_values(change, key, wire):
         ("channel.nothing.gain=2", "nothing"),
         ("osr=fast", "osr: 'fast'"),
         ("osr=1\nwatchdog_ms=0", r"osr: '1\\nwatchdog_ms=0'"),
-        ("magnetostrictive.us_per_inch=abc", "^magnetostrictive.us_per_inch: 'abc'"),
+        ("magnetostrictive.us_per_inch=abc", "^magnetostrictive: us_per_inch: 'abc'"),
         ("osr=4095", "osr: .*128, .* 4095"),
         ("magnetostrictive.period_us=99", "period_ns: .* 100000 to 1000000000 in steps of 8, .* 99000"),
         ("magnetostrictive.us_per_inch=nan", "us_per_inch: NaN"),
         ("magnetostrictive.us_per_inch=1e999999999999999999999", "'1e9+'"),
         ("magnetostrictive.us_per_inch=9.0000000000000000000000001", "too many digits"),
         ("magnetostrictive.delay_us=0.0001", "at most 3 decimals"),
-        ("channel.lvdt.calibration.poly=[]", "^channel.lvdt.calibration.poly: needs a list"),
+        ("channel.lvdt.calibration.poly=[]", "^channel.lvdt.calibration: poly: needs a list"),
     ],
 )
 def test_bad_values_are_named(change, says):

@@ -2,23 +2,16 @@
 
 import json
 import os
-import signal
 import socket
-import subprocess
-import sys
-import threading
-import time
 from contextlib import suppress
 
 import numpy as np
 import pytest
-from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box, serve_robot
+from record_real import box_on_a_socket, serve_robot
 from tests.refusals import ended, shown
 
 from truearm.cli.main import main
-from truearm.errors import InputError
 from truearm.files.plan_file import write_plan
-from truearm.live.session_progress import parse_mounted
 from truearm.record.links import HostClock
 from truearm.session.session_file import open_session
 from truearm.types import Plan
@@ -98,45 +91,6 @@ def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):
     assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
 
-@posix
-def test_a_pseudo_terminal(tmp_path):
-    import tty
-
-    master, device = os.openpty()
-    tty.setraw(device)
-    stop = threading.Event()
-    lab, box = real_time_box()
-    thread = threading.Thread(target=play, args=(box, lab, master, stop), daemon=True)
-    thread.start()
-    out = tmp_path / "s.mcap"
-    assert main(["record", "--box", os.ttyname(device), "--duration-s", "0.4", "--out", str(out)]) == 0
-    stop.set()
-    thread.join(PATIENCE_S)
-    os.close(device)
-    os.close(master)
-    assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
-
-
-@posix
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_completes_the_file(tmp_path, number):
-    out = tmp_path / "s.mcap"
-    with box_on_a_socket() as (box, device):
-        command = [sys.executable, "-m", "truearm", "record", "--box", device, "--out", str(out)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        deadline = time.monotonic() + PATIENCE_S
-        while box.blocks < 10 and time.monotonic() < deadline:
-            time.sleep(0.01)
-        process.send_signal(number)
-        said, complaint = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 130
-    assert "Traceback" not in complaint
-    assert "samples" in said
-    assert said.split()[-1] == "interrupted."
-    assert not box.streaming
-    assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
-
-
 class TestRefused:
     @pytest.mark.parametrize(
         ("options", "says"),
@@ -208,10 +162,3 @@ def test_the_nearest_rate(rate, osr):
 
 def test_the_rate_of_the_design():
     assert pytest.approx(1e9 / 983_040, rel=1e-12) == MODULATOR_HZ / 4096
-
-
-def test_mounted():
-    assert parse_mounted("bar=bar46, chuck=c1 ,sphere=s1") == {"bar": "bar46", "chuck": "c1", "sphere": "s1"}
-    for wrong in ("", "bar=", "=x", "arm=x", "bar=a,,"):
-        with pytest.raises(InputError):
-            parse_mounted(wrong)

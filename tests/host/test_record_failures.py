@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box
-from test_record_command import RIG, posix
+from test_record_command import posix
 from tests.refusals import shown
 
 from truearm.cli.main import main
@@ -58,7 +58,7 @@ def random_bytes(peer):
 @pytest.fixture
 def hasty(monkeypatch):
     """Make the recorder wait less."""
-    monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 30_000_000)
+    monkeypatch.setattr("truearm.record.requests.RETRY_NS", 30_000_000)
 
 
 @pytest.fixture
@@ -77,33 +77,6 @@ class TestWhatIsThereStays:
             assert main(["record", "--box", f"socket://{address}", "--out", str(out), "--force"]) == 1
         assert "no answer to 'identify'" in capsys.readouterr().err
         assert (out.read_bytes() if out.exists() else None) == before
-
-    def test_a_box_of_another_protocol(self, out, capsys):
-        out.write_bytes(PRECIOUS)
-        with box_on_a_socket() as (box, device):
-            box.protocol = (2, 0)
-            assert main(["record", "--box", device, "--out", str(out), "--force"]) == 1
-        assert "update truearm" in capsys.readouterr().err
-        assert out.read_bytes() == PRECIOUS
-
-    def test_once_the_box_has_started_it_is_overwritten(self, out):
-        out.write_bytes(PRECIOUS * 100_000)
-        with box_on_a_socket() as (box, device):
-            assert main(["record", "--box", device, "--out", str(out), "--force", "--duration-s", "0.3"]) == 0
-        assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
-
-    @pytest.mark.parametrize("option", ["--rig", "--plan"])
-    @pytest.mark.parametrize("linked", [False, True])
-    def test_an_input_is_no_output(self, tmp_path, capsys, option, linked):
-        path = tmp_path / "file"
-        path.write_text(RIG)
-        out = path
-        if linked:
-            out = tmp_path / "link"
-            out.symlink_to(path)
-        assert main(["record", "--box", "/dev/none", option, str(path), "--out", str(out), "--force"]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
-        assert path.read_text() == RIG
 
 
 @posix
@@ -166,22 +139,6 @@ class TestTheBoxGoes:
         missing = (silence["to_s"] - silence["from_s"]) / 983_040e-9
         assert losses["samples_missing"] == pytest.approx(missing, abs=1)
 
-    def test_with_the_robot(self, out, capsys):
-        """Both are killed at the same time: the robot's closing is not the only message."""
-
-        def robot(peer):
-            for k in range(200):
-                peer.sendall(json.dumps({"t": 0.02 * k, "seq": k, "q": [0.1]}).encode() + b"\n")
-                time.sleep(0.005)
-            peer.sendall(b'{"end": true}\n')
-
-        with self.mortal_box(0.8) as device, server(robot) as address:
-            arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
-            assert main(["record", *arguments]) == 4
-        said = capsys.readouterr()
-        assert shown["recorded"]["ended"] == "robot closed"
-        assert "box was gone at" in said.err
-
 
 class TestTheRobotIsNone:
     @pytest.mark.parametrize(
@@ -242,8 +199,3 @@ def test_a_host_that_does_not_resolve(monkeypatch):
     assert str(failure.value).count("nohost") == 1
     with pytest.raises(LinkError, match="unknown host name"):
         TcpLink("tcp://nohost:7008", HostClock())
-
-
-def test_help_has_an_example(capsys):
-    assert main(["record", "--help"]) == 0
-    assert "truearm record --address tcp://127.0.0.1:7008" in capsys.readouterr().out

@@ -7,7 +7,7 @@ import cbor2
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from record_box import array, data, frame, heartbeat, run_of, u32, u64
+from record_box import array, data, frame, run_of, u32, u64
 
 from truearm.record.frame_splitter import (
     MAX_RUN,
@@ -75,10 +75,6 @@ class TestSplitter:
         assert [item for is_frame, item in items if is_frame] == [payload for payload, _, _ in parts]
         assert b"".join(item for is_frame, item in items if not is_frame) == b"".join(text for _, text, _ in parts)
 
-    def test_a_shared_delimiter(self):
-        one, two = data(1, 0, 0), heartbeat(2, 7, 8, 0)
-        assert split([b"\0" + run_of(one) + b"\0" + run_of(two) + b"\0"]) == [(True, one), (True, two)]
-
     def test_memory_is_bounded_without_delimiters(self):
         runs = Runs(b"\0", MAX_RUN)
         n_out = 0
@@ -125,10 +121,6 @@ class TestPayload:
     def test_lengths_beyond_the_specification(self, payload):
         assert payload_of(run_of(payload)) is None
 
-    @pytest.mark.parametrize("payload", [b"\x82\x10\x01", b"\x81\x10" + b"\0" * 248, b"\x98\x02\x10\x01"], ids=len)
-    def test_lengths_within(self, payload):
-        assert payload_of(run_of(payload)) == payload
-
     @given(st.integers(0, 255), st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 2, 4, 8]))
     def test_type_and_seq_in_any_width(self, kind, seq, width):
         wide = {0: cbor2.dumps(seq), 4: u32(seq), 8: u64(seq)}
@@ -158,23 +150,6 @@ def test_frames_that_are_lost_or_out_of_place(counts, lost, odd):
     for seq in counts:
         count.take(seq)
     assert (count.lost, count.odd) == (lost, odd)
-
-
-class TestData:
-    @given(st.integers(0, 2**32 - 1), st.integers(0, 23), st.integers(0, 2**40), st.integers(2, 13))
-    def test_the_elements_of_a_data_frame(self, seq, stream, n0, n):
-        payload = data(seq, n0 % 1000, n0, n, stream)
-        values = cbor2.loads(payload)
-        found = data_frame(payload)
-        assert [found.seq, found.stream, found.n0, found.t0_us, found.period_ns, found.flags] == [
-            *values[1:6],
-            values[7],
-        ]
-        assert found.samples == values[6].value
-
-    def test_no_other_frame_is_taken_for_data(self):
-        assert data_frame(b"\x88\x11" + data(1, 0, 0)[2:]) is None
-        assert data_frame(heartbeat(1, 2, 3, 0)) is None
 
 
 class TestVectors:

@@ -15,7 +15,6 @@ from record_real import box_on_a_socket
 
 from truearm.record.links import Backlog
 from truearm.record.recorder import Hooks
-from truearm.workflows.record import what_is_missing
 
 BURST = 30_000  # readings of 52 bytes: 380 pieces of 4096 bytes
 SMALL_QUEUE = (
@@ -23,8 +22,8 @@ SMALL_QUEUE = (
 )
 
 
-def bursting_robot(lost):
-    """Return the address of a robot that sends a burst, then a few readings as they come; ``lost`` are left out."""
+def bursting_robot():
+    """Return the address of a robot that sends a burst, then a few readings as they come."""
     listener = socket.create_server(("127.0.0.1", 0))
 
     def line(k):
@@ -34,7 +33,7 @@ def bursting_robot(lost):
         peer, _ = listener.accept()
         with peer, listener, suppress(OSError):
             peer.sendall(b"".join(line(k) for k in range(BURST)))
-            for k in range(BURST + lost, BURST + lost + 100):
+            for k in range(BURST, BURST + 100):
                 peer.sendall(line(k))
                 time.sleep(0.01)
             peer.sendall(b'{"end": true}\n')
@@ -43,22 +42,18 @@ def bursting_robot(lost):
     return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
 
 
-@pytest.mark.parametrize(("lost", "code"), [(0, 0), (7, 4)])
-def test_a_stream_that_was_held_up_is_complete_if_nothing_is_missing(tmp_path, lost, code):
-    """TCP makes the sender wait, so only readings that the robot itself left out are lost."""
+def test_a_stream_that_was_held_up_may_not_be_complete(tmp_path):
+    """TCP makes the sender wait: what it sent is stored, what it left out is not known."""
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device):
-        options = ["--unchecked", "--box", device, "--address", bursting_robot(lost), "--out", out]
+        options = ["--unchecked", "--box", device, "--address", bursting_robot(), "--out", out]
         command = [sys.executable, "-c", SMALL_QUEUE, "record", *map(str, options)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == code, done.stderr
+    assert done.returncode == 4, done.stderr
     assert "robot sends more than can be stored" in done.stderr
-    if lost:
-        assert "robot sent more than could be stored: 7 readings" in done.stderr.splitlines()[-1]
-    else:
-        assert "no reading is missing" in done.stdout
+    assert "readings may be missing" in done.stderr.splitlines()[-1]
     stored = [json.loads(m.data)["seq"] for m in topics(out)["/robot/joints"]]
-    assert stored == [*range(BURST), *range(BURST + lost, BURST + lost + 100)]
+    assert stored == [*range(BURST + 100)]
 
 
 class Backlogged(Wire):
@@ -98,25 +93,3 @@ def test_what_was_received_before_the_end_is_stored(lab, path, ending, mute):
     assert stored == robot.sent[: len(stored)]
     assert stored[-1] not in burst
     assert set(burst) <= set(stored)
-
-
-@pytest.mark.parametrize(
-    ("drops", "counts", "skipped", "says"),
-    [
-        (False, True, 0, ""),
-        (False, False, 0, ""),
-        (False, True, 3, "3 readings are missing"),
-        (True, True, 0, ""),
-        (True, True, 1, "1 reading is missing"),
-        (True, False, 0, "readings may be missing"),
-    ],
-)
-def test_what_a_held_up_robot_lost(lab, path, drops, counts, skipped, says):
-    """By the numbers of its readings; without numbers, datagrams may be lost and a stream is not."""
-    robot = Robot(lab, 2.0, counts=counts)
-    robot.link.backlog = Backlog(0, 1, drops)
-    say = robot.say
-    robot.say = lambda line: None if 10 <= (json.loads(line)["t"] - 100) / 0.008 + 0.5 < 10 + skipped else say(line)
-    summary = run(lab, Box(lab), path, seconds=3.0, robot=robot.link)
-    missing = what_is_missing(summary, with_robot=True)
-    assert (says in missing) if says else missing == ""

@@ -40,13 +40,6 @@ class TestJointLines:
         assert good is not None
         assert lines.push(GOOD + b"\n" + line + b"\n" + GOOD + b"\n") == [(good, GOOD), (None, line), (good, GOOD)]
 
-    def test_commanded_joints_and_carriage_returns(self):
-        line = b'{"t": 2, "q": [0.1, 0.2], "q_cmd": [0.1, 0.3], "more": {"x": 1}}\r'
-        ((reading, stored),) = JointLines().push(line + b"\n")
-        assert stored == line
-        assert reading is not None
-        assert (reading.t, reading.q, reading.q_cmd) == (2.0, [0.1, 0.2], [0.1, 0.3])
-
     def test_a_line_without_end(self):
         lines = JointLines()
         pieces = [item for _ in range(100) for item in lines.push(b"x" * 1000)]

@@ -176,14 +176,6 @@ class TestControlC:
         assert "ended: interrupted" in " ".join(terminal.text.split())
         assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
-    @pytest.mark.soak
-    def test_twice(self, tmp_path):
-        with recording(tmp_path) as (terminal, _, out):
-            terminal.type(CONTROL_C)
-            terminal.type(CONTROL_C)
-            assert terminal.end() == 130
-        assert [kind for kind in events(out) if kind != "dwell"] == ["start", "stop"]
-
     def test_while_the_box_is_away(self, tmp_path):
         with recording(tmp_path) as (terminal, box, out):
             box.link.on_write = lambda raw: (_ for _ in ()).throw(OSError)  # play() ends: the connection is closed
@@ -211,11 +203,6 @@ class TestWhichBox:
         boxes = ["/dev/ttyACM0 (truearm, serial E1)", "/dev/ttyACM1 (truearm, serial E2)"]
         ended(complaint, "several-boxes", boxes=boxes)
         assert complaint.count("\n") == 1
-
-    def test_none(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: [port("/dev/ttyS0", None, None, None)])
-        assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 1
-        assert "Pico's USB identity. Plug it in" in capsys.readouterr().err
 
     def test_the_only_one(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: [port("/dev/none")])

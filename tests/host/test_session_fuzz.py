@@ -29,6 +29,7 @@ from truearm.errors import TruearmError
 from truearm.record.box_storage import BoxStorage, ClockExchanges
 from truearm.record.operator import Counters
 from truearm.record.recover import recover
+from truearm.record.requests import Requests
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import parse_ident
@@ -97,7 +98,7 @@ def check_blocks(messages, of_ours=frozenset(PAYLOADS)):
 def record_stream(rng, raw):
     """Return what a recorder stores of a stream that arrives in pieces: every byte."""
     kept = Kept()
-    storage = BoxStorage(kept, Counters(), ClockExchanges(kept, Counters()))
+    storage = BoxStorage(kept, Counters(), ClockExchanges(kept, Counters()), Requests(0))
     at, ended = 0, False
     while at < len(raw) and not ended:
         piece = raw[at : at + rng.choice([1, 7, 64, 250, 4096])]

@@ -8,8 +8,7 @@ checked by the box's own rules before anything is sent, and the box checks it ag
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, Any
 
@@ -17,18 +16,19 @@ from truearm.box.configuration_schema import (
     CALIBRATION,
     CHANNEL,
     CONFIG,
+    CURVE,
     MAGNETOSTRICTIVE,
     MODULATOR_NS,
     PROVENANCE,
+    REMOVABLE,
     THERMOMETERS,
     UnquotedText,
-    as_table,
     check,
     config_keys,
 )
 from truearm.errors import ConfigError, ProtocolError
 from truearm.files.disk import parse_toml
-from truearm.schema import Table, at, check_known, load_toml, raising, read
+from truearm.schema import Table, load_toml, raising, read
 from truearm.text import one_line
 from truearm.units import NS
 from truearm_wire.config import OSRS
@@ -51,51 +51,49 @@ def parse_number(text: str) -> Decimal:
         raise ValueError(f"{text[:40]!r} is not a usable number") from exc
 
 
+def tables_of(config: Mapping[str, Any], names: Sequence[object]) -> Iterator[tuple[str, Values, Table[Values]]]:
+    """Yield the dotted path of every table, its values and its schema; ``names`` are those of the channels."""
+    yield "", dict(config), CONFIG
+    for name, channel in zip(names, config["channels"], strict=True):
+        yield f"channel.{name}", channel, CHANNEL
+        yield f"channel.{name}.calibration", channel.get("calibration", {}), CALIBRATION
+    for name, table in SUBTABLES.items():
+        yield name, config.get(name, {}), table
+
+
 # --- to TOML
 
 
 def format_config(config: Mapping[str, Any]) -> str:
-    """Format a box's configuration as TOML. Keys unknown to this version of truearm appear in comments: the box keeps
+    """Format a checked configuration as TOML. Keys unknown to this version of truearm appear in comments: the box keeps
     them.
     """
     lines = [f"{HEADER} (truearm box config get, set). A key that is left out keeps its value in the box."]
-    lines += _lines(config, CONFIG, ("version", "channels", *SUBTABLES))
-    for channel in _channels(config):
-        lines += ["", "[[channel]]", *_lines(channel, CHANNEL, ("calibration",))]
-        if isinstance(channel.get("calibration"), dict):
-            lines += ["[channel.calibration]", *_lines(channel["calibration"], CALIBRATION)]
-    for name, table in SUBTABLES.items():
-        if values := as_table(config.get(name)):
-            lines += ["", f"[{name}]", *_lines(values, table)]
+    for path, values, table in tables_of(config, channel_names(config)):
+        title = {id(CHANNEL): "[[channel]]", id(CALIBRATION): "[channel.calibration]"}.get(id(table), f"[{path}]")
+        lines += ["", title] if path and values else []
+        lines += _lines(values, table)
     return "\n".join(lines) + "\n"
 
 
-def _lines(values: Mapping[str, Any], table: Table[Values], subtables: Sequence[str] = ()) -> list[str]:
-    keys = {key.called: key for key in config_keys(table)}
-    comments = {key.name: key.comment for key in keys.values()}
-    if values.get("osr") in OSRS:
-        comments["osr"] = f"{NS.factor / MODULATOR_NS / values['osr']:.2f} samples per second"
-    lines = [
-        key.line(values[c]) + f"  # {comments[key.name]}".removesuffix("  # ") for c, key in keys.items() if c in values
-    ]
-    unknown = [name for name in values if name not in {*keys, *subtables}]
-    return lines + [f"# {_one_line(name)}: not known to this truearm; the box keeps it" for name in unknown]
+def _lines(values: Mapping[str, Any], table: Table[Values]) -> list[str]:
+    lines = []
+    for key in config_keys(table):
+        comment = key.comment
+        if key.name == "osr" and values["osr"] in OSRS:
+            comment = f"{NS.factor / MODULATOR_NS / values['osr']:.2f} samples per second"
+        if key.called in values:
+            lines.append(f"{key.name} = {key.format(values[key.called])}" + f"  # {comment}" * bool(comment))
+    known = {"version", *(key.called for key in table.keys), *(entries.field for entries in table.entries)}
+    unknown = ("".join(c if c.isprintable() else "?" for c in str(name)[:40]) for name in values if name not in known)
+    return [*lines, *(f"# {name}: not known to this truearm; the box keeps it" for name in unknown)]
 
 
-def _one_line(text: object) -> str:
-    return "".join(c if c.isprintable() else "?" for c in str(text)[:40])
-
-
-def flat(config: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
+def flat(config: Mapping[str, Any], names: Sequence[object]) -> dict[str, str]:
     """Return every value as TOML by its dotted key; ``names`` are the names of the channels."""
-    tables = [("", config, CONFIG)]
-    for name, channel in zip(names, _channels(config), strict=False):
-        tables.append((f"channel.{name}.", channel, CHANNEL))
-        tables.append((f"channel.{name}.calibration.", as_table(channel.get("calibration")), CALIBRATION))
-    tables += [(f"{name}.", as_table(config.get(name)), table) for name, table in SUBTABLES.items()]
     return {
-        prefix + key.name: key.value.format(values[key.called])
-        for prefix, values, table in tables
+        f"{path}.{key.name}".lstrip("."): key.format(values[key.called])
+        for path, values, table in tables_of(config, names)
         for key in config_keys(table)
         if key.called in values
     }
@@ -103,22 +101,15 @@ def flat(config: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
 
 def differences(previous: Mapping[str, Any], current: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return (key, previous, current) for every change; "" for a value that is not there."""
-    names = channel_names(previous)
+    names: Sequence[object] = channel_names(previous)
     if len(set(names)) < len(names):
-        names = [str(index) for index in range(len(names))]
+        names = range(len(names))
     a, b = flat(previous, names), flat(current, names)
-    return [
-        (key, a.get(key, ""), b.get(key, "")) for key in [*a, *(k for k in b if k not in a)] if a.get(key) != b.get(key)
-    ]
+    return [(key, a.get(key, ""), b.get(key, "")) for key in {**a, **b} if a.get(key) != b.get(key)]
 
 
 def channel_names(config: Mapping[str, Any]) -> list[str]:
-    return [str(channel.get("name", "")) for channel in _channels(config)]
-
-
-def _channels(config: Mapping[str, Any]) -> list[Values]:
-    channels = config.get("channels")
-    return [as_table(item) for item in channels] if isinstance(channels, list) else []
+    return [channel["name"] for channel in config["channels"]]
 
 
 # --- from TOML
@@ -128,25 +119,29 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
     """Return ``config`` with the settings in the TOML ``text``, checked.
 
     Channels are matched by name, or by order if there are four. A calibration replaces the previous one completely; an
-    empty one, or an empty ``over``, removes it. Raises ConfigError, which refers to the file as ``name``.
+    empty one removes it. Raises ConfigError, which refers to the file as ``name``.
     """
     settings = read(CONFIG, parse_toml(text, name, ConfigError, parse_float=parse_number), name, ConfigError)
-    new = copy.deepcopy(dict(config))
-    channels, head = settings.pop("channels", ()), settings.get("magnetostrictive", {})
-    present = as_table(config.get("magnetostrictive"))
-    if any(head.get(key, present.get(key)) != present.get(key) for key in ("us_per_inch", "delay_ns")):
-        _without_provenance(new.setdefault("magnetostrictive", {}))
-    for subtable in SUBTABLES.keys() & settings.keys():
-        new.setdefault(subtable, {}).update(settings.pop(subtable))
-    new |= settings
-    for index, channel in zip(_places(new, channels, name), channels, strict=True):
-        target = new["channels"][index]
-        target |= channel
-        if channel.get("calibration") == {}:
-            del target["calibration"]
-        if channel.get("over") == "":
-            del target["over"]
-    return check(new)
+    channels = settings.pop("channels", ())
+    return check(merged(config, settings, dict(zip(_places(config, channels, name), channels, strict=True))))
+
+
+def merged(config: Mapping[str, Any], settings: Mapping[str, Any], channels: Mapping[int, Values]) -> Values:
+    """Return ``config`` with settings in the form of the wire; those of ``channels`` by their number."""
+    tables = {name: revised(config.get(name, {}), settings[name]) for name in SUBTABLES.keys() & settings.keys()}
+    entries = [revised(entry, channels.get(index, {})) for index, entry in enumerate(config["channels"])]
+    return revised(config, {**settings, **tables, "channels": entries})
+
+
+def revised(previous: Mapping[str, Any], settings: Mapping[str, Any]) -> Values:
+    """Return a table with new settings; an empty one of a value that the box does not need removes it.
+
+    If the curve of a calibration changes, the previous one's uncertainty and reference are removed.
+    """
+    if any(settings.get(key, previous.get(key)) != previous.get(key) for key in CURVE):
+        previous = {name: value for name, value in previous.items() if name not in PROVENANCE}
+    entries = {**previous, **settings}
+    return {name: value for name, value in entries.items() if value not in ("", {}) or name not in REMOVABLE}
 
 
 def check_ratios(config: Mapping[str, Any]) -> None:
@@ -174,67 +169,52 @@ def _places(config: Mapping[str, Any], channels: Sequence[Mapping[str, Any]], na
     )
 
 
-def _without_provenance(calibration: Values) -> None:
-    """Remove how a calibration was made: the new one was made otherwise."""
-    for key in PROVENANCE:
-        calibration.pop(key.called, None)
-
-
 def with_assignment(config: Mapping[str, Any], text: str) -> Values:
     """Return ``config`` with one KEY=VALUE changed, such as ``channel.lvdt.gain=2``. Raises ConfigError.
 
     Without a value, a key that the box does not need is removed: ``channel.lvdt.over=``.
     Combinations of values are not checked here; call ``check`` after all changes.
     """
-    path, equals, value = text.partition("=")
+    path, equals, value = map(str.strip, text.partition("="))
     if not equals:
         raise ConfigError(f"{text[:60]!r} is not KEY=VALUE")
-    new = copy.deepcopy(dict(config))
-    target, table, name = _place(new, path.strip())
-    keys = {key.name: key for key in config_keys(table)}
-    with raising(ConfigError):
-        subtables = [] if "." in path else ["channel.NAME.…", "magnetostrictive.…", "thermometers.NAME"]
-        check_known({name: value} if name not in keys else {}, [*keys, *subtables])
-        key = keys[name]
-        if not value.strip() and not key.needed:
-            target.pop(key.called, None)
-            return new
-        if not value.strip() and not isinstance(key.value, UnquotedText):
-            raise ConfigError(f"{path.strip()}: needs a value; it cannot be removed")
-        if name in ("poly", "us_per_inch", "delay_us"):
-            _without_provenance(target)
-        with at(path.strip()):
-            raw = _value(value.strip(), isinstance(key.value, UnquotedText))
-            target[key.called] = key.value.parse(raw, key.spellings[name])
-    return new
-
-
-def _place(config: Values, path: str) -> tuple[Values, Table[Values], str]:
-    """Return the table with a dotted key, its allowed contents, and the last part of the key."""
     prefix, _, name = path.rpartition(".")
-    if not prefix:
-        return config, CONFIG, name
-    if prefix in SUBTABLES:
-        return config.setdefault(prefix, {}), SUBTABLES[prefix], name
-    for index, channel in enumerate(_channels(config)):
-        for called in (f"channel.{channel.get('name')}", f"channel.{index}"):
-            if prefix == called:
-                return channel, CHANNEL, name
-            if prefix == called + ".calibration":
-                return channel.setdefault("calibration", {}), CALIBRATION, name
-    tables = ", ".join([*SUBTABLES, *(f"channel.{channel}" for channel in channel_names(config))])
-    raise ConfigError(f"{prefix[:60]!r} is not a table of the configuration; its tables are {tables}")
+    names = channel_names(config)
+    index, inner = next(
+        (
+            (k, inner)
+            for k, channel in enumerate(names)
+            for inner in ("", ".calibration")
+            if prefix in (f"channel.{channel}{inner}", f"channel.{k}{inner}")
+        ),
+        (None, ""),
+    )
+    table = (CALIBRATION if inner else CHANNEL) if index is not None else {"": CONFIG, **SUBTABLES}.get(prefix)
+    if table is None:
+        tables = ", ".join([*SUBTABLES, *(f"channel.{channel}" for channel in names)])
+        raise ConfigError(f"{prefix[:60]!r} is not a table of the configuration; its tables are {tables}")
+    is_text = any(key.name == name and isinstance(key.value, UnquotedText) for key in config_keys(table))
+    with raising(ConfigError, prefix):
+        settings = table.parse({name: _text(value) if is_text else _number(value)})
+    if index is None:
+        return merged(config, {prefix: settings} if prefix else settings, {})
+    if inner:
+        settings = {"calibration": revised(config["channels"][index].get("calibration", {}), settings)}
+    return merged(config, {}, {index: settings})
 
 
-def _value(text: str, is_words: bool) -> Any:
-    """Parse a value from the command line: a TOML number, or text, which needs no quotes."""
-    if is_words:
-        return text[1:-1] if len(text) > 1 and text[0] == text[-1] == '"' else text
+def _text(value: str) -> str:
+    """Return text from the command line, where it needs no quotes."""
+    return value[1:-1] if len(value) > 1 and value[0] == value[-1] == '"' else value
+
+
+def _number(value: str) -> Any:
+    """Return a number or a list from the command line; other text as it is."""
     try:
-        values = load_toml(f"value = {text}", parse_number)
+        document = load_toml(f"value = {value}", parse_number)
     except (ValueError, RecursionError):
-        return text
-    return values["value"] if set(values) == {"value"} else text
+        return value
+    return document["value"] if set(document) == {"value"} else value
 
 
 def checked_config(box: BoxControl) -> Values:

@@ -49,34 +49,35 @@ class WireList(List):
     def parse(self, raw: Any, suffix: str = "") -> Any:
         return list(super().parse(raw, suffix))
 
-    def format(self, value: Any) -> str:
-        return super().format(value) if isinstance(value, list) else _unknown(value)
-
 
 class UnquotedText(Text):
     """Text; the command line needs no quotes around it."""
-
-    def format(self, value: Any) -> str:
-        return super().format(value) if isinstance(value, str) else _unknown(value)
-
-
-WireValue = WireNumber | WireList | UnquotedText
 
 
 @dataclass(frozen=True)
 class ConfigKey(Key):
     """A key in a file. Any key may be left out: the box then keeps its value. ``field`` is its name on the wire.
 
-    ``needed``: the box accepts no configuration without it.
+    ``needed``: the box accepts no configuration without it; others are removed by "".
     """
 
-    value: WireValue
+    value: WireNumber | WireList | UnquotedText
     optional: bool = True
     needed: bool = True
     comment: str = ""
 
+    def parse(self, raw: Any, spelled: str) -> Any:
+        return raw if raw == "" and not self.needed else super().parse(raw, spelled)
 
-def _key(name: str, value: WireValue, comment: str = "", **fields: Any) -> ConfigKey:
+    def format(self, value: Any) -> str:
+        """Return a value as TOML; as text, if a later host wrote it in a form that this one does not know."""
+        try:
+            return self.value.format(value)
+        except (TypeError, ValueError, ArithmeticError):
+            return Text().format(repr(value)[:MAX_TEXT])
+
+
+def _key(name: str, value: WireNumber | WireList | UnquotedText, comment: str = "", **fields: Any) -> ConfigKey:
     return ConfigKey(name, value, comment=comment, **fields)
 
 
@@ -87,7 +88,7 @@ def _microseconds(name: str, comment: str = "") -> ConfigKey:
 _PAIR = WireList(WireNumber(), 2)
 _EXACT = WireNumber(None)
 _TEXT = UnquotedText(MAX_TEXT)
-PROVENANCE = (  # of a calibration that a host made
+_PROVENANCE = (  # of a calibration that a host made
     _key("sigma", _EXACT, "standard deviation of the residuals, in unit"),
     _key("reference", _TEXT, "instrument that it was calibrated against"),
     _key("reference_sigma", _EXACT, "standard uncertainty of the reference, in unit"),
@@ -100,7 +101,7 @@ CALIBRATION = Table[dict[str, Any]](
         _key("poly", _POLY, "value = poly[0] + poly[1] x + poly[2] x² …, x = counts · scale / gain"),
         _key("serial", _TEXT),
         _key("date", _TEXT),
-        *PROVENANCE,
+        *_PROVENANCE,
     ),
     dict,
 )
@@ -125,7 +126,7 @@ MAGNETOSTRICTIVE = Table[dict[str, Any]](
         _key("pulse_edge", WireNumber(), "1: first edge of each pulse, 2: second, 0: a gate", needed=False),
         _key("serial", _TEXT),
         _key("date", _TEXT),
-        *PROVENANCE,
+        *_PROVENANCE,
     ),
     dict,
 )
@@ -146,9 +147,21 @@ CONFIG = Table[dict[str, Any]](
 )
 
 
+CURVE = ("poly", "us_per_inch", "delay_ns")  # of a calibration
+PROVENANCE = frozenset(key.called for key in _PROVENANCE)
+
+
 def config_keys(table: Table[dict[str, Any]]) -> tuple[ConfigKey, ...]:
     """Return the keys of a table that hold a single value, without its subtables."""
     return tuple(key for key in table.keys if isinstance(key, ConfigKey))
+
+
+REMOVABLE = {"calibration"} | {
+    key.called
+    for table in (CONFIG, CHANNEL, MAGNETOSTRICTIVE, THERMOMETERS)
+    for key in config_keys(table)
+    if not key.needed
+}
 
 
 def check(config: dict[str, Any]) -> dict[str, Any]:
@@ -160,19 +173,6 @@ def check(config: dict[str, Any]) -> dict[str, Any]:
     except ValueError as exc:
         raise ConfigError(str(exc)) from None
     return config
-
-
-def as_table(value: Any) -> dict[str, Any]:
-    """Return ``value``, or an empty table if it is not a table."""
-    return value if isinstance(value, dict) else {}
-
-
-def decimal_of(pair: Any) -> Decimal | None:
-    """Return the number in [mantissa, exponent]; None if it is invalid or cannot be represented in a file."""
-    if not isinstance(pair, list) or len(pair) != 2 or any(type(number) is not int for number in pair):
-        return None
-    mantissa, exponent = pair
-    return Decimal(f"{mantissa}E{exponent}") if abs(mantissa) < 2**64 and abs(exponent) <= MAX_EXPONENT else None
 
 
 def mantissa_exponent(number: Decimal) -> list[int]:
@@ -187,12 +187,12 @@ def mantissa_exponent(number: Decimal) -> list[int]:
     return [mantissa, exponent if mantissa else 0]
 
 
-def format_decimal(pair: Any) -> str:
-    """Return the number in [mantissa, exponent] as TOML; anything that is not such a pair as text."""
-    number = decimal_of(pair)
-    if number is None:
-        return _unknown(pair)
-    short = number.normalize()
+def format_decimal(pair: Sequence[int]) -> str:
+    """Return the number in [mantissa, exponent] as TOML. Raises ValueError if it cannot be represented in a file."""
+    mantissa, exponent = pair
+    if abs(mantissa) >= 2**64 or abs(exponent) > MAX_EXPONENT:
+        raise ValueError(pair)
+    short = Decimal(f"{mantissa}E{exponent}").normalize()
     return f"{short:f}" if -7 < short.adjusted() < 15 else f"{short:E}".replace("E+", "e").replace("E", "e")
 
 
@@ -206,7 +206,3 @@ def _decimal(raw: Any) -> Decimal:
 
 def _shown(raw: Any) -> str:
     return str(raw)[:40] if isinstance(raw, Decimal) else quoted(raw)
-
-
-def _unknown(value: Any) -> str:
-    return Text().format(repr(value)[:MAX_TEXT])

@@ -81,9 +81,7 @@ def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str
     if drive is None or board_of(drive) is None:
         with conversation(device, stop=options.stop) as box:
             ident = ident_of(box)
-            yield (
-                f"{device}: {one_line_of(ident)}{compared(ident.firmware, image.version)}; it enters its boot loader"
-            )
+            yield f"{device}: {one_line_of(ident)}; it enters its boot loader"
             box.reset(BOOT_LOADER)
 
     def appeared() -> Path | None:
@@ -98,19 +96,6 @@ def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str
             f"{device}: no boot drive appeared within {options.timeout:g} s; mount it and name its folder: truearm box flash {path} --drive FOLDER"
         )
     return boot_drive
-
-
-def compared(has: str, gets: str) -> str:
-    """Compare a box's firmware with an image's, as text to append; "" if either version is unknown."""
-    if not has or not gets:
-        return ""
-    if has == gets:
-        return ", as the image has"
-    try:
-        older = tuple(map(int, gets.split("."))) < tuple(map(int, has.split(".")))
-    except ValueError:
-        return f", the image has {gets}"
-    return f", the image has the {'older' if older else 'newer'} {gets}"
 
 
 def _only(drives: list[Path], image: Image) -> Path:

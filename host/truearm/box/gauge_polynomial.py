@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import Legendre, Polynomial, polynomial
+from numpy.polynomial import Legendre, Polynomial
 from numpy.polynomial.legendre import legvander
 
 from truearm.types import Floats, rms
@@ -75,13 +75,6 @@ def fit(x: Floats, y: Floats, order: int) -> PolyFit:
     return PolyFit(order, poly, residual, residual / (1.0 - np.sum(q**2, axis=1)), sigma)
 
 
-def coefficient_sigmas(x: Floats, result: PolyFit) -> Floats:
-    """Return the standard deviations of a fit's coefficients."""
-    powers = polynomial.polyvander(x, result.order)
-    size = np.linalg.norm(powers, axis=0)  # readings may be counts
-    return np.asarray(result.sigma * np.linalg.norm(np.linalg.pinv(powers / size), axis=1) / size)
-
-
 def fits(x: Floats, y: Floats, highest: int = MAX_ORDER) -> list[PolyFit]:
     """Return the fits of all possible orders, lowest first; [] if there are too few points."""
     return [fit(x, y, order) for order in possible_orders(x, highest)]
@@ -104,16 +97,3 @@ def head_of(line: PolyFit) -> tuple[float, float]:
     if not velocity > 0.0:
         raise ValueError("the position must rise with the time of flight; check the signs of the reference")
     return US.of(INCH.to_si(1.0) / velocity), NS.of(TICK_S / 2.0 - offset / velocity)
-
-
-def rounded(poly: Floats, x: Floats, error: float) -> list[str]:
-    """Return the coefficients as decimal text, as short as possible.
-
-    At readings x (n,) the polynomial stays within ``error`` of the exact one.
-    """
-    exact = polynomial.polyval(x, poly)
-    for digits in range(4, 18):
-        texts = [f"{coefficient:.{digits - 1}e}" for coefficient in poly]
-        if np.max(np.abs(polynomial.polyval(x, [float(text) for text in texts]) - exact)) <= error:
-            break
-    return texts

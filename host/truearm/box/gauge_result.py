@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import polynomial
 
-from truearm.box.configuration_schema import PROVENANCE, check, mantissa_exponent
+from truearm.box.configuration import channel_names, merged
+from truearm.box.configuration_schema import check, mantissa_exponent
 from truearm.box.gauge_places import Places
-from truearm.box.gauge_polynomial import MAX_ORDER, PolyFit, chosen, coefficient_sigmas, fits, head_of, rounded
+from truearm.box.gauge_polynomial import MAX_ORDER, PolyFit, chosen, fits, head_of
 from truearm.box.requests import GaugeOptions
 from truearm.errors import Argument, ConfigError, InputError
 from truearm.report import svg
@@ -34,7 +35,7 @@ from truearm.units import DEGC, MM, UM
 from truearm.version import VERSION
 
 HEAD = "magnetostrictive"  # name of the channel, and of its entry in the configuration
-ROUNDING = 1e-9  # m, allowed difference between the stored decimals and the fit
+DIGITS = 12  # of a stored coefficient: over 0.1 m, their rounding is less than 1 nm at any order
 RESIDUAL_CAPTION = (
     "Reference minus calibrated reading. Points scatter about zero without a pattern if the order is right; the dashed lines "
     "are two standard deviations. A difference between there and back indicates play or friction in the stage."
@@ -99,10 +100,10 @@ def calibrate(places: Places, channel: Channel, order: int | None) -> Calibratio
 
 def with_calibration(config: dict[str, Any], calibration: Calibration, options: GaugeOptions) -> dict[str, Any]:
     """Return the configuration with the new calibration, checked. Raises InputError, ConfigError."""
-    entries = [dict(entry) for entry in config["channels"]]
-    channel = next((entry for entry in entries if entry["name"] == calibration.channel.name), {})
-    is_head = calibration.channel.name == HEAD
-    previous = config[HEAD] if is_head else channel.get("calibration", {})
+    names = channel_names(config)
+    name = calibration.channel.name
+    is_head = name == HEAD
+    previous = config[HEAD] if is_head else config["channels"][names.index(name)].get("calibration", {})
     temperature = _temperature(calibration.places)
     provenance = {
         "serial": previous.get("serial", "") if options.serial is None else options.serial,
@@ -113,17 +114,15 @@ def with_calibration(config: dict[str, Any], calibration: Calibration, options: 
         **({} if options.uncertainty is None else {"reference_sigma": _pair(f"{0.5 * options.uncertainty:.3e}")}),
     }
     if is_head:
-        settings = {name: value for name, value in previous.items() if name not in {key.called for key in PROVENANCE}}
         try:
             us_per_inch, delay_ns = head_of(calibration.fit)
         except ValueError as exc:
             raise InputError(f"these places do not give a calibration: {exc}") from exc
-        head = {"us_per_inch": _pair(f"{us_per_inch:.9f}"), "delay_ns": round(delay_ns)}
-        return check({**config, HEAD: {**settings, **head, **provenance}})
-    span = np.linspace(calibration.places.readings.min(), calibration.places.readings.max(), 101)
-    poly = [_pair(text) for text in rounded(calibration.fit.poly, span, ROUNDING)]
-    channel["calibration"] = {"unit": "m", "poly": poly, **provenance}
-    return check({**config, "channels": entries})
+        head = {"us_per_inch": _pair(f"{us_per_inch:.9f}"), "delay_ns": round(delay_ns), **provenance}
+        return check(merged(config, {HEAD: head}, {}))
+    poly = [_pair(f"{coefficient:.{DIGITS - 1}e}") for coefficient in calibration.fit.poly]
+    entries = {"calibration": {"unit": "m", "poly": poly, **provenance}}
+    return check(merged(config, {}, {names.index(name): entries}))
 
 
 def _pair(text: str) -> list[int]:
@@ -172,11 +171,9 @@ def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, co
             "none" if previous is None else f"off by {UM.text(previous, '.2f')} RMS at these references",
         ),
     )
-    sigmas = coefficient_sigmas(places.readings, fit)
     curve = [
         ("order", str(fit.order)),
         ("coefficients", ", ".join(f"{coefficient:.6g}" for coefficient in fit.poly)),
-        ("standard deviations of the coefficients", ", ".join(f"{sigma:.2g}" for sigma in sigmas)),
     ]
     if name == HEAD:
         us_per_inch, delay_ns = head_of(fit)

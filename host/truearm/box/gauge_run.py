@@ -23,14 +23,14 @@ from truearm.box.gauge_places import (
     read_references,
 )
 from truearm.box.gauge_result import HEAD, calibrate, gauge_page, with_calibration
+from truearm.box.readiness import usable_channel
 from truearm.box.requests import GaugeOptions
 from truearm.errors import Argument, InputError, LinkError, TruearmError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.progress import step
-from truearm.session.box_ident import find_channel
 from truearm.session.sample_noise import mean_of, quick_noise
-from truearm.session.samples import railed, volts, with_ratios
-from truearm.text import box_command, counted, one_line
+from truearm.session.samples import counts_of, railed, volts
+from truearm.text import counted, one_line
 from truearm.types import Floats
 from truearm.units import MM, NS
 
@@ -75,7 +75,8 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
     check_writable(page, options.force or places_file.exists(), inputs=inputs, kind="page")
     with conversation(device, stop=stop) as box:
         ident, config = ident_of(box), checked_config(box)
-        stream, channel = _find(ident, options.channel, device)
+        stream, index = usable_channel(ident, options.channel, device)
+        channel = stream.channels[index]
         places = _continued(places_file, ident, channel, operator)
         run = GaugeRun(box, stream, channel, options, operator, places_file, places)
         try:
@@ -101,20 +102,6 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
             if places.places:
                 say(f"\n{places_file} keeps the places; the same command continues from them")
             raise
-
-
-def _find(ident: Ident, name: str, device: str) -> tuple[Stream, Channel]:
-    place = find_channel(ident, name)
-    if place is None:
-        names = ", ".join(channel.name for stream in ident.streams.values() for channel in stream.channels)
-        command = box_command("config set magnetostrictive.period_us=983.04", device)
-        off = f"; its stream is off (switch it on with {command})" if name == HEAD else ""
-        raise InputError(f"the box has no channel {name[:40]!r}{off}; it has {names}")
-    channel = place[0].channels[place[1]]
-    if channel.fault:
-        command = box_command(f"config set channel.{name}.KEY=VALUE", device)
-        raise InputError(f"channel {name} cannot be used: {channel.fault}; correct it with {command}")
-    return place[0], channel
 
 
 def _continued(places_file: Path, ident: Ident, channel: Channel, operator: GaugeOperator) -> Places:
@@ -245,16 +232,16 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
             )
     for _ in box.sent(0.0):  # data in transit
         continue
-    return with_ratios(np.concatenate(blocks), stream.channels)
+    return np.concatenate(blocks)
 
 
 def _blocks(box: BoxControl, stream: Stream, skip: int, end_s: float) -> Iterator[NDArray[np.int32]]:
     """Yield the blocks of a stream from sample number ``skip`` on, until a time of the host's clock."""
-    width = len(stream.channels)
     while box.now_s < end_s:
         for data in (sent.data for sent in box.sent(0.05)):
-            if data and data.stream == stream.id and data.n0 >= skip and len(data.samples) % (4 * width) == 0:
-                yield np.frombuffer(data.samples, "<i4").reshape(-1, width)
+            counts = counts_of(data, stream) if data and data.stream == stream.id and data.n0 >= skip else None
+            if counts is not None:
+                yield counts
 
 
 def trouble(counts: NDArray[np.int32], channel: Channel) -> str:

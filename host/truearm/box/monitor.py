@@ -78,14 +78,12 @@ class Watch:
 
     def take(self, sent: Sent) -> None:
         """Process a frame."""
-        from truearm.session.samples import with_ratios
+        from truearm.session.samples import counts_of
         from truearm_wire.messages import EVENT, HEARTBEAT, SYNC_REPLY, TEMPERATURE
 
         if sent.data is not None:
             stream = self.ident.streams.get(sent.data.stream)
-            if stream is not None and len(sent.data.samples) % (4 * len(stream.channels)) == 0:
-                counts = np.frombuffer(sent.data.samples, "<i4").reshape(-1, len(stream.channels))
-                counts = with_ratios(counts, stream.channels)
+            if stream is not None and (counts := counts_of(sent.data, stream)) is not None:
                 self.windows.setdefault(stream.id, LastSecond()).take(sent.data.n0, counts, sent.data.period_ns)
         elif sent.kind == HEARTBEAT:
             self.heartbeat = sent.fields

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import date
 from typing import TYPE_CHECKING, Any
 
+from truearm.errors import InputError
 from truearm.text import box_command, one_line
 from truearm.units import DEGC, MM
 
@@ -87,7 +88,8 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
     )
 
 
-def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[str], list[str]]:
+def usable_channel(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
+    """Return the stream with a channel, and the channel's index. Raises InputError if there is none that can be used."""
     from truearm.session.box_ident import find_channel
 
     place = find_channel(ident, name)
@@ -99,17 +101,21 @@ def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[st
             else f"to rename one, save what {box_command('config get', device)} prints as box.toml, edit it, and run "
             f"{box_command('config set box.toml', device)}"
         )
-        return [f"the box has no channel {name} (it has {names}); {advice}"], []
-    stream, index = place
-    channel = stream.channels[index]
-    if channel.fault:
-        return [
-            f"channel {name} cannot be used: {channel.fault}; correct it with {box_command(f'config set channel.{name}.KEY=VALUE', device)}"
-        ], []
-    if channel.length_unit is None:
-        return [
-            f"channel {name} is not calibrated to a length; calibrate it with {box_command(f'gauge {name}', device)}"
-        ], []
+        raise InputError(f"the box has no channel {one_line(name[:40])} (it has {names}); {advice}")
+    if fault := place[0].channels[place[1]].fault:
+        command = box_command(f"config set channel.{name}.KEY=VALUE", device)
+        raise InputError(f"channel {name} cannot be used: {fault}; correct it with {command}")
+    return place
+
+
+def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[str], list[str]]:
+    try:
+        stream, index = usable_channel(ident, name, device)
+    except InputError as exc:
+        return [str(exc)], []
+    if stream.channels[index].length_unit is None:
+        command = box_command(f"gauge {name}", device)
+        return [f"channel {name} is not calibrated to a length; calibrate it with {command}"], []
     return [], _old(name, _described(ident, stream, index), today, device)
 
 

@@ -11,19 +11,21 @@ without which the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
 from __future__ import annotations
 
 import re
-import struct
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from truearm.errors import ImageError
 from truearm.files.disk import read_bytes
 
 BLOCK = 512
 PAGE = 256  # bytes of data in a block; the ROM accepts no other size
-_HEAD = struct.Struct("<8I")
 _MAGIC = (0x0A324655, 0x9E5D5157)
-_MAGIC_END = struct.pack("<I", 0x0AB16F30)
+_MAGIC_END = 0x0AB16F30
 _NOT_MAIN_FLASH, _FAMILY_PRESENT = 0x1, 0x2000
+_WORDS = ("flags", "address", "size", "number", "count", "family")
+_LAYOUT = np.dtype([("magic", "<u4", 2), *((name, "<u4") for name in _WORDS), ("data", "V476"), ("end", "<u4")])
 _MARK = b"truearm_box"  # the package's name occurs in every image with frozen firmware
 _VERSION = re.compile(rb"truearm_box (\d{1,4}\.\d{1,4}\.\d{1,4})\b")  # MARK of truearm_wire/version.py
 
@@ -71,23 +73,45 @@ def parse_uf2(data: bytes, name: str) -> Image:
         )
     if len(data) > MAX_BYTES:
         raise ImageError(f"{name}: is larger than the chip's flash; give an image of the box's firmware")
-    blocks = [data[offset : offset + BLOCK] for offset in range(0, len(data), BLOCK)]
+    blocks = np.frombuffer(data, _LAYOUT)
+    whole = (blocks["magic"] == _MAGIC).all(axis=1) & (blocks["end"] == _MAGIC_END)
+    if not whole[0]:
+        raise ImageError(f"{name}: is not a UF2 file; give an image of the box's firmware")
     chip = _chip(blocks[0], name)
-    family = _HEAD.unpack_from(blocks[0])[7]
-    end = chip.start
-    for number, block in enumerate(blocks):
-        end = _check_block(block, number, len(blocks), family, chip, end, name)
-    pages = [block[_HEAD.size : _HEAD.size + PAGE] for block in blocks]
-    if _HEAD.unpack_from(blocks[0])[3] != chip.start:
+    address, size = blocks["address"].astype(np.int64), blocks["size"]
+    in_order = (blocks["number"] == np.arange(len(blocks))) & (blocks["count"] == len(blocks))
+    is_main = blocks["flags"] & (_FAMILY_PRESENT | _NOT_MAIN_FLASH) == _FAMILY_PRESENT
+    rules = (
+        (whole, "is damaged"),
+        (is_main & (blocks["family"] == blocks["family"][0]), f"is not for the {chip.name}'s flash"),
+        (in_order, "is marked as block {number} of {count}; the file is incomplete"),
+        (
+            (size == PAGE) & (address % PAGE == 0),
+            f"holds {{size}} bytes for address {{address:#x}}; the chip needs pages of {PAGE}",
+        ),
+        (
+            (chip.start <= address) & (address <= chip.start + chip.flash - PAGE),
+            f"is for address {{address:#x}}, which is not in the {chip.name}'s flash",
+        ),
+        (np.diff(address, prepend=chip.start - PAGE) >= PAGE, "overlaps an earlier block"),
+    )
+    for is_valid, text in rules:
+        if not is_valid.all():
+            k = int(is_valid.argmin())
+            reason = text.format(**{word: int(blocks[word][k]) for word in _WORDS})
+            raise ImageError(f"{name}: block {k} of {len(blocks)} {reason}; get the file again")
+    if address[0] != chip.start:
         raise ImageError(
             f"{name}: does not begin where the {chip.name}'s flash begins, so nothing in it would start; get the file again"
         )
+    pages = [block.tobytes()[:PAGE] for block in blocks["data"]]
     if boot_checksum(pages[0][:-4]) != int.from_bytes(pages[0][-4:], "little"):
         raise ImageError(
             f"{name}: its boot stage has a wrong checksum, so the chip would not start; get the file again"
         )
     content = b"".join(pages)
     version = _VERSION.search(content)
+    end = int(address[-1]) + PAGE
     return Image(chip, len(blocks), end - chip.start, _MARK in content, version[1].decode() if version else "", data)
 
 
@@ -101,35 +125,10 @@ def boot_checksum(stage: bytes) -> int:
     return crc
 
 
-def _chip(block: bytes, name: str) -> Chip:
-    head = _HEAD.unpack_from(block)
-    if head[:2] != _MAGIC or not block.endswith(_MAGIC_END):
-        raise ImageError(f"{name}: is not a UF2 file; give an image of the box's firmware")
-    if not head[2] & _FAMILY_PRESENT or head[7] not in CHIPS:
+def _chip(block: np.void, name: str) -> Chip:
+    family = int(block["family"]) if block["flags"] & _FAMILY_PRESENT else None
+    if family not in CHIPS:
         names = ", ".join(chip.name for chip in CHIPS.values())
-        family = f"family {head[7]:#010x}" if head[2] & _FAMILY_PRESENT else "no family"
-        raise ImageError(f"{name}: is for another chip ({family}); the box has the {names}; give an image for it")
-    return CHIPS[head[7]]
-
-
-def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip, end: int, name: str) -> int:
-    """Return the end address of a block that is valid and starts at ``end`` or later. Raises ImageError."""
-    magic_0, magic_1, flags, address, size, index, n_blocks, of_family = _HEAD.unpack_from(block)
-    place = f"{name}: block {number} of {count}"
-    if (magic_0, magic_1) != _MAGIC or not block.endswith(_MAGIC_END):
-        raise ImageError(f"{place} is damaged; get the file again")
-    if flags & _NOT_MAIN_FLASH or not flags & _FAMILY_PRESENT or of_family != family:
-        raise ImageError(f"{place} is not for the {chip.name}'s flash; get the file again")
-    if (index, n_blocks) != (number, count):
-        raise ImageError(f"{place} is marked as block {index} of {n_blocks}; the file is incomplete; get it again")
-    if size != PAGE or address % PAGE:
-        raise ImageError(
-            f"{place} holds {size} bytes for address {address:#x}; the chip needs pages of {PAGE}; get the file again"
-        )
-    if not chip.start <= address <= chip.start + chip.flash - PAGE:
-        raise ImageError(
-            f"{place} is for address {address:#x}, which is not in the {chip.name}'s flash; get the file again"
-        )
-    if address < end:
-        raise ImageError(f"{place} overlaps an earlier block; get the file again")
-    return int(address) + PAGE
+        text = "no family" if family is None else f"family {family:#010x}"
+        raise ImageError(f"{name}: is for another chip ({text}); the box has the {names}; give an image for it")
+    return CHIPS[family]

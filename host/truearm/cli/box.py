@@ -155,14 +155,14 @@ def get(
     out : FILE
         File to write: the configuration (.toml), instead of printing it.
     """
-    from truearm.box.configuration import format_config
+    from truearm.box.configuration import checked_config, format_config
     from truearm.files.disk import check_writable, write_atomic
 
     if out is not None:
         check_writable(out, force, kind="configuration")
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
-        config = connected.config()
+        config = checked_config(connected)
     text = format_config(config)
     if out is None:
         return Answer(config, text.splitlines())

@@ -26,7 +26,7 @@ from truearm.session.dwell_samples import DRIFT_SIGMAS, MICRON
 from truearm.session.frames import Data
 from truearm.session.joint_format import JointLine
 from truearm.session.sample_noise import LEAST_LAGS, mean_of
-from truearm.session.samples import extension, railed, with_ratios
+from truearm.session.samples import counts_of, extension, railed
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED, Floats, Move, Rig
 from truearm.units import MM, NS, UM, US
@@ -150,9 +150,9 @@ class LiveState(Operator):
     @_shielded
     def block(self, t_host_ns: int, data: Data) -> None:
         stream = None if self._ident is None else self._ident.streams.get(data.stream)
-        if stream is None or len(data.samples) % (4 * len(stream.channels)):
+        counts = None if stream is None else counts_of(data, stream)
+        if stream is None or counts is None:
             return
-        counts = with_ratios(np.frombuffer(data.samples, "<i4").reshape(-1, len(stream.channels)), stream.channels)
         window = self._windows.setdefault(stream.id, LastSecond())
         window.take(data.n0, counts, data.period_ns)
         self._heard_s[stream.id] = self.elapsed_s

@@ -17,16 +17,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from truearm.errors import ProtocolError
 from truearm.record.frame_splitter import FrameCount, FrameSplitter, frame_head
 from truearm.record.operator import Counters, Operator
+from truearm.record.requests import Requests
 from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_ident import Ident, decode_ident
-from truearm.session.frames import Data, Pages, data_frame, fields_of
-from truearm.session.samples import shown, with_ratios
+from truearm.session.box_ident import Ident
+from truearm.session.frames import Data, data_frame, fields_of
+from truearm.session.samples import counts_of, shown
 from truearm.units import MDEGC
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, TEMPERATURE
 
@@ -81,17 +81,13 @@ _LARGEST_UNNAMED_STREAM = 255
 
 @dataclass
 class BoxStorage:
-    """The box's side of a recording. ``awaited`` is the id of the current command; ``answer``: "" once it was executed, or the
-    error.
-    """
+    """The box's side of a recording. ``requests`` takes the answers to commands."""
 
     writer: SessionWriter
     counters: Counters
     exchanges: ClockExchanges
+    requests: Requests
     operator: Operator = field(default_factory=Operator)
-    ident: Ident | None = None
-    awaited: int | None = None
-    answer: str | None = None
     suspect: bool = False  # the box may have restarted
     restarted: bool = False  # it has
     stopped: bool = False  # it reports that it is not streaming, though it was started
@@ -103,7 +99,6 @@ class BoxStorage:
     _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes per sample
     _next_preview_ns: dict[int, int] = field(default_factory=dict)  # by stream
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
-    _pages: Pages = field(default_factory=Pages)
 
     def take(self, t_host_ns: int, data: bytes) -> None:
         """Store and evaluate bytes that arrived. Raises ProtocolError for an ident that cannot be used."""
@@ -123,6 +118,11 @@ class BoxStorage:
         remainder = self._splitter.flush()
         if remainder and self.heard_ns is not None:
             self._take_console(self.heard_ns, remainder)
+
+    @property
+    def ident(self) -> Ident | None:
+        """The box's latest description of itself."""
+        return self.requests.ident
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -160,10 +160,11 @@ class BoxStorage:
     def _preview(self, t_host_ns: int, data: Data) -> None:
         """Store a block's last sample for viewers that cannot read frames."""
         stream = None if self.ident is None else self.ident.streams.get(data.stream)
-        if stream is not None and data.samples and len(data.samples) % (_SAMPLE_BYTES * len(stream.channels)) == 0:
-            last = np.frombuffer(data.samples[-_SAMPLE_BYTES * len(stream.channels) :], "<i4")
-            counts = with_ratios(last[None], stream.channels)[0].tolist()
-            row = dict(shown(*pair) for pair in zip(stream.channels, counts, strict=True) if not pair[0].fault)
+        counts = None if stream is None else counts_of(data, stream)
+        if stream is not None and counts is not None:
+            row = dict(
+                shown(*pair) for pair in zip(stream.channels, counts[-1].tolist(), strict=True) if not pair[0].fault
+            )
             self.writer.add(PREVIEW + stream.name, t_host_ns, msgspec.json.encode(row))
 
     def _count(self, seq: int | None) -> None:
@@ -177,12 +178,11 @@ class BoxStorage:
             self.exchanges.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
         elif kind == HEARTBEAT:
             self._take_heartbeat(fields)
-        elif kind == IDENT:
-            self._take_ident_page(t_host_ns, fields)
-        elif kind == REPLY and fields["req_id"] == self.awaited:
-            self.answer = ""
-        elif kind == ERROR and fields["req_id"] == self.awaited:
-            self.answer = f"{fields['text']} (error {fields['code']})"
+        elif kind in (IDENT, REPLY, ERROR):
+            recorded, faults = self.ident, self.faults
+            self.requests.take(kind, fields)
+            if self.ident is not None and self.ident is not recorded:
+                self._take_ident(t_host_ns, recorded, faults, self.ident)
 
     def _take_heartbeat(self, fields: Mapping[str, Any]) -> None:
         self._count_in_box(fields["boot_id"], fields["dropped"], fields["overruns"])
@@ -210,25 +210,19 @@ class BoxStorage:
         self.counters.dropped_in_box += increase[0]
         self.counters.overruns_in_box += increase[1]
 
-    def _take_ident_page(self, t_host_ns: int, fields: Mapping[str, Any]) -> None:
-        document = self._pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])
-        if document is None:
-            return
-        ident = decode_ident(document)
-        if self.ident is not None:
-            _check_same(self.ident, ident)
-        if self.ident is not None and ident.boot_id != self.ident.boot_id:
+    def _take_ident(self, t_host_ns: int, recorded: Ident | None, faults: tuple[str, ...], ident: Ident) -> None:
+        """Compare an ident with the one before and its faults."""
+        if recorded is not None:
+            _check_same(recorded, ident)
+        if recorded is not None and ident.boot_id != recorded.boot_id:
             self.counters.restarts += 1
             self.restarted = True
             self.cleared()
-            self.writer.event("box-restarted", t_host_ns, boot_id=ident.boot_id, boot_id_before=self.ident.boot_id)
-        faults_before, self.ident = self.faults, ident
+            self.writer.event("box-restarted", t_host_ns, boot_id=ident.boot_id, boot_id_before=recorded.boot_id)
         for text in ident.faults:
-            if text not in faults_before:
+            if text not in faults:
                 self.writer.event("box-fault", t_host_ns, text=text)
         self._streams = {s.id: (f"/box/{s.name}", _SAMPLE_BYTES * len(s.channels)) for s in ident.streams.values()}
-        if fields["req_id"] == self.awaited:
-            self.answer = ""
 
 
 def _check_same(recorded: Ident, answering: Ident) -> None:

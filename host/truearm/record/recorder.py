@@ -12,23 +12,20 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from truearm.errors import LinkClosed, LinkError, ProtocolError, TruearmError
+from truearm.errors import LinkClosed, LinkError, ProtocolError, RefusedError, TruearmError
 from truearm.record.box_storage import BoxStorage, ClockExchanges
 from truearm.record.joint_lines import EXPECTED, RobotIntake
 from truearm.record.links import Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Counters, Operator, RecordSummary, Status
-from truearm.record.requests import Requests
+from truearm.record.requests import RETRIES, SECOND, Requests
 from truearm.record.session_writer import SessionWriter
 from truearm.schema import quoted
 from truearm.session.box_ident import Ident
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
 
-SECOND = 1_000_000_000
 CHORES_NS = SECOND // 20  # interval for clock exchanges, chunks and progress
 PROBE_NS = SECOND // 10
 PROGRESS_NS = SECOND // 4
-RETRY_NS = SECOND // 2
-RETRIES = 10  # 5 s: a newly connected box waits 2 s before it runs
 STOP_RETRIES = 4  # the operator who pressed Ctrl-C waits for this
 SILENCE_NS = 3 * SECOND  # for a box that sends a heartbeat every second
 ROBOT_NS = 5 * SECOND  # a robot with a running stream has sent hundreds of readings by then
@@ -41,8 +38,6 @@ ROBOT_SHARE_NS = SECOND // 50  # at a time, so that a flood of readings delays n
 DRAIN_NS = SECOND // 5
 WAITING_NS = 5 * SECOND  # for readings that were received and not stored yet; usually there are none
 USUAL_WAITING = 128  # pieces that have just arrived when a recording ends
-
-_COMMANDS = {IDENTIFY: "identify", CONFIGURE: "configure", START: "start", STOP: "stop"}
 
 
 class _Ended(Exception):
@@ -100,8 +95,8 @@ def record(
     at the operator's request. It also ends if a lost or closed link cannot be opened again, or not within
     ``patience_s``. A writer that is held is kept once the box has started. The links stay open.
 
-    Raises LinkError if the box does not answer, ProtocolError if it refuses a command, speaks another protocol or has
-    been replaced by another one, TruearmError if the file cannot be written, and whatever ``operator`` raises to refuse
+    Raises LinkError if the box does not answer, RefusedError if it refuses a command, ProtocolError if it speaks another
+    protocol or has been replaced by another one, TruearmError if the file cannot be written, and whatever ``operator`` raises to refuse
     the box. Data received until then is kept in the file.
     """
     for name, entries in options.head:
@@ -129,10 +124,10 @@ class _Recorder:
 
         self._counters = Counters()
         self._exchanges = ClockExchanges(writer, self._counters)
-        self._box = BoxStorage(writer, self._counters, self._exchanges, operator)
-        self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters, operator)
         now_ns = clock.now_ns()
         self._requests = Requests(now_ns)
+        self._box = BoxStorage(writer, self._counters, self._exchanges, self._requests, operator)
+        self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters, operator)
         self._state = "identifying"
         self._to_set_up = True
         self._to_ask = False  # whether to check that the box is still the same
@@ -190,7 +185,7 @@ class _Recorder:
                 elif self._to_ask or self._box.suspect:
                     self._ask()
                 self._pump(CHORES_NS)
-            except ProtocolError:
+            except (ProtocolError, RefusedError):
                 raise
             except LinkError as exc:
                 self._reconnect(exc)
@@ -336,31 +331,16 @@ class _Recorder:
     # --- commands
 
     def _command(self, kind: int, *arguments: Any, may_fail: bool = False, retries: int = RETRIES) -> None:
-        """Send a command until it is answered. Raises LinkError if it is not answered, ProtocolError if it is refused."""
-        self._box.awaited, data = self._requests.make(kind, *arguments)
-        self._box.answer = None
-        name = _COMMANDS[kind]
-        for _ in range(retries):
-            self._link.write(data)
-            answer = self._await_answer()
-            if answer is not None:
-                break
-        else:
-            raise LinkError("no-answer", place=self._link.name, request=name, seconds=retries * RETRY_NS / SECOND)
-        if answer and not may_fail:
-            raise ProtocolError(
-                f"{self._link.name}: the box refuses {' '.join([name, *map(str, arguments)])!r}: {answer}"
-            )
+        """Send a command until it is answered. Raises LinkError if it is not answered, RefusedError if it is refused."""
+        try:
+            self._requests.ask(self._link, self._clock, self._await, kind, *arguments, retries=retries)
+        except RefusedError:
+            if not may_fail:
+                raise
 
-    def _await_answer(self) -> str | None:
-        deadline_ns = self._clock.now_ns() + RETRY_NS
-        while self._box.answer is None:
-            left_ns = deadline_ns - self._clock.now_ns()
-            if left_ns <= 0:
-                return None
-            self._check_end()
-            self._pump(left_ns)
-        return self._box.answer
+    def _await(self, timeout_s: float) -> None:
+        self._check_end()
+        self._pump(round(timeout_s * SECOND))
 
     # --- the loop
 

@@ -18,6 +18,7 @@ from truearm import units
 from truearm.errors import SessionError
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channel
 from truearm.session.clock import DeviceClock
+from truearm.session.frames import Data
 from truearm.session.spool import Spool
 from truearm.session.streams import Blocks
 from truearm.text import box_command, one_line
@@ -51,6 +52,14 @@ def with_ratios(counts: NDArray[np.int32], channels: Sequence[Channel]) -> NDArr
         ratio = counts[:, k] / np.where(usable, over, 1) * (channels[k].per_count / RATIO_STEP)
         ratios[:, k] = np.where(usable, np.clip(np.rint(ratio), RAIL_LOW, RAIL_HIGH), RAIL_HIGH)
     return ratios
+
+
+def counts_of(data: Data, stream: Stream) -> NDArray[np.int32] | None:
+    """Return the counts (n, c) of a frame, with ratios; None if it does not hold whole samples of the stream."""
+    n_channels = len(stream.channels)
+    if not data.samples or len(data.samples) % (4 * n_channels):
+        return None
+    return with_ratios(np.frombuffer(data.samples, "<i4").reshape(-1, n_channels), stream.channels)
 
 
 def volts(counts: NDArray[Any], channel: Channel) -> Floats:

@@ -120,13 +120,8 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
         reasons.append(f"{closed} a joint reading")
     elif summary.robot_gone:
         reasons.append(summary.robot_gone)
-    if summary.counters.robot_missing:
-        number = counted(summary.counters.robot_missing, "reading is", "readings are")
-        reasons.append(f"the robot sent more than could be stored: {number} missing; let it send fewer per second")
-    elif summary.counters.robot_unstored or summary.counters.robot_dropped:
-        reasons.append(
-            "the robot sent more than could be stored, so readings may be missing; let it send fewer per second"
-        )
+    if summary.counters.robot_unstored or summary.counters.robot_held_up:
+        reasons.append(f"{FLOODED}, so readings may be missing; let it send fewer per second")
     if summary.box_gone and summary.reason != "link lost":
         lost_s = summary.duration_s - summary.heard_s
         reasons.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
@@ -335,6 +330,7 @@ def counted_dwells(result: SyncResult) -> RecordedDwells:
     return RecordedDwells(total, usable, words, dict(sorted(counts.items())), len(visited - measured))
 
 
+FLOODED = "the robot sent more than could be stored"
 DISTURBANCES = {  # counters of what a recording survives
     "restarts": ("restart of the box", "restarts of the box"),
     "link_losses": ("loss of the link to the box", "losses of the link to the box"),
@@ -389,7 +385,5 @@ def _disturbances(counters: Counters) -> Iterator[str]:
     for name, words in DISTURBANCES.items():
         if n := getattr(counters, name):
             yield counted(n, *words)
-    if counters.robot_missing or counters.robot_dropped or counters.robot_unstored:
-        yield "the robot sent more than could be stored"
-    elif counters.robot_held_up:
-        yield "the robot sent faster than could be stored for a time; no reading is missing"
+    if counters.robot_held_up or counters.robot_unstored:
+        yield FLOODED
