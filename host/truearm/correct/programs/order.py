@@ -1,18 +1,23 @@
-"""Which statements may come immediately before another, by following the text through branches and loops.
+"""Which statements may come immediately before another, by following the text through branches, loops and routines.
 
-This answers two questions: from which targets the robot comes to a target, and which tool is in force at a move.
+This answers two questions: from which targets the robot comes to a target, and which frames are in force at a move.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Generic, TypeVar, assert_never
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 from truearm.correct.programs.program import Step
 
 MOST_ORIGINS = 4  # moves that may be the last one before a move; more count as unknown
+MOST_SETTINGS = 100  # of a tool or base that may be the last one before a move
+UNKNOWN: frozenset[None] = frozenset([None])
+LOOPS = (Step.LOOP, Step.REPEAT)
 T = TypeVar("T")
+Source = int | frozenset[T | None]  # what may be the last before another step, or that
 
 
 def closure(start: Iterable[T], following: Callable[[T], Iterable[T]]) -> set[T]:
@@ -28,69 +33,90 @@ def closure(start: Iterable[T], following: Callable[[T], Iterable[T]]) -> set[T]
 
 @dataclass(eq=False)
 class _Block(Generic[T]):
-    """A routine, choice or loop: its first step, what comes before it, and what its finished branches end with.
+    """A routine, choice or loop: its first step with what comes before it, and the last steps of its finished branches.
 
     ``is_skipped``: whether some way leads past all of its branches.
     """
 
     step: Step
     number: int
-    incoming: frozenset[T | None]
-    ends: frozenset[T | None] = frozenset()
-    is_skipped: bool = True
+    incoming: list[Source[T]]
+    is_skipped: bool
+    ends: list[Source[T]] = field(default_factory=list)
 
 
-def preceding(steps: Sequence[Step | T], counts: Callable[[T], bool], limit: int) -> dict[T, frozenset[T | None]]:
+def preceding(
+    steps: Sequence[Step | T],
+    counts: Callable[[T], bool],
+    limit: int,
+    linked: Callable[[T], Sequence[T]] = lambda entry: (),
+) -> dict[T, frozenset[T | None]]:
     """Return, for every entry of ``steps``, which entries that count may be the last before it.
 
     None among them: it is unknown, as where a routine begins, or after a call. More than ``limit`` are unknown too.
+    ``linked``: what came before these entries is what comes before all after this one, such as the ends of a routine that it calls.
     """
-    loop_ends: dict[int, frozenset[T | None]] = {}
-    _followed(steps, counts, limit, loop_ends)
-    # What a loop ends with comes from its body, which this pass has followed, or from before it.
-    return _followed(steps, counts, limit, loop_ends)
-
-
-def _followed(
-    steps: Sequence[Step | T], counts: Callable[[T], bool], limit: int, loop_ends: dict[int, frozenset[T | None]]
-) -> dict[T, frozenset[T | None]]:
-    """Return the last entries that count before each entry, and note with what each loop ends, by its first step."""
-    unknown: frozenset[T | None] = frozenset([None])
-    last, blocks = unknown, list[_Block[T]]()
-    last_before: dict[T, frozenset[T | None]] = {}
-
-    def united(*alternatives: frozenset[T | None]) -> frozenset[T | None]:
-        union = frozenset[T | None]().union(*alternatives)
-        return union if len(union) <= limit else unknown
-
-    for number, step in enumerate(steps):
+    places: dict[T, list[int]] = defaultdict(list)
+    for index, step in enumerate(steps):
         if not isinstance(step, Step):
-            last_before[step] = united(last_before.get(step, frozenset()), last)
-            last = frozenset([step]) if counts(step) else last
+            places[step].append(index)
+
+    nowhere: list[Source[T]] = [UNKNOWN]
+
+    def after(index: int, entry: T) -> list[Source[T]]:
+        if links := linked(entry):
+            return [source for link in links for source in places.get(link) or nowhere]
+        return [frozenset([entry]) if counts(entry) else index]
+
+    sources = _sources(steps, after)
+    followers: dict[int, list[int]] = defaultdict(list)
+    for index, origins in enumerate(sources):
+        for origin in origins:
+            if isinstance(origin, int):
+                followers[origin].append(index)
+    last: list[frozenset[T | None]] = [frozenset()] * len(steps)
+    waiting = deque(range(len(steps)))
+    while waiting:
+        index = waiting.popleft()
+        first, *others = [last[source] if isinstance(source, int) else source for source in sources[index]]
+        union = first.union(*others)
+        if len(union) > limit:
+            sources[index], union = [UNKNOWN], UNKNOWN
+        if union != last[index]:
+            last[index] = union
+            waiting += followers[index]
+    unions = {entry: frozenset[T | None]().union(*(last[i] for i in indices)) for entry, indices in places.items()}
+    return {entry: union if len(union) <= limit else UNKNOWN for entry, union in unions.items()}
+
+
+def _sources(steps: Sequence[Step | T], after: Callable[[int, T], list[Source[T]]]) -> list[list[Source[T]]]:
+    """Return what each step may follow; ``after``: what comes before a step that follows an entry."""
+    sources: list[list[Source[T]]] = []
+    blocks: list[_Block[T]] = []
+    last: list[Source[T]] = [UNKNOWN]
+    for index, step in enumerate(steps):
+        sources.append(last)
+        if not isinstance(step, Step):
+            last = after(index, step)
             continue
-        match step:
-            case Step.ROUTINE | Step.IF | Step.LOOP | Step.REPEAT:
-                last = united(last, loop_ends.get(number, frozenset()))
-                blocks.append(_Block(step, number, last, is_skipped=step is not Step.REPEAT))
-                last = unknown if step is Step.ROUTINE else last
-            case Step.BRANCH | Step.ELSE:
-                for block in blocks[-1:]:
-                    block.ends, last = block.ends | last, block.incoming
-                    block.is_skipped &= step is not Step.ELSE or block.step is not Step.IF
-            case Step.LEAVE:
-                for block in [block for block in blocks if block.step in (Step.LOOP, Step.REPEAT)][-1:]:
-                    block.ends |= last
-            case Step.END:
-                for block in [blocks.pop()] if blocks else ():
-                    ends = united(last, block.ends)
-                    if block.step in (Step.LOOP, Step.REPEAT):
-                        loop_ends[block.number] = ends
-                    if block.step is Step.ROUTINE:
-                        last = block.incoming
-                    else:
-                        last = united(ends, block.incoming) if block.is_skipped else ends
-            case Step.CALL:
-                last = unknown
-            case _:
-                assert_never(step)
-    return last_before
+        last = [UNKNOWN] if step in (Step.ROUTINE, Step.CALL) else [index]
+        if step in (Step.ROUTINE, Step.IF, *LOOPS):
+            sources[index] = [*sources[index]]
+            blocks.append(_Block(step, index, sources[index], step is not Step.REPEAT))
+        elif step in (Step.BRANCH, Step.ELSE) and blocks:
+            block = blocks[-1]
+            block.ends.append(index)
+            block.is_skipped &= step is Step.BRANCH or block.step is not Step.IF
+            last = block.incoming if block.step is Step.ROUTINE else [block.number]
+        elif step is Step.LEAVE:
+            for block in [block for block in blocks if block.step in LOOPS][-1:]:
+                block.ends.append(index)
+        elif step is Step.END and blocks:
+            block = blocks.pop()
+            sources[index] = [*sources[index], *block.ends]
+            last = [index, block.number] if block.is_skipped else [index]
+            if block.step in LOOPS:
+                block.incoming.append(index)
+            elif block.step is Step.ROUTINE:
+                last = block.incoming
+    return sources

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
+
+import numpy as np
 
 from truearm.correct.programs.data import Datum, Place
 from truearm.correct.programs.program import Goal, Move, Program, Surroundings
@@ -127,6 +129,13 @@ class Reading:
             move.goals, move.reason = [], uncertain.reason
         except RecursionError:
             move.goals, move.reason = [], Reason("deep")
+
+
+def only(poses: Sequence[Floats], otherwise: Uncertain) -> Floats:
+    """Return the pose that all are. Raises Uncertain."""
+    if not poses or np.ptp(poses, axis=0).max() > 1e-12:
+        raise otherwise
+    return poses[0]
 
 
 def arithmetic(tokens: Tokens, evaluate: Callable[[Tokens], T]) -> T | float | None:

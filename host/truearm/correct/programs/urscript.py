@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
-import numpy as np
-
 from truearm.correct.programs.data import Datum, Form, Literal, Place, Uses
-from truearm.correct.programs.order import MOST_ORIGINS, closure
+from truearm.correct.programs.order import MOST_ORIGINS, MOST_SETTINGS, UNKNOWN, closure, preceding
 from truearm.correct.programs.poses import check_reach
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Surroundings, Target
-from truearm.correct.programs.reading import MOST_TARGETS, Uncertain, arithmetic
+from truearm.correct.programs.reading import MOST_TARGETS, Uncertain, arithmetic, only
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
-from truearm.correct.programs.urscript_names import Call, Entry, Routine, Script, Statement, find, read_names
-from truearm.correct.programs.urscript_order import LastCalls
+from truearm.correct.programs.urscript_names import Border, Call, Entry, Routine, Script, Statement, find, read_names
 from truearm.correct.programs.urscript_words import AIMLESS, MOVES, SOLVER, STRAIGHT
 from truearm.model.poses import frame_of
 from truearm.types import Floats
 from truearm.units import DEG
 
-MOST_TOOLS = 100  # calls of set_tcp that may be the last one before a move
 CURRENT_JOINTS = frozenset(("get_actual_joint_positions", "get_target_joint_positions"))  # as qnear: no choice
+Origins = frozenset[Entry | None]
 T = TypeVar("T")
 
 
@@ -60,7 +57,7 @@ class _Reader:
     """Evaluates the expressions of a script. Values of names are kept: each name is evaluated once."""
 
     script: Script
-    tools: LastCalls
+    setters: Mapping[Entry, Origins]  # the calls of set_tcp that may be the last before a call
 
     def through(self, datum: Datum, evaluate: Callable[[Tokens, Any], list[T]], kind: str) -> list[T]:
         """Return all that a name may stand for, as something of a kind."""
@@ -174,7 +171,7 @@ class _Reader:
 
     def tool(self, call: Call) -> Floats:
         """Return the tool (4, 4) in force at a call. Raises Uncertain."""
-        setters = self.tools.before(call)
+        setters = self.setters.get(call) or UNKNOWN
         return self.script.once(setters, lambda: only(list(map(self.set_tool, setters)), Uncertain("several-tools")))
 
     def set_tool(self, setter: Entry | None) -> Floats:
@@ -212,13 +209,6 @@ def is_list(tokens: Tokens) -> bool:
     return is_bracketed(tokens, 0, "[") or (len(tokens) == 1 and tokens[0].kind == "row")
 
 
-def only(poses: Sequence[Floats], otherwise: Uncertain) -> Floats:
-    """Return the pose that all are. Raises Uncertain."""
-    if not poses or np.ptp(poses, axis=0).max() > 1e-12:
-        raise otherwise
-    return poses[0]
-
-
 def _product(factors: Sequence[Factor]) -> Floats:
     product = IDENTITY
     for constant, literal, _ in factors:
@@ -241,17 +231,39 @@ def read_urscript(files: Sequence[Source], surroundings: Surroundings) -> Progra
     """Read scripts that run together: all moves of functions that may be called."""
     script = read_names(files, surroundings)
     program = script.program
-    reader = _Reader(script, LastCalls(script, frozenset({"set_tcp"}), MOST_TOOLS))
+    reader = _Reader(script, _last_calls(script, frozenset({"set_tcp"}), MOST_SETTINGS))
     reached = _reached(script)
     moves: dict[Call, Move] = {}
     for call in script.placed_calls.values():
         if call.name in MOVES.keys() | AIMLESS and call.statement.routine in reached:
             moves[call] = move = Move(call.name, call.place, call.tokens[-1].end, call.name in STRAIGHT)
             script.add_move(move, partial(reader.goals, call))
-    last = LastCalls(script, frozenset(MOVES.keys() | AIMLESS | program.absent.keys()), MOST_ORIGINS)
+    last = _last_calls(script, frozenset(MOVES.keys() | AIMLESS | program.absent.keys()), MOST_ORIGINS)
     for call, move in moves.items():
-        program.origins[move] = frozenset(moves.get(origin) for origin in last.before(call))  # type: ignore[arg-type]
+        program.origins[move] = frozenset(moves.get(origin) for origin in last.get(call) or UNKNOWN)  # type: ignore[arg-type]
     return program
+
+
+def _last_calls(script: Script, names: frozenset[str], limit: int) -> Mapping[Entry, Origins]:
+    """Return the calls of the functions ``names`` that may be the last before each call.
+
+    The beginning of a file or function that nothing calls stands for what was before it; None: unknown.
+    """
+    callers = {name: {call.statement.routine.name for call in calls} for name, calls in script.calls.items()}
+    acting = closure(names, lambda name: callers.get(name, ()))
+    if any(routine.kind != "def" for name in acting for routine in script.routines.get(name, ())):
+        return {}  # a thread acts at any time
+
+    def linked(entry: Entry) -> Sequence[Entry]:
+        if isinstance(entry, Border):
+            return () if entry.is_end else script.calls.get(entry.routine.name, ())
+        is_followed = entry.name in acting and entry.name not in names
+        return [Border(routine, is_end=True) for routine in script.routines[entry.name]] if is_followed else ()
+
+    def counts(entry: Entry) -> bool:
+        return entry.name in names if isinstance(entry, Call) else not entry.is_end
+
+    return preceding(script.steps, counts, limit, linked)
 
 
 def _reached(script: Script) -> set[Routine]:
