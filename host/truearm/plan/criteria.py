@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
-from typing import assert_never
 
 
 class Criterion(StrEnum):
@@ -15,16 +15,9 @@ class Criterion(StrEnum):
     E = "E"
 
 
-def criterion_summary(criterion: Criterion) -> str:
-    """Return the text that ``--help`` shows for a criterion."""
-    match criterion:
-        case Criterion.I:
-            return "the error in the region"
-        case Criterion.D:
-            return "the volume of the uncertainty of all parameters"
-        case Criterion.A:
-            return "their mean uncertainty"
-        case Criterion.E:
-            return "the uncertainty of the worst combination of parameters"
-        case _:
-            assert_never(criterion)
+SUMMARIES: Mapping[Criterion, str] = {
+    Criterion.I: "the error in the region",
+    Criterion.D: "the volume of the uncertainty of all parameters",
+    Criterion.A: "their mean uncertainty",
+    Criterion.E: "the uncertainty of the worst combination of parameters",
+}  # as ``--help`` shows them
