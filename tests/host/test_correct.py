@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import inverse, jacobian, search, singular_value, turned, within
-from truearm.correct.methods import Method, entry
+from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
@@ -103,7 +103,7 @@ def test_every_method_corrects_the_whole_joint_law_and_links_if_it_says_so(q, me
     assert not any(law.problem + links.problem)
     assert law.before[:, 0].max() > 1e-3
     assert law.after[:, 0].max() < 2e-9
-    if entry(method).links:
+    if method.links:
         assert links.after[:, 0].max() < 2e-9
     else:
         np.testing.assert_allclose(links.after, links.before, atol=1e-12)

@@ -113,23 +113,18 @@ def correct(
     steps : how often (32) and (34) are applied. oriented : False if only positions matter. margin : smallest singular
         value of targets that are accepted. Raises ValueError for an unknown method.
     """
-    nominal = _nominal(pair, targets, oriented, configuration)
-    q, reached_nominal = nominal
-    chunks = [slice(first, first + CHUNK) for first in range(0, max(len(targets), 1), CHUNK)]
-    return joined(
-        [
-            _at(
-                pair,
-                targets[rows],
-                Inverse(q[rows], reached_nominal[rows]),
-                Method(method),
-                steps,
-                oriented,
-                margin,
-            )
-            for rows in chunks
-        ]
-    )
+    q_start, home, quadrants, origins = configuration
+    if q_start is None:
+        nominal = search(pair.chain, pair.nominal, targets, oriented, home, quadrants, origins)
+    else:
+        nominal = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
+        nominal = nominal._replace(reached=nominal.reached & within(pair.chain, nominal.q))
+
+    def chunk(rows: slice) -> Correction:
+        own = Inverse(nominal.q[rows], nominal.reached[rows])
+        return _at(pair, targets[rows], own, Method(method), steps, oriented, margin)
+
+    return joined([chunk(slice(first, first + CHUNK)) for first in range(0, max(len(targets), 1), CHUNK)])
 
 
 def joined(corrections: Sequence[Correction]) -> Correction:
@@ -137,14 +132,9 @@ def joined(corrections: Sequence[Correction]) -> Correction:
     filled = [correction for correction in corrections if len(correction.q)]
     if len(filled) == 1:
         return filled[0]
-    return Correction(
-        np.concatenate([correction.q_nominal for correction in corrections]),
-        np.concatenate([correction.q for correction in corrections]),
-        np.concatenate([correction.commanded for correction in corrections]),
-        np.concatenate([correction.before for correction in corrections]),
-        np.concatenate([correction.after for correction in corrections]),
-        tuple(problem for correction in corrections for problem in correction.problem),
-    )
+    names = ("q_nominal", "q", "commanded", "before", "after")
+    arrays = {name: np.concatenate([getattr(correction, name) for correction in corrections]) for name in names}
+    return Correction(**arrays, problem=tuple(problem for correction in corrections for problem in correction.problem))
 
 
 def at_tools(pair: ModelPair, done: Correction, tools: Floats) -> Correction:
@@ -192,15 +182,6 @@ def _at(
     return Correction(q_nominal, q, believed(pair, q), error_before, error_after, tuple(problem))
 
 
-def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Configuration) -> Inverse:
-    """Return f_n⁻¹(x_d)."""
-    q_start, home, quadrants, origins = configuration
-    if q_start is None:
-        return search(pair.chain, pair.nominal, targets, oriented, home, quadrants, origins)
-    solution = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
-    return solution._replace(reached=solution.reached & within(pair.chain, solution.q))
-
-
 def _corrected(
     pair: ModelPair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool
 ) -> tuple[Floats, NDArray[np.bool_]]:
@@ -224,10 +205,9 @@ def _corrected(
             for values, values_inside in zip(solution, stopped, strict=True):
                 values[np.flatnonzero(outside)[stopped.reached]] = values_inside[stopped.reached]
             return solution.q, ~solution.reached
-        case Method.FALSE_TARGET:
-            return _repeated(false_target, pair, targets, q_nominal, steps, oriented)
-        case Method.JOINTS:
-            return _repeated(joint_space, pair, targets, q_nominal, steps, oriented)
+        case Method.FALSE_TARGET | Method.JOINTS:
+            step = false_target if method is Method.FALSE_TARGET else joint_space
+            return _repeated(step, pair, targets, q_nominal, steps, oriented)
         case _:
             assert_never(method)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from truearm.correct.correction import Configuration, Correction, at_tools
 from truearm.correct.inverse import several_fit
-from truearm.correct.methods import entry, with_steps
+from truearm.correct.methods import with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of
 from truearm.errors import Argument, InputError, RobotError, TargetError
@@ -123,7 +123,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
 
 def _refuse_steps(options: CorrectOptions) -> None:
     """Raise InputError for a number of steps that would have no effect."""
-    if options.steps > 1 and not entry(options.method).steps:
+    if options.steps > 1 and not options.method.steps:
         instead = " or ".join(with_steps())
         text = f": {options.steps} has no effect with method {options.method}; leave it out, or use method {instead}"
         raise InputError(Argument("steps"), text)
