@@ -121,7 +121,7 @@ from truearm import option_defaults
 from truearm.bounds import Within
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names, names_with_branch
-from truearm.plan.criteria import SUMMARIES
+from truearm.plan.criteria import Criterion
 from truearm.plan.route_program import languages_help
 from truearm.record.robots.sources import sources_help
 from truearm.units import DEG, KG, MM, Scale, from_shown
@@ -142,7 +142,7 @@ TEXTS = {
     "branches": ", ".join(names_with_branch()),
     "sources": sources_help(),
     "dialects": languages_help(),
-    "criteria": ". ".join(f"{name}: {summary}" for name, summary in SUMMARIES.items()),
+    "criteria": ". ".join(f"{criterion}: {criterion.summary}" for criterion in Criterion),
     "reserves": f"{MM.of(option_defaults.DESIGN_RESERVE):g}, {MM.of(option_defaults.RESULT_RESERVE):g}",
     "named_rigs": "NAME=FILE is for rows with NAME in their column rig and for the session NAME.mcap (repeatable)",
 }

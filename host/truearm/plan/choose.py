@@ -15,8 +15,7 @@ to 0.3 s.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import assert_never
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +48,7 @@ def choose(
     exchange passes. ``group`` (N,): groups that each need a setup; its extra cost is ``setup`` times that of a
     candidate. Raises PlanError for an unknown criterion, I without a region, and more candidates wanted than there are.
     """
-    state = Gains.start(rows, information, _checked(rows, n, criterion, region), region)
+    state = Gains(rows, information.copy(), _checked(rows, n, criterion, region), region)
     chosen = list[int]()
     available = np.ones(len(rows), dtype=bool)
     group = np.zeros(len(rows), dtype=np.intp) if group is None else group
@@ -70,18 +69,14 @@ def choose(
 
 def value(information: Floats, criterion: Criterion, region: Floats | None = None) -> float:
     """Return the quantity that the criterion minimises: −log det M, tr P, the largest eigenvalue of P, or tr(LᵀPL)."""
-    match criterion:
-        case Criterion.D:
-            return -float(np.linalg.slogdet(information)[1])
-        case Criterion.E:
-            return float(np.linalg.eigvalsh(_inverse(information))[-1])
-        case Criterion.A:
-            return float(np.trace(_inverse(information)))
-        case Criterion.I:
-            covariance = _inverse(information)
-            return float(np.trace(covariance if region is None else region @ covariance @ region.T))
-        case _:
-            assert_never(criterion)
+    if criterion == Criterion.D:
+        return -float(np.linalg.slogdet(information)[1])
+    covariance = _inverse(information)
+    if criterion == Criterion.E:
+        return float(np.linalg.eigvalsh(covariance)[-1])
+    if criterion == Criterion.I and region is not None:
+        covariance = region @ covariance @ region.T
+    return float(np.trace(covariance))
 
 
 @dataclass
@@ -97,17 +92,13 @@ class Gains:
     information: Floats  # M (k, k)
     criterion: Criterion
     region: Floats | None
-    covariance: Floats  # P (k, k)
-    total: Floats  # S (N, w, w)
-    reduced: Floats  # Q (N, w, w)
     changes: int = 0
+    covariance: Floats = field(init=False)  # P (k, k)
+    total: Floats = field(init=False)  # S (N, w, w)
+    reduced: Floats = field(init=False)  # Q (N, w, w)
 
-    @classmethod
-    def start(cls, rows: Floats, information: Floats, criterion: Criterion, region: Floats | None) -> Gains:
-        empty = np.zeros((0, 0))
-        state = cls(rows, information.copy(), criterion, region, empty, empty, empty)
-        state._refresh()
-        return state
+    def __post_init__(self) -> None:
+        self._refresh()
 
     def _refresh(self) -> None:
         self.covariance = _inverse(self.information)
@@ -120,14 +111,10 @@ class Gains:
         return np.asarray((self.rows.reshape(-1, len(columns)) @ columns).reshape(*self.rows.shape[:2], -1))
 
     def _aim(self) -> Floats:
-        """Return L Lᵀ (k, k)."""
-        match self.criterion:
-            case Criterion.I if self.region is not None:
-                return self.region.T @ self.region
-            case Criterion.I | Criterion.A | Criterion.D | Criterion.E:  # D has no L, E another one after every change
-                return np.eye(len(self.covariance))
-            case _:
-                assert_never(self.criterion)
+        """Return L Lᵀ (k, k); D has no L, that of E changes with every candidate."""
+        if self.criterion is Criterion.I and self.region is not None:
+            return self.region.T @ self.region
+        return np.eye(len(self.covariance))
 
     def change(self, candidate: int, sign: float) -> None:
         """Add a candidate, or remove it with the ``sign`` −1."""

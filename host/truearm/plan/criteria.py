@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import StrEnum
 
 
 class Criterion(StrEnum):
-    """The quantity that a choice minimises."""
+    """The quantity that a choice minimises; ``summary``: the text that ``--help`` shows."""
 
-    I = "I"  # noqa: E741  # the criterion's name in the literature
-    D = "D"
-    A = "A"
-    E = "E"
+    summary: str
 
+    def __new__(cls, value: str, summary: str = "") -> Criterion:
+        criterion = str.__new__(cls, value)
+        criterion._value_, criterion.summary = value, summary
+        return criterion
 
-SUMMARIES: Mapping[Criterion, str] = {
-    Criterion.I: "the error in the region",
-    Criterion.D: "the volume of the uncertainty of all parameters",
-    Criterion.A: "their mean uncertainty",
-    Criterion.E: "the uncertainty of the worst combination of parameters",
-}  # as ``--help`` shows them
+    I = "I", "the error in the region"  # noqa: E741  # the criterion's name in the literature
+    D = "D", "the volume of the uncertainty of all parameters"
+    A = "A", "their mean uncertainty"
+    E = "E", "the uncertainty of the worst combination of parameters"
