@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 from command_line import Run, told
 from identify_bench import MUKCA, ROOT, SIGMA, identified
-from result_schema import LISTS, OBJECTS, PARAMETER, RMS, SCALARS, check_schema
+from result_schema import BY_UNIT, FIELDS, check_schema
 from tests.host.findings_bench import stated
 
+from truearm.files.result_file import Parameter
 from truearm.findings import option
 from truearm.kinds.table import ObservationTable
 from truearm.types import Rig
@@ -34,24 +35,11 @@ def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(
 
 def test_every_field_is_documented() -> None:
     text = (ROOT / "docs" / "reference" / "result-format.md").read_text()
-    nested = {
-        "chucks",
-        "spheres",
-        "places",
-        "role",
-        "sha256",
-        "base_frame",
-        "end_frame",
-        "joint_units",
-        "fitted",
-        "weights",
-        "upper",
-        "units",
-        *("source", "distance", "weight", "o1", "o4"),
-        *(f"{figure}_mm" for figure in (*RMS, "rms_history", "rms_held_out", "mean", "max", "n")),
-        *("at", "relative"),
-    }
-    for field in {*SCALARS, *PARAMETER, *LISTS, *nested, *OBJECTS}:
+    nested = (
+        "places role sha256 base_frame end_frame joint_units fitted weights upper units source distance weight o1 o4 at"
+    )
+    figures = {f"{figure}_mm" for figure in (*BY_UNIT, "rms_held_out", "mean", "max", "n")}
+    for field in {*FIELDS, *Parameter.__struct_fields__, *nested.split(), *figures}:
         assert f"`{field}`" in text, field
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from truearm.findings import option
 from truearm.report.law_findings import law_steps
 from truearm.report.result_findings import has_little_freedom
-from truearm.report.result_words import ParameterRow, direction_text, kind_name, parameter_table
+from truearm.report.result_words import direction_text, kind_name, parameter_table
 from truearm.report.tables import Table
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED, MOUNTING, Floats, rms_of_columns
@@ -29,7 +29,7 @@ MOST_DIRECTIONS = 6
 def result_tables(document: Document) -> Iterator[Table | str]:
     """Return the parameters, the combinations that are unidentifiable, the errors and the joint laws."""
     free = (row for row in document["parameters"] if row["free"] and not row.get("law"))
-    yield parameter_table(map(ParameterRow.of_document, free))
+    yield parameter_table(free)
     for field, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
         directions = document[field]
         if directions:

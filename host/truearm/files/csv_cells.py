@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from truearm.errors import InputError, TableError
+from truearm.errors import TableError
 from truearm.kinds.columns import is_label
 from truearm.model.mimic import units_of
 from truearm.schema import NAME, quoted
@@ -44,12 +44,10 @@ class Row(NamedTuple):
     cells: list[str]
 
 
-def rows_of(
-    lines: Iterable[str], name: str, error: type[InputError] = TableError, separator: str = ","
-) -> Iterator[Row]:
+def rows_of(lines: Iterable[str], name: str, separator: str = ",") -> Iterator[Row]:
     """Yield the rows of CSV lines as they arrive, including the header; rows whose cells are all blank are skipped.
 
-    Raises ``error``.
+    Raises TableError.
     """
     reader = csv.reader(lines, delimiter=separator, strict=True)
     try:
@@ -58,20 +56,7 @@ def rows_of(
             if any(stripped):
                 yield Row(reader.line_num, stripped)
     except csv.Error as exc:
-        raise error(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
-
-
-def read_rows(text: str, name: str, error: type[InputError] = TableError) -> list[Row]:
-    """Return the rows of a text, including the header. Raises ``error``."""
-    return list(islice(rows_of(io.StringIO(text, newline=None), name, error), MAX_ROWS + 2))
-
-
-def check_width(row: Row, width: int, name: str, error: type[InputError] = TableError) -> None:
-    """Raise ``error`` if a row does not have as many cells as the header."""
-    if len(row.cells) != width:
-        raise error(
-            f"{name} row {row.number}: has {counted(len(row.cells), 'cell')}, the header has {width}; give every column a cell, an empty one if it has no value"
-        )
+        raise TableError(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
 
 
 def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
@@ -84,7 +69,7 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
         raise TableError(
             f"{name}: columns are separated by ';' or tabs; separate them by commas, and write numbers with a decimal point"
         )
-    rows = read_rows(text, name)
+    rows = list(islice(rows_of(io.StringIO(text, newline=None), name), MAX_ROWS + 2))
     if not rows:
         raise TableError("no-rows", place=name)
     header = rows[0].cells
@@ -93,7 +78,10 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
     if len(rows) > MAX_ROWS + 1:
         raise TableError(f"{name}: has more than {MAX_ROWS} rows; split it or thin it out")
     for row in rows[1:]:
-        check_width(row, len(header), name)
+        if len(row.cells) != len(header):
+            raise TableError(
+                f"{name} row {row.number}: has {counted(len(row.cells), 'cell')}, the header has {len(header)}; give every column a cell, an empty one if it has no value"
+            )
     width = len(header)
     while not any(row.cells[width - 1] for row in rows):  # the header is not blank
         width -= 1
@@ -121,11 +109,11 @@ def joint_titles(letter: str, suffixes: Iterable[str], joints: int) -> dict[str,
     return {named(quantity, suffix): (quantity, suffix) for suffix in suffixes for quantity in numbered}
 
 
-def read_header(header: list[str], titles: Titles, name: str, more: str, ignored: str = "") -> dict[str, Column]:
+def read_header(header: list[str], titles: Titles, name: str, docs_page: str, ignored: str = "") -> dict[str, Column]:
     """Return the columns of a file by quantity, and the user's own by their title.
 
     Columns without a title, ``note``, and those that match ``ignored`` are skipped. The first of ``titles`` must be there.
-    Raises TableError with the title that was probably meant; ``more`` is the page on which all are described.
+    Raises TableError with the title that was probably meant; ``docs_page`` is the page on which all are described.
     """
     first, columns = next(iter(titles)), dict[str, Column]()
     if not difflib.get_close_matches(first, [title.lower() for title in header]):
@@ -137,7 +125,7 @@ def read_header(header: list[str], titles: Titles, name: str, more: str, ignored
         if title in ("", "note") or re.fullmatch(ignored, title):
             continue
         if title not in titles and not is_label(title):
-            raise _unknown_title(title, titles, place, more)
+            raise _unknown_title(title, titles, place, docs_page)
         quantity, unit = titles.get(title, (title, ""))
         if quantity in columns:
             raise TableError("given-twice", place=place, what=quantity)
@@ -147,15 +135,15 @@ def read_header(header: list[str], titles: Titles, name: str, more: str, ignored
     return columns
 
 
-def _unknown_title(title: str, titles: Titles, place: str, more: str) -> TableError:
+def _unknown_title(title: str, titles: Titles, place: str, docs_page: str) -> TableError:
     """Return the error for a title that is none: of a known quantity in another unit, or like known ones."""
     stem = title
     while stem:
-        if names := [known for known, (_, unit) in titles.items() if known == named(stem, unit)]:
+        if names := [name for name, (_, unit) in titles.items() if name == named(stem, unit)]:
             return TableError("wrong-value", place=place, names=names)
         stem = stem.rpartition("_")[0]
     close = difflib.get_close_matches(title[:40].lower(), titles, n=2, cutoff=LIKE)
-    meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {page(more)}; "
+    meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {page(docs_page)}; "
     return TableError("unknown-column", place=place, remedy=f"{meant}begin its name with x_ if it is to be ignored")
 
 
@@ -193,27 +181,32 @@ class CsvTable:
         return np.array(cells)
 
     def numbers(
-        self, quantity: str, most: float | None = None, least: Floats | float = -math.inf, *, required: bool = False
+        self,
+        quantity: str,
+        largest: float | None = None,
+        smallest: Floats | float = -math.inf,
+        *,
+        required: bool = False,
     ) -> Floats:
         """Return a column of numbers (n,) in SI units; NaN where the column or, unless ``required``, a cell is missing.
 
-        Magnitudes are at most ``most``, by default the largest in their unit, and numbers at least ``least``, of each row
+        Magnitudes are at most ``largest``, by default the largest in their unit, and numbers at least ``smallest``, of each row
         (n,) or of all. Raises TableError.
         """
         if quantity not in self.columns:
             return np.full(len(self.rows), np.nan)
         unit, cells = SUFFIXES[self.columns[quantity].unit], self.cells(quantity)
-        most = UNITS[unit.si].largest if most is None else most
+        largest = UNITS[unit.si].largest if largest is None else largest
         plain = cells if _are_numbers(cells) else [cell if _is_number(cell) else "nan" for cell in cells]
         out = unit.scale * np.array([*map(float, plain)])
         # Nearly all columns end here. The first wrong cell of the others is found one by one.
-        for i in np.flatnonzero(~((np.abs(out) <= most) & (out >= least))).tolist():
+        for i in np.flatnonzero(~((np.abs(out) <= largest) & (out >= smallest))).tolist():
             cell, place = cells[i], self.place(i, quantity)
             value = math.nan if not cell and not required else unit.scale * number(cell, place)
-            if abs(value) > most:
+            if abs(value) > largest:
                 text = f"{place}: {quoted(cell)} is too large for {unit.suffix}; is the column in another unit?"
                 raise TableError(text)
-            if value < (lowest := np.broadcast_to(least, out.shape)[i]):
+            if value < (lowest := np.broadcast_to(smallest, out.shape)[i]):
                 wrong = "must be 0 or more" if lowest == 0.0 else "must be greater than 0"
                 if value > 0.0:
                     wrong = "is too small; is the column in another unit?"
@@ -224,13 +217,13 @@ class CsvTable:
         self,
         quantities: Sequence[str],
         words: str,
-        most: float | None = None,
-        least: Floats | float = -math.inf,
+        largest: float | None = None,
+        smallest: Floats | float = -math.inf,
         *,
         required: bool = False,
     ) -> Floats:
         """Return columns side by side (n, c), of which each row must have all or none, as ``numbers`` does."""
-        columns = [self.numbers(quantity, most, least, required=required) for quantity in quantities]
+        columns = [self.numbers(quantity, largest, smallest, required=required) for quantity in quantities]
         out = np.stack(columns, axis=1)
         missing = np.isnan(out)
         bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
@@ -266,10 +259,10 @@ class CsvTable:
         return np.stack([self.numbers(f"q{i + 1}", required=True) for i in range(len(columns))], axis=1)
 
 
-def read_csv(text: str, name: str, titles: Titles, more: str, ignored: str = "") -> CsvTable:
+def read_csv(text: str, name: str, titles: Titles, docs_page: str, ignored: str = "") -> CsvTable:
     """Return the table in a text; see ``read_header``. Raises TableError, also for a table without rows."""
     header, rows = read_cells(text, name)
-    table = CsvTable(name, rows, read_header(header, titles, name, more, ignored))
+    table = CsvTable(name, rows, read_header(header, titles, name, docs_page, ignored))
     if not rows:
         raise TableError("no-rows", place=name)
     return table

@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 
 from truearm.errors import SessionError
 from truearm.files.disk import read_text, sha256, write_atomic
-from truearm.files.strict_json import strict_json
+from truearm.files.strict_json import number_or_null, strict_json
 from truearm.schema import NAME
 from truearm.types import BAR_MOUNTED, DwellLabel
 
@@ -103,15 +103,8 @@ def read_labels(session: Path) -> tuple[DwellLabel, ...] | None:
 def write_labels(session: Path, labels: Sequence[DwellLabel], trust: str, robot: str) -> None:
     """Write the labels of a session atomically; ``trust`` and ``robot`` as in ``Decision``. Raises InputError."""
     dwells = tuple(
-        Dwell(
-            label.begin_ns,
-            label.end_ns,
-            **label.mounted,
-            pose=label.pose,
-            probability=label.probability if math.isfinite(label.probability) else None,
-            detail=label.detail,
-        )
-        for label in labels
+        Dwell(start, end, **mounted, pose=pose, probability=number_or_null(probability), detail=detail)
+        for start, end, mounted, pose, probability, detail in labels
     )
     name = session.name.encode(errors="backslashreplace").decode()
     document = Labels("truearm-labels", 1, name, sha256(session), (Decision(trust, dwells, robot),))

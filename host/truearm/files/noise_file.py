@@ -102,10 +102,10 @@ def with_noise(rig: Rig, noise: NoiseFile | None) -> Rig:
 
 def check_against_rigs(noise: NoiseFile, rigs: Rigs) -> None:
     """Raise RigError for a bar that no rig has: its sigma would have no effect."""
-    known = {bar for rig in rigs_by_name(rigs).values() for bar in rig.bars}
+    bars = {bar for rig in rigs_by_name(rigs).values() for bar in rig.bars}
     for bar in noise.bar_sigma:
-        if bar not in known:
-            raise RigError("not-in-rig", place=noise.name, what="bar", name=bar, names=sorted(known))
+        if bar not in bars:
+            raise RigError("not-in-rig", place=noise.name, what="bar", name=bar, names=sorted(bars))
 
 
 def format_noise(noise: NoiseFile, remarks: list[str], prismatic: bool) -> str:

@@ -112,13 +112,13 @@ def _kinds(cells: CsvTable) -> np.ndarray:
 
 def _measured(cells: CsvTable, kind: np.ndarray, quantity: Quantity) -> Floats:
     """Return one column of a quantity as (n,), or several as (n, c)."""
-    least = np.full(len(kind), quantity.least)
+    smallest = np.full(len(kind), quantity.least)
     for key, entry in registry.kinds().items():  # a bar has a positive length; a distance from a plane has a sign
         for variant in (variant for variant in entry.quantities if variant.field == quantity.field):
-            least[kind == key] = variant.least
+            smallest[kind == key] = variant.least
     if len(quantity.columns) == 1:
-        return cells.numbers(quantity.columns[0], quantity.most, least)
-    return cells.vectors(quantity.columns, quantity.words, quantity.most, least)
+        return cells.numbers(quantity.columns[0], quantity.most, smallest)
+    return cells.vectors(quantity.columns, quantity.words, quantity.most, smallest)
 
 
 def _sigmas(cells: CsvTable, kind: np.ndarray) -> Floats:
@@ -215,10 +215,10 @@ def _refuse_incomplete(table: ObservationTable) -> None:
         for needed in (column for column in kind.needs if not isinstance(column, str)):
             words = needed.words if len(needed.columns) > 1 else with_article(needed.words)
             missing.append(((table.kind == key) & ~_filled(table[needed.field]), words))
-    for rows, what in missing:
+    for rows, needed_words in missing:
         if rows.any():
             row = int(np.argmax(rows))
-            raise TableError(f"{table.source[row]}: {with_article(str(table.kind[row]))} row needs {what}")
+            raise TableError(f"{table.source[row]}: {with_article(str(table.kind[row]))} row needs {needed_words}")
 
 
 def _refuse_values(table: ObservationTable, quantity: Quantity, column: Floats, rows: np.ndarray) -> None:
@@ -239,10 +239,10 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     It is also raised for a row that does not state which of several points it refers to, and for anything that the
     row's kind rejects.
     """
-    for column, known in registry.rig_names(rig).items():
+    for column, rig_names in registry.rig_names(rig).items():
         for identifier, source in zip(table[column], table.source, strict=True):
-            if identifier and identifier not in known:
-                raise TableError("not-in-rig", place=source, what=column, name=identifier, names=sorted(known))
+            if identifier and identifier not in rig_names:
+                raise TableError("not-in-rig", place=source, what=column, name=identifier, names=sorted(rig_names))
     for key, kind in registry.kinds().items():
         rows, points = table.kind == key, kind.points(rig)
         nameless = np.flatnonzero(rows & (table[kind.point] == "")) if len(points) > 1 else np.zeros(0, int)

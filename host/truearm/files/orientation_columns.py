@@ -33,8 +33,10 @@ def rotation_vectors(cells: CsvTable) -> Floats | None:
         if title not in cells.columns:
             raise TableError("missing-column", place=cells.name, column=title)
     if further or "rx" in cells.columns:
-        other = f"{further[0][0]} to {further[0][-1]}" if further else cells.columns["rx"].title
-        raise TableError(f"{cells.name}: has the orientation in {titles[0]} to {titles[-1]} and in {other}; keep one")
+        second_notation = f"{further[0][0]} to {further[0][-1]}" if further else cells.columns["rx"].title
+        raise TableError(
+            f"{cells.name}: has the orientation in {titles[0]} to {titles[-1]} and in {second_notation}; keep one"
+        )
     values = cells.vectors(titles, f"{titles[0]} to {titles[-1]}")
     measured = np.flatnonzero(~np.isnan(values[:, 0]))
     out = np.full((len(values), 3), np.nan)

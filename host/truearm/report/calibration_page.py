@@ -34,7 +34,6 @@ from truearm.report.page_parts import (
 from truearm.report.page_text import ABSENT, figures, number, size
 from truearm.report.residual_rows import row_name, rows_by_kind
 from truearm.report.result_words import (
-    ParameterRow,
     before_words,
     direction_text,
     drawing,
@@ -52,6 +51,7 @@ from truearm.units import shown, symbol, title
 MAX_ROWS = 40  # suspect rows that are listed
 MAX_DIRECTIONS = 40
 MAX_TERMS = 6
+PARAMETER = ("name", "unit", "nominal", "value", "sigma", "free")
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,8 @@ def _residuals(page: CalibrationPage) -> Iterator[str]:
 
 def _parameters(e: Estimate) -> Iterator[str]:
     sigma = np.where(e.free & e.identifiable, e.sigma, np.nan)
-    columns = (e.parameter_names, e.units, e.free, e.nominal, e.value, sigma)
-    rows = [ParameterRow.of(*row) for row in zip(*columns, strict=True)]
+    columns = (e.parameter_names, e.units, e.nominal, e.value, sigma, e.free)
+    rows = [dict(zip(PARAMETER, row, strict=True)) for row in zip(*columns, strict=True)]
     robot, rig = rows[: e.law_parameters.start], rows[e.n_robot_parameters :]
     yield paragraph(
         "A single parameter may differ from the drawing because of how the fixtures are mounted, or because it "

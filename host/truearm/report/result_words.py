@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from truearm.kinds.registry import kinds
 from truearm.report.tables import Table
 from truearm.results import Estimate, largest_terms
 from truearm.text import one_line, with_article
-from truearm.units import MS, UNITS, Unit, tolerances
+from truearm.units import MS, UNITS, tolerances
 
 SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" would be shown
 MAX_TERMS = 4  # of a combination that are shown
@@ -54,47 +53,24 @@ def residual_words(kind: str) -> str:
     return f"Residual of {with_article(entry.name)} observation: {'; '.join(definitions)}."
 
 
-@dataclass(frozen=True)
-class ParameterRow:
-    """A parameter as a row of a table, in its display unit: NaN for what was not identified or is unknown."""
+def parameter_table(entries: Iterable[Mapping[str, Any]]) -> Table:
+    """Return parameters, entries as in result.json or with NaN for null, in their display units; "-" for what is unknown.
 
-    name: str
-    unit: Unit
-    free: bool
-    nominal: float
-    value: float
-    sigma: float  # NaN if it is not identifiable
-
-    @classmethod
-    def of(cls, name: str, si: str, free: bool, *numbers: float | None) -> ParameterRow:
-        """Return the row of a parameter with its nominal value, value and sigma in SI."""
-        nominal, value, sigma = (math.nan if number is None else UNITS[si].factor * number for number in numbers)
-        if not free or (si == "s" and math.isnan(sigma)):  # an unidentifiable time offset may have any value
+    The marks are "held" and "unseen".
+    """
+    rows, marks = [], []
+    for entry in entries:
+        unit, is_free = UNITS[entry["unit"]], entry["free"]
+        numbers = (entry[name] for name in ("nominal", "value", "sigma"))
+        nominal, value, sigma = (math.nan if number is None else unit.factor * number for number in numbers)
+        is_unseen = math.isnan(sigma)
+        if not is_free or (unit.si == "s" and is_unseen):  # an unidentifiable time offset may have any value
             value = math.nan
-        return cls(name, UNITS[si], free, nominal, value, sigma)
-
-    @classmethod
-    def of_document(cls, entry: Mapping[str, Any]) -> ParameterRow:
-        """Return the row of an entry of result.json."""
-        return cls.of(*(entry[name] for name in ("name", "unit", "free", "nominal", "value", "sigma")))
-
-    @property
-    def change(self) -> float:
-        return self.value - self.nominal
-
-    @property
-    def texts(self) -> tuple[str, ...]:
-        """Return name, nominal, value, change, sigma and unit as text."""
-        form = f".{self.unit.decimals}f"
-        forms = ((self.nominal, form), (self.value, form), (self.change, f"+{form}"))
-        numbers = ("-" if math.isnan(number) else f"{number:{form}}" for number, form in forms)
-        sigma = f"{self.sigma:.2g}" if not math.isnan(self.sigma) else "unidentifiable" if self.free else "held fixed"
-        return one_line(self.name), *numbers, sigma, self.unit.symbol
-
-
-def parameter_table(rows: Iterable[ParameterRow]) -> Table:
-    """Return parameters as a table; the marks are "held" and "unseen"."""
-    listed = list(rows)
-    marks = ["unseen" * math.isnan(row.sigma) if row.free else "held" for row in listed]
+        form = f".{unit.decimals}f"
+        forms = ((nominal, form), (value, form), (value - nominal, f"+{form}"))
+        texts = ("-" if math.isnan(number) else f"{number:{spec}}" for number, spec in forms)
+        accuracy = f"{sigma:.2g}" if not is_unseen else "unidentifiable" if is_free else "held fixed"
+        rows.append((one_line(entry["name"]), *texts, accuracy, unit.symbol))
+        marks.append("unseen" * is_unseen if is_free else "held")
     titles = ("parameter", "nominal", "value", "change", "sigma", "unit ")
-    return Table(titles, [row.texts for row in listed], "parameters", marks=marks)
+    return Table(titles, rows, "parameters", marks=marks)

@@ -27,7 +27,7 @@ from truearm.model.robot import Robot, poses
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
 from truearm.report.result_findings import result_findings
-from truearm.report.result_words import ParameterRow, direction_text, parameter_table
+from truearm.report.result_words import direction_text, parameter_table
 from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, Rigs, SagMasses
 from truearm.units import DEG, MM, UNITS
@@ -91,7 +91,7 @@ class Calibration(Displayed):
     unseen: Floats
 
     def __str__(self) -> str:
-        free = (ParameterRow.of_document(row) for row in self.document["parameters"] if row["free"])
+        free = (entry for entry in self.document["parameters"] if entry["free"])
         return f"{self._headline()}\n{parameter_table(free)}"
 
     def _headline(self) -> str:
