@@ -143,7 +143,7 @@ URDFS = {
 }
 TARGETS = {
     "not a number": (f"{HEAD}\nnan,0,0\n", "row 2 column x_mm: nan"),
-    "infinite": (f"{HEAD}\n1e999,0,0\n", "too large for mm"),
+    "infinite": (f"{HEAD}\n1e999,0,0\n", "is not between"),
     "out of reach": (f"{HEAD}\n9000,0,0\n", "row 2: no joint values within"),
     "in the base": (f"{HEAD}\n0,0,0\n", "row 2: no joint values within"),
     "another alphabet": (f"{HEAD}\n١,2,3\n", "row 2 column x_mm"),
@@ -164,7 +164,7 @@ TARGETS = {
     "an axis twice": ("x_mm,x_m,y_mm,z_mm\n1,2,3,4\n", "given-twice"),
     "one joint": (f"{HEAD},q1_deg\n1,2,3,4\n", "other-robot"),
     "a joint in mm": (f"{HEAD},{JOINTS.replace('q1_rad', 'q1_mm')}\n1,2,3,4,5,6,7,8,9\n", "bad.csv column q1_mm"),
-    "far": (f"{HEAD}\n1e9,0,0\n", "too large"),
+    "far": (f"{HEAD}\n1e9,0,0\n", "is not between"),
 }
 MODULES = {
     "expressions": (move(x="reg1,0,0"), "uncertain-moves"),

@@ -157,27 +157,17 @@ def test_concatenate_and_select():
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("0,bar46-c1", "", "row 2: .* 6 .* 7"),
         ("q2_rad", "q2_deg", r"column 7 \('q2_deg'\) is not one of q2_rad"),
         ("q1_rad,q2_rad", "", "row 2: has 7 cells"),
         ("q2_rad", "q3_rad", "none for q2"),
-        ("shell,bar,", "shell,shell,", r"column 3 \('shell'\): it is given twice"),
         ("pose,", "note,", "has no column pose"),
         ("shell,bar,", "shell,target,", "row 2: has no bar; every dwell needs"),
         ("\n0,", "\n-0,", "row 2 column pose: '-0', expected 0"),
-        ("\n0,", "\n0.0,", "row 2 column pose: '0.0', expected 0"),
         (GOOD, "pose,shell,bar,chuck,sphere\n0,,b,c,s\n", "has no column q1_rad"),
-        (GOOD, "bar,chuck,sphere,q1_rad\nb,c,s,0.1\n", "has no column pose"),
-        ("pose,shell", "pose,shelf", r"column 2 \('shelf'\): is not a known column"),
         ("1,,bar46", "2,,bar46", "row 3 column pose: '2', expected 1"),
-        ("c1,s2", "c 1,s2", "row 3 column chuck: 'c 1' is not an identifier"),
         ("c1,s2", ",s2", "row 3: has no chuck; every dwell needs"),
         ("-0.25", "nan", "row 2 column q2_rad: nan"),
-        ("-0.25", "1_0", "row 2 column q2_rad: '1_0'"),
-        ("-0.25", "9e999", "row 2 column q2_rad: '9e999'"),
         ("-0.25", "90", "row 2 column q2_rad: '90' .*unit"),
-        ("0.1,-0.25", "0.1", "row 2: .* 6 .* 7"),
-        ("bar46-c1", '"bar46', "row 3: .*CSV"),
     ],
 )
 def test_bad_plans_are_named(old, new, says):

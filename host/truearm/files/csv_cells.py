@@ -181,36 +181,28 @@ class CsvTable:
         return np.array(cells)
 
     def numbers(
-        self,
-        quantity: str,
-        largest: float | None = None,
-        smallest: Floats | float = -math.inf,
-        *,
-        required: bool = False,
+        self, quantity: str, largest: float | None = None, smallest: float = -math.inf, *, required: bool = False
     ) -> Floats:
         """Return a column of numbers (n,) in SI units; NaN where the column or, unless ``required``, a cell is missing.
 
-        Magnitudes are at most ``largest``, by default the largest in their unit, and numbers at least ``smallest``, of each row
-        (n,) or of all. Raises TableError.
+        Magnitudes are at most ``largest``, by default the largest in their unit, and numbers at least ``smallest``.
+        Raises TableError.
         """
         if quantity not in self.columns:
             return np.full(len(self.rows), np.nan)
         unit, cells = SUFFIXES[self.columns[quantity].unit], self.cells(quantity)
         largest = UNITS[unit.si].largest if largest is None else largest
+        smallest = max(smallest, -largest)
         plain = cells if _are_numbers(cells) else [cell if _is_number(cell) else "nan" for cell in cells]
         out = unit.scale * np.array([*map(float, plain)])
         # Nearly all columns end here. The first wrong cell of the others is found one by one.
-        for i in np.flatnonzero(~((np.abs(out) <= largest) & (out >= smallest))).tolist():
+        for i in np.flatnonzero(~((out <= largest) & (out >= smallest) & np.isfinite(out))).tolist():
             cell, place = cells[i], self.place(i, quantity)
-            value = math.nan if not cell and not required else unit.scale * number(cell, place)
-            if abs(value) > largest:
-                text = f"{place}: {quoted(cell)} is too large for {unit.suffix}; is the column in another unit?"
-                raise TableError(text)
-            if value < (lowest := np.broadcast_to(smallest, out.shape)[i]):
-                wrong = "must be 0 or more" if lowest == 0.0 else "must be greater than 0"
-                if value > 0.0:
-                    wrong = "is too small; is the column in another unit?"
-                raise TableError(f"{place}: {quoted(cell)} {wrong}")
+            if not cell and not required:
+                continue
+            number(cell, place)
+            bounds = f"{unit.text(smallest)} and {unit.text(largest)}"
+            raise TableError(f"{place}: {quoted(cell)} is not between {bounds}; is the column in another unit?")
         return out
 
     def vectors(
@@ -218,12 +210,11 @@ class CsvTable:
         quantities: Sequence[str],
         words: str,
         largest: float | None = None,
-        smallest: Floats | float = -math.inf,
         *,
         required: bool = False,
     ) -> Floats:
         """Return columns side by side (n, c), of which each row must have all or none, as ``numbers`` does."""
-        columns = [self.numbers(quantity, largest, smallest, required=required) for quantity in quantities]
+        columns = [self.numbers(quantity, largest, required=required) for quantity in quantities]
         out = np.stack(columns, axis=1)
         missing = np.isnan(out)
         bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from truearm.errors import Argument, TableError
-from truearm.files.csv_cells import CsvTable, Titles, csv_text, joint_titles, read_csv
+from truearm.files.csv_cells import Column, CsvTable, Titles, csv_text, joint_titles, read_csv
 from truearm.files.disk import read_text, write_atomic
 from truearm.files.orientation_columns import HOMOGENEOUS, LAST_ROW, MATRIX, QUATERNION, rotation_vectors
 from truearm.kinds import registry
@@ -29,7 +29,7 @@ from truearm.model.robot_tables import MAX_JOINTS
 from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, Rig
-from truearm.units import SMALLEST, SUFFIXES, named, suffixes
+from truearm.units import SUFFIXES, named, suffixes
 
 MAX_BYTES = 16 * 2**20
 OTHERS = (".toml", ".json", ".urdf", ".xml", ".xacro", ".html")  # of rigs, robots, results, reports
@@ -64,17 +64,17 @@ def parse_table(
 ) -> ObservationTable:
     """Parse the text of a table; ``name`` stands for the file in messages and in ``source``. See ``read_table``."""
     cells = read_csv(text, name, table_titles(), PAGE, LAST_ROW)
-    q, kind = cells.joints(joint_units, mimics), _kinds(cells)
-    names = {column: cells.identifiers(column) for column in identifier_columns()}
-    measured = {quantity.field: _measured(cells, kind, quantity) for quantity in quantities()}
+    q, kind = cells.joints(joint_units, mimics), np.array(cells.cells("kind"))
+    content: dict[str, Any] = {column: cells.identifiers(column) for column in identifier_columns()}
+    content |= {quantity.field: _numbers(cells, quantity) for quantity in quantities()}
     if (rotation := rotation_vectors(cells)) is not None:
-        measured["rotation"] = rotation
+        content["rotation"] = rotation
     labels = {title: cells.cells(title) for title in filter(is_label, cells.columns)}
-    short = {title: np.array(texts) for title, texts in labels.items() if max(map(len, texts)) <= LONGEST_LABEL}
-    content: dict[str, Any] = {**names, **measured, **short, "sigma": _sigmas(cells, kind), "q_rate": _rates(cells)}
-    _check_kinds(cells.sources, kind, names, measured)
+    content |= {title: np.array(texts) for title, texts in labels.items() if max(map(len, texts)) <= LONGEST_LABEL}
+    content |= {"sigma": _sigmas(cells, kind), "q_rate": _rates(cells)}
     columns = {field: column for field, column in content.items() if _filled(column).any()}
     table = ObservationTable(columns, q=q, kind=kind, source=np.array(cells.sources))
+    check_values(table, joint_units, cells.columns)
     return table.completed(mimics, len(joint_units or q.T))
 
 
@@ -102,30 +102,18 @@ def _sigma(si: str) -> str:
     return "sigma" if si == "m" else f"sigma_{si}"
 
 
-def _kinds(cells: CsvTable) -> np.ndarray:
-    for row, kind in enumerate(cells.cells("kind")):
-        if kind not in registry.kinds():
-            text = f"{quoted(kind)} is not an observation kind; use {' or '.join(registry.kinds())}"
-            raise TableError(f"{cells.place(row, 'kind')}: {text}")
-    return np.array(cells.cells("kind"))
-
-
-def _measured(cells: CsvTable, kind: np.ndarray, quantity: Quantity) -> Floats:
-    """Return one column of a quantity as (n,), or several as (n, c)."""
-    smallest = np.full(len(kind), quantity.least)
-    for key, entry in registry.kinds().items():  # a bar has a positive length; a distance from a plane has a sign
-        for variant in (variant for variant in entry.quantities if variant.field == quantity.field):
-            smallest[kind == key] = variant.least
+def _numbers(cells: CsvTable, quantity: Quantity) -> Floats:
+    """Return one column of a quantity as (n,), or several as (n, c), of any size."""
     if len(quantity.columns) == 1:
-        return cells.numbers(quantity.columns[0], quantity.most, smallest)
-    return cells.vectors(quantity.columns, quantity.words, quantity.most, smallest)
+        return cells.numbers(quantity.columns[0], np.inf)
+    return cells.vectors(quantity.columns, quantity.words, np.inf)
 
 
 def _sigmas(cells: CsvTable, kind: np.ndarray) -> Floats:
     """Return the standard deviation (n,) of each row in the unit of its kind."""
     sigma = np.full(len(kind), np.nan)
     for unit in registry.units():
-        values = cells.numbers(_sigma(unit), LARGEST_NOISE, SMALLEST)
+        values = cells.numbers(_sigma(unit), np.inf)
         has_unit = np.isin(kind, [key for key, entry in registry.kinds().items() if entry.components[0] == unit])
         for row in np.flatnonzero(~has_unit & ~np.isnan(values))[:1]:
             text = f"the residual of {with_article(kind[row])} row is not in its unit; leave that cell empty"
@@ -152,26 +140,6 @@ def _filled(column: np.ndarray) -> np.ndarray:
     return np.asarray(column != "" if column.dtype.kind == "U" else ~np.isnan(column.reshape(len(column), -1)[:, 0]))
 
 
-def _check_kinds(
-    sources: Sequence[str], kind: np.ndarray, names: Mapping[str, np.ndarray], measured: Mapping[str, Floats]
-) -> None:
-    """Check that each row fills the cells its kind requires and leaves empty those that would contradict it."""
-    titles = {column: with_article(column) for column in names} | {q.field: q.title for q in quantities()}
-    filled = {column: _filled(cells) for column, cells in {**names, **measured}.items()}
-    wrong: list[tuple[int, str]] = []
-    for key, kind_entry in registry.kinds().items():
-        needs = {*map(_field, kind_entry.needs)}
-        leaves = filled.keys() - {*needs, *map(_field, kind_entry.may), *ANYWHERE, *map(_field, CIRCUMSTANCES)}
-        for column in (column for column in filled if column in needs or column in leaves):
-            bad = np.flatnonzero((kind == key) & (filled[column] == (column in leaves)))
-            title = column if column in leaves and column in names else titles[column]
-            text = "needs {}, which is empty or missing" if column in needs else "has no {}; leave that cell empty"
-            wrong += [(int(row), f"{with_article(key)} row {text.format(title)}") for row in bad[:1]]
-    if wrong:
-        row, text = min(wrong, key=lambda entry: entry[0])
-        raise TableError(f"{sources[row]}: {text}")
-
-
 def _field(column: str | Quantity) -> str:
     return column if isinstance(column, str) else column.field
 
@@ -186,51 +154,60 @@ def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
     return ObservationTable.joined(tables)
 
 
-def check_values(table: ObservationTable, joint_units: Sequence[str]) -> None:
-    """Raise TableError for the first row of no kind, without its readings, or with a number that ``read_table`` rejects."""
-    _refuse_incomplete(table)
-    noise = {unit: Quantity("sigma", ("sigma",), unit, LARGEST_NOISE, positive=True) for unit in registry.units()}
-    checks = [(quantity, np.ones(len(table), dtype=bool)) for quantity in CIRCUMSTANCES]
-    for key, kind in registry.kinds().items():
-        checks += [(quantity, table.kind == key) for quantity in (*kind.quantities, noise[kind.components[0]])]
-    for quantity, rows in checks:
-        _refuse_values(table, quantity, table[quantity.field], rows)
-    for j, unit in enumerate(joint_units):
-        for name, column, si in (("q", table.q, unit), ("q_rate", table.q_rate, f"{unit}/s")):
-            _refuse_values(table, Quantity(name, (f"{name}[{j}]",), si), column[:, j], np.ones(len(table), dtype=bool))
+def check_values(
+    table: ObservationTable, joint_units: Sequence[str] | None, columns: Mapping[str, Column] | None = None
+) -> None:
+    """Raise TableError for the first row of no kind, without what its kind needs, or with an implausible number.
 
-
-def _refuse_incomplete(table: ObservationTable) -> None:
-    """Raise TableError for the first row of an unknown kind, without joint readings, or without what its kind measures."""
-    wrong = ~np.isin(table.kind, list(registry.kinds()))
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise TableError(
-            f"{table.source[row]}: {quoted(str(table.kind[row]))} is not an observation kind; use {' or '.join(registry.kinds())}"
-        )
+    ``columns``: of the file that the table was read from, whose cells must be empty where its kind has nothing.
+    """
+    for row in np.flatnonzero(~np.isin(table.kind, list(registry.kinds())))[:1]:
+        text = f"{quoted(str(table.kind[row]))} is not an observation kind; use {' or '.join(registry.kinds())}"
+        raise TableError(f"{table.source[row]} column kind: {text}")
     for row, joint in np.argwhere(~np.isfinite(table.q))[:1].tolist():
         raise TableError(f"{table.source[row]}: q[{joint}] is not a finite number")
-    missing = []
+    _check_kinds(table, columns is not None)
+    every = np.ones(len(table), dtype=bool)
+    noise = {unit: Quantity("sigma", (_sigma(unit),), unit, LARGEST_NOISE, positive=True) for unit in registry.units()}
+    for quantity in CIRCUMSTANCES:
+        _check_numbers(table, quantity, table[quantity.field], every, columns or {})
     for key, kind in registry.kinds().items():
-        for needed in (column for column in kind.needs if not isinstance(column, str)):
-            words = needed.words if len(needed.columns) > 1 else with_article(needed.words)
-            missing.append(((table.kind == key) & ~_filled(table[needed.field]), words))
-    for rows, needed_words in missing:
-        if rows.any():
-            row = int(np.argmax(rows))
-            raise TableError(f"{table.source[row]}: {with_article(str(table.kind[row]))} row needs {needed_words}")
+        for quantity in (*kind.quantities, noise[kind.components[0]]):
+            _check_numbers(table, quantity, table[quantity.field], table.kind == key, columns or {})
+    for j, unit in enumerate(joint_units or ()):
+        for name, readings, si in (("q", table.q, unit), ("q_rate", table.q_rate, f"{unit}/s")):
+            _check_numbers(table, Quantity(name, (f"{name}[{j}]",), si), readings[:, j], every, {})
 
 
-def _refuse_values(table: ObservationTable, quantity: Quantity, column: Floats, rows: np.ndarray) -> None:
-    """Raise TableError for the first implausible value of a quantity in these rows (n,)."""
-    values = column.reshape(len(table), -1)
-    bad = np.argwhere(quantity.implausible(values) & rows[:, None])
+def _check_kinds(table: ObservationTable, strict: bool) -> None:
+    """Raise TableError for the first row without what its kind needs or, if ``strict``, with what contradicts it."""
+    titles = {column: column for column in identifier_columns()} | {q.field: q.title for q in quantities()}
+    filled = {column: _filled(table[column]) for column in titles}
+    wrong: list[tuple[int, str]] = []
+    for key, kind in registry.kinds().items():
+        needs = {*map(_field, kind.needs)}
+        leaves = filled.keys() - {*needs, *map(_field, kind.may), *ANYWHERE, *map(_field, CIRCUMSTANCES)}
+        for column in (*needs, *(leaves if strict else ())):
+            text = "has no {}; leave that cell empty" if column in leaves else "needs {}, which is empty or missing"
+            title = with_article(column) if column in needs and titles[column] == column else titles[column]
+            rows = np.flatnonzero((table.kind == key) & (filled[column] == (column in leaves)))
+            wrong += [(int(row), f"{with_article(key)} row {text.format(title)}") for row in rows[:1]]
+    if wrong:
+        row, text = min(wrong)
+        raise TableError(f"{table.source[row]}: {text}")
+
+
+def _check_numbers(
+    table: ObservationTable, quantity: Quantity, values: Floats, rows: np.ndarray, columns: Mapping[str, Column]
+) -> None:
+    """Raise TableError for the first implausible value (n, …) of a quantity in these rows (n,)."""
+    bad = np.argwhere(quantity.implausible(values.reshape(len(table), -1)) & rows[:, None])
     for i, k in bad[:1].tolist():
-        unit = SUFFIXES[_own(quantity.unit)]
-        raise TableError(
-            f"{table.source[i]}: {quantity.columns[k]} is {unit.text(values[i, k])}, not between {quantity.least:g} and "
-            f"{unit.text(quantity.most)}; is it in {unit.symbol}?"
-        )
+        column = columns.get(quantity.columns[k], Column(quantity.columns[k], k, _own(quantity.unit)))
+        unit, value = SUFFIXES[column.unit], float(values.reshape(len(table), -1)[i, k])
+        bounds = f"{unit.text(quantity.least)} and {unit.text(quantity.most)}"
+        text = f"{unit.text(value)} is not between {bounds}; is it in another unit?"
+        raise TableError(f"{table.source[i]} column {column.title}: {text}")
 
 
 def check_against_rig(table: ObservationTable, rig: Rig) -> None:
