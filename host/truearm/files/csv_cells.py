@@ -21,7 +21,7 @@ from truearm.errors import TableError
 from truearm.kinds.columns import is_label
 from truearm.model.mimic import units_of
 from truearm.schema import NAME, quoted
-from truearm.text import counted, page
+from truearm.text import counted
 from truearm.units import SUFFIXES, UNITS, named
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def read_header(header: list[str], titles: Titles, name: str, docs_page: str, ig
     """Return the columns of a file by quantity, and the user's own by their title.
 
     Columns without a title, ``note``, and those that match ``ignored`` are skipped. The first of ``titles`` must be there.
-    Raises TableError with the title that was probably meant; ``docs_page`` is the page on which all are described.
+    Raises TableError with the title that was probably meant; ``docs_page`` refers to the page on which all are described.
     """
     first, columns = next(iter(titles)), dict[str, Column]()
     if not difflib.get_close_matches(first, [title.lower() for title in header]):
@@ -143,7 +143,7 @@ def _unknown_title(title: str, titles: Titles, place: str, docs_page: str) -> Ta
             return TableError("wrong-value", place=place, names=names)
         stem = stem.rpartition("_")[0]
     close = difflib.get_close_matches(title[:40].lower(), titles, n=2, cutoff=LIKE)
-    meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {page(docs_page)}; "
+    meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {docs_page}; "
     return TableError("unknown-column", place=place, remedy=f"{meant}begin its name with x_ if it is to be ignored")
 
 

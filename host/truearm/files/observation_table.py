@@ -27,14 +27,14 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.mimic import NO_MIMICS, Mimic
 from truearm.model.robot_tables import MAX_JOINTS
 from truearm.schema import quoted
-from truearm.text import with_article
+from truearm.text import page, with_article
 from truearm.types import Floats, Rig
 from truearm.units import SUFFIXES, named, suffixes
 
 MAX_BYTES = 16 * 2**20
 OTHERS = (".toml", ".json", ".urdf", ".xml", ".xacro", ".html")  # of rigs, robots, results, reports
 RIG = ".toml"
-PAGE = "Observations, rigs and robots as files"
+PAGE = page("Observations, rigs and robots as files")
 LONGEST_LABEL = 64  # characters in a cell of the user's own columns; longer texts are notes
 AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
 

@@ -18,6 +18,7 @@ from truearm.files.csv_cells import csv_text, joint_titles, read_csv
 from truearm.files.disk import read_text, write_atomic
 from truearm.model.robot_tables import MAX_JOINTS
 from truearm.schema import quoted
+from truearm.text import page
 from truearm.types import BAR_MOUNTED, Move, Plan, Rig
 from truearm.units import MM_S
 
@@ -48,7 +49,7 @@ def parse_plan(text: str, name: str) -> Plan:
     joints = joint_titles("q", ("rad",), MAX_JOINTS)
     titles = {title: (title, "") for title in COLUMNS} | {"speed_mm_s": ("speed", MM_S.suffix)} | joints
     try:
-        cells = read_csv(text, name, titles, "Observations, rigs and robots as files")
+        cells = read_csv(text, name, titles, page("Observations, rigs and robots as files"))
         q = cells.joints()
         ids = {title: cells.identifiers(title) for title in (*Plan.IDS, *MOTION[:2])}
         speed = cells.numbers("speed", FASTEST, SLOWEST)

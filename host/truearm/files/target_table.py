@@ -20,6 +20,7 @@ from truearm.model.mimic import NO_MIMICS, Mimic, completed
 from truearm.model.poses import pose_of
 from truearm.model.robot_tables import MAX_JOINTS
 from truearm.model.rotation import rotation_vector
+from truearm.text import page
 from truearm.types import Floats, Strings
 from truearm.units import DEG, MM, key, named, shown, suffixes
 
@@ -65,7 +66,7 @@ def parse_targets(text: str, name: str, joint_units: Sequence[str], mimics: Mapp
     angles = {named(axis, unit): (axis, unit) for axis in TURN for unit in suffixes("rad")}
     joints = joint_titles("q", (*suffixes("rad"), *suffixes("m")), MAX_JOINTS)
     titles = {"x_mm": ("x", "mm"), "name": ("name", ""), **lengths, **angles, **joints}
-    cells = read_csv(text, name, titles, "Targets and programs", RESULTS)
+    cells = read_csv(text, name, titles, page("Targets and programs"), RESULTS)
     if len(cells.rows) > MAX_TARGETS:
         raise TargetError(f"{name}: has {len(cells.rows)} targets, the maximum is {MAX_TARGETS}; split it")
     xyz, turn = (cells.vectors(axes, ", ".join(axes), required=True) for axes in (XYZ, TURN))
