@@ -64,18 +64,6 @@ def tables(robot, described):
 READABLE = ("urdf", "dh-hayati", "sheth-uicker")  # files of any robot that truearm reads itself
 
 
-def parallel(described):
-    """Return whether axes 2 and 3 are nominally parallel."""
-    return abs(described.links[2, 2, 2]) > 1.0 - 1e-9
-
-
-def test_which_robots_have_parallel_axes():
-    chains = {name: builtin_robot(name).chain for name in builtin_names()}
-    found = {name for name, c in chains.items() if parallel(link_frames(c, c.params_nominal, c.params_nominal))}
-    assert found >= {"irb120", "puma560", "ulb", "ur5e", "ur10e"}
-    assert not found & {"iiwa14", "panda"}
-
-
 @pytest.mark.parametrize("name", builtin_names())
 @pytest.mark.parametrize("form", ["sheth-uicker", "dh", "dh-hayati", "mdh"])
 def test_tables_are_robot_files_that_predict_the_same(name, form):
@@ -392,12 +380,6 @@ def test_a_kinematics_file_says_what_it_cannot_express(model, key, says):
     nominal[chain.parameter_names.index(key)] += 1e-3
     with pytest.raises(RobotError, match=says):
         written("ur", RobotToWrite(chain, nominal, nominal))
-
-
-def test_a_format_that_declares_no_term_that_there_is_is_refused(monkeypatch):
-    monkeypatch.setitem(FORMATS, "urdf", FORMATS["urdf"]._replace(holds=("offset", "waves")))
-    with pytest.raises(ValueError, match="holds waves, which no term"):
-        fit_to("urdf", CHAIN, DESIGN, TRUTH, np.ones(DESIGN.size, dtype=bool), some_poses(CHAIN))
 
 
 def test_where_nothing_sensible_can_be_written_nothing_is():

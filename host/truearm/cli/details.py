@@ -12,10 +12,10 @@ from truearm.findings import option
 from truearm.report.law_findings import law_steps
 from truearm.report.result_findings import has_little_freedom
 from truearm.report.result_words import direction_text, kind_name, parameter_table
-from truearm.report.tables import Table
+from truearm.report.tables import ErrorRow, Table, error_table
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED, MOUNTING, Floats, rms_of_columns
-from truearm.units import MM_S, ONE, SUFFIXES, UM, UNITS, URAD, Scale, number, title
+from truearm.units import MM_S, ONE, UM, UNITS, URAD, Scale, number
 
 if TYPE_CHECKING:
     from truearm.workflows.correct import CorrectedFile
@@ -52,23 +52,21 @@ def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
 
 def _error_table(document: Document, suffix: str) -> Table:
     """Return the errors in the unit of ``suffix``: of the fitted rows, of each kind, of the held-out rows."""
-    scale = SUFFIXES[suffix]
     key_before, key_after = f"rms_before_{suffix}", f"rms_after_{suffix}"
-    form = f".{UNITS[scale.si].decimals}f"
-    rows: list[tuple[str, ...]] = []
     entries = [entry for entry in document["observations"] if entry[key_after] is not None]
     says_nothing = has_little_freedom(document)
     fitted = [("fitted, RMS", {**document, "fitted": sum(entry["fitted"] for entry in entries)})] if entries else []
     fitted += [(f"  {_kind_of(entry)}", entry) for entry in entries] if len(document["observations"]) > 1 else []
-    for words, entry in fitted:
-        numbers = entry[key_before], None if says_nothing else entry[key_after]
-        rows.append((words, *(_number(number, form) for number in numbers), str(entry["fitted"])))
+    rows: list[ErrorRow] = [
+        (words, (entry[key_before], None if says_nothing else entry[key_after]), entry["fitted"])
+        for words, entry in fitted
+    ]
     held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
-    if held_out.get(f"n_{suffix}"):
+    if n := held_out.get(f"n_{suffix}"):
         for figure, words in (("rms", "RMS"), ("mean", "mean"), ("max", "largest")):
-            errors = (_number(errors.get(f"{figure}_{suffix}"), form) for errors in (held_out_before, held_out))
-            rows.append((f"held out, {words}", *errors, str(held_out[f"n_{suffix}"])))
-    return Table((title("error", scale.si), "before", "after", "rows"), rows)
+            errors = [errors.get(f"{figure}_{suffix}") for errors in (held_out_before, held_out)]
+            rows.append((f"held out, {words}", errors, n))
+    return error_table(suffix, ("before", "after"), rows)
 
 
 def _kind_of(entry: Mapping[str, Any]) -> str:

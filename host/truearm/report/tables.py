@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from truearm.units import SUFFIXES, UNITS, title
+
 
 class Table(NamedTuple):
     """Rows of cells below titles. The first column names the row; the others are numbers, or text if the title ends in a space.
@@ -27,3 +29,16 @@ class Table(NamedTuple):
             for line in lines
         )
         return "\n".join("  ".join(line).rstrip() for line in aligned)
+
+
+ErrorRow = tuple[str, Sequence[float | None], int]  # words, errors in the unit of the table, number of rows
+
+
+def error_table(suffix: str, titles: Sequence[str], rows: Iterable[ErrorRow]) -> Table:
+    """Return errors in the unit of ``suffix``, with a column for each of ``titles``; "-" for what is not known."""
+    unit = UNITS[SUFFIXES[suffix].si]
+    cells = [
+        (words, *("-" if error is None else f"{error:.{unit.decimals}f}" for error in errors), n)
+        for words, errors, n in rows
+    ]
+    return Table((title("error", unit.si), *titles, "rows"), cells, "errors")

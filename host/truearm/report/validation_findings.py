@@ -7,10 +7,10 @@ from typing import Any
 
 from truearm.findings import Finding, ordered
 from truearm.report.result_findings import FAR_OFF, SETTLED, audit, copies, fault_findings, sizes
-from truearm.report.tables import Table
+from truearm.report.tables import ErrorRow, Table, error_table
 from truearm.results import chi2_text
 from truearm.text import one_line
-from truearm.units import SUFFIXES, UNITS, Scale, from_shown, title
+from truearm.units import SUFFIXES, UNITS, from_shown
 
 Document = Mapping[str, Any]
 
@@ -104,26 +104,20 @@ def _notes(document: Document) -> Iterator[Finding]:
 
 def error_tables(document: Document) -> list[Table]:
     """Return a table of errors for each unit: all rows, then the regions."""
-    return [_error_table(document, SUFFIXES[suffix]) for suffix in document["residual_units"]]
+    return [_error_table(document, suffix) for suffix in document["residual_units"]]
 
 
-def _error_table(document: Document, unit: Scale) -> Table:
+def _error_table(document: Document, suffix: str) -> Table:
+    def row(words: str, errors: Document, figure: str, predicted: float | None) -> ErrorRow:
+        sizes = [errors[f"{figure}_{name}_{suffix}"] for name in ("before", "after")]
+        return words, (*sizes, predicted), errors[f"n_{suffix}"]
+
     due = document["expected"] if not document["unseen"] else None
-    rows: list[tuple[str, ...]] = []
-    for figure, words in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
-        predicted = due[f"rms_{unit.suffix}"] if due and figure == "rms" else None
-        rows.append(_error_row(words, document, figure, unit, predicted))
-    for region in document["regions"]:
-        if region[f"n_{unit.suffix}"]:
-            predicted = region[f"rms_expected_{unit.suffix}"]
-            rows.append(_error_row(one_line(region["region"]), region, "rms", unit, predicted))
-    return Table((title("error", unit.si), "before", "after", "expected", "rows"), rows, "errors")
-
-
-def _error_row(words: str, numbers: Document, figure: str, unit: Scale, predicted: float | None) -> tuple[str, ...]:
-    decimals = UNITS[unit.si].decimals
-    error_before, error_after = (
-        f"{numbers[f'{figure}_{name}_{unit.suffix}']:.{decimals}f}" for name in ("before", "after")
-    )
-    expected = "-" if predicted is None else f"{predicted:.{decimals}f}"
-    return words, error_before, error_after, expected, str(numbers[f"n_{unit.suffix}"])
+    rows = [row("all, RMS", document, "rms", due and due[f"rms_{suffix}"])]
+    rows += [row(f"all, {words}", document, figure, None) for words, figure in (("mean", "mean"), ("largest", "max"))]
+    rows += [
+        row(one_line(region["region"]), region, "rms", region[f"rms_expected_{suffix}"])
+        for region in document["regions"]
+        if region[f"n_{suffix}"]
+    ]
+    return error_table(suffix, ("before", "after", "expected"), rows)
