@@ -361,36 +361,22 @@ IDENTIFIER = Text(pattern=NAME, wanted="a name of up to 64 letters, digits, '-',
 
 @dataclass(frozen=True)
 class Choice:
-    """One of some texts, members of a StrEnum, or whole numbers."""
+    """One of some texts, members of a StrEnum, whole numbers, or truth values."""
 
     options: tuple[Any, ...]
     suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> Any:
-        member = next(
-            (o for o in self.options if isinstance(o, type(raw)) and raw == o and not isinstance(raw, bool)), None
+        same_type = (
+            o for o in self.options if isinstance(o, type(raw)) and isinstance(o, bool) is isinstance(raw, bool)
         )
-        if member is None:
+        members = [option for option in same_type if option == raw]
+        if not members:
             raise SchemaError(f"{quoted(raw)} is not one of {', '.join(map(quoted, self.options))}")
-        return member
+        return members[0]
 
     def format(self, value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
-
-
-@dataclass(frozen=True)
-class Flag:
-    """True or false."""
-
-    suffixes: ClassVar[Sequence[str]] = NO_UNIT
-
-    def parse(self, raw: Any, suffix: str = "") -> bool:
-        if not isinstance(raw, bool):
-            raise SchemaError(f"{quoted(raw)} is not true or false")
-        return raw
-
-    def format(self, value: bool) -> str:
-        return str(value).lower()
 
 
 @dataclass(frozen=True)

@@ -197,33 +197,21 @@ BAR = '[[bar]]\nname="b"\nzero_m=0.4\ntravel_m=0.1\nsigma_m=1e-4\n'
 LINE = '[[line]]\nname="l"\nsigma_mm=[0.1, 0.1, 0.1]\n'
 SOCKET = '[[socket]]\nplace = "p"\nname = "0"\nxyz_m = [0, 0, 0]\n'
 WRONG = {
-    "long integer": ("seat_sigma_m = 1" + "0" * 5000, "rig.toml"),
-    "deep": ("a = " + "[" * 100_000, "nested too deeply"),
-    "unknown key": (BAR + "scale = 1.0\n", "[[bar]] 1: unknown key 'scale'"),
-    "mm called m": (BAR.replace("0.4", "400"), "zero_m: 400 m"),
-    "no travel": (BAR.replace("0.1", "0"), "travel_m: 0 m"),
     "a bar in metres": (
         BAR.replace("zero_m=0.4", "zero_mm = 0.37"),
         "[[bar]] 1: zero",
     ),
     "a bar shorter than its travel": (BAR.replace("zero_m=0.4", "zero_mm = 50"), "50 mm: no length"),
-    "negative sigma": (
-        '[[chuck]]\nname = "c"\nxyz_m = [0, 0, 0]\nsigma_m = -1\n',
-        "sigma_m: -1 m",
-    ),
     "line known nowhere": (LINE + "position_sigma_m = 0\n", "[[line]] 1: an exactly known pose (sigma 0) needs xyz_m"),
     "exact sensor": (LINE.replace("[0.1,", "[0.0,"), "sigma_mm: item 1: 0 mm"),
     "sigma twice": (
         LINE + "covariance_m2 = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n",
         "both covariance_m2 and sigma_mm",
     ),
-    "skewed": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [0, 1, 0], [0, 0, 1]]\n', "must be symmetric"),
     "singular sensor": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [1, 1, 0], [0, 0, 1]]\n', "covariance"),
     "joints twice": ("joint_cov_si = [[1.0]]\njoint_sigma_rad = [1.0]\n", "both joint_cov_si and joint_sigma_rad"),
-    "no line travel": ("line_travel_mm = 0\n", "line_travel_mm: 0 mm"),
     "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal: must"),
     "socket twice": (SOCKET + SOCKET, "[[socket]] 2: 'p/0'"),
-    "odd place": (SOCKET.replace('"p"', '"a b"'), "[[socket]] 1: place: 'a b'"),
     "same socket": (
         '[[socket_distance]]\nsockets = ["0", "0"]\ndistance_m = 1\nsigma_m = 1\n',
         "'0'",

