@@ -179,6 +179,3 @@ def test_without_a_converter_the_box_goes_on(faults):
     assert (configured, identity) == (0, -1)
     assert 2 <= attempts <= 5  # one in 50 ms
     assert longest_us < 10_000
-
-
-# -- CRC and frames on both interpreters, and of the model

@@ -66,10 +66,6 @@ def test_the_demodulators_clocks_are_behind_as_in_the_simulated_circuit(run):
         assert abs(late - behind) < 0.01
 
 
-def test_the_period_is_a_null_of_the_filter_at_the_rate_that_the_box_has_by_default():
-    assert pytest.approx(5, abs=1e-12) == 1e6 / PERIOD_US * 2 / (budget.CONVERTER_HZ / 2 / 4096)
-
-
 @pytest.mark.parametrize("pins", ["(10, 12, 26)", "(10, 13, 14)"])
 def test_pins_that_share_a_slice_or_are_odd_are_refused(pins):
     script = (

@@ -6,7 +6,6 @@ from tests.host.test_box_uf2 import image
 
 from truearm import __version__
 from truearm.box.boot_drive import find_drives
-from truearm_sim.chip import make_flash, read_flash
 
 
 def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
@@ -74,9 +73,3 @@ def test_a_damaged_image_reaches_no_drive(tmp_path, capsys, monkeypatch):
     assert box("flash", "--drive", drive) == 2
     assert "truearm-0.0.0.uf2" in capsys.readouterr().err
     assert [p.name for p in drive.iterdir()] == ["INFO_UF2.TXT"]
-
-
-def test_a_flash_image_holds_folders(tmp_path):
-    files = {"main.py": b"run()", "lib/deep/a.py": b"", "config.json": b"{}"}
-    make_flash(tmp_path / "flash.bin", files)
-    assert read_flash(tmp_path / "flash.bin") == files

@@ -3,8 +3,8 @@
 import struct
 import zlib
 
-import pytest
-from tests.firmware.conftest import Bench, real_micropython, records
+from tests.firmware import conftest
+from tests.firmware.conftest import records
 
 
 def cbor(data, at=0):
@@ -53,11 +53,7 @@ def frame(*elements):
     return b"\0" + stuffed + b"\0"
 
 
-@pytest.fixture(params=["micropython", "cpython"])
-def bench(request):
-    bench = Bench(real_micropython() if request.param == "micropython" else None)
-    yield bench
-    bench.box.close()
+bench = conftest.bench  # the fixture
 
 
 def heard(bench, **grant):

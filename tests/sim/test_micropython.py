@@ -197,33 +197,33 @@ esac
 """
 
 
-def test_an_architecture_whose_lists_are_stale_comes_from_the_next_release(monkeypatch, tmp_path):
-    fake(tmp_path / "bin", STALE_APT, "apt-get")
-    (tmp_path / "bin" / "apt-get.state").write_text("updates=0\n")
-    fake(tmp_path / "bin", "echo amd64", "dpkg")
-    fake(tmp_path / "bin", "true", "apt-config")
-    monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=":")
+@pytest.fixture
+def stale_apt(monkeypatch, tmp_path):
+    """Return the folder of programs, with that apt, of a machine of amd64; its state counts the updates."""
+    folder = tmp_path / "bin"
+    for name, script in (("apt-get", STALE_APT), ("dpkg", "echo amd64"), ("apt-config", "true")):
+        fake(folder, script, name)
+    (folder / "apt-get.state").write_text("updates=0\n")
+    monkeypatch.setenv("PATH", str(folder), prepend=":")
     monkeypatch.setattr(debian, "machine_sources", lambda etc, suites: [Source("http://deb.example/debian", None)])
+    return folder
+
+
+@pytest.mark.usefixtures("stale_apt")
+def test_an_architecture_whose_lists_are_stale_comes_from_the_next_release(tmp_path):
     said = []
-    found = micropython._download(tmp_path / "apt", said.append)
-    assert [path.name for path in found] == ["micropython_forky_i386.deb", "micropython_trixie_amd64.deb"]
+    packages = micropython._download(tmp_path / "apt", said.append)
+    assert [path.name for path in packages] == ["micropython_forky_i386.deb", "micropython_trixie_amd64.deb"]
     assert any("not from trixie" in line and "Mirror sync" in line for line in said)
 
 
-def test_lists_of_a_mirror_that_is_being_renewed_are_asked_for_again(monkeypatch, tmp_path):
-    fake(tmp_path / "bin", STALE_APT, "apt-get")
-    state = tmp_path / "bin" / "apt-get.state"
-    state.write_text("updates=0\n")
-    fake(tmp_path / "bin", "echo amd64", "dpkg")
-    fake(tmp_path / "bin", "true", "apt-config")
-    monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=":")
-    monkeypatch.setattr(debian, "machine_sources", lambda etc, suites: [Source("http://deb.example/debian", None)])
+def test_lists_of_a_mirror_that_is_being_renewed_are_asked_for_again(stale_apt, monkeypatch, tmp_path):
     waited = []
     monkeypatch.setattr(debian, "time", SimpleNamespace(sleep=waited.append))  # not the sleep of other threads
     with pytest.raises(debian.DebianError, match="unexpected size"):
         debian.private_apt(tmp_path / "apt", "trixie", ("i386",))
     assert waited == list(debian.PAUSES)
-    assert state.read_text() == f"updates={1 + len(waited)}\n"
+    assert (stale_apt / "apt-get.state").read_text() == f"updates={1 + len(waited)}\n"
 
 
 def test_the_interpreter_found_here_is_a_micropython():

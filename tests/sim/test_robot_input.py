@@ -51,16 +51,6 @@ def test_every_reading_shows_the_level_at_its_instant(lab):
         assert after - before < 2.1e6
 
 
-def test_a_reset_takes_the_output_down(lab):
-    lab.box_link.read(0.5)
-    lab.box_link.write(frame(encode_payload([START, 1])))
-    while not lab.box.output:
-        lab.box_link.read(0.1)
-    lab.box.power_cycle(lab.now_ns)
-    assert lab.box.output_edges[-1] == (lab.now_ns, False)
-    assert not lab.box.output_at(np.array([1e-9 * lab.now_ns]))[0]
-
-
 def test_without_a_wire_readings_have_no_inputs():
     world = World(4, standard_plan(9, 4))
     assert b"inputs" not in world.robot_lines(0, 10**9, lambda t: t > 0)[1][0]

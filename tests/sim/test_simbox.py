@@ -1,15 +1,12 @@
 """The simulated box as a thing: power, flash, inputs and outputs; and the magnetostrictive head of the world."""
 
-from functools import partial
-
 import cbor2
 import numpy as np
 import pytest
 
 from truearm_sim import micropython, sensors
-from truearm_sim.hardware import Boot, Edge, Signals
+from truearm_sim.hardware import Edge, Signals
 from truearm_sim.simbox import Fault, SimulatedBox
-from truearm_sim.vmbox import VmBox
 from truearm_sim.world import MAG_MIDDLE, MAG_STROKE, Setup, World, standard_plan
 from truearm_wire import frame, messages
 
@@ -116,23 +113,6 @@ def test_without_a_watchdog_it_stands_still_for_ever(talk):
     assert box.run(6000) == []
 
 
-def test_any_hardware_can_stand_behind_it(talk):
-    boots = []
-
-    def power_on(boot: Boot):
-        boots.append(boot)
-        return VmBox(micropython.find(), boot)
-
-    box = talk(power_on=power_on)
-    box.run(2)
-    box.box.power_cycle(box.t_ns)
-    box.run(1600)
-    assert [boot.cause for boot in boots] == [1, 1]
-    assert boots[0].flash == boots[1].flash == box.box.flash
-    assert boots[0].boot_id != boots[1].boot_id
-    assert boots[1].signals.boot_device_ns > boots[0].signals.boot_device_ns
-
-
 def test_long_waits_come_in_batches_and_nothing_is_left_out(talk):
     box = talk()
     box.run(2)
@@ -146,14 +126,6 @@ def test_long_waits_come_in_batches_and_nothing_is_left_out(talk):
 
 
 # -- the head
-
-
-def test_flight_times_are_the_same_in_any_chunks():
-    start = 10**9
-    whole = WORLD.flight_times(8100, 8400, start, 983_040)
-    pieces = [WORLD.flight_times(k, k + 50, start, 983_040) for k in range(8100, 8400, 50)]
-    assert np.array_equal(whole, np.concatenate(pieces))
-    assert WORLD.flight_times(5, 5, start, 983_040).shape == (0,)
 
 
 def test_flight_times_are_those_of_the_magnet():
@@ -202,9 +174,3 @@ def test_what_the_configuration_says_of_the_head_is_what_the_head_does():
     assert World(4, standard_plan(9, 4)).box_config()["magnetostrictive"]["period_ns"] == 0
     earliest, latest = (p / sensors.SOUND * 1e9 + head["delay_ns"] for p in MAG_STROKE)
     assert head["blanking_ns"] < earliest < latest < sensors.magnetostrictive(250_000)["timeout_ns"]
-
-
-def test_a_box_needs_no_interpreter_of_its_own():
-    box = SimulatedBox(WORLD, power_on=partial(VmBox, None))
-    assert b"\x00" in b"".join(box.advance(1))
-    box.close()

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import PlanError
-from truearm.files.plan_file import concatenate
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation, rotation_vector
@@ -18,7 +17,7 @@ from truearm_sim import line_device, robot, sensors
 from truearm_sim.line_device import BY_HAND, Flaws
 from truearm_sim.line_plan import TARGETS, drawn_line_plan, line_rig
 from truearm_sim.paths import ACCELERATION
-from truearm_sim.world import Setup, World, standard_plan, standard_rig
+from truearm_sim.world import Setup, World
 
 PERIOD = 983_040
 PLAN = drawn_line_plan(2, seed=3)
@@ -222,29 +221,6 @@ def test_flaws_are_what_they_say():
     bent = decoded(World(6, PLAN, RIG, setup=Setup(flaws=Flaws(bend=1e-3))), k0, k1)
     x = clean[:, 0]
     assert np.abs(bent[:, 0] - x - 1e-3 * (x / line_device.REACH) ** 3).max() < 1e-6
-
-
-def test_a_mixed_plan_measures_both():
-    rig = line_rig(standard_rig())
-    both = World(6, plan_of_both(), rig)
-    c = both.controller
-    assert len(both.truth.length) == 9
-    assert np.isfinite(both.truth.length).all()
-    t = np.arange(0.0, both.duration, 0.01)
-    on, guided = c.bar_is_on(t), np.isfinite(both.magnet_position(t))
-    assert on.any()
-    assert guided.any()
-    assert not (on & guided).any()
-    assert np.array_equal(np.isfinite(both.length(t)), on)
-
-
-def plan_of_both():
-    return concatenate(standard_plan(9, 1, one_bar()), PLAN)
-
-
-def one_bar():
-    rig = standard_rig()
-    return replace(rig, bars={"bar46": rig.bars["bar46"]})
 
 
 def test_lines_that_cannot_be_driven_are_refused():
