@@ -570,7 +570,7 @@ class Estimate(Displayed):
     unfitted_error_before: Residuals = field(default_factory=dict)  # empty if only base and tool were fitted
     mean_change: Mapping[str, MeanChange] = field(default_factory=dict)  # by unit, from these two
     with_outliers: OtherFit | None = None  # all rows, if outliers were left out (estimate.outliers)
-    without_bad_rows: OtherFit | None = None  # these are ``suspect``, but too many to leave out (estimate.bad_rows)
+    without_bad_rows: OtherFit | None = None  # these are ``suspect``, but too many to leave out (estimate.outliers)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
     scatter: Scatter | None = None  # of the arm, where it was learned; in ``covariance`` if rows share poses
     joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested

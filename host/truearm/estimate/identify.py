@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from truearm import option_defaults
 from truearm.errors import ProblemError
-from truearm.estimate.bad_rows import MOST as MOST_BAD
-from truearm.estimate.bad_rows import WithoutBad, fit_without, without_bad_rows
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
@@ -32,7 +30,16 @@ from truearm.estimate.information import observe, of_rows, with_prior
 from truearm.estimate.levenberg_marquardt import Damping, idle
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
-from truearm.estimate.outliers import fit_with_all, gross_rows, weightless, without_outliers
+from truearm.estimate.outliers import (
+    MOST_BAD,
+    WithoutBad,
+    fit_with_all,
+    fit_without,
+    gross_rows,
+    weightless,
+    without_bad_rows,
+    without_outliers,
+)
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import (
     Problem,
@@ -332,7 +339,7 @@ def _solved(
     if _rejects(options) and begun.status == "converged":
         rejected = without_outliers(problem, columns, begun, how_to, gross)
         if rejected is not None:
-            return _Solved(rejected.found if rejected.explained else complete, complete, rejected.found.weight == 0.0)
+            return _Solved(rejected.fit if rejected.explained else complete, complete, rejected.fit.weight == 0.0)
     return _Solved(complete, complete, complete.weight == 0.0)
 
 

@@ -1,18 +1,25 @@
-"""Outlying rows, left out of a least-squares fit one after the other according to their prediction by all other rows.
+"""Outlying rows, left out of a least-squares fit according to their prediction by all other rows.
 
-An outlier pushes its neighbours beyond the gate. As in the recursive solver, each round therefore leaves out only rows
-at least half as far as the farthest. The rest is fitted again, and rows back within the gate return. Where the usual
-row errs by more than its declared noise, the gate is wider in proportion.
+Fits and choices of rows alternate until the choice no longer changes (``settled``). An outlier pushes its neighbours
+beyond the gate, so each round leaves out only rows at least half as far as the farthest, and rows back within the gate
+return. Where the usual row errs by more than its declared noise, the gate is wider in proportion.
 
 If more than MOST of all rows are left out or beyond the gate of their declared noise, or more than LONGEST_RUN
 consecutive ones, the model is wrong. Something moved, a label is wrong, or the noise is not as declared. Joint laws may
 be what is missing then, so the rows that are farthest are still named if they ``matter``: a fit with laws decides
 (``law_outliers``).
+
+More rows than that may still be *bad* ones. They bend a least-squares fit too far, but the Cauchy loss ends near the
+fit of the good rows: the choice starts there. They are named, not left out, on three conditions. χ² of all others is
+then in its range, at most MOST_BAD of all rows are bad, and they follow each other no more than by chance. A robot whose
+model is wrong, or whose noise is larger than declared, fails the first. Something that moved for some time fails the
+last.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,9 +27,13 @@ from scipy import special
 
 from truearm.estimate.fit import fit
 from truearm.estimate.information import observe
+from truearm.estimate.prediction import moves
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Options, Solution, goodness_of
+from truearm.estimate.solvers import Loss
+from truearm.estimate.uncertainty import Goodness
 from truearm.estimate.whitened_rows import gate, only, squared_distances, whitened_blocks
+from truearm.model.chain import Chain
 from truearm.results import Figures, OtherFit
 from truearm.types import Floats, Indices, Mask
 
@@ -33,6 +44,10 @@ NEAR_FARTHEST = 0.25  # of the farthest squared distance: half the distance
 MAX_ROUNDS = 50
 GROSS = 10.0  # times the median row of its kind: beyond the errors of a robot that is merely uncalibrated
 GROSS_ROUNDS = 5
+MOST_BAD = 0.25  # of the rows
+LEAST_LEFT = 10.0  # degrees of freedom of the other rows: with fewer, leaving out rows explains anything
+HEAVY = 2.0  # times the misfit of the usual row: with less, the whole fit is bad and not some rows
+CHANCE = 0.01  # probability of a longer run of bad rows in random order
 MEDIAN_SPREAD = 2.33  # relative σ of the median of n squares of one residual each, times √n; of wider rows it is less
 
 
@@ -73,10 +88,52 @@ def single(bad: Mask) -> bool:
     return bool(bad.sum() <= MOST * bad.size) and longest_run(bad) <= LONGEST_RUN
 
 
+class Settled(NamedTuple):
+    """The fit of the rows that a choice includes, (n_rows,), the squared distance of each row, and its residuals.
+
+    ``is_stable`` is False if the choice recurs or leaves out too many rows, or if the fit does not converge.
+    """
+
+    fit: Solution
+    included: Mask
+    square: Floats
+    width: Indices
+    is_stable: bool
+
+
+def settled(
+    problem: Problem,
+    columns: Mask,
+    solution: Solution,
+    weight: Floats,
+    choose: Callable[[Floats, Indices, Mask], Mask],
+    most: float,
+    options: Options,
+) -> Settled:
+    """Alternate the choice of rows and their fit, from a ``solution`` over x[columns] with the rows' ``weight`` (n_rows,).
+
+    ``choose`` returns the rows to include by their squared distances, their widths, and the rows included so far. At
+    most the part ``most`` of all may be left out.
+    """
+    included, choices, is_stable = weight > 0.0, set[bytes](), False
+    for _ in range(MAX_ROUNDS):
+        square, width = squared_distances(problem, solution.x, columns, solution.information.half, weight)
+        chosen = choose(square, width, included)
+        is_stable = np.array_equal(chosen, included)
+        if is_stable or (~chosen).mean() > most or chosen.tobytes() in choices:
+            break
+        choices.add(chosen.tobytes())
+        included, weight = chosen, chosen.astype(float)
+        solution = fit(only(problem, included), columns, solution.x, options._replace(on_step=None))
+        if solution.status != "converged":
+            break
+    return Settled(solution, included, square, width, is_stable)
+
+
 class Rejection(NamedTuple):
     """A fit without outliers, which have weight 0 in it."""
 
-    found: Solution
+    fit: Solution
     explained: bool  # by the declared noise, except for a share MOST of the rows
 
 
@@ -87,34 +144,63 @@ def without_outliers(
 
     ``solution`` is a converged least-squares fit over x[columns] of all rows except those that are ``gross`` (n_rows,).
     """
-    n = problem.n_rows
-    included = ~gross
-    options = options._replace(on_step=None)
-    refit, seen_sets, settled = solution, set(), True
-    for _ in range(MAX_ROUNDS):
-        square, width = squared_distances(problem, refit.x, columns, refit.information.half, included.astype(float))
-        chosen = within(square, gate(width) * misfit(square, width, included), included)
-        if np.array_equal(chosen, included):
-            break
-        if (~chosen).sum() > MOST * n or chosen.tobytes() in seen_sets:
-            settled = False  # where the misfit varies, clean rows follow those that are farthest
-            break
-        seen_sets.add(chosen.tobytes())
-        included = chosen
-        refit = fit(only(problem, included), columns, refit.x, options)
-        if refit.status != "converged":
-            return None
-    else:
+
+    def choose(square: Floats, width: Indices, included: Mask) -> Mask:
+        return within(square, gate(width) * misfit(square, width, included), included)
+
+    # Where the misfit varies, the choice may not settle: clean rows follow those that are farthest.
+    rows = settled(problem, columns, solution, (~gross).astype(float), choose, MOST, options)
+    if rows.fit.status != "converged" or rows.included.all() or not single(~rows.included):
         return None
-    if included.all() or not single(~included):
+    explained = rows.is_stable and bool((rows.square > gate(rows.width)).mean() <= MOST)
+    if not explained and not matter(rows.square, ~rows.included):
         return None
-    explained = settled and bool((square > gate(width)).sum() <= MOST * n)
-    if not explained and not matter(square, ~included):
+    refit = rows.fit._replace(iterations=solution.iterations, message=solution.message)
+    return Rejection(weightless(problem, columns, refit, rows.included), explained)
+
+
+class WithoutBad(NamedTuple):
+    """The fit without the bad rows: which they are, each row's distance [σ] from its prediction by it (n_rows,), χ²."""
+
+    bad: Mask
+    distance: Floats
+    solution: Solution
+    quality: Goodness
+
+
+def without_bad_rows(
+    problem: Problem, columns: Mask, solution: Solution, quality: Goodness, options: Options
+) -> WithoutBad | None:
+    """Return the fit without the bad rows; None if there are none, or if they do not explain χ².
+
+    ``solution`` is the least-squares fit of all rows over x[columns], with the ``quality`` that is out of its range.
+    """
+    square, width = squared_distances(problem, solution.x, columns, solution.information.half, np.ones(problem.n_rows))
+    usual = float(np.nanmax(misfit(square, width, np.isfinite(square)), initial=1.0))
+    if not quality.reduced > HEAVY * usual:
         return None
-    without = weightless(
-        problem, columns, refit._replace(iterations=solution.iterations, message=solution.message), included
+    robust = fit(problem, columns, solution.x, options._replace(on_step=None, loss=Loss.CAUCHY))
+    near = settled(
+        problem, columns, robust, robust.weight, lambda square, width, _: ~(square > gate(width)), MOST_BAD, options
     )
-    return Rejection(without, explained)
+    bad = ~near.included
+    if not near.is_stable or not bad.any() or longest_run(bad) > _longest_by_chance(bad):
+        return None
+    remaining = goodness_of(problem, columns, near.fit)
+    explained = remaining.explained and remaining.freedom >= LEAST_LEFT
+    return WithoutBad(bad, np.sqrt(near.square), near.fit, remaining) if explained else None
+
+
+def _longest_by_chance(bad: Mask) -> float:
+    """Return the longest run of the bad rows that is not beyond chance if they are in random order."""
+    return max(LONGEST_RUN, math.log(CHANCE / bad.size) / math.log(bad.mean()))
+
+
+def fit_without(bad: WithoutBad, chain: Chain, x: Floats, q: Floats) -> OtherFit:
+    """Return the fit without the bad rows; x (P,) is the fit with them, and q (n, j) are the poses."""
+    rms = {unit: figures.rms for unit, figures in Figures.by_unit(bad.solution.information.residual, ~bad.bad).items()}
+    distance = moves(chain, x, bad.solution.x, q)
+    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced, distance)
 
 
 def within(distance: Floats, limit: Floats, included: Mask) -> Mask:

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.fit import fit
-from truearm.estimate.outliers import MAX_ROUNDS, weightless, within
+from truearm.estimate.outliers import settled, weightless, within
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Options, Solution, prior_error
-from truearm.estimate.whitened_rows import deleted_distance, gate, only, whitened_blocks
-from truearm.types import Floats
+from truearm.estimate.whitened_rows import gate, whitened_blocks
+from truearm.types import Floats, Indices, Mask
 
 DIFFUSE = 10.0  # σ of an unknown without a prior; 1e5 times what millimetre work would leave, 1e-10 in the result
 
@@ -88,28 +88,24 @@ def run(state: Filter, rows: Rows, included: NDArray[np.bool_]) -> tuple[Filter,
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
     """Estimate recursively over x[columns] from x (P,); rows beyond the gate have weight 0 in the result."""
     options = options._replace(damping=options.damping.from_full_steps())
-    solution = fit(problem, columns, x, options)
-    included, seen_sets, iterations = np.ones(problem.n_rows, dtype=bool), set[bytes](), solution.iterations
-    while solution.status == "converged":
-        rows = rows_of(problem, solution.x, columns)
-        included_rows = np.append(included, True)[rows.row]
-        state, _ = run(start(*prior_error(problem, columns, solution.x)), rows, included_rows)
-        distance = deleted_distance(rows.jac, rows.residual, state.root, included_rows.astype(float))
-        chosen = included.copy()
-        chosen[rows.row[rows.row >= 0]] = within(distance, gate(rows.width), included_rows)[rows.row >= 0]
-        if np.array_equal(chosen, included):
+    solution, included = fit(problem, columns, x, options), np.ones(problem.n_rows, dtype=bool)
+    iterations = solution.iterations
+    if solution.status == "converged":
+        choice = settled(problem, columns, solution, included.astype(float), _by_gate, 1.0, options)
+        solution, included = choice.fit, choice.included
+        if choice.is_stable:
+            rows = rows_of(problem, solution.x, columns)
+            state, _ = run(start(*prior_error(problem, columns, solution.x)), rows, np.append(included, True)[rows.row])
             message = f"converged; {(~included).sum()} of {included.size} observations were left out as outliers"
             solution = solution._replace(message=message, covariance=state.root @ state.root.T)
-            break
-        if chosen.tobytes() in seen_sets or len(seen_sets) > MAX_ROUNDS:
+        elif solution.status == "converged":
             message = "from pass to pass, other rows are left out as outliers"
             solution = solution._replace(status="stalled", message=message)
-            break
-        seen_sets.add(included.tobytes())
-        included = chosen
-        solution = fit(only(problem, included), columns, solution.x, options._replace(on_step=None))
-        iterations += solution.iterations
     return weightless(problem, columns, solution._replace(iterations=iterations), included)
+
+
+def _by_gate(square: Floats, width: Indices, included: Mask) -> Mask:
+    return within(square, gate(width), included)
 
 
 def rows_of(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Rows:
