@@ -8,7 +8,7 @@ from puma_bench import CHAIN, FREE, RIG, ROBOT, SIGMA, random_table
 from ur10_bench import FOLDER
 
 import truearm
-from truearm.estimate.gain import gain_of, mean_changes
+from truearm.estimate.mean_error import gain_of, mean_changes
 from truearm.estimate.prior import weak_prior
 from truearm.results import Gain, MeanChange
 from truearm.workflows.calibration_report import write_page

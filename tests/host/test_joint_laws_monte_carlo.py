@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ur10_bench import RIG, ROBOT
 
-from truearm.estimate import joint_laws, law_elsewhere
+from truearm.estimate import joint_laws, law_fit
 from truearm.estimate.problem import build_problem
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_frames, point_forward
@@ -166,7 +166,7 @@ def test_many_poses_determine_laws_that_the_geometry_does_not_move(monkeypatch):
     moved = []
 
     def noted(of, anywhere, found, misfit):
-        result = law_elsewhere.nearer_geometry(of, anywhere, found, misfit)
+        result = law_fit.nearer_geometry(of, anywhere, found, misfit)
         apart = (
             build_problem(of.problem.chain, rig_of(1), inside).groups[0].evaluate(of.problem.chain, x).residual
             for x in (found.x, result.x)

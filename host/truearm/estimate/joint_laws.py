@@ -11,20 +11,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.estimate.defaults import LEAST_POSES, in_any_pose
 from truearm.estimate.identifiability import spread
 from truearm.estimate.identify import determined, judged, merged, rms_of
-from truearm.estimate.information import Information, observe
+from truearm.estimate.information import observe
 from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_choice import LawChoice, regions, supported, without_absent
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
-from truearm.estimate.law_elsewhere import nearer_geometry
-from truearm.estimate.law_fit import LawProblem, Learned, Posterior, law_problem, learn, posterior
+from truearm.estimate.law_fit import (
+    LawProblem,
+    Learned,
+    Posterior,
+    law_problem,
+    learn,
+    nearer_geometry,
+    posterior,
+)
 from truearm.estimate.law_outliers import WithLaws, outlying_beside_laws
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
@@ -46,13 +51,12 @@ from truearm.results import (
     Diagnosis,
     Effect,
     Estimate,
-    HeldOut,
     JointLaws,
     LawStep,
     MeanError,
     TriedLaw,
 )
-from truearm.types import CurveKnots, Floats, Law, Residuals, Rigs, thinned
+from truearm.types import CurveKnots, Floats, Law, Rigs, thinned
 from truearm.units import UNITS
 
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
@@ -80,18 +84,6 @@ class LawRequest:
     gravity: tuple[float, float, float] | None = None
 
 
-class _Fitted(NamedTuple):
-    """The fit with the laws that were kept, and its errors."""
-
-    of: LawProblem
-    learned: Learned
-    posterior: Posterior
-    result: Posterior  # nearer the geometry where the rows do not determine the difference
-    seen: Information
-    held_out: HeldOut | None
-    error: Residuals  # of the held-out rows
-
-
 def with_joint_laws(
     chain: Chain,
     rig: Rigs,
@@ -115,37 +107,36 @@ def with_joint_laws(
     if why_none:
         laws = []
     work = _Work(chain, rig, table, estimate, request)
-    steps = [_step(GEOMETRY, estimate)]
-    best, choice = None, None
+    fit, problem, choice = estimate, None, None
+    steps = [LawStep(GEOMETRY, fit.rms_after, fit.held_out)]
     tried: dict[Law, float] = {}
     if laws:
         choice = work.supported(laws, nearly)
         tried = {**choice.dropped, **choice.learned.nats}
-        best = work.fitted(choice.kept, choice.learned) if choice.kept else None
-        steps.append(_step(LAWS, best) if best else _step(LAWS, estimate))
+        if choice.kept:
+            problem = work.problem(choice.kept)
+            fit = work.fitted(problem, choice.learned)
+        steps.append(LawStep(LAWS, fit.rms_after, fit.held_out))
         why_none = ERRORS_EXPLAIN if request.faults and not choice.kept else ""
-    found = work.estimate(best) if best else estimate
-    if found.chi2_reduced > estimate.chi2_reduced:
+    if fit.chi2_reduced > estimate.chi2_reduced:
         # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
         why_none = LARGER_RESIDUALS
     if why_none:
-        best, tried, steps, reasons = None, {}, steps[:1], [why_none]
-    kept = best.of.laws if best else ()
-    value = found.value if best else estimate.value
+        fit, problem, tried, steps, reasons = estimate, None, {}, steps[:1], [why_none]
+    kept = problem.laws if problem else ()
     readings = table.q[estimate.fitted], work.anywhere.q
     report = JointLaws(
         request.mode,
         kept,
-        tuple(_tried(chain, law, nats, kept, value, *readings) for law, nats in tried.items()),
+        tuple(_tried(chain, law, nats, kept, fit.value, *readings) for law, nats in tried.items()),
         tuple(steps),
         tuple(reasons),
         gravity.direction,
         gravity.known,
         payloads,
     )
-    if best is None:
-        return WithLaws(chain, replace(estimate, joint_laws=report))
-    return WithLaws(with_laws(chain, kept), replace(found, joint_laws=report), choice, best.of)
+    fit = replace(fit, joint_laws=report)
+    return WithLaws(with_laws(chain, kept), fit, choice, problem) if problem else WithLaws(chain, fit)
 
 
 def _nothing_to_explain(chain: Chain, estimate: Estimate, table: ObservationTable) -> bool:
@@ -214,15 +205,6 @@ class _Work:
         learned = learn(of, noise) if choice.kept and self.request.faults else choice.learned
         return without_absent(of, learned, choice)
 
-    def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
-        of = self.problem(laws)
-        found = posterior(of, learned)
-        anywhere = without_knowledge(build_problem(of.problem.chain, self.rig, self.anywhere))
-        result = nearer_geometry(of, anywhere, found, self.before.chi2_reduced)
-        seen = observe(of.problem, result.x, np.zeros(result.x.size, dtype=bool))
-        held_out, error = judged(of.problem, result.x, self.rig, self.table, self.held, self.effects)
-        return _Fitted(of, learned, found, result, seen, held_out, error)
-
     @property
     def anywhere(self) -> ObservationTable:
         """Return some of the fitted rows in random poses."""
@@ -233,14 +215,6 @@ class _Work:
     @property
     def effects(self) -> list[Modelled]:
         return modelled_of(self.chain, self.rig, self.table, self.request.effects)
-
-    @property
-    def held(self) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the held-out rows."""
-        return ~(self.before.fitted | self.before.left_out)
-
-    def centred(self, best: _Fitted) -> Posterior:
-        return _centred(best.of, best.result, self.table.q[self.before.fitted])
 
     def rows(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> Problem:
         """Compile the fitted rows, and those left out of the fit as outliers, for a robot with laws and further effects."""
@@ -261,17 +235,22 @@ class _Work:
         start = np.array([known.get(name, 0.0) for name in problem.names])
         return law_problem(problem, columns, start, laws, poses(self.table.select(fitted)))
 
-    def estimate(self, best: _Fitted) -> Estimate:
-        """Return the previous estimate with everything that the laws change."""
-        of, learned, fitted, _, seen, held_out, error = best
-        before, problem, found = self.before, of.problem, self.centred(best)
-        x, p = found.x, problem.n_robot
+    def fitted(self, of: LawProblem, learned: Learned) -> Estimate:
+        """Return the estimate of the geometry with everything that the laws of a problem change."""
+        before, problem, fitted = self.before, of.problem, posterior(of, learned)
+        anywhere = without_knowledge(build_problem(problem.chain, self.rig, self.anywhere))
+        nearer = nearer_geometry(of, anywhere, fitted, before.chi2_reduced)
+        seen = observe(problem, nearer.x, np.zeros(nearer.x.size, dtype=bool))
+        held = ~(before.fitted | before.left_out)
+        held_out, error = judged(problem, nearer.x, self.rig, self.table, held, self.effects)
+        result = _centred(of, nearer, self.table.q[before.fitted])
+        x, p = result.x, problem.n_robot
         at, added = before.n_robot_parameters, p - before.n_robot_parameters
         is_law = np.arange(x.size) >= at
         is_law[p:] = False
 
         covariance = np.zeros((x.size, x.size))
-        covariance[np.ix_(of.columns, of.columns)] = found.covariance
+        covariance[np.ix_(of.columns, of.columns)] = result.covariance
         sight = determined(settled(problem, x), x, of.columns & ~is_law, self.effects)
         covariance = _without_null(covariance, sight.unseen, problem.units)
         identifiable = np.insert(before.identifiable, [at] * added, True)
@@ -281,7 +260,7 @@ class _Work:
         freedom = before.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         judging = held_out is not None
-        unfitted = merged({} if judging else rows.left_out, error if judging else {}, before.fitted, self.held)
+        unfitted = merged({} if judging else rows.left_out, error if judging else {}, before.fitted, held)
         unexplained: Mapping[str, MeanError] = {}
         if not quality.explained:
             unexplained = mean_errors(unfitted, poses(self.table), held_out=judging)
@@ -300,7 +279,7 @@ class _Work:
             covariance=covariance,
             n_robot_parameters=p,
             rms_after=rms_of(seen.residual),
-            residual=merged(seen.residual, error, before.fitted, self.held),
+            residual=merged(seen.residual, error, before.fitted, held),
             held_out=held_out,
             chi2_reduced=quality.reduced,
             chi2_freedom=quality.freedom,
@@ -318,11 +297,6 @@ class _Work:
             with_outliers=before.with_outliers
             and before.with_outliers._replace(value=np.insert(before.with_outliers.value, [at] * added, 0.0)),
         )
-
-
-def _step(name: str, found: Estimate | _Fitted) -> LawStep:
-    rms = found.rms_after if isinstance(found, Estimate) else rms_of(found.seen.residual)
-    return LawStep(name, rms, found.held_out)
 
 
 def _followed(of: LawProblem, found: Posterior) -> float:

@@ -2,6 +2,13 @@
 
 The laws are fitted together with the geometry rather than to its residuals, because a geometry without sag has already
 absorbed most of it. ``law_choice`` decides which laws are kept.
+
+Poses in a corner of the joint space determine the sum of geometry and laws there, but not elsewhere. The evidence keeps
+one of several combinations, whose extrapolation may be worse than that of the geometry. The estimate is therefore moved
+towards the geometry as far as the fitted rows permit (``nearer_geometry``): an RMS change elsewhere as large as what the
+geometry leaves costs as much as one residual of one σ (docs/explanation/estimation.md). Where many poses determine the
+laws, this changes nothing. The covariance of the result is P plus the square of the move, its mean square error if
+x ~ N(x, P).
 """
 
 from __future__ import annotations
@@ -25,7 +32,7 @@ from truearm.estimate.evidence import (
     seen_by,
     weigh,
 )
-from truearm.estimate.information import eliminated
+from truearm.estimate.information import eliminated, observe
 from truearm.estimate.law_candidates import acting, prior_blocks
 from truearm.estimate.pose_noise import (
     PoseNoise,
@@ -248,3 +255,22 @@ def _posterior(
 def _rows_used(problem: Problem) -> Indices:
     """Return the rows of the table that a problem has observations of."""
     return np.concatenate([group.row for group in problem.groups if group.row is not None])
+
+
+def nearer_geometry(of: LawProblem, anywhere: Problem, found: Posterior, misfit: float) -> Posterior:
+    """Return the posterior moved towards ``of.start``, the geometry alone, where the rows do not determine the difference.
+
+    ``anywhere`` has rows of the same fixtures in random poses, and ``misfit`` is the reduced χ² of the geometry.
+    """
+    at = np.array([of.problem.names.index(name) for name in anywhere.names])
+    middle = 0.5 * (found.x + of.start)[at]  # makes the change exact to second order
+    seen = observe(anywhere, middle, of.columns[at])
+    used = (np.cumsum(of.columns) - 1)[at[of.columns[at]]]
+    root = seen.root / np.sqrt(max(misfit, np.finfo(float).tiny) * seen.n_residuals)
+    change = root @ (found.x - of.start)[of.columns][used]
+    cross = root @ found.covariance[used]
+    inner = np.eye(len(root)) + cross[:, used] @ root.T
+    move = -cross.T @ scipy.linalg.solve(inner, change, assume_a="pos", check_finite=False)
+    x = found.x.copy()
+    x[of.columns] += move
+    return found._replace(x=x, covariance=found.covariance + np.outer(move, move))

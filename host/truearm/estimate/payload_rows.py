@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group, GroupOfOther
@@ -21,6 +20,8 @@ from truearm.types import Floats, Payload, Rigs, rigs_by_name
 class PayloadRows(GroupOfOther):
     """n observations of another group, all with one payload on the robot."""
 
+    SHARED = ("constants", "payload")
+
     payload: Payload
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
@@ -34,11 +35,6 @@ class PayloadRows(GroupOfOther):
     def settle(self, chain: Chain, x: Floats) -> PayloadRows:
         """Settle as ``inner`` does with the payload."""
         return replace(self, inner=self.inner.settle(carries(chain, self.payload), x))
-
-    def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> PayloadRows:
-        """Return some of the observations."""
-        row = None if self.row is None else self.row[which]
-        return replace(self, row=row, sensor_cov=self.sensor_cov[which], inner=self.inner.take(which))
 
 
 def payloads_of(rig: Rigs, table: ObservationTable) -> list[Payload]:
@@ -59,20 +55,11 @@ def payloads_of(rig: Rigs, table: ObservationTable) -> list[Payload]:
 
 def with_payloads(groups: Sequence[Group], payloads: Sequence[Payload]) -> tuple[Group, ...]:
     """Return the groups split by the payload of their rows; knowledge that is not a row has none."""
-    number = {payload: k for k, payload in enumerate(dict.fromkeys(payloads))}
-    of_row = np.array([number[payload] for payload in payloads], dtype=np.intp)
+    different = list(dict.fromkeys(payloads))
+    number = np.array([different.index(payload) for payload in payloads], dtype=np.intp)
     out: list[Group] = []
     for group in groups:
-        if group.row is None:
-            out.append(group)
-            continue
-        for payload, k in number.items():
-            mine = of_row[group.row] == k
-            if mine.any():
-                some = group.take(mine)
-                out.append(
-                    PayloadRows(
-                        row=some.row, sensor_cov=some.sensor_cov, constants=np.zeros(0), inner=some, payload=payload
-                    )
-                )
+        numbers = np.zeros(0, dtype=np.intp) if group.row is None else number[group.row]
+        out += [PayloadRows.around(group.take(numbers == k), payload=different[k]) for k in np.unique(numbers)]
+        out += [group] * (group.row is None)
     return tuple(out)

@@ -151,12 +151,14 @@ class EffectRows(GroupOfOther):
     derivative says. Effects that are not ``whole`` (drifts, and joints, which are off by milliradians) are linear.
     """
 
+    SHARED = ("constants", "bodies", "columns", "whole")
+
     bodies: Floats  # (c, t) of ``Errors``
     columns: Indices  # (e,) of ``error_columns``
     whole: NDArray[np.bool_]  # (e,)
     profile: Floats  # (n, e)
     setting: Indices  # (n,) the same for rows with the same profile of the whole effects
-    held: Floats | None = None  # (w, n, e) derivatives by the linear effects, if they are not those at x
+    held: Floats | None = None  # (n, w, e) derivatives by the linear effects, if they are not those at x
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (n·w,) and their derivatives at x (P,)."""
@@ -169,7 +171,7 @@ class EffectRows(GroupOfOther):
         lin, by_effects = self._displaced(chain, x)
         linear = ~self.whole
         if self.held is not None:
-            by_effects[:, :, linear] = self.held[:, :, linear]
+            by_effects[:, :, linear] = self.held.swapaxes(0, 1)[:, :, linear]
         unknown, known = np.split(lin.jac_rig, [size - len(chain.parameters)], axis=2)
         residual = lin.residual - (by_effects[:, :, linear] @ x[size:][linear]).T.ravel()
         return lin._replace(residual=residual, jac_rig=np.concatenate([unknown, by_effects, known], axis=2))
@@ -196,7 +198,7 @@ class EffectRows(GroupOfOther):
 
     def hold(self, chain: Chain, x: Floats) -> EffectRows:
         """Hold the derivatives by the linear effects: ``evaluate`` neglects that they change with x."""
-        return self if self.whole.all() else replace(self, held=self._displaced(chain, x)[1])
+        return self if self.whole.all() else replace(self, held=self._displaced(chain, x)[1].swapaxes(0, 1))
 
     def settle(self, chain: Chain, x: Floats) -> EffectRows:
         """Settle as ``inner`` does without effects."""
@@ -205,20 +207,6 @@ class EffectRows(GroupOfOther):
     def faults(self, chain: Chain, x: Floats) -> list[KindFault]:
         """Return those of ``inner`` without effects."""
         return self.inner.faults(chain, x[: x.size - self.columns.size])
-
-    def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> EffectRows:
-        """Return some of the observations."""
-        row = None if self.row is None else self.row[which]
-        held = None if self.held is None else self.held[:, which]
-        return replace(
-            self,
-            row=row,
-            sensor_cov=self.sensor_cov[which],
-            inner=self.inner.take(which),
-            profile=self.profile[which],
-            setting=self.setting[which],
-            held=held,
-        )
 
 
 def _with_items_off(
@@ -269,11 +257,8 @@ def with_effects(
     """
     setting = np.unique(profiles[:, whole], axis=0, return_inverse=True)[1].ravel()
     return tuple(
-        EffectRows(
-            row=group.row,
-            sensor_cov=group.sensor_cov,
-            constants=np.zeros(0),
-            inner=group,
+        EffectRows.around(
+            group,
             bodies=bodies,
             columns=columns,
             whole=whole,

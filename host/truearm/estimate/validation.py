@@ -223,16 +223,9 @@ def has_freedom(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> NDAr
     free = np.ones(problem.n_rows, dtype=bool)
     if not columns.any():
         return free
-    whole = [
-        (group.row, group.evaluate(problem.chain, x).jac_by(columns))
-        for group in problem.groups
-        if group.row is not None
-    ]
-    basis, weight, _ = np.linalg.svd(np.concatenate([jac for _, jac in whole]), full_matrices=False)
-    hat = np.sum(basis[:, weight > RANK_TOLERANCE * weight.max(initial=0.0)] ** 2, axis=1)
-    at = 0
-    for row, jac in whole:
-        share = hat[at : at + len(jac)].reshape(row.size, -1).mean(axis=1)
-        free[row[share > 1.0 - LEAST_FREEDOM]] = False
-        at += len(jac)
+    groups = [group for group in problem.groups if group.row is not None]
+    jac = [group.evaluate(problem.chain, x).jac_by(columns) for group in groups]
+    hat = (_taken(np.concatenate(jac), np.full(int(columns.sum()), np.inf)) ** 2).sum(axis=1)
+    for group, share in zip(groups, np.split(hat, np.cumsum([len(rows) for rows in jac])[:-1]), strict=True):
+        free[group.row] = share.reshape(len(group.sensor_cov), -1).mean(axis=1) <= 1.0 - LEAST_FREEDOM
     return free

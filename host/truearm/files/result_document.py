@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.gain import gain_of
 from truearm.estimate.kind_errors import errors_by_kind
+from truearm.estimate.mean_error import gain_of
 from truearm.estimate.scatter import is_of_arm
 from truearm.files.result_file import Covariance, Parameter, Result, RobotFrames
 from truearm.kinds.columns import ORIGINS, identifiers

@@ -33,12 +33,13 @@ class KindFault(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Group(ABC):
-    """n observations of one kind. Indices refer to x followed by ``constants``; every other field has n rows.
+    """n observations of one kind. Indices refer to x followed by ``constants``; fields that are not ``SHARED`` have n rows.
 
     ``row`` is None for knowledge that is not a row of the table, such as a known distance between two sockets.
     """
 
     COMPONENTS: ClassVar[tuple[str, ...]]  # the SI unit of each of the w scalar residuals of an observation
+    SHARED: ClassVar[tuple[str, ...]] = ("constants",)  # fields that do not have a row for each observation
 
     row: Indices | None  # (n,) rows of the table
     sensor_cov: Floats  # (n, w) variances or (n, w, w), in the squared units of the components
@@ -74,8 +75,8 @@ class Group(ABC):
 
     def take(self, which: slice | NDArray[Any]) -> Self:
         """Return some of the observations."""
-        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "constants"}
-        values: dict[str, Any] = {name: None if array is None else array[which] for name, array in arrays.items()}
+        names = [field.name for field in fields(self) if field.name not in self.SHARED]
+        values: dict[str, Any] = {name: _rows(getattr(self, name), which) for name in names}
         return replace(self, **values)
 
     def by_unit(self, residual: Floats) -> dict[str, Floats]:
@@ -94,6 +95,11 @@ class GroupOfOther(Group):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "COMPONENTS", self.inner.COMPONENTS)
+
+    @classmethod
+    def around(cls, inner: Group, **circumstances: Any) -> Self:
+        """Return another group under further circumstances, the fields of the class."""
+        return cls(row=inner.row, sensor_cov=inner.sensor_cov, constants=np.zeros(0), inner=inner, **circumstances)
 
     def faults(self, chain: Chain, x: Floats) -> list[KindFault]:
         """Return those of ``inner``."""
@@ -114,6 +120,12 @@ def unit_columns(components: Sequence[str]) -> dict[str, list[int]]:
         unit: [i for i, component_unit in enumerate(components) if component_unit == unit]
         for unit in dict.fromkeys(components)
     }
+
+
+def _rows(values: Group | Floats | None, which: slice | NDArray[Any]) -> Group | Floats | None:
+    if isinstance(values, Group):
+        return values.take(which)
+    return None if values is None else values[which]
 
 
 def _figure(components: Floats) -> Floats:

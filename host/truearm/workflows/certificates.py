@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from truearm.estimate.gain import gain_of
+from truearm.estimate.mean_error import gain_of
 from truearm.estimate.prediction import nominal_error, predicted_point_error
 from truearm.files.project_file import Project
 from truearm.files.result_file import Input

@@ -18,12 +18,12 @@ from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.gain import with_gain
 from truearm.estimate.identify import SolverOptions, judged, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, is_of_joint, with_joint_laws
 from truearm.estimate.law_choice import LawChoice
 from truearm.estimate.law_outliers import WithLaws, fitted_without_outliers
+from truearm.estimate.mean_error import with_gain
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import build_problem, modelled_of
