@@ -7,6 +7,7 @@ from typing import Any
 
 from truearm import option_defaults
 from truearm.findings import Finding, ordered
+from truearm.report.result_findings import held_frames
 
 Document = Mapping[str, Any]
 
@@ -39,9 +40,7 @@ def _limits(document: Document, n_checks: int) -> Iterator[Finding]:
     )
     if "poses" in document and document["poses"] < document["rank"] + len(unseen):
         yield Finding("few-poses", {"n": document["poses"]})
-    if defaults["base"] or defaults["tool"]:
-        both = bool(defaults["base"] and defaults["tool"])
-        yield Finding("held-frames", {"base": defaults["base"], "tool": defaults["tool"], "both": both})
+    yield from held_frames(defaults)
     if defaults["lost"] or defaults["believed"]:
         yield Finding("planned-held", {name: defaults[name] for name in ("lost", "believed")})
     checks = document.get("check_poses", 0)

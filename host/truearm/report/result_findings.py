@@ -96,25 +96,21 @@ def verdict(document: Document) -> Finding:
         return Finding("usable" if gain else "no-gain", _change(change) | (expected if gain else {}))
     judged, nominal = document["held_out"], document["held_out_before"]
     if judged is not None and nominal is not None:
-        rows = counted(judged["n"], "held-out row")
-        return Finding(
-            "usable", {"rows": rows, "after": sizes(judged, "rms"), "before": sizes(nominal, "rms"), **expected}
-        )
-    error_after, nominal = (sizes(document, name) for name in ("rms_after", "rms_before"))
-    return Finding(
-        "usable", {"unjudged": True, "rows": "the fitted rows", "after": error_after, "before": nominal, **expected}
-    )
+        errors = {"after": sizes(judged, "rms"), "before": sizes(nominal, "rms")}
+        return Finding("usable", {"rows": counted(judged["n"], "held-out row"), **errors, **expected})
+    errors = {name: sizes(document, f"rms_{name}") for name in ("after", "before")}
+    return Finding("usable", {"unjudged": True, "rows": "the fitted rows", **errors, **expected})
 
 
 def _change(change: Document) -> dict[str, Any]:
     """Return the mean errors where nothing was fitted, of the calibrated robot and of the nominal one."""
-    n = max(change.get(f"n_{suffix}", 0) for suffix in SUFFIXES)
-    return {
-        "n": n,
-        "by": "held out" if change["by"] == "held out" else "left out in turn",
-        "after": sizes(change, "mean_after"),
-        "before": sizes(change, "mean_before"),
-    }
+    return {**_judged(change), "after": sizes(change, "mean_after"), "before": sizes(change, "mean_before")}
+
+
+def _judged(errors: Document) -> dict[str, Any]:
+    """Return the number of poses that were not fitted, and how they were chosen."""
+    by = "held out" if errors["by"] == "held out" else "left out in turn"
+    return {"n": max(errors.get(f"n_{suffix}", 0) for suffix in SUFFIXES), "by": by}
 
 
 def _unusable(because: Unusable, document: Document) -> Finding:
@@ -441,17 +437,12 @@ def tool_error(document: Document) -> list[Finding]:
         return [Finding("tool-error", {**errors, **place, **decomposition})]
     bad, tool = document["without_bad_rows"], predicted["rms_mm"] if predicted else None
     has_faults, error = document["faults"] and not document.get("applied"), sizes(shown, "mean")
-    because = (
-        "The fit has faults that it does not contain"
-        if has_faults
-        else "The declared noise does not explain the residuals"
-    )
+    noise = "The declared noise does not explain the residuals"
     values = {
-        "because": because,
+        "because": "The fit has faults that it does not contain" if has_faults else noise,
         "error": error,
         "range": listed([f"{shown[f'low_{suffix}']:.4f} to {shown[f'high_{suffix}']:.4f}" for suffix in error]),
-        "n": max(shown[f"n_{suffix}"] for suffix in error),
-        "by": "held out" if shown["by"] == "held out" else "left out in turn",
+        **_judged(shown),
         "tool": None if tool is None else {"mm": tool},
         "tool_n": predicted["n"] if predicted else None,
         **decomposition,
@@ -492,9 +483,7 @@ def _identified(document: Document) -> Iterator[Finding]:
     if SOLVERS[document["solver"]].ends_by_recipe:
         yield Finding("solver-recipe", {"message": document["message"]})
     defaults = document["defaults"]
-    base, tool = defaults["base"], defaults["tool"]
-    if base or tool:
-        yield Finding("held-frames", {"base": base, "tool": tool, "both": bool(base and tool)})
+    yield from held_frames(defaults)
     for joint in defaults["still"]:
         spread = _size(joint["spread"], joint["unit"])
         yield Finding("still", {"joint": joint["joint"], "spread": spread, "held": defaults["lost"]})
@@ -506,6 +495,12 @@ def _identified(document: Document) -> Iterator[Finding]:
             late = "late" if value >= 0.0 else "early"
             values = {"offset": {"ms": MS.of(abs(value))}, "sigma": {"ms": MS.of(sigma)}, "late": late, "name": name}
             yield Finding("time-offset", values)
+
+
+def held_frames(defaults: Document) -> list[Finding]:
+    """Return what of base and tool is held; empty if nothing is."""
+    base, tool = defaults["base"], defaults["tool"]
+    return [Finding("held-frames", {"base": base, "tool": tool, "both": bool(base and tool)})] if base or tool else []
 
 
 def identified(document: Document) -> Finding:
@@ -622,15 +617,19 @@ def _held_out(document: Document) -> Iterator[Finding]:
     if held_out and names:
         proposed = document.get("hold_out_proposal")
         yield Finding("group-held-out", {"names": names, "proposed": bool(proposed), **_proposal(proposed)})
-    if held_out and held_out["n_settled"]:
-        yield Finding("rig-unknowns", {"n": held_out["n_settled"], "how": SETTLED})
-    if held_out and held_out["n_left_out"]:
-        yield Finding("rig-unknowns", {"left_out": held_out["n_left_out"]})
+    if held_out:
+        yield from rig_unknowns(held_out["n_settled"], held_out["n_left_out"])
     if folds := document["folds"]:
         errors = [f"{fold['held_out_by']} {_text_of(sizes(fold, 'rms'))}" for fold in folds[:-1]]
         yield Finding("folds", {"errors": errors, "together": sizes(folds[-1], "rms")})
     elif held_out is None and document["held_out_by"]:
         yield Finding("no-row-judged")
+
+
+def rig_unknowns(n_settled: int, n_left_out: int) -> list[Finding]:
+    """Return how many unknowns of the rig the rows that judge determined, and how many rows these fit exactly."""
+    settled = [Finding("rig-unknowns", {"n": n_settled, "how": SETTLED})] if n_settled else []
+    return settled + ([Finding("rig-unknowns", {"left_out": n_left_out})] if n_left_out else [])
 
 
 def _advice(document: Document) -> Iterator[Finding]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from truearm.findings import Finding, ordered
-from truearm.report.result_findings import FAR_OFF, SETTLED, audit, copies, fault_findings, sizes
+from truearm.report.result_findings import FAR_OFF, audit, copies, fault_findings, rig_unknowns, sizes
 from truearm.report.tables import ErrorRow, Table, error_table
 from truearm.results import chi2_text
 from truearm.text import one_line
@@ -95,11 +95,9 @@ def _notes(document: Document) -> Iterator[Finding]:
     raw = sizes(document, "rms_raw", document["residual_units"])
     placed = document["placed"]
     yield Finding("before", {"fitted": ["base and tool"] * placed, "raw": raw, "placed": placed})
-    for name, treatment in (("settled", SETTLED), ("kept", "held as identified")):
-        if document[name]:
-            yield Finding("rig-unknowns", {"n": document[name], "how": treatment})
-    if document["left_out"]:
-        yield Finding("rig-unknowns", {"left_out": document["left_out"]})
+    yield from rig_unknowns(document["settled"], document["left_out"])
+    if document["kept"]:
+        yield Finding("rig-unknowns", {"n": document["kept"], "how": "held as identified"})
 
 
 def error_tables(document: Document) -> list[Table]:
