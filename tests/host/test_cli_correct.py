@@ -293,10 +293,7 @@ def test_a_folder_is_corrected_whole(bench, tmp_path, capsys):
     )
     q = driven(whole.decode("latin-1"), "w.mod", bench.q[0])
     assert miss(lands(q), bench.targets[[*range(N), N - 1]]) < 0.35e-3
-    for place, says in (
-        (out, "file-exists"),
-        (tmp_path / "cell" / "new", "folder elsewhere"),
-    ):
+    for place, says in ((out, "file-exists"), (tmp_path / "cell" / "new", "folder elsewhere")):
         code, _, err = run(capsys, *given, place)
         assert code == 2
         ended(err, says)

@@ -199,10 +199,7 @@ VISITS = {
     "a gap": (visit("1,0,0,0,0,0", 3), "numbered from 0"),
     "one joint": ("pose,shell,bar,chuck,sphere,q1_rad\n0,s,b,c,s,1\n", "1 joint"),
 }
-ROWS = {
-    "empty": ("", "no-rows"),
-    "another bar": (seen_from("1,0,0,0,0,0").replace("short", "x"), "not-in-rig"),
-}
+ROWS = {"empty": ("", "no-rows"), "another bar": (seen_from("1,0,0,0,0,0").replace("short", "x"), "not-in-rig")}
 RIGS = {
     "no bar": ("", "rig needs at least one chuck"),
     "far": (edited("irb120.toml", "0.06]", "6.0]"), "cannot reach any pose"),

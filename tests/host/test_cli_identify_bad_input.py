@@ -13,13 +13,7 @@ from truearm.model.builtin import builtin_names
 
 HEADER = "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere"
 ROW = "ball_bar,0,0,0,0,0,0,460,b,c0,s0"
-BAD_TABLES = {
-    "unknown chuck": (
-        HEADER,
-        ROW.replace("c0", "c9"),
-        "not-in-rig",
-    ),
-}
+BAD_TABLES = {"unknown chuck": (HEADER, ROW.replace("c0", "c9"), "not-in-rig")}
 
 
 @pytest.mark.parametrize(("header", "row", "message"), BAD_TABLES.values(), ids=BAD_TABLES.keys())

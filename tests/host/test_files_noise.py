@@ -10,13 +10,7 @@ from tests.refusals import ended, refused
 from truearm.cli.main import main
 from truearm.errors import RigError
 from truearm.files.file_kind import KINDS
-from truearm.files.noise_file import (
-    NoiseFile,
-    check_against_rigs,
-    format_noise,
-    parse_noise,
-    with_noise,
-)
+from truearm.files.noise_file import NoiseFile, check_against_rigs, format_noise, parse_noise, with_noise
 from truearm.files.rig_file import write_rig
 from truearm.types import BallBar, Point, Rig
 
@@ -56,14 +50,8 @@ def test_it_stands_in_for_the_rigs_figures():
     [
         ('[[bar]]\nname = "a"\nsigma_mm = 0', "greater than 0"),
         ("backlash_si = [1e-4]", "needs joint_sigma_rad"),
-        (
-            "joint_sigma_rad = [1e-4]\nbacklash_si = [1e-4]",
-            "backlash_sigma_si: needs",
-        ),
-        (
-            "joint_sigma_rad = [1e-4]\nbacklash_si = 3\nbacklash_sigma_si = [0]",
-            "backlash_si: needs",
-        ),
+        ("joint_sigma_rad = [1e-4]\nbacklash_si = [1e-4]", "backlash_sigma_si: needs"),
+        ("joint_sigma_rad = [1e-4]\nbacklash_si = 3\nbacklash_sigma_si = [0]", "backlash_si: needs"),
         ("joint_sigma_rad = [1e-4]\nbacklash_si = [1e-4]\nbacklash_sigma_si = [-1]", "between"),
         ("joint_sigma_rad = [1e-4]\nbacklash_si = [3e-4]\nbacklash_sigma_si = [0]", "below half its backlash"),
     ],

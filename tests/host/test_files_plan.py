@@ -112,11 +112,7 @@ def test_a_plan_of_dwells_is_written_as_ever():
         ("ball,62.5", "ball,", "row 5: has no speed_mm_s"),
         ("ball,62.5", "ball,0", "row 5 column speed_mm_s: '0'"),
         ("ball,62.5", "ball,10001", "row 5 column speed_mm_s: '10001'"),
-        (
-            "0,bar46-c1,bar46,c1,s1,,,,,",
-            "0,,,,,line,left,,100,",
-            "row 2: .*line",
-        ),
+        ("0,bar46-c1,bar46,c1,s1,,,,,", "0,,,,,line,left,,100,", "row 2: .*line"),
         (",sphere,move,line,target,speed_mm_s", ",sphere,move,line,target", "row 2: has 11 cells"),
     ],
 )

@@ -21,15 +21,7 @@ import truearm
 from truearm.errors import InputError
 from truearm.files.observation_table import parse_table
 from truearm.files.result_document import result_of
-from truearm.files.result_file import (
-    Covariance,
-    Input,
-    RobotFrames,
-    input_of,
-    parse_result,
-    read_result,
-    write_result,
-)
+from truearm.files.result_file import Covariance, Input, RobotFrames, input_of, parse_result, read_result, write_result
 from truearm.files.strict_json import strict_json
 from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.report.result_findings import result_findings
@@ -203,11 +195,7 @@ WRONG = {
     "a status that no solver has": (("status",), "fine", "status: invalid enum value 'fine'"),
     "an unknown unit": (("parameters", 0, "unit"), "furlong", "parameters[0]: its unit"),
     "a negative gap of the rank": (("rank_gap",), -2.0, "rank_gap: expected float >= 0.0"),
-    "a direction without weights": (
-        ("null_space",),
-        [{"names": ["link1.x"], "weights": []}],
-        "null_space[0]: needs",
-    ),
+    "a direction without weights": (("null_space",), [{"names": ["link1.x"], "weights": []}], "null_space[0]: needs"),
     "a covariance of other parameters": (("covariance", "names", 0), "x", "parameters: their names"),
     "a part of the covariance": (("covariance", "upper"), "AAAAAAAA8D8=", "covariance: upper needs 666 numbers"),
     "a covariance in words": (("covariance", "upper"), "none", "covariance: upper needs 666 numbers for 36 names"),

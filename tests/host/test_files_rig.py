@@ -197,25 +197,16 @@ BAR = '[[bar]]\nname="b"\nzero_m=0.4\ntravel_m=0.1\nsigma_m=1e-4\n'
 LINE = '[[line]]\nname="l"\nsigma_mm=[0.1, 0.1, 0.1]\n'
 SOCKET = '[[socket]]\nplace = "p"\nname = "0"\nxyz_m = [0, 0, 0]\n'
 WRONG = {
-    "a bar in metres": (
-        BAR.replace("zero_m=0.4", "zero_mm = 0.37"),
-        "[[bar]] 1: zero",
-    ),
+    "a bar in metres": (BAR.replace("zero_m=0.4", "zero_mm = 0.37"), "[[bar]] 1: zero"),
     "a bar shorter than its travel": (BAR.replace("zero_m=0.4", "zero_mm = 50"), "50 mm: no length"),
     "line known nowhere": (LINE + "position_sigma_m = 0\n", "[[line]] 1: an exactly known pose (sigma 0) needs xyz_m"),
     "exact sensor": (LINE.replace("[0.1,", "[0.0,"), "sigma_mm: item 1: 0 mm"),
-    "sigma twice": (
-        LINE + "covariance_m2 = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n",
-        "both covariance_m2 and sigma_mm",
-    ),
+    "sigma twice": (LINE + "covariance_m2 = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", "both covariance_m2 and sigma_mm"),
     "singular sensor": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [1, 1, 0], [0, 0, 1]]\n', "covariance"),
     "joints twice": ("joint_cov_si = [[1.0]]\njoint_sigma_rad = [1.0]\n", "both joint_cov_si and joint_sigma_rad"),
     "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal: must"),
     "socket twice": (SOCKET + SOCKET, "[[socket]] 2: 'p/0'"),
-    "same socket": (
-        '[[socket_distance]]\nsockets = ["0", "0"]\ndistance_m = 1\nsigma_m = 1\n',
-        "'0'",
-    ),
+    "same socket": ('[[socket_distance]]\nsockets = ["0", "0"]\ndistance_m = 1\nsigma_m = 1\n', "'0'"),
 }
 
 

@@ -114,13 +114,7 @@ def test_a_clean_session_says_so(stream, tmp_path, run):
 
 
 @pytest.mark.parametrize(
-    ("rig", "says"),
-    [
-        (b"[[bar]]\nname=1", "rig.toml"),
-        (b"\xff", "UTF-8"),
-        (b"", "b46"),
-        (b"x = [" * 9999, "rig.toml"),
-    ],
+    ("rig", "says"), [(b"[[bar]]\nname=1", "rig.toml"), (b"\xff", "UTF-8"), (b"", "b46"), (b"x = [" * 9999, "rig.toml")]
 )
 def test_a_wrong_rig_hides_nothing_of_the_session(stream, tmp_path, run, rig, says):
     code, out, err = run("inspect", write(tmp_path / "s.mcap", stream, rig), "--json")

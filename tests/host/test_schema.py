@@ -146,10 +146,7 @@ GOOD = '[[thing]]\nname = "a"\nlength_m = 1\n'
 WRONG = {
     "unknown key": ("tmie_s = 1\n", "d.toml: unknown key 'tmie_s'|time_s or time_ms"),
     "unknown suffix": ("time_us = 1\n", "d.toml: unknown key 'time_us'|time_s or time_ms"),
-    "unknown key in an entry": (
-        GOOD + "lenght_mm = 1\n",
-        "[[thing]] 1: unknown key 'lenght_mm'|length_m or length_mm",
-    ),
+    "unknown key in an entry": (GOOD + "lenght_mm = 1\n", "[[thing]] 1: unknown key 'lenght_mm'|length_m or length_mm"),
     "a long key": ("x" * 5000 + " = 1\n", "unknown key '" + "x" * 40 + "'"),
     "two units": ("time_s = 1\ntime_ms = 1000\n", "time_s and time_ms"),
     "two keys of one field": (GOOD + "cov_si = [[1]]\nsigma_mm = [1]\n", "both cov_si and sigma_mm"),
@@ -160,10 +157,7 @@ WRONG = {
     "another word than unknown": (GOOD + 'spread_s = "unkown"\n', 'number (or "unknown")'),
     "NaN": (GOOD + "angle_rad = nan\n", "angle_rad:"),
     "a thousand digits": (GOOD + "angle_rad = 0x" + "f" * 1000 + "\n", "angle_rad:"),
-    "too large": (
-        GOOD + "angle_deg = 60\n",
-        "angle_deg: 60 deg",
-    ),
+    "too large": (GOOD + "angle_deg = 60\n", "angle_deg: 60 deg"),
     "negative sigma": (GOOD + "spread_ms = -1\n", "spread_ms: -1 ms"),
     "not positive": ('[[thing]]\nname = "a"\nlength_mm = 0\n', "length_mm: 0 mm"),
     "no list": (GOOD + "xyz_m = 1\n", "xyz_m: needs"),
