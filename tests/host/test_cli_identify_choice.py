@@ -7,7 +7,7 @@ from tests.refusals import refused
 from truearm.errors import InputError
 from truearm.files.observation_table import concatenate, parse_table
 from truearm.kinds.table import ObservationTable
-from truearm.workflows.selection import free_parameters, held_out_rows
+from truearm.workflows.selection import free_parameters, held_out_fraction, held_out_rows
 
 NAMES = ("joint1.offset", "joint1.gain", "link2.x", "link2.y")
 
@@ -22,26 +22,21 @@ def seats(place: str, n: int, socket: str = "0") -> ObservationTable:
 TABLE = concatenate([seats("a", 3), seats("b", 5), seats("c", 2)])
 
 
-def test_groups_are_held_out_by_name() -> None:
-    assert held_out_rows(TABLE, [], 0) is None
-    mask = held_out_rows(TABLE, ["place=b"], 0)
-    assert mask is not None
-    assert mask.tolist() == [False] * 3 + [True] * 5 + [False] * 2
-    both = held_out_rows(TABLE, ["place=a", "place=c"], 0)
-    assert both is not None
-    assert both.sum() == 5
-
-
-def test_only_some_groups_are_fitted() -> None:
-    mask = held_out_rows(TABLE, [], 0, ["place=b"])
-    assert mask is not None
-    assert mask.tolist() == [True] * 3 + [False] * 5 + [True] * 2
-    both = held_out_rows(TABLE, ["place=a"], 0, ["place=a", "place=b"])
-    assert both is not None
-    assert both.tolist() == [True] * 3 + [False] * 5 + [True] * 2
-    with refused("nothing-left"):
-        held_out_rows(TABLE, ["place=b"], 0, ["place=b"])
-    assert held_out_rows(TABLE, [], 0, ["place=a", "place=b", "place=c"]) is None
+@pytest.mark.parametrize(
+    ("groups", "fit_only", "held"),
+    [
+        ([], [], None),
+        (["place=b"], [], "b"),
+        (["place=a", "place=c"], [], "ac"),
+        ([], ["place=b"], "ac"),
+        (["place=a"], ["place=a", "place=b"], "ac"),
+        ([], ["place=a", "place=b", "place=c"], None),
+    ],
+)
+def test_groups_are_held_out_or_fitted_by_name(groups, fit_only, held) -> None:
+    mask = held_out_rows(TABLE, groups, 0, fit_only)
+    assert (mask is None) == (held is None)
+    assert held is None or mask.tolist() == [place in held for place in TABLE.place]
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -83,40 +78,32 @@ def test_the_seed_decides_the_draw() -> None:
 def test_wrong_groups_are_told(wanted: list[str], message: str) -> None:
     with pytest.raises(InputError, match=message):
         held_out_rows(TABLE, wanted, 0)
+    if not held_out_fraction(wanted[0]) and message not in ("hold_out", "no observations"):
+        with pytest.raises(InputError, match=r"^fit_only (?!.*(hold_out|fraction))"):
+            held_out_rows(TABLE, [], 0, wanted[:1])
 
 
-@pytest.mark.parametrize("wanted", ["colour=a", "place=d", "d", "1.5"])
-def test_a_wrong_group_to_fit_is_told_by_its_own_option(wanted: str) -> None:
-    with pytest.raises(InputError) as told:
-        held_out_rows(TABLE, [], 0, [wanted])
-    assert "fit_only" in str(told.value)
-    assert "hold_out" not in str(told.value)
-    assert "fraction" not in str(told.value)
-
-
-def test_patterns_choose_the_free_parameters() -> None:
-    default = np.array([True, False, True, True])
-    for free, freeze, expected in (
-        ([], [], default),
-        (["*"], [], [True] * 4),
-        (["joint1.*"], [], [True, True, False, False]),
-        ([], ["link2.?"], [True, False, False, False]),
-        (["*"], ["*.gain", "link2.x"], [True, False, False, True]),
-    ):
-        assert free_parameters(NAMES, default, free, freeze).tolist() == list(expected)
-
-
-def test_more_parameters_are_freed_beside_the_default() -> None:
-    default = np.array([True, False, True, False])
-    for free, also, freeze, expected in (
-        ([], ["joint1.gain"], [], [True, True, True, False]),
-        ([], ["*.gain, link2.y"], [], [True] * 4),
+@pytest.mark.parametrize(
+    ("free", "also", "freeze", "expected"),
+    [
+        ([], [], [], [True, False, True, True]),
+        (["*"], [], [], [True] * 4),
+        (["joint1.*"], [], [], [True, True, False, False]),
+        ([], [], ["link2.?"], [True, False, False, False]),
+        (["*"], [], ["*.gain", "link2.x"], [True, False, False, True]),
+        ([], ["joint1.gain"], [], [True] * 4),
         ([], ["*.gain", "link2.y"], ["link2.*"], [True, True, False, False]),
-        (["link2.x"], ["*.gain"], [], [False, True, True, False]),
-    ):
-        assert free_parameters(NAMES, default, free, freeze, also).tolist() == expected
-    assert default.tolist() == [True, False, True, False]  # the robot's own mask is left alone
-    comma = (*NAMES[:3], "left,2.y")  # as a URDF may name its joints
+        (["link2.x"], ["*.gain, link2.y"], [], [False, True, True, True]),
+    ],
+)
+def test_patterns_choose_the_free_parameters(free, also, freeze, expected) -> None:
+    default = np.array([True, False, True, True])
+    assert free_parameters(NAMES, default, free, freeze, also).tolist() == expected
+    assert default.tolist() == [True, False, True, True]  # the robot's own mask is left alone
+
+
+def test_a_joint_of_a_urdf_may_have_a_comma_in_its_name() -> None:
+    comma, default = (*NAMES[:3], "left,2.y"), np.array([True, False, True, False])
     assert free_parameters(comma, default, [], [], ["left,2.y"]).tolist() == [True, False, True, True]
 
 

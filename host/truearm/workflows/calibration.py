@@ -420,24 +420,24 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
 
     findings = []
     places, defaults = mounting(chain, calibration.nominal), calibration.stored.defaults
-    robot_names = np.array(chain.parameter_names)
-    base = set(robot_names[places.base].tolist())
-    held = moving(calibration.stored.defaults.frames)
-    for key, noun, mask, outside in (
-        ("base", "pose of the base", places.base, own_frames),
-        ("tool", "mounting of the tool", places.tool, False),
-    ):
-        names = set(getattr(defaults, key) or robot_names[mask].tolist())
-        directions = [direction for direction in held if names.intersection(direction.names)]
-        if directions and not outside:
-            held_names = [name for name in robot_names.tolist() if name in names]
+    names = list(chain.parameter_names)
+    base, tool = (
+        {name for name, is_placing in zip(names, mask, strict=True) if is_placing}
+        for mask in (places.base, places.tool)
+    )
+    held = moving(defaults.frames)
+    for key, noun, default in (("base", "pose of the base", base), ("tool", "mounting of the tool", tool)):
+        placing = set(getattr(defaults, key) or default)
+        directions = [direction for direction in held if placing.intersection(direction.names)]
+        if directions and not (own_frames and key == "base"):
+            held_names = [name for name in names if name in placing]
             values = {"what": noun, "base": key == "base", **_held(held_names, directions)}
             findings.append(Finding("mounting-held", values))
             if key == "base":
                 findings.append(Finding("own-frames-next"))
     null = moving(calibration.stored.null_space)
     if own_frames:  # a turn of the base together with the rig moves no target relative to the robot
-        null = [direction for direction in null if set(robot_names.tolist()).intersection(direction.names) - base]
+        null = [direction for direction in null if set(names).intersection(direction.names) - base]
     if null:
         values = {
             "terms": [direction_text(direction.weights, direction.names, TERMS) for direction in null[:SHOWN]],

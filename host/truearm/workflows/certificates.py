@@ -60,19 +60,16 @@ def calibration_certificate(
         (f"after: expanded uncertainty (k = {COVERAGE:g})", "not determined" if tool is None else size(tool, "m")),
         ("measured region", _region(identification, identification.table)),
     )
-    rows: list[tuple[str, str]] = []
-    n_fitted, outliers = int(e.used.sum()), int(e.n_observations - e.used.sum())
-    if outliers:
-        rows.append(("left out as outliers", str(outliers)))
+    n_fitted = int(e.used.sum())
+    rows = [("left out as outliers", str(e.n_observations - n_fitted))] * (e.n_observations > n_fitted)
     for si, rms_after in e.rms_after.items():
         rows.append((f"{n_fitted} fitted, RMS", f"{size(e.rms_before[si], si)} before, {size(rms_after, si)} after"))
-    held_out = {} if e.held_out is None else e.held_out.figures
-    for si, figures in held_out.items():
-        rows.append(
-            (f"{figures.n} held out ({', '.join(identification.document['held_out_by'])})", _figures_text(figures, si))
-        )
-    if not held_out:
-        rows.append(("independent validation", "none: nothing was held out; see truearm validate"))
+    held_out, groups = (
+        {} if e.held_out is None else e.held_out.figures,
+        ", ".join(identification.document["held_out_by"]),
+    )
+    rows += [(f"{figures.n} held out ({groups})", _figures_text(figures, si)) for si, figures in held_out.items()]
+    rows += [("independent validation", "none: nothing was held out; see truearm validate")] * (not held_out)
     if tool is not None and "m" in held_out:
         tool = max(tool, COVERAGE * held_out["m"].rms)
     gain = gain_of(e.mean_change) is Gain.NONE
@@ -97,10 +94,8 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
     calibration, rig, table, inputs, recordings = measured
     errors: list[tuple[str, str]] = []
     for si, figures in validation.after.items():
-        errors += [
-            ("without the calibration", _figures_text(validation.before[si], si)),
-            ("with it", _figures_text(figures, si)),
-        ]
+        errors.append(("without the calibration", _figures_text(validation.before[si], si)))
+        errors.append(("with it", _figures_text(figures, si)))
         if si in validation.expected:
             errors.append(("expected from noise and calibration", f"{size(validation.expected[si], si)} RMS"))
     error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
@@ -127,6 +122,7 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
 
 def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording], result: str) -> Facts:
     project, checksum = issue.project, str(calibration.document.get("checksum", ""))[:12]
+    version = calibration.document.get("truearm_version", "of unknown version")
     payloads = calibration.stored.payloads
     masses = ", ".join(masses_of(payloads)) if any(payload.mass for payload in payloads) else ""
     return (
@@ -141,10 +137,7 @@ def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording
         ("payload", f"{masses} kg" if masses else "none declared: as mounted during the measurement"),
         ("operator", project.operator or NOT_GIVEN),
         ("software", f"truearm {VERSION}"),
-        (
-            result,
-            f"{checksum or 'without checksum'}, by truearm {calibration.document.get('truearm_version', 'of unknown version')}",
-        ),
+        (result, f"{checksum or 'without checksum'}, by truearm {version}"),
     )
 
 
@@ -157,11 +150,8 @@ def _tool_error(identification: Identification) -> float | None:
     predicted = identification.predicted or predicted_point_error(
         identification.chain, identification.rig, identification.table, e, any_base
     )
-    return (
-        None
-        if predicted is None
-        else COVERAGE * math.hypot(predicted.rms, unexplained_error(identification.document)[0])
-    )
+    unexplained = unexplained_error(identification.document)[0]
+    return None if predicted is None else COVERAGE * math.hypot(predicted.rms, unexplained)
 
 
 def _decision(
@@ -220,12 +210,8 @@ def _excluded(identification: Identification) -> tuple[str, ...]:
     e, sentences = identification.estimate, [Finding("simulated").text()] if identification.simulated else []
     if identification.predicted and identification.predicted.relative:
         sentences.append("A common displacement of all poses: the observations do not determine where the base stands.")
-    exact = {
-        name
-        for rig in rigs_by_name(identification.rig).values()
-        for name, bar in rig.bars.items()
-        if not bar.zero_sigma
-    }
+    rigs = rigs_by_name(identification.rig).values()
+    exact = {name for rig in rigs for name, bar in rig.bars.items() if not bar.zero_sigma}
     if names := sorted(exact & set(identification.table.bar.tolist())):
         sentences.append(
             f"Errors of the length of {', '.join(names[:3])}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre."

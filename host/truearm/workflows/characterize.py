@@ -108,16 +108,23 @@ def characterized(
             raise InputError(f"{name}: the box's sample rate changes; record all parts of a session at one rate")
     # A short part may not show the finest steps of the joints.
     resolution = np.min([result.survey.joints.step for result in results if len(result.table)], axis=0)
-    variances = np.array([visit.dwell.q_var for visit in visited]) - resolution**2 / 12.0
+    variances = _column(visited, "q_var") - resolution**2 / 12.0
     before_rounding = np.sqrt(np.maximum(np.mean(variances, axis=0) - resolution**2 / 12.0, 0.0))
     rounding_var = rounding_variance(resolution, before_rounding)
     bar = mode(sorted(visit.dwell.mounted["bar"] for visit in visited))
     spread = repeatability(_of_bar(visited, bar, chain, rig, rounding_var))
     document = asdict(spread)
     noise = {name: document.pop(name) for name in ("bar_sigma_m", "joint_sigma_si")}
-    of_joints = zip(
-        resolution.tolist(), variances.T, _mean_vars(visited).T, np.sqrt(rounding_var).tolist(), strict=True
-    )
+    columns = resolution.tolist(), variances.T, _column(visited, "mean_var").T, np.sqrt(rounding_var).tolist()
+    readings = [
+        {
+            "step_si": joint_step,
+            "reading_si": asdict(sigma_interval(reading_var)),
+            "mean_si": asdict(sigma_interval(mean_var)),
+            "rounding_si": rounding,
+        }
+        for joint_step, reading_var, mean_var, rounding in zip(*columns, strict=True)
+    ]
     return {
         "session": name,
         "parts": len(results),
@@ -128,39 +135,26 @@ def characterized(
         **{count: document.pop(count) for count in ("visits", "poses", "sides")},
         "repeatability": {**document, "backlash_explains": not spread.misfit_probability < MISFIT},
         "settling": _settling(visited, bands),
-        "readings": [
-            {
-                "step_si": joint_step,
-                "reading_si": asdict(sigma_interval(reading_var)),
-                "mean_si": asdict(sigma_interval(mean_var)),
-                "rounding_si": rounding,
-            }
-            for joint_step, reading_var, mean_var, rounding in of_joints
-        ],
+        "readings": readings,
         "sensor": _sensor(visited),
         "noise": {**noise, "declared_bar_sigma_m": rig.bars[bar].sigma},
     }, _noise_file(spread, bar, name)
 
 
-def _mean_vars(visited: Sequence[PoseVisit]) -> Floats:
-    return np.array([visit.mean_var for visit in visited])
+def _column(visited: Sequence[PoseVisit], name: str) -> Floats:
+    """Return a field of all visits, or of their dwells."""
+    return np.array([getattr(visit if hasattr(visit, name) else visit.dwell, name) for visit in visited])
 
 
 def _of_bar(visited: Sequence[PoseVisit], bar: str, chain: Chain, rig: Rig, rounding_var: Floats) -> Visits:
     """Return the visits with one bar. The derivatives are those of the nominal robot: 1 % is accurate enough."""
     visited = [visit for visit in visited if visit.dwell.mounted["bar"] == bar]
-    dwells = [visit.dwell for visit in visited]
-    q = np.array([dwell.q for dwell in dwells])
-    p_sphere = np.array([rig.spheres[dwell.mounted["sphere"]].xyz for dwell in dwells])
-    p_chuck = np.array([rig.chucks[dwell.mounted["chuck"]].xyz for dwell in dwells])
-    return Visits(
-        length=np.array([dwell.value for dwell in dwells]),
-        length_var=np.array([dwell.value_var for dwell in dwells]),
-        q=q,
-        side=np.array([visit.side for visit in visited]),
-        jac=distance_jacobian(chain, chain.params_nominal, q, p_sphere, p_chuck),
-        reading_var=_mean_vars(visited) + rounding_var,
-    )
+    mounted = [visit.dwell.mounted for visit in visited]
+    p_sphere = np.array([rig.spheres[names["sphere"]].xyz for names in mounted])
+    p_chuck = np.array([rig.chucks[names["chuck"]].xyz for names in mounted])
+    length, length_var, q, side = (_column(visited, name) for name in ("value", "value_var", "q", "side"))
+    jac = distance_jacobian(chain, chain.params_nominal, q, p_sphere, p_chuck)
+    return Visits(length, length_var, q, side, jac, _column(visited, "mean_var") + rounding_var)
 
 
 def _noise_file(spread: Repeatability, bar: str, name: str) -> NoiseFile:
@@ -180,25 +174,23 @@ def _settling(visited: Sequence[PoseVisit], bands: Sequence[float]) -> dict[str,
             "median_s": asdict(quantile_interval(times, 0.5)),
             "share_95_s": asdict(quantile_interval(times, 0.95)),
         }
-        for band, times in zip(bands, np.array([visit.settling for visit in visited]).T, strict=True)
+        for band, times in zip(bands, _column(visited, "settling").T, strict=True)
     ]
     return {"bands": columns, "dwells_begin_s": {"median": float(np.median(begin)), "largest": max(begin)}}
 
 
 def _sensor(visited: Sequence[PoseVisit]) -> dict[str, Any]:
-    dwells, period_s = [visit.dwell for visit in visited], visited[0].period_s
-    rests = [visit.rest for visit in visited]
+    rests, period_s = [visit.rest for visit in visited], visited[0].period_s
+    noise, n_samples, n_eff = (_column(visited, name) for name in ("noise", "n_samples", "n_eff"))
     deviations = allan([samples for samples in rests if samples.size * period_s >= LONG_S] or rests, period_s)
     rows = [
         {"tau_s": tau, **asdict(variance_interval(deviation**2, freedom))}
         for tau, deviation, freedom in np.stack(deviations, axis=1).tolist()
     ]
     return {
-        "sample_m": asdict(sigma_interval(np.array([dwell.noise**2 for dwell in dwells]))),
+        "sample_m": asdict(sigma_interval(noise**2)),
         "period_s": period_s,
-        "independent_after_s": asdict(
-            mean_interval(np.array([period_s * dwell.n_samples / dwell.n_eff for dwell in dwells]))
-        ),
+        "independent_after_s": asdict(mean_interval(period_s * n_samples / n_eff)),
         "allan": rows,
         "floor": min(rows, key=lambda row: row["value"], default=None),
     }

@@ -73,21 +73,23 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
 
     Raises InputError with a one-line message, and then writes nothing.
     """
-    _refuse_steps(options)
     read = [files.result, files.targets, *files.robot.files]
-    programs = read_program_files(files.targets) if is_program(files.targets) else None
+    is_folder = files.targets.is_dir()
+    programs = read_program_files(files.targets) if is_folder or files.targets.suffix.lower() in ALL_SUFFIXES else None
+    method = _how(calibration, options)
     if programs is None:
         check_is_table(files.targets, ALL_SUFFIXES)
         _refuse_for_table(files.targets, options.program)
         check_outputs([("targets", files.out)], files.force, read)
     else:
         check_program_out(files.out, programs, read)
-    method = _how(calibration, options)
     check_outputs([("page", files.report)], files.force, [*read, files.out])
     if programs is None:
         done = _correct_table(files.targets, method, options)
     else:
-        frames = _calibration_frames(files.robot, method.pair.chain, options)
+        chain, is_brought = method.pair.chain, not files.robot.is_urdf
+        tool0 = tool0_in_flange(files.robot, chain)
+        frames = CalibrationFrames(chain.base_frame, chain.end_frame, is_brought, options.own_frames, tool0)
         done = correct_program(programs.contents, programs.language, method, frames, options.program)
     correction = done.targets.correction
     places = tuple(place.partition(" ")[2] for place in done.targets.places)
@@ -112,21 +114,13 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         )
         if files.report is not None:
             page = render(document, correction_scene(calibration, method.pair, done.targets, document))
-    if programs is None:
-        write_atomic(files.out, done.table)
+    if is_folder:
+        write_folder(files.out, done.contents)
     else:
-        write_program_files(files.out, programs, done.programs)
+        write_atomic(files.out, done.contents[files.targets.name])
     if files.report is not None:
         write_atomic(files.report, page)
     return CorrectedFile(correction, places, tuple(stated), document, done.refused)
-
-
-def _refuse_steps(options: CorrectOptions) -> None:
-    """Raise InputError for a number of steps that would have no effect."""
-    if options.steps > 1 and not options.method.steps:
-        instead = " or ".join(with_steps())
-        text = f": {options.steps} has no effect with method {options.method}; leave it out, or use method {instead}"
-        raise InputError(Argument("steps"), text)
 
 
 def _refuse_for_table(targets: Path, options: ProgramOptions) -> None:
@@ -138,10 +132,9 @@ def _refuse_for_table(targets: Path, options: ProgramOptions) -> None:
         "unchanged": bool(options.unchanged),
         "flange": options.flange is not None,
     }
-    named = {"tool": options.tools, "work": options.works}
     for option in (name for name, has_value in program_options.items() if has_value):
         raise InputError(f"{targets}: is a table, and ", Argument(option), " is for programs; leave it out")
-    for option in (name for name, poses in named.items() if any(poses)):
+    for option in (name for name, poses in (("tool", options.tools), ("work", options.works)) if any(poses)):
         raise InputError(f"{targets}: is a table, which names none; give ", Argument(option), " without a name")
 
 
@@ -163,6 +156,10 @@ def corrected_poses(
 
 
 def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
+    """Return how to correct. Raises InputError for a number of steps that would have no effect, and for a wrong home."""
+    if options.steps > 1 and not options.method.steps:
+        text = f": {options.steps} has no effect with method {options.method}; leave it out, or use method "
+        raise InputError(Argument("steps"), text, " or ".join(with_steps()))
     removed = chosen_mountings(calibration, options.own_frames)
     pair = ModelPair(calibration.chain, calibration.nominal, calibration.identified, removed)
     home = check_joints("home", options.near, calibration.chain)
@@ -202,12 +199,7 @@ def _correct_table(path: Path, method: HowCorrected, options: CorrectOptions) ->
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)
-    return Corrected(corrected, table=text)
-
-
-def _calibration_frames(robot: RobotChoice, chain: Chain, options: CorrectOptions) -> CalibrationFrames:
-    tool0 = tool0_in_flange(robot, chain)
-    return CalibrationFrames(chain.base_frame, chain.end_frame, not robot.is_urdf, options.own_frames, tool0)
+    return Corrected(corrected, contents={path.name: text.encode()})
 
 
 def tool0_in_flange(robot: RobotChoice, chain: Chain) -> Floats | None:
@@ -237,8 +229,8 @@ def _frames(calibration: Calibration, own_frames: bool) -> Finding:
     """Return in which frames the targets are, and which mountings are corrected."""
     frames = calibration.chain, calibration.nominal, calibration.identified
     held = not own_frames and np.allclose(mountings(*frames), np.eye(4), rtol=0.0, atol=NOTHING)
-    values = {"own": own_frames, "held": held, "corrected": not own_frames and not held}
-    return Finding("targets-frames", {**values, **mounting_values(*frames)})
+    stated = {"own": own_frames, "held": held, "corrected": not (own_frames or held)}
+    return Finding("targets-frames", {**stated, **mounting_values(*frames)})
 
 
 MAX_BYTES = 64 * 2**20  # of all files together
@@ -250,11 +242,6 @@ class ProgramFiles(NamedTuple):
     path: Path
     language: ProgramLanguage
     contents: Mapping[str, bytes]
-
-
-def is_program(path: Path) -> bool:
-    """Return whether a path is a folder or, by its suffix, a robot program."""
-    return path.is_dir() or path.suffix.lower() in ALL_SUFFIXES
 
 
 def read_program_files(path: Path) -> ProgramFiles:
@@ -281,15 +268,7 @@ def check_program_out(out: Path, programs: ProgramFiles, inputs: list[Path]) -> 
     """Raise InputError unless corrected programs can be written to a new file or folder."""
     if programs.path.is_dir():
         check_new_folder(out, programs.path)
-        return
-    check_writable(out, inputs=inputs, suffixes=SUFFIXES[programs.language])
-    if out.exists():
-        raise InputError("file-exists", place=out)
-
-
-def write_program_files(out: Path, programs: ProgramFiles, contents: Mapping[str, bytes]) -> None:
-    """Write corrected programs, all of them or none."""
-    if programs.path.is_dir():
-        write_folder(out, contents)
     else:
-        write_atomic(out, contents[programs.path.name])
+        check_writable(out, inputs=inputs, suffixes=SUFFIXES[programs.language])
+        if out.exists():
+            raise InputError("file-exists", place=out)

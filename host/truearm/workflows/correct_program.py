@@ -94,7 +94,7 @@ class HowCorrected(NamedTuple):
 
 
 class Corrected(NamedTuple):
-    """Corrected targets and straight moves, with the text of a table or the program files by name.
+    """Corrected targets and straight moves, with the ``contents`` of the table or the program files by name.
 
     ``refused``: what was left unchanged; ``notes``: remarks. ``configurations``: targets in the arm's other configurations, if
     only ``home`` determines theirs.
@@ -105,8 +105,7 @@ class Corrected(NamedTuple):
     configurations: OtherConfigurations | None = None
     refused: tuple[Refused, ...] = ()
     notes: tuple[Finding, ...] = ()
-    programs: Mapping[str, bytes] = {}
-    table: str = ""
+    contents: Mapping[str, bytes] = {}
 
 
 class Visit(NamedTuple):
@@ -275,10 +274,8 @@ def _ends(moves: Iterable[Move | None]) -> list[Goal | None]:
         chosen = goals[-1:] if is_single else goals
         ends.update(dict.fromkeys(chosen if 0 < len(chosen) <= MOST_ORIGINS else [None]))
     certain_goals = [goal for goal in ends if goal is not None]
-    return [
-        *certain_goals[:MOST_ORIGINS],
-        *[None] * (len(certain_goals) < len(ends) or not 0 < len(certain_goals) <= MOST_ORIGINS),
-    ]
+    is_uncertain = None in ends or not 0 < len(certain_goals) <= MOST_ORIGINS
+    return [*certain_goals[:MOST_ORIGINS], *[None] * is_uncertain]
 
 
 def _near(goal: Goal | None) -> Sequence[float] | Floats:
@@ -350,15 +347,11 @@ def _reason(row: int, visit: Visit, language: str, solution: Solution, has_home:
         return Reason("configuration")
     if problem:
         return Reason("solution", {"problem": problem})
-    if (
-        row != first
-        and np.abs(apart(solution.commanded[first][None], solution.commanded[row][None])).max() > SAME_TARGET
-    ):
+    first_command, command = (solution.commanded[k][None] for k in (first, row))
+    if row != first and np.abs(apart(first_command, command)).max() > SAME_TARGET:
         return Reason("other-configuration")
     q_nominal, q = (q[row, solution.motors] for q in (solution.correction.q_nominal, solution.correction.q))
-    if not _turns_fit(visit, language, q_nominal, q):
-        return Reason("turns")
-    return None
+    return None if _turns_fit(visit, language, q_nominal, q) else Reason("turns")
 
 
 def _turns_fit(visit: Visit, language: str, q_nominal: Floats, q: Floats) -> bool:
@@ -461,10 +454,8 @@ def _written(
 
 def _selected(done: Correction, rows: NDArray[np.int_]) -> Correction:
     """Return a selection of corrected targets."""
-    problem = tuple(done.problem[row] for row in rows.tolist())
-    return Correction(
-        done.q_nominal[rows], done.q[rows], done.commanded[rows], done.before[rows], done.after[rows], problem
-    )
+    columns = {name: getattr(done, name)[rows] for name in ("q_nominal", "q", "commanded", "before", "after")}
+    return Correction(**columns, problem=tuple(done.problem[row] for row in rows.tolist()))
 
 
 # frames

@@ -117,14 +117,12 @@ def comparison(
     expected = _expected_errors(calibration, pair, configurations.q, configurations.tools)[0][:, 0]
     shift = float(configurations.shift.max(initial=0.0))
     low, high = (float(bound(expected, initial=start)) for bound, start in ((np.min, np.inf), (np.max, -np.inf)))
-    figures = {
-        "targets": configurations.n_targets,
-        "correction_spread_mm": float(MM.of(shift)),
-        "expected_min_mm": number_or_null(MM.of(low)),
-        "expected_max_mm": number_or_null(MM.of(high)),
+    names = ("correction_spread_mm", shift), ("expected_min_mm", low), ("expected_max_mm", high)
+    figures = {"targets": configurations.n_targets, **{name: number_or_null(MM.of(length)) for name, length in names}}
+    lengths = [figures[name] for name, _ in names]
+    values = {
+        name: None if mm is None else {"mm": mm} for name, mm in zip(("spread", "least", "most"), lengths, strict=True)
     }
-    names = {"spread": "correction_spread_mm", "least": "expected_min_mm", "most": "expected_max_mm"}
-    values = {name: None if figures[key] is None else {"mm": figures[key]} for name, key in names.items()}
     return Finding("other-configurations", values), figures
 
 
@@ -136,17 +134,16 @@ def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
     results have only the part of it that rows of a pose share. Neither includes how far the tool moves without bad rows
     that are in the fit, so that counts if it is larger than both.
     """
-    mm, deg = (_number(document.get("unexplained"), name) for name in ("mean_mm", "mean_deg"))
-    shared = math.sqrt(3.0) * _number(document.get("pose_error"), "shared_mm")
-    scatter = max(_number(document.get("predicted_error"), "scatter_mm"), shared)
-    moved = _number(document.get("without_bad_rows"), "tool_moves_mm")
+    mm, deg = (_number(document, "unexplained", name) for name in ("mean_mm", "mean_deg"))
+    shared = math.sqrt(3.0) * _number(document, "pose_error", "shared_mm")
+    scatter = max(_number(document, "predicted_error", "scatter_mm"), shared)
+    moved = _number(document, "without_bad_rows", "tool_moves_mm")
     return MM.to_si(max(RMS_OF_MEAN * mm, scatter, moved)), RMS_OF_MEAN * DEG.to_si(deg)
 
 
-def _number(entry: Any, name: str) -> float:
+def _number(document: Mapping[str, Any], entry: str, name: str) -> float:
     """Return a number of an entry of result.json, 0 if it is not there."""
-    value = entry.get(name) if isinstance(entry, dict) else None
-    return float(value) if isinstance(value, int | float) else 0.0
+    return float((document.get(entry) or {}).get(name) or 0.0)
 
 
 def correction_findings(
@@ -168,12 +165,7 @@ def correction_findings(
     elif (rows := np.flatnonzero(outside.any(axis=1))).size:
         joints = [calibration.chain.joints[j].name for j in np.flatnonzero(outside.any(axis=0))]
         has_curves = any(isinstance(law, CurveKnots) for law in calibration.stored.laws)
-        values_outside = {
-            "n": int(rows.size),
-            "joints": joints,
-            "places": _several([places[i] for i in rows]),
-            "curves": has_curves,
-        }
+        values_outside = {"n": int(rows.size), "joints": joints, "places": _several(places, rows), "curves": has_curves}
         findings.append(Finding("targets-outside", values_outside))
     return [*findings, *_move_findings(moves)]
 
@@ -184,12 +176,16 @@ def _move_findings(moves: CorrectedMoves) -> Iterator[Finding]:
         bent, blocked = np.flatnonzero(drive.deviation > STRAIGHT), np.flatnonzero(~drive.drivable)
         if bent.size:
             worst = int(bent[np.argmax(drive.deviation[bent])])
-            values = {"limit": {"mm": MM.of(STRAIGHT)}, "worst": {"mm": float(MM.of(drive.deviation[worst]))}}
-            places = _several([moves.places[i] for i in bent])
-            yield Finding("moves-bent", {**values, "n": int(bent.size), "places": places, "place": moves.places[worst]})
+            lengths = {"limit": {"mm": MM.of(STRAIGHT)}, "worst": {"mm": float(MM.of(drive.deviation[worst]))}}
+            values = {
+                **lengths,
+                "n": int(bent.size),
+                "places": _several(moves.places, bent),
+                "place": moves.places[worst],
+            }
+            yield Finding("moves-bent", values)
         if blocked.size:
-            places = _several([moves.places[i] for i in blocked])
-            yield Finding("moves-bent", {"n": int(blocked.size), "places": places})
+            yield Finding("moves-bent", {"n": int(blocked.size), "places": _several(moves.places, blocked)})
     if moves.unchecked:
         yield Finding("moves-unchecked", {"n": moves.unchecked})
 
@@ -210,14 +206,19 @@ def document_of(
     """
     unexplained = unexplained_error(calibration.document)
     expected, relative_to = _expected_errors(calibration, pair, targets.correction.q, targets.tools)
+    chain = calibration.chain
     return {
-        **_head(calibration),
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "robot": chain.name,
+        "base_frame": chain.base_frame,
+        "end_frame": chain.end_frame,
         **names,
         "coverage_factor": COVERAGE,
         "unexplained_mm": float(MM.of(unexplained[0])),
         "unexplained_mrad": float(MRAD.of(unexplained[1])),
         "expected_relative_to": relative_to,
-        "error_point": targets.error_point(calibration.chain.end_frame),
+        "error_point": targets.error_point(chain.end_frame),
         "findings": entries(stated),
         "refused": [move.entry() for move in refused],
         "configurations": configurations,
@@ -226,21 +227,13 @@ def document_of(
     }
 
 
-def _head(calibration: Calibration) -> dict[str, Any]:
-    chain = calibration.chain
-    frames = {"robot": chain.name, "base_frame": chain.base_frame, "end_frame": chain.end_frame}
-    return {"format": FORMAT, "format_version": FORMAT_VERSION, **frames}
-
-
 def _target_entries(calibration: Calibration, targets: CorrectedTargets, expected: Floats) -> list[dict[str, Any]]:
     done, units = targets.correction, calibration.joint_units
     poses = [position_and_rotation(frames) for frames in (targets.requested, targets.commanded)]
     shift = apart(targets.commanded, targets.requested)
     shift[np.isnan(done.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
-    limits, singular = (
-        limit_margins(calibration.chain, done.q),
-        singular_value(calibration.chain, calibration.nominal, done.q),
-    )
+    limits = limit_margins(calibration.chain, done.q)
+    singular = singular_value(calibration.chain, calibration.nominal, done.q)
     outside = calibration.outside(done.q)
     return [
         {
@@ -273,10 +266,9 @@ def _limit_entry(limits: Floats, units: Sequence[str]) -> dict[str, float | int 
 def _pose_entry(six: Floats, q: Floats, units: Sequence[str]) -> dict[str, float]:
     names = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
     pose = dict(zip(names, [*MM.of(six[:3]).tolist(), *DEG.of(six[3:]).tolist()], strict=True))
-    joints = {
+    return pose | {
         key(f"q{k}", unit): float(shown(value, unit)) for k, (value, unit) in enumerate(zip(q, units, strict=True), 1)
     }
-    return pose | joints
 
 
 def _move_entries(moves: CorrectedMoves, units: Sequence[str]) -> list[dict[str, Any]]:
@@ -297,12 +289,10 @@ def _move_entries(moves: CorrectedMoves, units: Sequence[str]) -> list[dict[str,
     ]
 
 
-def _several(places: Sequence[str]) -> str:
-    """Join places under one name: "lines 3, 5 and 9"."""
-    unique = list(dict.fromkeys(places))
-    noun = unique[0].partition(" ")[0]
-    numbers = [place.partition(" ")[2] for place in unique]
-    return f"{noun}{'s' if len(unique) > 1 else ''} {listed(numbers)}"
+def _several(places: Sequence[str], rows: NDArray[np.intp]) -> str:
+    """Join the places of rows under one name: "lines 3, 5 and 9"."""
+    nouns, _, numbers = zip(*dict.fromkeys(places[row].partition(" ") for row in rows), strict=True)
+    return f"{nouns[0]}{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
 
 
 MOST_NAMED = 6  # quarter turns

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -94,16 +95,10 @@ class ExportedRobot(Displayed):
 
 def export_findings(form: str, fitted: FormatFit, is_default: bool = False) -> list[Finding]:
     """Return what the file does not hold, and the resulting error; ``is_default``: it was refitted over random poses."""
-    values = {
-        "n": fitted.left.size,
-        **{
-            name: {"mm": float(MM.of(rms(error)))}
-            for name, error in (("left", fitted.left), ("dropped", fitted.dropped))
-        },
-        "left_turn": {"deg": float(DEG.of(rms(fitted.left_turn)))},
-        "dropped_turn": {"deg": float(DEG.of(rms(fitted.dropped_turn)))},
-        "largest": {"mm": float(MM.of(fitted.left.max()))},
-    }
+    values: dict[str, Any] = {"n": fitted.left.size, "largest": {"mm": float(MM.of(fitted.left.max()))}}
+    for name in ("left", "dropped"):
+        values[name] = {"mm": float(MM.of(rms(getattr(fitted, name))))}
+        values[f"{name}_turn"] = {"deg": float(DEG.of(rms(getattr(fitted, f"{name}_turn"))))}
     if fitted.exact and not fitted.refitted:
         return [Finding("exported", {"exact": True})]
     findings = [Finding("exported", {**values, "refitted": fitted.refitted})]
@@ -146,12 +141,9 @@ def curve_table(curves: Sequence[SampledCurve], simulated: bool = False) -> str:
     """
     lines = [CURVES_HEADER + ",simulated" * simulated]
     for curve in curves:
-        name = one_line(curve.joint).replace(",", " ")
+        name, mark = one_line(curve.joint).replace(",", " "), ",yes" * simulated
         rows = zip(DEG.of(curve.readings), MRAD.of(curve.error), MRAD.of(curve.sigma), curve.covered, strict=True)
-        lines += [
-            f"{name},{q:.4f},{error:.6f},{sigma:.6f},{int(inside)}{',yes' * simulated}"
-            for q, error, sigma, inside in rows
-        ]
+        lines += [f"{name},{q:.4f},{error:.6f},{sigma:.6f},{int(inside)}{mark}" for q, error, sigma, inside in rows]
     return "\n".join(lines) + "\n"
 
 
@@ -191,9 +183,8 @@ def exported(
     except RobotError as exc:
         if not fitted.missing:
             raise
-        raise RobotError(
-            " ".join([f"{exc}.", *(finding.text() for finding in export_findings(form, fitted)[::-1])])
-        ) from exc
+        texts = [finding.text() for finding in export_findings(form, fitted)[::-1]]
+        raise RobotError(" ".join([f"{exc}.", *texts])) from exc
     return ExportedRobot(form, text, tuple(ordered(findings, calibration.simulated)), fitted)
 
 
@@ -210,10 +201,8 @@ def _fitted(calibration: Calibration, form: str, adjust: Sequence[str], over: Fl
     if adjust:
         adjustable = matching(chain.parameter_names, "adjust", adjust)
         if not (adjustable & held(chain, FORMATS[form])).any():
-            raise InputError(
-                Argument("adjust"),
-                f" {adjust[0]}: leaves no parameter that {form} can hold; use another pattern or format",
-            )
+            text = f" {adjust[0]}: leaves no parameter that {form} can hold; use another pattern or format"
+            raise InputError(Argument("adjust"), text)
     if over is not None:
         # Poses that were measured may be beyond the limits that the robot file states.
         largest = largest_readings(chain)

@@ -289,12 +289,12 @@ def rejudged(
     problem = build_problem(chain, rig, table.select(estimate.fitted), effects=fitted)
     x = problem.at(dict(zip(estimate.parameter_names, estimate.value, strict=True)))
     held_out, error = judged(problem, x, rig, table, held, modelled)
-    residual = {unit: values.copy() for unit, values in estimate.residual.items()}
-    unfitted = {unit: values.copy() for unit, values in estimate.unfitted_error.items()}
+    both = [{**errors} for errors in (estimate.residual, estimate.unfitted_error)]
     for unit, values in error.items():
-        residual[unit][held] = values
-        unfitted[unit][held] = values
-    return replace(estimate, held_out=held_out, residual=residual, unfitted_error=unfitted)
+        for errors in both:
+            errors[unit] = errors[unit].copy()
+            errors[unit][held] = values
+    return replace(estimate, held_out=held_out, residual=both[0], unfitted_error=both[1])
 
 
 def with_drawing(robot: Robot, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Estimate:
@@ -366,27 +366,13 @@ def identified(
     sigma = weak if prior is Prior.WHERE_NEEDED else prior_named(chain, prior)
     if prior is Prior.WHERE_NEEDED and not chosen.believed:
         prior = Prior.NONE
-    solver_options = SolverOptions(
-        solver=options.solver,
-        loss=options.loss,
-        max_iterations=options.max_iterations,
-        progress=progress,
-        effects=effects,
-        leave_out=leave_out,
-        reject=True,
-    )
+    how = {name: getattr(options, name) for name in ("solver", "loss", "max_iterations")}
+    solver_options = SolverOptions(**how, progress=progress, effects=effects, leave_out=leave_out, reject=True)
 
     def geometry(outliers: Mask | None = None) -> Estimate:
-        return estimate_parameters(
-            chain,
-            rig,
-            table,
-            free=free,
-            hold_out=selection.held_out,
-            prior_sigma=sigma,
-            options=replace(solver_options, outliers=outliers),
-            prefer=robot.free,
-        )
+        chosen_options = replace(solver_options, outliers=outliers)
+        masks = {"free": free, "hold_out": selection.held_out, "prefer": robot.free}
+        return estimate_parameters(chain, rig, table, prior_sigma=sigma, options=chosen_options, **masks)
 
     examinations: dict[bytes, Examination | None] = {}  # by values and weights of a fit
 
@@ -433,11 +419,9 @@ def identified(
         )
     predicted = None
     if estimate.status == "converged" and not estimate.unusable:
-        predicted = predicted_point_error(
-            chain, rig, table.select(~estimate.left_out), estimate, any_base=bool(chosen.base)
-        )
-        exceeded = predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained)
-        if exceeded:
+        judging = table.select(~estimate.left_out)
+        predicted = predicted_point_error(chain, rig, judging, estimate, any_base=bool(chosen.base))
+        if predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained):
             predicted = None
     held_out, proposal = selection.held_out, proposed_hold_out(table, copied >= 0)
     result = result_of(

@@ -140,7 +140,8 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
             tables.append(sessions_read[-1].table)
             continue
         tables.append(read_table(path) if chain is None else read_table(path, chain.joint_units, chain.mimics))
-        if _is_reordered(tables[-1]):
+        rows = [int(str(source).rpartition(" ")[2]) for source in tables[-1].source]
+        if rows != sorted(rows):  # than in the file
             sources.say(
                 f"{path}: the rows are not in the order of time_s; they are used in that order, and row numbers count in it"
             )
@@ -156,7 +157,10 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     rigs = named_rigs | dict(session_rig.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
-    _check_named(table, sources.rigs)
+    for name, file in sources.rigs.items():
+        if name and not (table.rig == name).any():
+            reason = "no row has that name in its column rig, and no session has that name; correct the name"
+            raise InputError(Argument("rig"), f" {name}={file}: {reason}")
     completed = completed_rigs(rigs.get("", with_noise(Rig(), noise)) if "" in rigs or not rigs else rigs, table)
     for name, rig in rigs_by_name(completed).items():
         if chain is not None:
@@ -200,27 +204,11 @@ def _say_distances_twice(rigs: Mapping[str, Rig], say: Say) -> None:
             )
 
 
-def _is_reordered(table: ObservationTable) -> bool:
-    """Return whether the rows of one table file are in another order than in the file."""
-    rows = [int(str(source).rpartition(" ")[2]) for source in table.source]
-    return rows != sorted(rows)
-
-
 def _say_doubts(table: ObservationTable, rig: Rig, chain: Chain, say: Say) -> None:
     """Say which rows the devices of the rig cannot have measured."""
     for name, kind in kinds().items():
         for sentence in kind.doubts(table.select(table.kind == name), rig, chain) if kind.doubts else ():
             say(one_line(sentence))
-
-
-def _check_named(table: ObservationTable, files: Mapping[str, Path | Rig]) -> None:
-    """Raise InputError for a rig whose name no row has."""
-    for name, file in files.items():
-        if name and not (table.rig == name).any():
-            raise InputError(
-                Argument("rig"),
-                f" {name}={file}: no row has that name in its column rig, and no session has that name; correct the name",
-            )
 
 
 class _SessionRead(NamedTuple):
@@ -251,31 +239,32 @@ def _read_session(
             raise InputError("other-robot", place=path, joints=table.q.shape[1], expected=expected)
         table = table.completed(chain.mimics, expected)
     labels = read_labels(path) is not None
-    doubtful = 0
+    rejected = result.reasons
     if robot is not None and not labels:
         with step("comparing labels with the readings"):
             from truearm.workflows.relabel import borne_out_rows
 
             borne_out = borne_out_rows(robot, rig, result)
         table = table.select(borne_out)
-        doubtful = int((~borne_out).sum())
-    rejected = {**result.reasons, **({DOUBTFUL: doubtful} if doubtful else {})}
-    model = session.metadata.get(SETUP, {}).get("model", "")
-    if (
-        robot is not None
-        and 2 * doubtful > len(result.table)
-        and model not in ("", robot.chain.name, Path(robot.file).name)
-    ):
-        raise InputError(
-            f"{path}: was recorded for robot {one_line(model)}, and {doubtful} of its {len(result.table)} observations "
-            f"do not fit {robot.chain.name}; leave it out, or move it to the project of its robot"
-        )
-    n_lengths = sum(table.kind == "ball_bar")
-    n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
-    lines, lines_used = len(result.passes), sum(not line_pass.reason for line_pass in result.passes)
+        doubtful, model = int((~borne_out).sum()), session.metadata.get(SETUP, {}).get("model", "")
+        rejected = rejected | ({DOUBTFUL: doubtful} if doubtful else {})
+        if 2 * doubtful > len(borne_out) and model not in ("", robot.chain.name, Path(robot.file).name):
+            raise InputError(
+                f"{path}: was recorded for robot {one_line(model)}, and {doubtful} of its {len(borne_out)} observations "
+                f"do not fit {robot.chain.name}; leave it out, or move it to the project of its robot"
+            )
     reasons, line_reasons = (dict(sorted(counts.items())) for counts in (rejected, result.pass_reasons))
     count = DwellCount(
-        path.name, n, int(n_lengths), reasons, labels, mountings, lines, lines_used, line_reasons, result.with_bar
+        session=path.name,
+        dwells=len(result.dwells) - result.n_mountings,
+        used=int(sum(table.kind == "ball_bar")),
+        rejected=reasons,
+        labels=labels,
+        mountings=result.n_mountings,
+        lines=len(result.passes),
+        lines_used=sum(not line_pass.reason for line_pass in result.passes),
+        lines_rejected=line_reasons,
+        with_bar=result.with_bar,
     )
     nothing = nothing_observed(path, reasons, line_reasons, result.survey.marks.plan() is not None)
     return _SessionRead(table.replace(rig=name), count, recording_of(session, result, count), nothing)
@@ -297,7 +286,9 @@ def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Rec
     idents, losses, reports = list(result.survey.idents.values()), result.survey.losses, result.survey.clock_reports
     uid = ", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents))
     firmware = ", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents))
-    begun = _utc(session.metadata.get("session", {}).get("utc_ns", ""))
+    stamp = session.metadata.get("session", {}).get("utc_ns", "")
+    is_time = stamp.isdecimal() and len(stamp) <= 19
+    begun = f"{datetime.fromtimestamp(NS.to_si(int(stamp)), UTC):%Y-%m-%d %H:%M UTC}" if is_time else ""
     lost = losses.samples_lost + losses.samples_overrun
     facts = [("begun", begun or "not known"), ("box", f"{uid or 'without a uid'}, firmware {firmware or 'not known'}")]
     if count.with_bar or not count.lines:  # otherwise the dwells are stops between lines
@@ -308,20 +299,11 @@ def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Rec
     facts.append(("samples", f"{losses.samples:,} received, {lost:,} lost; {losses.frames_lost:,} frames lost"))
     bound = US.text(max(NS.to_si(report.bound_ns) for report in reports), ".0f") if reports else "not known"
     facts.append(("error of the box's clock, at most", bound))
-    read = [
-        (one_line(name) or "unnamed", thermometer.extremes) for name, thermometer in result.survey.thermometers.items()
-    ]
-    temperatures = tuple((name, *degc) for name, degc in read if degc is not None)
+    read = {one_line(name) or "unnamed": meter.extremes for name, meter in result.survey.thermometers.items()}
+    temperatures = tuple((name, *degc) for name, degc in read.items() if degc is not None)
     facts += [(f"temperature of the {name}", between(*degc)) for name, *degc in temperatures]
     sensors = tuple(dict.fromkeys(sensor for ident in idents for sensor in sensors_of(ident.document)))
     return Recording(one_line(session.path.name), begun, tuple(facts), sensors, lost, temperatures)
-
-
-def _utc(nanoseconds: str) -> str:
-    """Format a time as text; "" for none."""
-    if not nanoseconds.isdecimal() or len(nanoseconds) > 19:
-        return ""
-    return datetime.fromtimestamp(NS.to_si(int(nanoseconds)), UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def sensors_of(document: Mapping[str, Any]) -> Facts:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -175,14 +176,11 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
     """Return dwells by the joint readings and passes along lines; with a rig also their outcome."""
     from truearm.session.observations import observations
 
-    rejected = [dwell.reason for dwell in survey.dwells if dwell.reason]
     dwells: dict[str, Any] = {
         "found": len(survey.dwells),
-        "rejected": _tally(rejected),
+        "rejected": dict(sorted(Counter(dwell.reason for dwell in survey.dwells if dwell.reason).items())),
         "mountings": 0,
-        "observations": None,
-        "samples_used": None,
-        "not_paired": None,
+        **dict.fromkeys(("observations", "samples_used", "not_paired")),
         "table": _dwell_rows(survey, survey.dwells),
     }
     planned = sum(row.move == Move.LINE for row in survey.marks.rows)
@@ -197,13 +195,13 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
     except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
         dwells["not_paired"] = one_line(str(exc))
         return document
-    bounds = [dwell.clock_bound_ns for dwell in result.dwells if not dwell.reason]
+    used = [dwell for dwell in result.dwells if not dwell.reason]
     dwells |= {
         "rejected": result.reasons,
         "mountings": result.n_mountings,
-        "observations": sum(not dwell.reason for dwell in result.dwells),
+        "observations": len(used),
         "samples_used": result.samples_used,
-        "clock_bound_ns": max(bounds, default=None),
+        "clock_bound_ns": max((dwell.clock_bound_ns for dwell in used), default=None),
         "table": _dwell_rows(survey, result.dwells),
     }
     passes |= {
@@ -241,7 +239,3 @@ def _pass_rows(passes: Sequence[LinePass]) -> list[dict[str, Any]]:
         }
         for row, line_pass in zip(rows_of(pass_columns(passes)), passes, strict=True)
     ]
-
-
-def _tally(words: list[str]) -> dict[str, int]:
-    return {word: words.count(word) for word in sorted(set(words))}

@@ -18,6 +18,7 @@ from truearm.files.rig_file import read_rig, write_rig
 from truearm.files.strict_json import number_or_null
 from truearm.findings import entries
 from truearm.kinds.table import ObservationTable
+from truearm.model.chain import point_forward
 from truearm.model.robot import Robot
 from truearm.plan.approaches import plan_approaches
 from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
@@ -126,19 +127,13 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
 def _pairings(knowledge: Knowledge, plan: Plan) -> dict[str, Any]:
     """Return the number of poses of each pairing, and what would be left to fit if some were held out."""
     of_pairing = Counter(zip(*(getattr(plan, name).tolist() for name in BAR_MOUNTED), strict=True))
-    table = bar_table(knowledge, plan)
-    proposals = (
-        [(f"bar={bar}", 0) for bar in dict.fromkeys(plan.bar.tolist())] if len(set(plan.bar.tolist())) > 1 else []
-    )
-    proposed = proposed_hold_out(table)
-    if proposed is not None:
+    table, bars = bar_table(knowledge, plan), list(dict.fromkeys(plan.bar.tolist()))
+    proposals = [(f"bar={bar}", 0) for bar in bars] if len(bars) > 1 else []
+    if proposed := proposed_hold_out(table):
         proposals.insert(0, (str(proposed.fraction), proposed.seed))
-    return {
-        "pairings": [
-            {**dict(zip(BAR_MOUNTED, names, strict=True)), "poses": poses} for names, poses in of_pairing.items()
-        ],
-        "hold_outs": [_hold_out(knowledge, table, words, seed) for words, seed in proposals],
-    }
+    pairings = [{**dict(zip(BAR_MOUNTED, names, strict=True)), "poses": poses} for names, poses in of_pairing.items()]
+    hold_outs = [_hold_out(knowledge, table, words, seed) for words, seed in proposals]
+    return {"pairings": pairings, "hold_outs": hold_outs}
 
 
 def _hold_out(knowledge: Knowledge, table: ObservationTable, words: str, seed: int) -> dict[str, Any]:
@@ -156,22 +151,17 @@ def _hold_out(knowledge: Knowledge, table: ObservationTable, words: str, seed: i
 
 def _curves(knowledge: Knowledge, plan: Plan) -> list[dict[str, Any]]:
     """Return what planned poses will show of error curves."""
-    return [
-        {
-            "joint": curve.joint,
-            "ranges": [
-                {
-                    "lower_deg": DEG.of(span_of_joint.lower),
-                    "upper_deg": DEG.of(span_of_joint.upper),
-                    "sigma_mrad": MRAD.of(span_of_joint.sigma),
-                }
-                for span_of_joint in curve.ranges
-            ],
-            "sigma_mrad": MRAD.of(curve.sigma),
-            "unseen_deg": [[DEG.of(end) for end in span] for span in curve.unseen],
-        }
-        for curve in curve_forecasts(knowledge, bar_table(knowledge, plan))
-    ]
+    documents = []
+    for curve in curve_forecasts(knowledge, bar_table(knowledge, plan)):
+        ranges = [
+            {"lower_deg": DEG.of(span.lower), "upper_deg": DEG.of(span.upper), "sigma_mrad": MRAD.of(span.sigma)}
+            for span in curve.ranges
+        ]
+        unseen = [[DEG.of(end) for end in span] for span in curve.unseen]
+        documents.append(
+            {"joint": curve.joint, "ranges": ranges, "sigma_mrad": MRAD.of(curve.sigma), "unseen_deg": unseen}
+        )
+    return documents
 
 
 def _visits(budget: Budget, options: BallBarOptions) -> Visits:
@@ -189,8 +179,7 @@ def planned_ball_bar(knowledge: Knowledge, budget: Budget, options: BallBarOptio
     limits = _limits(options.reserve, is_identified)
     _check_travel(knowledge, limits.reserve, options.spread)
     choice = Wanted(
-        budget.n,
-        budget.minutes,
+        *budget,
         options.criterion,
         n_candidates=options.candidates,
         spread=options.spread,
@@ -200,12 +189,8 @@ def planned_ball_bar(knowledge: Knowledge, budget: Budget, options: BallBarOptio
     site = make_site(knowledge, limits, Sizes(), options.seed)
     pairings, pace = all_pairings(knowledge.rig, options.bars), Pace(dwell=options.dwell)
     if knowledge.measured is not None and knowledge.deciding:  # all poses on the mounts that decide
-        decides = [
-            pairing
-            for pairing in pairings
-            if knowledge.deciding >= {f"chuck {pairing.chuck}", f"sphere {pairing.sphere}"}
-        ]
-        pairings = decides or pairings
+        items = {pairing: {f"chuck {pairing.chuck}", f"sphere {pairing.sphere}"} for pairing in pairings}
+        pairings = [pairing for pairing in pairings if knowledge.deciding >= items[pairing]] or pairings
     return plan_ballbar(site, knowledge, pairings, choice, pace, options.region)
 
 
@@ -291,18 +276,17 @@ def _limits(reserve: float | None, is_identified: bool) -> Limits:
 
 def _places(planned: LinePlan, knowledge: Knowledge, point: Floats) -> list[dict[str, Any]]:
     """Return the position of each line, from end to end in the base frame, and the rotation of the device."""
-    from truearm.model.chain import point_forward
-
     ends = MM.of(point_forward(knowledge.chain, knowledge.params, planned.lines.q[:, [0, -1]], point))
+    rows = zip(planned.devices.values(), ends.tolist(), planned.error.tolist(), strict=True)
     return [
         {
             "line": device.name,
-            "from_mm": end[0].tolist(),
-            "to_mm": end[1].tolist(),
+            "from_mm": start,
+            "to_mm": end,
             "rotation_rad": list(device.rotation),
             "a_priori_mm": MM.of(error),
         }
-        for device, end, error in zip(planned.devices.values(), ends, planned.error.tolist(), strict=True)
+        for device, (start, end), error in rows
     ]
 
 
@@ -367,17 +351,14 @@ def _write(
     """Write the plan and the programs that were requested."""
     if files.out is not None:
         write_plan(files.out, visits.of_robot(knowledge.chain.name))
+    signals = Signals(files.output_line, files.input_line)
     for path in files.program_out:
-        write_atomic(
-            path,
-            program(
-                stops, path.suffix.lower(), Task(path.stem, dwell, Signals(files.output_line, files.input_line), tool)
-            ),
-        )
+        write_atomic(path, program(stops, path.suffix.lower(), Task(path.stem, dwell, signals, tool)))
 
 
 def forecast_document(forecast: Forecast) -> dict[str, Any]:
     """Return the forecast as it is printed and as in JSON."""
+    columns = forecast.names, forecast.units, forecast.sigma, forecast.free
     return {
         "rows": forecast.n_rows,
         "rank": forecast.rank,
@@ -387,10 +368,8 @@ def forecast_document(forecast: Forecast) -> dict[str, Any]:
         "hardly_seen": [dict(zip(d.names, d.weights, strict=True)) for d in forecast.hardly_seen],
         "parameters": [
             {"name": name, "unit": unit, "sigma": number_or_null(sigma)}
-            for name, unit, sigma, free in zip(
-                forecast.names, forecast.units, forecast.sigma, forecast.free, strict=True
-            )
-            if free
+            for name, unit, sigma, is_free in zip(*columns, strict=True)
+            if is_free
         ],
         "cartesian_rms_mm": number_or_null(MM.of(forecast.cartesian_rms)),
         "cartesian_worst_mm": None if forecast.cartesian is None else MM.of(float(forecast.cartesian.max())),

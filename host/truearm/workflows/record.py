@@ -3,40 +3,47 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
 from truearm.box.configuration_schema import MODULATOR_NS
 from truearm.box.readiness import Purpose
-from truearm.errors import Argument, IncompleteError, InputError, TruearmError, WriteError
+from truearm.errors import Argument, IncompleteError, InputError, RigError, TruearmError, WriteError
+from truearm.files.disk import check_writable, read_bytes
+from truearm.files.plan_file import check_against_rig, read_plan
+from truearm.files.rig_file import MAX_BYTES, parse_rig, read_rig
+from truearm.files.write_lock import is_held
 from truearm.findings import Finding, entries
 from truearm.interrupt import asked_to_stop
 from truearm.live.choose_box import choose_box
 from truearm.live.session_progress import SessionProgress, check_mounted, parse_mounted
 from truearm.live.state import LiveState
 from truearm.live.view import showing
-from truearm.record.operator import Counters
+from truearm.record import recorder
+from truearm.record.links import Clock, HostClock
+from truearm.record.operator import Counters, RecordSummary
+from truearm.record.ports import BoxPort
+from truearm.record.reopening import Reopening
+from truearm.record.robots.sources import open_source
+from truearm.record.session_writer import SessionWriter
+from truearm.session.dwells import POSE_TOLERANCE, needs_decision
+from truearm.session.observations import SyncResult
+from truearm.session.session_file import open_session
 from truearm.text import counted, one_line
-from truearm.types import Move
+from truearm.types import Move, Plan, Rig
 from truearm.units import NS
 from truearm.workflows.controller_model import as_hex, controller_state
 from truearm.workflows.requests import RecordOptions
 from truearm.workflows.session_copies import recovered_name
+from truearm.workflows.session_observations import SessionOptions, attached_rig, observations_of_session
 from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
 from truearm_wire.config import OSRS
-
-if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
-    from truearm.record.links import Clock
-    from truearm.record.operator import RecordSummary
-    from truearm.session.observations import SyncResult
-    from truearm.types import Plan, Rig
 
 # The converter's modulator runs at 125 MHz / 15 / 2; a sample takes osr of its periods.
 MODULATOR_HZ = NS.factor / MODULATOR_NS
@@ -53,12 +60,12 @@ class RecordingWork:
     out: Path
     robot: str | None
     osr: int
-    rows: list[dict[str, Any]] = field(default_factory=list)
-    rig_toml: bytes | None = None
-    rig: Rig | None = None
-    mounted: dict[str, str] = field(default_factory=dict)
-    setup: dict[str, str] = field(default_factory=dict)
-    earlier_session: Earlier | None = None
+    rows: list[dict[str, Any]]
+    rig_toml: bytes | None
+    rig: Rig | None
+    mounted: dict[str, str]
+    setup: dict[str, str]
+    earlier_session: Earlier | None
 
 
 @dataclass(frozen=True)
@@ -132,13 +139,6 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
 
 def _record(device: str, work: RecordingWork, request: RecordOptions, output: TextIO) -> Recorded:
     """Record, and find out what is missing; a signal ends the recording, but not that question."""
-    from truearm.record.links import HostClock
-    from truearm.record.ports import BoxPort
-    from truearm.record.recorder import Hooks, RecordOptions
-    from truearm.record.recorder import record as record_session
-    from truearm.record.reopening import Reopening
-    from truearm.record.session_writer import SessionWriter
-
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     clock = HostClock()
     progress = SessionProgress(work.rows, dict(work.mounted))
@@ -154,23 +154,18 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
             SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
             showing(state, request.plain, output),
         ):
+            options = recorder.RecordOptions(
+                plan=work.rows,
+                rig_toml=work.rig_toml,
+                mounted=work.mounted,
+                osr=work.osr,
+                duration_s=request.duration,
+                patience_s=request.patience,
+                head=[(SETUP, work.setup)],
+            )
+            hooks = recorder.Hooks(interrupted=interrupted, operator=state)
             try:
-                summary = record_session(
-                    link,
-                    writer,
-                    clock,
-                    robot=robot_link,
-                    options=RecordOptions(
-                        plan=work.rows,
-                        rig_toml=work.rig_toml,
-                        mounted=work.mounted,
-                        osr=work.osr,
-                        duration_s=request.duration,
-                        patience_s=request.patience,
-                        head=[(SETUP, work.setup)],
-                    ),
-                    hooks=Hooks(interrupted=interrupted, operator=state),
-                )
+                summary = recorder.record(link, writer, clock, robot=robot_link, options=options, hooks=hooks)
             except TruearmError as exc:
                 if not writer.kept:
                     raise
@@ -184,8 +179,6 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
 
 
 def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:
-    from truearm.record.robots.sources import open_source
-
     return nullcontext() if url is None else closing(open_source(url, clock))
 
 
@@ -202,12 +195,6 @@ def _work(request: RecordOptions) -> RecordingWork:
 
     Raises InputError for options and files that are invalid or inconsistent.
     """
-    from truearm.errors import RigError
-    from truearm.files.disk import check_writable, read_bytes
-    from truearm.files.plan_file import check_against_rig, read_plan
-    from truearm.files.rig_file import MAX_BYTES, parse_rig, read_rig
-    from truearm.files.write_lock import is_held
-
     if (request.out is None) == (request.resume is None):
         raise InputError("exclusive", first=Argument("out"), second=Argument("resume"), neither=request.out is None)
     continued = Earlier(Path(), Path(), 0, "", {}) if request.resume is None else earlier(request.resume)
@@ -218,8 +205,8 @@ def _work(request: RecordOptions) -> RecordingWork:
     check_writable(out, request.force and request.resume is None, inputs=read, kind="session")
     if out.exists() and is_held(out):
         raise InputError("in-use", place=out)
-    osr = continued.setup.get("osr", "")
-    osr_before = int(osr) if osr in map(str, OSRS) else USUAL_OSR
+    osr_text = continued.setup.get("osr", "")
+    osr_before = int(osr_text) if osr_text in map(str, OSRS) else USUAL_OSR
     typed = {} if request.mounted is None else parse_mounted(request.mounted)
     plan = None if request.plan is None else read_plan(request.plan)
     rig_name = f"{continued.first}: rig.toml" if request.rig is None else str(request.rig)
@@ -231,22 +218,16 @@ def _work(request: RecordOptions) -> RecordingWork:
         check_mounted(typed, rig, rig_name)
         if plan is not None:
             check_against_rig(plan, rig, str(request.plan))
-    work = RecordingWork(
-        out,
-        request.address or continued.setup.get("robot") or None,
-        osr_before if request.rate is None else nearest_osr(request.rate),
-        continued.rows if plan is None else plan_rows(plan),
-        rig_toml,
-        rig,
-        typed or continued.mounted,
-        earlier_session=None if request.resume is None else continued,
-    )
-    setup = {"robot": work.robot or "", "osr": str(work.osr)}
+    robot = request.address or continued.setup.get("robot") or None
+    osr = osr_before if request.rate is None else nearest_osr(request.rate)
+    setup = {"robot": robot or "", "osr": str(osr)}
     if request.project_model:
         setup["model"] = Path(request.project_model).name
     if request.resume is not None:
         setup |= {"of": continued.first.name, "part": str(continued.part), "begun": continued.begun}
-    return replace(work, setup=setup)
+    rows = continued.rows if plan is None else plan_rows(plan)
+    earlier_session = None if request.resume is None else continued
+    return RecordingWork(out, robot, osr, rows, rig_toml, rig, typed or continued.mounted, setup, earlier_session)
 
 
 def _purpose(work: RecordingWork, device: str) -> Purpose:
@@ -292,9 +273,6 @@ class RecordedDwells:
 
 def recorded_dwells(session: Path) -> RecordedDwells | None:
     """Return the account of a session; None if it has no rig with a ball-bar or cannot be read."""
-    from truearm.session.session_file import open_session
-    from truearm.workflows.session_observations import SessionOptions, attached_rig, observations_of_session
-
     try:
         rig = attached_rig(open_session(session), session)
         if rig is None or not rig.bars:
@@ -306,28 +284,22 @@ def recorded_dwells(session: Path) -> RecordedDwells | None:
 
 def counted_dwells(result: SyncResult) -> RecordedDwells:
     """Return the account of a session's dwells."""
-    from truearm.session.dwells import POSE_TOLERANCE, needs_decision
-
-    plan = result.survey.marks.plan()
-    counts: dict[str, int] = {}
-    visited, measured = set[int](), set[int]()
-    total = 0
+    plan, counts = result.survey.marks.plan(), Counter[str]()
+    visited: dict[int, bool] = {}  # whether a pose of the plan gave an observation
     for dwell in result.dwells:
-        if plan is None:
-            if dwell.reason == "too short":
-                continue
-        else:
+        if plan is None and dwell.reason == "too short":
+            continue
+        if plan is not None:
             gaps = np.max(np.abs(plan.q - dwell.q), axis=1) if plan.q.shape[1] == dwell.q.size else np.array([np.inf])
-            if gaps.min() > POSE_TOLERANCE:
+            pose = int(gaps.argmin())
+            if gaps[pose] > POSE_TOLERANCE:
                 continue
-            visited.add(int(gaps.argmin()))
-            if not dwell.reason:
-                measured.add(int(gaps.argmin()))
-        total += 1
-        counts[dwell.reason] = counts.get(dwell.reason, 0) + 1
-    usable = counts.pop("", 0)
+            visited[pose] = visited.get(pose, False) or not dwell.reason
+        counts[dwell.reason] += 1
+    total, usable = counts.total(), counts.pop("", 0)
     words = sum(counts.pop(reason) for reason in list(counts) if needs_decision(reason, plan is not None))
-    return RecordedDwells(total, usable, words, dict(sorted(counts.items())), len(visited - measured))
+    lost = sum(not is_measured for is_measured in visited.values())
+    return RecordedDwells(total, usable, words, dict(sorted(counts.items())), lost)
 
 
 FLOODED = "the robot sent more than could be stored"

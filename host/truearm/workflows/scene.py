@@ -34,14 +34,9 @@ def calibration_scene(identification: Identification) -> Scene:
     """Return the measured poses with their errors before and after, and the errors predicted between them."""
     e, rows = identification.estimate, thinned(len(identification.table), MOST_POINTS)
     table, n = identification.table.select(rows), rows.size
-    judged = judge(
-        identification.chain,
-        identification.rig,
-        table,
-        identification.identified,
-        dict(zip(e.parameter_names, e.value, strict=True)),
-    )
-    fixtures = _fixtures(identification.rig, judged)
+    chain, rig, params = identification.chain, identification.rig, identification.identified
+    judged = judge(chain, rig, table, params, dict(zip(e.parameter_names, e.value, strict=True)))
+    fixtures = _fixtures(rig, judged)
     labels = [row_name(source) for source in table.source]
     names = {name: k for k, name in enumerate(fixtures)}
     rig_prefix = np.where(table.rig == "", "", np.char.add(table.rig, "."))
@@ -50,18 +45,15 @@ def calibration_scene(identification: Identification) -> Scene:
     order = np.random.default_rng(0).permutation(n)
     both = table.select(np.concatenate([np.arange(n), order]))
     both = both.replace(q=np.concatenate([table.q, 0.5 * (table.q[order] + table.q)]))
-    places, _ = measured_points(identification.rig, both, e)
-    xyz, gap = (
-        point_forward(identification.chain, identification.identified, both.q, places),
-        nominal_gap(identification.chain, identification.rig, both, e),
-    )
+    places, _ = measured_points(rig, both, e)
+    xyz, gap = point_forward(chain, params, both.q, places), nominal_gap(chain, rig, both, e)
     size = np.linalg.norm(gap, axis=1)
     values, vectors = {BEFORE: size[:n]}, {BEFORE: gap[:n]}
     if "m" in e.residual:
         values = {AFTER: np.abs(e.residual["m"][rows]), **values}
         vectors[AFTER] = _residual_vectors(identification, table, judged, places[:n])
     clouds = [Points("measured poses", xyz[:n], table.q, labels, values, vectors, chucks)]
-    covariance = point_covariance(identification.chain, identification.rig, both, e) if n >= FEWEST else None
+    covariance = point_covariance(chain, rig, both, e) if n >= FEWEST else None
     if n >= FEWEST:
         field = {BEFORE: size[n:]}
         if covariance is not None:
@@ -74,7 +66,7 @@ def calibration_scene(identification: Identification) -> Scene:
     )
     if covariance is not None and covariance.relative:
         caption += " What is expected leaves out the pose of the base, which the rows do not determine."
-    return _scene(identification, caption, clouds, fixtures, _tools(identification.rig, judged))
+    return _scene(identification, caption, clouds, fixtures, _tools(rig, judged))
 
 
 def map_scene(calibration: Calibration, pair: ModelPair, mapped: ErrorMap) -> Scene:
@@ -115,12 +107,8 @@ def _scene(
     chain, params = calibration.chain, calibration.identified
     zero = np.zeros(len(chain.joints))
     frames = joint_frames(chain, params, zero)
-    joints = np.array(
-        [
-            [motion[0] == "r", *frame[:3, 3], *frame[:3, axis_of(motion)]]
-            for motion, frame in zip(chain.motions, frames, strict=True)
-        ]
-    )
+    rows = zip(chain.motions, frames, strict=True)
+    joints = np.array([[motion[0] == "r", *frame[:3, 3], *frame[:3, axis_of(motion)]] for motion, frame in rows])
     capsules = calibration.robot.capsules or along_joints(chain, params, Sizes().link)
     carried = np.concatenate([np.eye(4)[None], frames])[list(capsules.joint)]
     ends = capsules.ends @ carried[:, :3, :3].swapaxes(1, 2) + carried[:, None, :3, 3]

@@ -10,22 +10,47 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, assert_never
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 
 from truearm.box.readiness import LVDT_DRIFT
 from truearm.errors import Argument, IncompleteError, InputError, LinkError, PlanError
-from truearm.files.disk import write_atomic
+from truearm.files.disk import check_writable, own_folder, write_atomic
+from truearm.files.plan_file import check_against_rig, check_robot, read_plan, write_plan
+from truearm.files.rig_file import read_rig, write_rig
 from truearm.files.robot_file import RobotChoice
+from truearm.interrupt import asked_to_stop
+from truearm.model.robot import Robot
+from truearm.model.workspace import Branch
 from truearm.plan.branches import branch_of
 from truearm.progress import step
+from truearm.record.recorder import Hooks, RecordOptions, record
+from truearm.record.session_writer import SessionWriter
 from truearm.text import counted
+from truearm.types import Floats, Plan, Rig
 from truearm.units import MM
 from truearm.workflows.record import nearest_osr, plan_rows
 from truearm.workflows.requests import FAST_RATE_HZ, Level, SimulateOptions, TruthOptions
 from truearm.workflows.session_observations import Say
 from truearm.workflows.session_parts import SETUP
+from truearm_sim import micropython, node
+from truearm_sim.arm import WORN, Arm
+from truearm_sim.chip import ChipBox
+from truearm_sim.confirming import Confirming
+from truearm_sim.hardware import PowerOn
+from truearm_sim.joint_errors import GearError, JointError, Sag
+from truearm_sim.lab import STEP_NS, Lab
+from truearm_sim.line_plan import drawn_line_plan, line_rig
+from truearm_sim.ports import Port, Terminal
+from truearm_sim.rtde_server import RtdeServer
+from truearm_sim.serve import EMULATED, Pace, serve
+from truearm_sim.simbox import FAULTS, Fault, SimulatedBox
+from truearm_sim.stage import LARGEST, Stage
+from truearm_sim.thermal import Thermal
+from truearm_sim.true_robot import Tolerance, true_params
+from truearm_sim.vmbox import VmBox
+from truearm_sim.world import RobotInput, Setup, World, standard_plan, standard_rig
 
 CHIP_STEP_NS = 20_000_000
 DELAYED = (
@@ -38,18 +63,6 @@ MARK = ".truearm-simulated"  # in a folder that simulate created and may overwri
 
 # protocols of the robot: scheme of the address, default port, readings per second
 PROTOCOLS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
-
-if TYPE_CHECKING:
-    from truearm.model.robot import Robot
-    from truearm.model.workspace import Branch
-    from truearm.types import Floats, Plan, Rig
-    from truearm_sim.arm import Arm
-    from truearm_sim.hardware import PowerOn
-    from truearm_sim.micropython import Interpreter
-    from truearm_sim.ports import Port, Terminal
-    from truearm_sim.serve import Pace
-    from truearm_sim.simbox import Fault, SimulatedBox
-    from truearm_sim.world import World
 
 TRUTH_FORMAT = "truearm-truth"
 
@@ -67,9 +80,6 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
 
     Raises InputError, and LinkError if the ports are not available.
     """
-    from truearm_sim.rtde_server import RtdeServer
-    from truearm_sim.serve import serve
-
     scheme, usual_port, rate = PROTOCOLS[options.protocol]
     world, machine, box = _lab(options, rate, say)
     folder = options.out
@@ -84,6 +94,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
         f"--out {shlex.quote(str(folder / SESSION))}\n"
     )
     goes_on = "; its controller goes on, so end the recording with q" if options.protocol == "rtde" else ""
+    ended = f"the robot's program has ended{goes_on}"
     with closing(robot_end), closing(box_port), closing(box):
         serve(
             world,
@@ -91,7 +102,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
             box_port,
             robot_end,
             started=lambda: say("connected: time starts"),
-            ended=lambda: say(f"the robot's program has ended{goes_on}"),
+            ended=lambda: say(ended),
             pace=machine.pace,
         )
 
@@ -114,9 +125,6 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
 
 def write_setup(out: Path, world: World) -> None:
     """Write plan.csv and rig.toml, as a user would have them."""
-    from truearm.files.plan_file import write_plan
-    from truearm.files.rig_file import write_rig
-
     write_plan(out / "plan.csv", world.controller.plan)
     write_rig(out / "rig.toml", world.rig)
 
@@ -134,34 +142,23 @@ def record_virtually(
 
     ``step_ns``: the longest step of the box's time; None: the lab's own. ``model``: the robot, or its file.
     """
-    from truearm.interrupt import asked_to_stop
-    from truearm.record.recorder import Hooks, RecordOptions, record
-    from truearm.record.session_writer import SessionWriter
-    from truearm_sim.confirming import Confirming
-    from truearm_sim.lab import STEP_NS, Lab
-
     lab = Lab(world, box, seed, STEP_NS if step_ns is None else step_ns)
     writer = SessionWriter(out / SESSION, lab.clock, overwrite=True)
     # An exception in the middle of a grant would leave the box's process waiting for its counterpart.
     name = f"recording {counted(round(world.duration / 60), 'minute')} in virtual time"
     with asked_to_stop() as interrupted, step(name) as advance:
-        summary = record(
-            lab.box_link,
-            writer,
-            lab.clock,
-            robot=lab.robot_link,
-            options=RecordOptions(
-                plan=plan_rows(world.controller.plan),
-                rig_toml=(out / "rig.toml").read_bytes(),
-                osr=osr,
-                head=[(SETUP, {"model": model})],
-            ),
-            hooks=Hooks(
-                interrupted=interrupted,
-                progress=lambda status: advance(status.elapsed_s / world.duration),
-                operator=Confirming(lab),
-            ),
+        rows, rig_toml, head = (
+            plan_rows(world.controller.plan),
+            (out / "rig.toml").read_bytes(),
+            [(SETUP, {"model": model})],
         )
+        options = RecordOptions(plan=rows, rig_toml=rig_toml, osr=osr, head=head)
+        hooks = Hooks(
+            interrupted=interrupted,
+            progress=lambda status: advance(status.elapsed_s / world.duration),
+            operator=Confirming(lab),
+        )
+        summary = record(lab.box_link, writer, lab.clock, robot=lab.robot_link, options=options, hooks=hooks)
     if summary.file_losses:
         raise IncompleteError("; ".join(summary.file_losses))
     if interrupted():  # also while the file was being completed, when the recorder no longer asks
@@ -175,24 +172,19 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
 
     A line is a position in mm. Raises InputError, and LinkError if the port is not available.
     """
-    from truearm_sim.serve import serve
-    from truearm_sim.simbox import SimulatedBox
-    from truearm_sim.stage import LARGEST, Stage
-
     machine = hardware(options.level, say)
-    stage = Stage(options.seed)
+    stage, faults = Stage(options.seed), [parse_fault(fault) for fault in options.fault]
     span = f"-{MM.of(LARGEST):.0f} to {MM.text(LARGEST, '.0f')}"
-    box = SimulatedBox(
-        stage, power_on=machine.power_on, faults=[parse_fault(f) for f in options.fault], seed=options.seed
-    )
+    box = SimulatedBox(stage, power_on=machine.power_on, faults=faults, seed=options.seed)
 
     def set_by_hand() -> bool:
         for line in (text.strip() for text in typed()):
             if line == "q":
                 return True
             try:
-                stage.move_to(MM.to_si(float(line.replace(",", "."))))
-                say(f"the carriage goes to {MM.text(MM.to_si(float(line.replace(',', '.'))), '.4f')}")
+                place = MM.to_si(float(line.replace(",", ".")))
+                stage.move_to(place)
+                say(f"the carriage goes to {MM.text(place, '.4f')}")
             except ValueError:
                 say(f"{line[:40]!r} is not a position; type one from {span}, or q")
         return False
@@ -208,8 +200,6 @@ def _listening(
     options: SimulateOptions, box: SimulatedBox, robot_port: int, remedy: tuple[str | Argument, ...]
 ) -> tuple[Port | Terminal, str, Port]:
     """Return the box's port and its name, and another port. Raises LinkError, and then closes the box."""
-    from truearm_sim.ports import Port, Terminal
-
     try:
         box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
         robot_listener = Port.listen("127.0.0.1", robot_port)
@@ -224,11 +214,6 @@ def _lab(
     options: SimulateOptions, rate: float, say: Say, *, fast: bool = False
 ) -> tuple[World, Hardware, SimulatedBox]:
     """Return the world, the hardware behind its box, and the box; writes plan, rig and truth. Raises InputError."""
-    from truearm.files.disk import check_writable, own_folder
-    from truearm_sim.simbox import SimulatedBox
-    from truearm_sim.thermal import Thermal
-    from truearm_sim.world import RobotInput, Setup, World
-
     folder, seed, truth = options.out, options.seed, options.truth
     faults = [parse_fault(text) for text in options.fault]
     simulated = simulated_robot(options.robot, truth, seed, options.branch)
@@ -243,25 +228,15 @@ def _lab(
     if options.truth_out is not None:
         read = [path for path in (options.plan, options.rig, *options.robot.files) if path is not None]
         check_writable(options.truth_out, options.force, inputs=read, kind="truth")
-    world = World(
-        seed,
-        plan,
-        rig,
-        simulated.params,
-        simulated.arm,
-        simulated.robot,
-        Setup(
-            robot_rate=rate,
-            robot_delay_s=options.robot_delay,
-            robot_input=None if options.trigger is None else RobotInput(options.trigger),
-            thermal=thermal,
-        ),
-    )
+    robot_input = None if options.trigger is None else RobotInput(options.trigger)
+    setup = Setup(robot_rate=rate, robot_delay_s=options.robot_delay, robot_input=robot_input, thermal=thermal)
+    world = World(seed, plan, rig, simulated.params, simulated.arm, simulated.robot, setup)
     own_folder(folder, MARK)
     machine = hardware(options.level, say, fast=fast)
     write_setup(folder, world)
     if options.truth_out is not None:
-        write_truth(options.truth_out, world, simulated.robot, truth, seed)
+        document = truth_document(world, simulated.robot, truth, seed)
+        write_atomic(options.truth_out, json.dumps(document, indent=1) + "\n")
     return world, machine, SimulatedBox(world, power_on=machine.power_on, faults=faults, seed=seed)
 
 
@@ -269,9 +244,8 @@ def _visits_of(world: World) -> str:
     """Return the robot, its visits, and their duration."""
     plan = world.controller.plan
     dwells, driven = int(plan.dwells.sum()), int(plan.lines.sum())
-    visited = " and ".join(
-        [f"{counted(dwells, 'pose')}"] * (dwells > 0) + [f"{counted(driven, 'drive')} along lines"] * (driven > 0)
-    )
+    counts = [counted(dwells, "pose")] * (dwells > 0) + [f"{counted(driven, 'drive')} along lines"] * (driven > 0)
+    visited = " and ".join(counts)
     return f"{world.chain.name}: {visited}, {counted(round(world.duration / 60), 'minute')} of robot time"
 
 
@@ -281,41 +255,35 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
 
     Raises InputError, and PlanError if the plan is for another robot, or if the robot has no branch to draw poses from.
     """
-    from truearm.files.plan_file import read_plan
-    from truearm.files.rig_file import read_rig
-    from truearm_sim.line_plan import drawn_line_plan, line_rig
-    from truearm_sim.world import standard_plan, standard_rig
-
     lines, plan_file, rig_file, robot = options.lines, options.plan, options.rig, simulated.robot
     if plan_file is None and rig_file is not None:
         raise InputError("needs-option", place=Argument("rig"), needed=Argument("plan"))
     if lines and plan_file is not None:
         raise InputError("exclusive", first=Argument("lines"), second=Argument("plan"))
-    if rig_file is not None:
-        rig = read_rig(rig_file)
-    else:
-        rig = with_repeatability(line_rig() if lines else standard_rig(robot), options.truth)
+    repeatability, name = options.truth.repeatability, robot.chain.name
+    rig = line_rig() if lines else standard_rig(robot) if rig_file is None else read_rig(rig_file)
+    if rig_file is None and repeatability is not None:
+        rig = replace(rig, bars={bar.name: replace(bar, sigma=repeatability) for bar in rig.bars.values()})
     if plan_file is None:
-        seed = options.seed
-        drawn = (
-            drawn_line_plan(lines, seed, rig, robot=robot) if lines else standard_plan(options.poses, seed, rig, robot)
-        )
-        return drawn.of_robot(robot.chain.name), rig
+        if lines:
+            return drawn_line_plan(lines, options.seed, rig, robot=robot).of_robot(name), rig
+        return standard_plan(options.poses, options.seed, rig, robot).of_robot(name), rig
     plan = read_plan(plan_file)
-    check_plan(plan, robot, rig, str(plan_file))
+    check_robot(plan, name, str(plan_file), "; choose the robot to simulate with ", Argument("model"))
+    if plan.q.shape[1] != len(robot.chain.joints):
+        raise PlanError("other-robot", place=plan_file, joints=plan.q.shape[1], expected=len(robot.chain.joints))
+    check_against_rig(plan, rig, str(plan_file))
     return plan, rig
 
 
 def hardware(level: Level, say: Say, *, fast: bool = False) -> Hardware:
-    """Return what runs as the box, and report it. Raises LinkError if the emulator is missing."""
-    from truearm_sim import micropython, node
-    from truearm_sim.chip import ChipBox
-    from truearm_sim.serve import EMULATED, Pace
-    from truearm_sim.vmbox import VmBox
-
+    """Return what runs as the box, and report it. Raises LinkError, InputError if emulator or MicroPython cannot be used."""
     match level:
         case Level.VM:
-            interpreter = find_interpreter()
+            try:
+                interpreter = micropython.find()
+            except micropython.InterpreterError as exc:
+                raise InputError(str(exc)) from exc
             say(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
             return Hardware(partial(VmBox, interpreter), None, Pace())
         case Level.CHIP:
@@ -328,30 +296,14 @@ def hardware(level: Level, say: Say, *, fast: bool = False) -> Hardware:
             assert_never(level)
 
 
-def find_interpreter() -> Interpreter | None:
-    """Return the MicroPython in which to run the firmware. Raises InputError if the specified one cannot be used."""
-    from truearm_sim import micropython
-
-    try:
-        return micropython.find()
-    except micropython.InterpreterError as exc:
-        raise InputError(str(exc)) from exc
-
-
 def parse_fault(text: str) -> Fault:
     """Parse a fault written SECONDS:KIND. Raises InputError."""
-    from truearm_sim.simbox import FAULTS, Fault
-
     seconds, _, kind = text.partition(":")
     try:
         return Fault(float(seconds), kind)
     except ValueError:
-        raise InputError(
-            "wrong-value",
-            place=Argument("fault"),
-            value=text,
-            form=f"SECONDS:KIND, with KIND one of {', '.join(FAULTS)}",
-        ) from None
+        form = f"SECONDS:KIND, with KIND one of {', '.join(FAULTS)}"
+        raise InputError("wrong-value", place=Argument("fault"), value=text, form=form) from None
 
 
 # the robot and its hidden truth
@@ -371,10 +323,6 @@ def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: 
 
     Raises InputError, and RobotError as ``load_robot`` does.
     """
-    from truearm_sim.arm import WORN, Arm
-    from truearm_sim.joint_errors import GearError, JointError, Sag
-    from truearm_sim.true_robot import Tolerance, true_params
-
     robot = model.load()
     if branch is not None:
         robot = replace(robot, branch=branch_of(robot, branch))
@@ -386,39 +334,10 @@ def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: 
         errors.append(GearError.drawn(truth.gear_error, truth.gear_periods, len(chain.joints), seed))
     if truth.masses is not None:
         if len(truth.masses) != len(chain.joints):
-            form = f"{len(chain.joints)} masses, one per joint"
-            raise InputError(
-                "wrong-value",
-                place=Argument("masses_kg"),
-                value=",".join(f"{mass:g}" for mass in truth.masses),
-                form=form,
-            )
+            form, masses = f"{len(chain.joints)} masses, one per joint", ",".join(f"{mass:g}" for mass in truth.masses)
+            raise InputError("wrong-value", place=Argument("masses_kg"), value=masses, form=form)
         errors.append(Sag(chain, params, np.array(truth.masses), truth.stiffness_nm_rad))
     return SimulatedRobot(robot, params, replace(WORN if truth.worn else Arm(), errors=tuple(errors)))
-
-
-def with_repeatability(rig: Rig, truth: TruthOptions) -> Rig:
-    """Return the rig with the requested repeatability of the bars."""
-    if truth.repeatability is None:
-        return rig
-    bars = {name: replace(bar, sigma=truth.repeatability) for name, bar in rig.bars.items()}
-    return replace(rig, bars=bars)
-
-
-def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
-    """Raise PlanError with advice for a plan made for another robot or rig; ``name`` is the plan's file."""
-    from truearm.files.plan_file import check_against_rig, check_robot
-
-    chain = robot.chain
-    check_robot(plan, chain.name, name, "; choose the robot to simulate with ", Argument("model"))
-    if plan.q.shape[1] != len(chain.joints):
-        raise PlanError("other-robot", place=name, joints=plan.q.shape[1], expected=len(chain.joints))
-    check_against_rig(plan, rig, name)
-
-
-def write_truth(path: Path, world: World, robot: Robot, truth: TruthOptions, seed: int) -> None:
-    """Write the hidden truth of a world as JSON, in SI units. Raises InputError."""
-    write_atomic(path, json.dumps(truth_document(world, robot, truth, seed), indent=1) + "\n")
 
 
 def truth_document(world: World, robot: Robot, truth: TruthOptions, seed: int) -> dict[str, Any]:
