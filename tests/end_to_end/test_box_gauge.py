@@ -2,11 +2,7 @@
 
 import io
 import json
-import os
 import re
-import select
-import signal
-import subprocess
 import sys
 import time
 
@@ -30,6 +26,8 @@ class Operator(io.StringIO):
 
     def readline(self, *_):
         line = self._lines.pop(0) if self._lines else ""
+        if line is KeyboardInterrupt:
+            raise line
         if isinstance(line, tuple):  # (where the stage is, what is typed)
             self._world.position, line = line[0] * self._unit, line[1]
         return f"{line}\n"
@@ -193,102 +191,32 @@ def test_bad_reference_files(text, says, tmp_path, capsys):
     ended(capsys.readouterr().err, says)
 
 
-class AtTheBox:
-    """``truearm box gauge`` in a process of its own, as a terminal starts it: what it shows, and what is typed."""
-
-    def __init__(self, folder, *arguments):
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "truearm", "box", "gauge", *map(str, arguments)],
-            cwd=folder,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
-            start_new_session=True,
-            # a suite that runs in the background inherits an ignored SIGINT, and so would this process
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
-        self.shown = ""
-
-    def until(self, text, within_s=120.0):
-        """Read what it shows until ``text``; return all of it since the last call."""
-        end = time.monotonic() + within_s
-        while text not in self.shown:
-            left = end - time.monotonic()
-            assert select.select([self.process.stdout], [], [], max(left, 0.0))[0], (text, self.shown)
-            read = os.read(self.process.stdout.fileno(), 4096)
-            assert read, (text, self.shown, self.process.stderr.read())
-            self.shown += read.decode()
-        said, self.shown = self.shown, ""
-        return said
-
-    def types(self, line):
-        self.process.stdin.write(f"{line}\n".encode())
-        self.process.stdin.flush()
-
-    def ends(self, number=None):
-        """Send a signal, if one is given; return what it still shows, its errors, and the exit code."""
-        if number is not None:
-            os.killpg(self.process.pid, number)
-        rest, errors = self.process.communicate(timeout=120)
-        return self.shown + rest.decode(), errors.decode(), self.process.returncode
-
-
-QUESTION = " place): "  # the end of what it asks
-
-
-def at_places(run, world, positions):
-    """Set the stage to each position [mm], type it, and wait for the next question."""
-    for mm in positions:
-        world.position = 1e-3 * mm
-        run.types(mm)
-        run.until(QUESTION)
-
-
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.soak)], ids=["ctrl-c", "killed"]
-)
-def test_places_outlive_a_run_that_ends_early(tmp_path, number):
+def test_places_outlive_a_run_that_ends_early(tmp_path, monkeypatch, capsys):
     """The next run of the same command continues from them, and both together give what one run does."""
-    kept = tmp_path / "gauge-lvdt.places.json"
+    monkeypatch.chdir(tmp_path)
+    kept, page = tmp_path / "gauge-lvdt.places.json", tmp_path / "gauge-lvdt.html"
     with served() as (device, world, _):
-        command = ("lvdt", "--box", device, "--sample-s", "0.3", "--order", "2")
-        first = AtTheBox(tmp_path, *command)
-        first.until(QUESTION)
-        at_places(first, world, [-30, -15, 0, 3])
-        first.types("undo")
-        first.until(QUESTION)
-        if number == signal.SIGINT:  # while the box samples
-            first.types(15)
-        rest, errors, code = first.ends(number)
-        if number == signal.SIGINT:
-            assert (code, errors) == (130, "truearm: interrupted\n")
-            assert "gauge-lvdt.places.json keeps " in rest
-        assert json.loads(kept.read_text())["channel"] == "lvdt"
+
+        def ends(code, *lines):
+            monkeypatch.setattr(sys, "stdin", Operator(world, lines))
+            assert box("gauge", "lvdt", "--box", device, "--sample-s", "0.3", "--order", "2") == code
+            said = capsys.readouterr()
+            assert said.err == ("truearm: interrupted\n" if code == 130 else "")
+            return said.out
+
+        said = ends(130, *((mm, f"{mm}") for mm in (-30, -15, 0, 3)), "undo", KeyboardInterrupt)
+        assert "gauge-lvdt.places.json keeps " in said
         assert len(json.loads(kept.read_text())["places"]) == 3
-        assert not (tmp_path / "gauge-lvdt.html").exists()
-
-        again = AtTheBox(tmp_path, *command, *(("--stop",) if number == signal.SIGKILL else ()))
-        said = again.until("[Y/n] ")
+        assert not page.exists()
+        # at the last question: the page is written, the box unchanged
+        said = ends(130, "", *((mm, f"{mm}") for mm in (15, 30)), "", KeyboardInterrupt)
         assert "gauge-lvdt.places.json: 3 places from" in said
-        again.types("")
-        assert "  3: 0.0000 mm at " in again.until(QUESTION)
-        at_places(again, world, [15, 30])
-        again.types("")
-        again.until("? [y/N] ")
-        rest, _, code = again.ends(signal.SIGINT)  # at the last question: the page is written, the box unchanged
-        assert (code, kept.exists()) == (130, True)
-
-        last = AtTheBox(tmp_path, *command)
-        last.until("[Y/n] ")
-        last.types("y")
-        last.until(QUESTION)
-        last.types("")
-        assert "5 places, sigma" in last.until("? [y/N] ")
-        last.types("y")
-        rest, errors, code = last.ends()
-        assert (code, errors) == (0, "")
-        assert "stored" in rest
+        assert "  3: 0.0000 mm at " in said
+        assert kept.exists()
+        assert page.exists()
+        said = ends(0, "y", "", "y")
+        assert "5 places, sigma" in said
+        assert "stored" in said
         assert not kept.exists()
 
 

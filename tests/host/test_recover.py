@@ -211,11 +211,6 @@ class TestRefusals:
             recover(session, tmp_path / "new.mcap", {})
 
 
-def test_help_has_an_example(capsys):
-    assert main(["session", "recover", "--help"]) == 0
-    assert "truearm session recover session.mcap" in capsys.readouterr().out
-
-
 def test_a_session_that_is_still_written_is_left_alone(tmp_path, capsys):
     path = tmp_path / "s.mcap"
     writer = SessionWriter(path, None)

@@ -1,6 +1,5 @@
 """A session of four minutes with any one 64 kB block zeroed loses the seconds that stood in it, and nothing else."""
 
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -114,7 +113,7 @@ def test_one_block(recording, tmp_path, share):
 def test_the_last_chunks_with_what_the_summary_says_of_them(recording, tmp_path):
     """The footer is intact, but the statistics are not: how much was lost cannot be known, and is not 0 s."""
     begin = int(recording.bytes[-40, 0])
-    statistics_end = recording.whole.rindex(DATA_END) + 2000
+    statistics_end = recording.whole.rindex(DATA_END) + 3000
     path = tmp_path / "session.mcap"
     zeroed(recording, begin, statistics_end - begin, path)
     found = recover(open_session(path, allow_damaged=True), tmp_path / "recovered.mcap", {})
@@ -139,28 +138,6 @@ def test_a_damaged_summary(recording, tmp_path, capsys):
     recovered = recorded_messages(path.with_name("session-recovered.mcap"))
     path.write_bytes(recording.whole)
     assert recovered == recorded_messages(path)
-
-
-def test_head_of_4_kb(recording, tmp_path, capsys):
-    path = tmp_path / "session.mcap"
-    zeroed(recording, 0, 4096, path)
-    assert main(["inspect", str(path)]) == 2
-    assert "damaged at byte 0" in capsys.readouterr().err
-    assert main(["session", "recover", str(path)]) == 0
-    text = capsys.readouterr().out
-    assert "every command reads it" in text
-    assert main(["inspect", str(path), "--allow-damaged"]) == 0
-    assert re.search(r"0\.\d of 240\.\d s lost, from 0\.0 s on", capsys.readouterr().out)
-
-
-def test_copies_are_not_restarts(recording, tmp_path):
-    path = tmp_path / "session.mcap"
-    path.write_bytes(recording.whole)
-    document = describe(open_session(path))
-    assert document["attachments"] == ["rig.toml"]
-    assert document["plan_poses"] == len(PLAN)
-    assert document["losses"]["restarts"] == 0
-    assert document["events"] == {"mounted": 1, "start": 1, "stop": 1}
 
 
 def test_a_session_without_copies(tmp_path, capsys, monkeypatch):

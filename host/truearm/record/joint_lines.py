@@ -61,15 +61,14 @@ class JointLines:
 class RobotIntake:
     """The robot's side of a recording.
 
-    ``end``: what ended its stream, None while it runs or may come back. ``lost``: why it is away, and ``lost_ns``:
-    since when, if it may come back; its first reading ends the loss, not its link. ``heard_ns``: time of the last
-    reading.
+    ``lost``: why it is away, None while it is there. It has ``ended``, or it is away since ``lost_ns`` and may come back;
+    its first reading ends the loss, not its link. ``heard_ns``: time of the last reading.
     """
 
     def __init__(self, link: Link, writer: SessionWriter, clock: Clock, counters: Counters, operator: Operator) -> None:
-        self.end: LinkError | None = None
-        self.lost_ns: int | None = None
         self.lost: LinkError | None = None
+        self.lost_ns = 0
+        self.ended = False
         self.heard_ns: int | None = None
         self.unread = b""  # the first line that is not a reading
         self._link = link
@@ -97,7 +96,7 @@ class RobotIntake:
 
     def _read(self) -> Arrivals:
         """Return what has arrived; nothing after the end or without a link."""
-        if self.end is not None:
+        if self.ended:
             return []
         if not self._linked:  # a lost one is reopened in the background
             self._linked = isinstance(self._link, Reopenable) and self._link.reopen(0.0)
@@ -115,10 +114,10 @@ class RobotIntake:
         if foreign and not self._counters.robot_foreign:
             self._writer.event("robot-foreign", now_ns, text="datagrams from other addresses are counted, not stored")
         self._counters.robot_foreign = foreign
-        silent = self.end is None and self.lost_ns is None and self._late(now_ns)
+        silent = self.lost is None and self._late(now_ns)
         if silent != self._silent:
             self._silent = silent
-            if self.lost_ns is None and self.end is None:
+            if self.lost is None:
                 self._writer.event("robot-silent" if silent else "robot-heard", now_ns, heard_ns=self.heard_ns)
 
     def _late(self, now_ns: int) -> bool:
@@ -130,10 +129,9 @@ class RobotIntake:
 
         Datagrams have no end: a program that has finished and one that was lost are both just silent.
         """
-        lost = self.end or (None if self.lost_ns is None else self.lost)
-        if isinstance(lost, LinkClosed) or (lost is None and (self.backlog.drops or not self._late(now_ns))):
+        if self.closed or (self.lost is None and (self.backlog.drops or not self._late(now_ns))):
             return ""
-        why = "its connection is open" if lost is None else str(lost)
+        why = self.lost or "its connection is open"
         return f"the robot sent nothing in the last {self.age_s(now_ns) or 0.0:.1f} s ({why})"
 
     def age_s(self, now_ns: int) -> float | None:
@@ -144,23 +142,19 @@ class RobotIntake:
         now_ns = self._clock.now_ns()
         self.flush(now_ns)
         self._linked = False
-        if self._is_final(error):
-            self.end = error
-        elif self.lost_ns is not None:  # the link was back, but not the robot
-            return
-        else:
+        never = isinstance(error, LinkClosed) and self.heard_ns is None  # no reading yet: not a source
+        self.ended = not isinstance(self._link, Reopenable) or isinstance(error, ProtocolError) or never
+        if not self.ended:
+            if self.lost is not None:  # the link was back, but not the robot
+                return
             self.lost_ns = now_ns
             self._counters.robot_losses += not isinstance(error, LinkClosed)
         self.lost = error
         self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(error))
 
-    def _is_final(self, error: LinkError) -> bool:
-        never = isinstance(error, LinkClosed) and self.heard_ns is None  # no reading yet: not a source
-        return not isinstance(self._link, Reopenable) or isinstance(error, ProtocolError) or never
-
     def _back(self, t_host_ns: int, reading: JointLine) -> None:
         """Note the first reading after a loss: its duration, and the number of lost readings if the robot counts them."""
-        self.lost_ns = None
+        self.lost = None
         last, lost = self._last, None
         if last and UNNUMBERED not in (last.seq, reading.seq) and reading.t > last.t and reading.seq > last.seq:
             lost = reading.seq - last.seq - 1
@@ -176,7 +170,7 @@ class RobotIntake:
     @property
     def closed(self) -> bool:
         """Whether the robot ended its stream deliberately, as a program that ends does, and has not come back."""
-        return isinstance(self.end or (None if self.lost_ns is None else self.lost), LinkClosed)
+        return isinstance(self.lost, LinkClosed)
 
     def _take(self, t_host_ns: int, data: bytes) -> None:
         for reading, line in self._lines.push(data):
@@ -184,13 +178,16 @@ class RobotIntake:
                 self._take_reading(t_host_ns, line, reading)
                 continue
             self._store_console(t_host_ns, line)
-            if line.strip().replace(b" ", b"") == END.replace(b" ", b"") and self.end is None:
-                self.end = LinkClosed(f"{self._link.name}: the robot reported that its program has ended")
-                self._writer.event("robot-closed", t_host_ns, text=str(self.end))
+            if line.strip().replace(b" ", b"") == END.replace(b" ", b"") and not self.ended:
+                self.ended, self.lost = (
+                    True,
+                    LinkClosed(f"{self._link.name}: the robot reported that its program has ended"),
+                )
+                self._writer.event("robot-closed", t_host_ns, text=str(self.lost))
         self._counters.robot_other_joints = self._lines.other_joints
 
     def _take_reading(self, t_host_ns: int, line: bytes, reading: JointLine) -> None:
-        if self.lost_ns is not None:
+        if self.lost is not None and not self.ended:
             self._back(t_host_ns, reading)
         self._counters.robot_lines += 1
         self._store(t_host_ns, line, reading)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from truearm.errors import LinkClosed, LinkError, ProtocolError, RefusedError, TruearmError
+from truearm.errors import LinkError, ProtocolError, RefusedError, TruearmError
 from truearm.record.box_storage import BoxStorage, ClockExchanges
 from truearm.record.joint_lines import EXPECTED, RobotIntake
 from truearm.record.links import Clock, Link, Reopenable, backlog_of
@@ -254,13 +254,12 @@ class _Recorder:
         return any(wish.kind == "end" for wish in wishes)
 
     def _check_robot(self, robot: RobotIntake) -> None:
-        if robot.end is not None:
-            raise _Ended("robot closed" if robot.closed else "robot lost", str(robot.end))
-        if robot.lost_ns is not None and self._clock.now_ns() - robot.lost_ns > self._patience_ns:
-            reason = "robot closed" if isinstance(robot.lost, LinkClosed) else "robot lost"
-            raise _Ended(reason, f"{robot.lost}; it did not come back within {self._patience_ns / SECOND:g} s")
+        away_ns = self._clock.now_ns() - robot.lost_ns
+        if robot.lost is not None and (robot.ended or away_ns > self._patience_ns):
+            text = "" if robot.ended else f"; it did not come back within {self._patience_ns / SECOND:g} s"
+            raise _Ended("robot closed" if robot.closed else "robot lost", f"{robot.lost}{text}")
         waited_ns = 0 if self._started_ns is None else self._clock.now_ns() - self._started_ns
-        if waited_ns >= ROBOT_NS and not self._counters.robot_lines and robot.lost_ns is None:
+        if waited_ns >= ROBOT_NS and not self._counters.robot_lines and robot.lost is None:
             sent = f"; it sent {quoted(robot.unread.decode(errors='replace'))}" if robot.unread else ""
             raise _Ended(
                 "no readings", f"no joint reading from the robot within {ROBOT_NS / SECOND:g} s{sent}; {EXPECTED}"
@@ -412,7 +411,7 @@ class _Recorder:
             self._elapsed_s(),
             self._state,
             self._exchanges.rtt_us,
-            None if robot is None else robot.end is None and robot.lost_ns is None,
+            None if robot is None else robot.lost is None,
             Counters(**vars(self._counters)),  # a copy: it may be displayed later, next to the state of this moment
             self._box.faults,
             self._state != "link lost" and not self._silent,

@@ -6,9 +6,11 @@ too, as a jump of these numbers and of the counters of box and robot. Nothing is
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,28 +19,19 @@ from truearm.record.session_writer import SessionWriter, copy_head
 from truearm.session.box_ident import Ident, recorded_ident
 from truearm.session.session_file import Damage, Session
 from truearm.session.streams import BoxReader
-from truearm.types import Ints
 from truearm.units import NS
 
 IDENT = "/box/ident"  # the metadata repeat it once a minute: it is lost only with all copies
 
 
-@dataclass
-class TopicAccount:
+class TopicAccount(NamedTuple):
     """Messages of one topic. ``lost`` of them are known to be missing, by their numbers or by the end of the file.
 
     If a recording was cut off, it is not known what followed.
     """
 
-    saved: int = 0
-    lost: int = 0
-    _end: int = 0
-
-    def take(self, sequence: Ints) -> None:
-        """Count recovered messages with these numbers from 0 on, in any order. Other writers may number all of them 0."""
-        self.saved += len(sequence)
-        self._end = max(self._end, int(sequence.max()) + 1)
-        self.lost = max(0, self._end - self.saved)
+    saved: int
+    lost: int
 
 
 @dataclass(frozen=True)
@@ -70,7 +63,7 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     ``note`` goes to metadata ``recovered``. Raises InputError if ``out`` exists or cannot be created, TruearmError if
     it cannot be written, SessionError if the damaged file changes while it is read.
     """
-    topics: dict[str, TopicAccount] = {}
+    saved, ends = Counter[str](), Counter[str](session.counted)  # messages, by the numbers from 0 on of the writer
     first_ns, last_ns = 2**63 - 1, 0
     ident = _ident(session)
     box = BoxReader(ident)
@@ -78,8 +71,9 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
         copy_head(session, writer)
         for messages in session.batches():
             for topic in messages.topics:
-                if len(rows := messages.rows(topic.__eq__)):
-                    topics.setdefault(topic, TopicAccount()).take(messages.sequence[rows])
+                numbers = messages.sequence[messages.rows(topic.__eq__)]
+                saved[topic] += len(numbers)
+                ends[topic] = max(ends[topic], int(numbers.max(initial=-1)) + 1)
             first_ns = int(messages.t_host_ns.min(initial=first_ns))
             last_ns = int(messages.t_host_ns.max(initial=last_ns))
             for sequence, message in zip(
@@ -88,14 +82,14 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
                 writer.add(*message, sequence)
             box.feed(messages)
         box.finish()
-        for topic, count in session.counted.items():
-            account = topics.setdefault(topic, TopicAccount())
-            account.lost = max(account.lost, count - account.saved)
         losses = box.losses()
+        topics = {
+            topic: TopicAccount(saved[topic], max(0, end - saved[topic])) for topic, end in sorted(ends.items()) if end
+        }
         if ident is not None and not losses.blocks_without_ident and IDENT in topics:
-            topics[IDENT].lost = 0
+            topics[IDENT] = TopicAccount(saved[IDENT], 0)
         recovered = Recovered(
-            topics=dict(sorted(topics.items())),
+            topics=topics,
             damage=session.damage,
             cut_off=session.truncated,
             unread_bytes=session.unread_bytes,

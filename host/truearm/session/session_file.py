@@ -462,7 +462,7 @@ class RecordWalk:
         session, times_ns = self.session, self._times_ns
         gaps = [*zip(self.damaged_at, self._gaps, strict=True)]
         session.truncated = not self.complete
-        if gaps and gaps[-1][1] == len(times_ns) and not (self.complete and self._span_ns):
+        while gaps and gaps[-1][1] == len(times_ns) and not (self.complete and self._span_ns):
             gaps.pop()  # nothing follows, and nothing says how long it was
             session.truncated = True
         first = min((begin for begin, _ in times_ns), default=0)
