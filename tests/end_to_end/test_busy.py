@@ -12,8 +12,9 @@ import pytest
 from tests.end_to_end.conftest import truearm
 
 from truearm.record.links import HostClock, backlog_of
+from truearm.record.operator import Operator
 from truearm.record.ports import BoxPort
-from truearm.record.recorder import Hooks, RecordOptions, record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.reopening import Reopening
 from truearm.record.session_writer import SessionWriter
 from truearm.session.clock import fit_clock
@@ -61,23 +62,22 @@ def test_two_seconds_of_python_lose_nothing(device, tmp_path):
     clock = HostClock()
     busy = []
 
-    def toil(status):
-        if not busy and status.elapsed_s > 2.0:
-            begin = time.monotonic()
-            busy.append(clock.now_ns())
-            while time.monotonic() - begin < BUSY_S:
-                sum(k * k for k in range(1000))
-            busy.append(clock.now_ns())
-            waiting.append(backlog_of(link).waiting)
+    class Toiling(Operator):
+        def status(self, status):
+            if not busy and status.elapsed_s > 2.0:
+                begin = time.monotonic()
+                busy.append(clock.now_ns())
+                while time.monotonic() - begin < BUSY_S:
+                    sum(k * k for k in range(1000))
+                busy.append(clock.now_ns())
+                waiting.append(backlog_of(link).waiting)
 
     waiting = []
     path = tmp_path / "s.mcap"
     link = Reopening(BoxPort(device, clock))
     try:
         with SessionWriter(path, clock) as writer:
-            summary = record(
-                link, writer, clock, options=RecordOptions(osr=OSR, duration_s=6.0), hooks=Hooks(progress=toil)
-            )
+            summary = record(link, writer, clock, options=RecordOptions(osr=OSR, duration_s=6.0), operator=Toiling())
     finally:
         link.close()
         sys.setswitchinterval(5e-3)

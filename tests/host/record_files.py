@@ -5,9 +5,17 @@ from dataclasses import replace
 
 from record_box import run_of
 
+from truearm.record.operator import Operator
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
+
+
+class Watching(Operator):
+    """An operator who only takes each status."""
+
+    def __init__(self, take):
+        self.status = take
 
 
 def run(lab, box, path, seconds=3.0, options=None, **more):

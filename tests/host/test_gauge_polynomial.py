@@ -24,7 +24,7 @@ def test_the_fit_is_the_least_squares_polynomial(order):
     # both are backward stable: they agree to rounding times the condition of the powers on [-0.9, 1.1], below 1e4 at order 5
     assert np.allclose(polynomial.polyval(x, ours.poly), polynomial.polyval(x, other), rtol=0, atol=1e-15 * 1e4)
     assert np.allclose(ours.residual, y - polynomial.polyval(x, ours.poly), rtol=0, atol=1e-15 * 1e2)
-    leverage = 1 - ours.residual / ours.left_out
+    leverage = 1 - ours.residual / ours.deleted_residual
     assert leverage.sum() == pytest.approx(order + 1, rel=1e-9)  # the trace of a projector is its rank
     assert ours.sigma == pytest.approx(np.sqrt(np.sum(ours.residual**2) / (12 - order - 1)), rel=1e-12)
 
@@ -43,8 +43,8 @@ def test_left_out_errors_are_those_of_fitting_without_the_point(n, seed, span, c
             others = np.delete(np.arange(x.size), i)
             series = polynomial.Polynomial.fit(x[others], y[others], order)
             # a point of leverage h is predicted through 1 / (1 − h); rounding is amplified by it, and by the fit without the point
-            scale = (np.abs(y).max() + abs(ours.left_out[i])) * abs(ours.left_out[i] / ours.residual[i])
-            assert abs((y[i] - series(x[i])) - ours.left_out[i]) <= 1e-10 * scale
+            scale = (np.abs(y).max() + abs(ours.deleted_residual[i])) * abs(ours.deleted_residual[i] / ours.residual[i])
+            assert abs((y[i] - series(x[i])) - ours.deleted_residual[i]) <= 1e-10 * scale
 
 
 @pytest.mark.parametrize("n", [12, 20])

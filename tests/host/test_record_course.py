@@ -9,7 +9,7 @@ from record_box import HOST_0, SECOND, Box, ComingBack, Lab, Robot, Wire, heartb
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError, RefusedError
-from truearm.record.recorder import Hooks, RecordOptions, record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 
@@ -170,11 +170,10 @@ def test_what_happens_is_in_the_file(lab, path, course):
         assert summary.counters.robot_lines == len(stored)
 
 
-@pytest.mark.parametrize("reason", ["until", "interrupted"])
-def test_whoever_may_end_it_is_asked(lab, path, reason):
+def test_whoever_may_interrupt_it_is_asked(lab, path):
     box = Box(lab)
-    summary = run(lab, box, path, None, hooks=Hooks(**{reason: lambda: lab.now > HOST_0 + SECOND}))
-    assert (summary.reason, events(path), box.streaming) == (reason, ["start", "stop"], False)
+    summary = run(lab, box, path, None, interrupted=lambda: lab.now > HOST_0 + SECOND)
+    assert (summary.reason, events(path), box.streaming) == ("interrupted", ["start", "stop"], False)
 
 
 class TestProtocol:

@@ -17,9 +17,9 @@ from record_box import (
     array,
     u32,
 )
-from record_files import events, received, run, topics
+from record_files import Watching, events, received, run, topics
 
-from truearm.record.recorder import Hooks, RecordOptions
+from truearm.record.recorder import RecordOptions
 from truearm.session.box_ident import parse_ident_json
 from truearm.session.session_file import open_session
 
@@ -35,7 +35,7 @@ class TestFaults:
             box,
             path,
             options=RecordOptions(osr=2048),
-            hooks=Hooks(progress=lambda status: seen.append(status.faults)),
+            operator=Watching(lambda status: seen.append(status.faults)),
         )
         (fault,) = summary.faults
         assert fault.startswith("channel 'c0' ")

@@ -1,59 +1,12 @@
-"""A robot whose readings cannot be stored at once: late readings are complete, lost ones are not."""
+"""A robot whose readings wait to be stored when the recording ends."""
 
 import json
-import socket
-import subprocess
-import sys
-import threading
-import time
-from contextlib import suppress
 
 import pytest
 from record_box import HOST_0, SECOND, Box, Robot, Wire
 from record_files import run, topics
-from record_real import box_on_a_socket
 
 from truearm.record.links import Backlog
-from truearm.record.recorder import Hooks
-
-BURST = 30_000  # readings of 52 bytes: 380 pieces of 4096 bytes
-SMALL_QUEUE = (
-    "import truearm.record.links as l; l._QUEUE_ITEMS = 16; from truearm.cli.main import main; raise SystemExit(main())"
-)
-
-
-def bursting_robot():
-    """Return the address of a robot that sends a burst, then a few readings as they come."""
-    listener = socket.create_server(("127.0.0.1", 0))
-
-    def line(k):
-        return json.dumps({"t": 0.01 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n"
-
-    def serve():
-        peer, _ = listener.accept()
-        with peer, listener, suppress(OSError):
-            peer.sendall(b"".join(line(k) for k in range(BURST)))
-            for k in range(BURST, BURST + 100):
-                peer.sendall(line(k))
-                time.sleep(0.01)
-            peer.sendall(b'{"end": true}\n')
-
-    threading.Thread(target=serve, daemon=True).start()
-    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
-
-
-def test_a_stream_that_was_held_up_may_not_be_complete(tmp_path):
-    """TCP makes the sender wait: what it sent is stored, what it left out is not known."""
-    out = tmp_path / "s.mcap"
-    with box_on_a_socket() as (_, device):
-        options = ["--unchecked", "--box", device, "--address", bursting_robot(), "--out", out]
-        command = [sys.executable, "-c", SMALL_QUEUE, "record", *map(str, options)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 4, done.stderr
-    assert "robot sends more than can be stored" in done.stderr
-    assert "readings may be missing" in done.stderr.splitlines()[-1]
-    stored = [json.loads(m.data)["seq"] for m in topics(out)["/robot/joints"]]
-    assert stored == [*range(BURST + 100)]
 
 
 class Backlogged(Wire):
@@ -84,8 +37,8 @@ def test_what_was_received_before_the_end_is_stored(lab, path, ending, mute):
             box.link.on_write = lambda data: None
 
     lab.at(end_ns, wake)
-    hooks = Hooks(interrupted=lambda: lab.now >= end_ns) if ending == "interrupted" else Hooks()
-    summary = run(lab, box, path, seconds=2.0 if ending == "duration" else None, robot=robot.link, hooks=hooks)
+    how = {"seconds": 2.0} if ending == "duration" else {"seconds": None, "interrupted": lambda: lab.now >= end_ns}
+    summary = run(lab, box, path, robot=robot.link, **how)
     assert summary.reason == ending
     assert bool(summary.box_gone) == mute
     assert summary.counters.robot_unstored == 0

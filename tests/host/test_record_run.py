@@ -14,10 +14,10 @@ from record_box import (
     N,
     Robot,
 )
-from record_files import events, received, run, topics
+from record_files import Watching, events, received, run, topics
 
 from truearm.errors import LinkClosed
-from truearm.record.recorder import Hooks, RecordOptions
+from truearm.record.recorder import RecordOptions
 from truearm.session.session_file import open_session
 
 
@@ -106,7 +106,7 @@ class TestCleanRun:
             lab,
             Box(lab),
             path,
-            hooks=Hooks(progress=lambda s: seen.append((s.state, s.counters.samples, s.rtt_us, s.robot_ok))),
+            operator=Watching(lambda s: seen.append((s.state, s.counters.samples, s.rtt_us, s.robot_ok))),
         )
         assert len(seen) == pytest.approx(12, abs=2)
         assert seen[0] == ("identifying", 0, None, None)

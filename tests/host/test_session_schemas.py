@@ -16,7 +16,7 @@ from record_files import run
 
 import truearm
 from truearm.record.operator import Operator, OperatorEvent
-from truearm.record.recorder import Hooks, RecordOptions
+from truearm.record.recorder import RecordOptions
 from truearm.record.session_schemas import encodings_of
 
 TYPES = {
@@ -64,7 +64,7 @@ def recorded(lab, path):
     robot, options = Robot(lab, 2.0), RecordOptions(plan=PLAN, mounted={"bar": "b", "chuck": "c", "sphere": "k"})
     box = Box(lab)
     box.send_raw(b"Traceback\n\0")
-    run(lab, box, path, None, robot=robot.link, options=options, hooks=Hooks(operator=Typing()))
+    run(lab, box, path, None, robot=robot.link, options=options, operator=Typing())
     return path
 
 

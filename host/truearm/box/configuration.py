@@ -84,8 +84,10 @@ def _lines(values: Mapping[str, Any], table: Table[Values]) -> list[str]:
             comment = f"{NS.factor / MODULATOR_NS / values['osr']:.2f} samples per second"
         if key.called in values:
             lines.append(f"{key.name} = {key.format(values[key.called])}" + f"  # {comment}" * bool(comment))
-    known = {"version", *(key.called for key in table.keys), *(entries.field for entries in table.entries)}
-    unknown = ("".join(c if c.isprintable() else "?" for c in str(name)[:40]) for name in values if name not in known)
+    declared = {"version", *(key.called for key in table.keys), *(entries.field for entries in table.entries)}
+    unknown = (
+        "".join(c if c.isprintable() else "?" for c in str(name)[:40]) for name in values if name not in declared
+    )
     return [*lines, *(f"# {name}: not known to this truearm; the box keeps it" for name in unknown)]
 
 

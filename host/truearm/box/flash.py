@@ -24,12 +24,12 @@ _SHORT = 4  # attempts of half a second, repeated
 
 def flash_box(options: FlashOptions) -> Iterator[str]:
     """Flash a box and wait for its answer; yields one line per step. Raises InputError, ImageError, LinkError."""
-    other_ports = {port.device for port in usb_ports()} - {options.box}
+    earlier_ports = {port.device for port in usb_ports()} - {options.box}
     version = yield from _write_image(options.image or own_image(), options)
     if options.no_check:
         return
     with step(f"waiting for the box, {options.timeout:g} s at most"):
-        ident = _wait_for_box(options.box, other_ports, options.timeout)
+        ident = _wait_for_box(options.box, earlier_ports, options.timeout)
     yield f"it answers: {one_line_of(ident)}"
     if version and ident.firmware != version:
         yield f"warning: the image has {version}, but the box runs {ident.firmware}: firmware files on its flash take precedence"
@@ -111,14 +111,14 @@ def _only(drives: list[Path], image: Image) -> Path:
     return drives[0]
 
 
-def _wait_for_box(device: str | None, other_ports: set[str], timeout: float) -> Ident:
-    """Return the ident of the box that starts, at ``device`` or at a port that is not among ``other_ports``. Raises
+def _wait_for_box(device: str | None, earlier_ports: set[str], timeout: float) -> Ident:
+    """Return the ident of the box that starts, at ``device`` or at a port that is not among ``earlier_ports``. Raises
     LinkError.
     """
     deadline = time.monotonic() + timeout
     reason = ""
     while True:
-        for place in _places(device, other_ports):
+        for place in _places(device, earlier_ports):
             try:
                 with conversation(place, retries=_SHORT) as box:
                     return ident_of(box)
@@ -129,8 +129,8 @@ def _wait_for_box(device: str | None, other_ports: set[str], timeout: float) -> 
         time.sleep(_ASK_AGAIN_S)
 
 
-def _places(device: str | None, other_ports: set[str]) -> list[str]:
+def _places(device: str | None, earlier_ports: set[str]) -> list[str]:
     """Return where the box may be: its port may have another name after a restart."""
     if device is not None and ("://" in device or Path(device).exists()):
         return [device]
-    return [port.device for port in usb_ports() if port.candidate and port.device not in other_ports]
+    return [port.device for port in usb_ports() if port.candidate and port.device not in earlier_ports]

@@ -134,8 +134,8 @@ def check_references(references: Sequence[float], measured: Sequence[float], str
         raise InputError(
             f"{file}: {counted(different, 'different reference')}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
         )
-    if too_far := beyond(max(references), [min(references)], stroke):
-        raise InputError(f"{file}: {too_far}")
+    if distance_message := beyond(max(references), [min(references)], stroke):
+        raise InputError(f"{file}: {distance_message}")
 
 
 def beyond(reference: float, references: Sequence[float], stroke: float) -> str:

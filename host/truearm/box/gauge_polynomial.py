@@ -35,19 +35,19 @@ TICK_S = 8e-9
 class PolyFit:
     """A polynomial y = Σ poly[k] x^k through n points, in the reference's unit.
 
-    ``residual`` (n,): reference − polynomial. ``left_out`` (n,): each residual if its point had not been used.
+    ``residual`` (n,): reference − polynomial. ``deleted_residual`` (n,): each residual if its point had not been used.
     ``sigma``: √(Σ residual² / degrees of freedom).
     """
 
     order: int
     poly: Floats
     residual: Floats
-    left_out: Floats
+    deleted_residual: Floats
     sigma: float
 
     @property
     def press(self) -> float:
-        return rms(self.left_out)
+        return rms(self.deleted_residual)
 
 
 def distinct_places(x: Floats) -> int:
@@ -83,7 +83,7 @@ def fits(x: Floats, y: Floats, highest: int = MAX_ORDER) -> list[PolyFit]:
 def chosen(candidates: Sequence[PolyFit]) -> PolyFit:
     """Return the lowest order that predicts left-out points as well as the best one does, within one standard error."""
     best = min(candidates, key=lambda candidate: candidate.press)
-    squares = best.left_out**2
+    squares = best.deleted_residual**2
     bound = np.mean(squares) + np.std(squares, ddof=1) / math.sqrt(squares.size)
     return next(candidate for candidate in candidates if candidate.press**2 <= bound)
 

@@ -94,8 +94,8 @@ def calibrate(places: Places, channel: Channel, order: int | None) -> Calibratio
         raise InputError(Argument("order"), f" {order} needs more places; {allow} order {tried[-1].order}")
     fit = tried[0] if linear else chosen(tried) if order is None else tried[order - 1]
     slope = polynomial.polyval(places.readings, polynomial.polyder(fit.poly))
-    of_means = rms(np.asarray(slope * np.sqrt([place.mean.value_var for place in places.places]), np.float64))
-    return Calibration(channel, places, replace(fit, sigma=max(fit.sigma, of_means)), tried)
+    noise_of_means = rms(np.asarray(slope * np.sqrt([place.mean.value_var for place in places.places]), np.float64))
+    return Calibration(channel, places, replace(fit, sigma=max(fit.sigma, noise_of_means)), tried)
 
 
 def with_calibration(config: dict[str, Any], calibration: Calibration, options: GaugeOptions) -> dict[str, Any]:
@@ -211,7 +211,7 @@ def _residuals(calibration: Calibration) -> Figure:
 def _place_table(calibration: Calibration) -> Table:
     unit = f"[{calibration.channel.unit}]"
     residuals = "residual [µm]", "residual to a fit of the others [µm]"
-    errors = UM.of(np.stack([calibration.fit.residual, calibration.fit.left_out], axis=1))
+    errors = UM.of(np.stack([calibration.fit.residual, calibration.fit.deleted_residual], axis=1))
     rows = [
         (
             str(i),

@@ -185,8 +185,8 @@ class GaugeRun:
         except InputError as exc:
             say(f"  {exc}; type the reading of the reference in {unit}, such as 12.5")
             return
-        if too_far := beyond(reference, places.references.tolist(), self.stroke):
-            say(f"  {too_far}; undo drops the last place")
+        if distance_message := beyond(reference, places.references.tolist(), self.stroke):
+            say(f"  {distance_message}; undo drops the last place")
         else:
             self._add(reference)
 
@@ -215,20 +215,20 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
 
     Raises LinkError if too few samples arrive.
     """
-    skip, n_wanted = (max(1, round(NS.of(duration) / stream.period_ns)) for duration in (SETTLE_S, seconds))
-    n_wanted, patience_s = max(n_wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S
+    skip, n_needed = (max(1, round(NS.of(duration) / stream.period_ns)) for duration in (SETTLE_S, seconds))
+    n_needed, patience_s = max(n_needed, FEWEST), SETTLE_S + seconds + PATIENCE_S
     blocks: list[NDArray[np.int32]] = []
     n_samples = 0
     with streaming(box), step(f"sampling {stream.name} for {seconds:g} s") as advance:
         for block in _blocks(box, stream, skip, box.now_s + patience_s):
             blocks.append(block)
             n_samples += len(block)
-            advance(min(n_samples / n_wanted, 1.0))
-            if n_samples >= n_wanted:
+            advance(min(n_samples / n_needed, 1.0))
+            if n_samples >= n_needed:
                 break
         else:
             raise LinkError(
-                f"the box sent {n_samples} of {n_wanted} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
+                f"the box sent {n_samples} of {n_needed} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
             )
     for _ in box.sent(0.0):  # data in transit
         continue

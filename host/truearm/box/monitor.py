@@ -96,7 +96,9 @@ class Watch:
             self.exchanges.append((t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns))
 
 
-def monitor_box(device: str, duration: float | None, every_s: float, show: Callable[[Labelled], None]) -> Iterator[str]:
+def monitor_box(
+    device: str, duration: float | None, interval_s: float, show: Callable[[Labelled], None]
+) -> Iterator[str]:
     """Watch a box until ``duration`` [s] or an interrupt; ``show`` is called regularly with the measurements.
 
     Yields a line when the box has answered, and one at the end. Raises InputError, LinkError.
@@ -105,7 +107,7 @@ def monitor_box(device: str, duration: float | None, every_s: float, show: Calla
         raise InputError(Argument("duration"), f" {duration:g} is not a duration; give seconds above 0")
     with conversation(device, stop=True) as box, asked_to_stop() as interrupted:
         yield one_line_of(ident_of(box))
-        watch = _watch(box, duration, interrupted, every_s, show)
+        watch = _watch(box, duration, interrupted, interval_s, show)
     yield f"ended; lost: {losses(watch, box)}"
 
 
@@ -113,7 +115,7 @@ def _watch(
     box: BoxControl,
     duration: float | None,
     interrupted: Callable[[], bool],
-    every_s: float,
+    interval_s: float,
     show: Callable[[Labelled], None],
 ) -> Watch:
     from truearm_wire.messages import START
@@ -121,7 +123,7 @@ def _watch(
     watch = Watch(ident_of(box))
     begun = time.monotonic()
     next_probe = begun
-    next_show = begun + every_s
+    next_show = begun + interval_s
     with streaming(box):
         while not interrupted() and (duration is None or time.monotonic() < begun + duration):
             for sent in box.sent(0.05):
@@ -134,7 +136,7 @@ def _watch(
                 next_probe = time_s + PROBE_S
                 watch.asked(*box.probe())
             if time_s >= next_show:
-                next_show = time_s + every_s
+                next_show = time_s + interval_s
                 show(rows_of(watch, time_s - begun, box))
     return watch
 

@@ -74,15 +74,15 @@ def parse_uf2(data: bytes, name: str) -> Image:
     if len(data) > MAX_BYTES:
         raise ImageError(f"{name}: is larger than the chip's flash; give an image of the box's firmware")
     blocks = np.frombuffer(data, _LAYOUT)
-    whole = (blocks["magic"] == _MAGIC).all(axis=1) & (blocks["end"] == _MAGIC_END)
-    if not whole[0]:
+    is_intact = (blocks["magic"] == _MAGIC).all(axis=1) & (blocks["end"] == _MAGIC_END)
+    if not is_intact[0]:
         raise ImageError(f"{name}: is not a UF2 file; give an image of the box's firmware")
     chip = _chip(blocks[0], name)
     address, size = blocks["address"].astype(np.int64), blocks["size"]
     in_order = (blocks["number"] == np.arange(len(blocks))) & (blocks["count"] == len(blocks))
     is_main = blocks["flags"] & (_FAMILY_PRESENT | _NOT_MAIN_FLASH) == _FAMILY_PRESENT
     rules = (
-        (whole, "is damaged"),
+        (is_intact, "is damaged"),
         (is_main & (blocks["family"] == blocks["family"][0]), f"is not for the {chip.name}'s flash"),
         (in_order, "is marked as block {number} of {count}; the file is incomplete"),
         (

@@ -200,10 +200,10 @@ class BoxStorage:
         """Count losses in the box. It counts since boot, so losses before this recording first heard of it are not
         included.
         """
-        counts_before = self._beat or (boot_id, dropped, overruns)
-        if counts_before[0] != boot_id:
-            counts_before = (boot_id, 0, 0)
-        increase = (dropped - counts_before[1]) % _BEAT_WRAP, (overruns - counts_before[2]) % _BEAT_WRAP
+        previous = self._beat or (boot_id, dropped, overruns)
+        if previous[0] != boot_id:
+            previous = (boot_id, 0, 0)
+        increase = (dropped - previous[1]) % _BEAT_WRAP, (overruns - previous[2]) % _BEAT_WRAP
         if max(increase) >= _BEAT_WRAP // 2:
             return  # of a count that went back
         self._beat = boot_id, dropped, overruns

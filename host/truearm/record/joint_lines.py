@@ -83,14 +83,14 @@ class RobotIntake:
         self._next_preview_ns = 0
         self._pieces: deque[tuple[int, bytes]] = deque()  # read, but not stored yet
 
-    def take_until(self, end_ns: int, before_ns: int = LATEST_NS) -> bool:
-        """Store what arrived before ``before_ns``, without waiting and for no longer than until ``end_ns``.
+    def take_until(self, end_ns: int, arrival_end_ns: int = LATEST_NS) -> bool:
+        """Store what arrived before ``arrival_end_ns``, without waiting and for no longer than until ``end_ns``.
 
         Return whether anything was there.
         """
         self._pieces.extend(() if self._pieces else self._read())
         any_pieces = bool(self._pieces)
-        while self._pieces and self._pieces[0][0] < before_ns and self._clock.now_ns() <= end_ns:
+        while self._pieces and self._pieces[0][0] < arrival_end_ns and self._clock.now_ns() <= end_ns:
             self._take(*self._pieces.popleft())
         return any_pieces
 

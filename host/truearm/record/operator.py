@@ -59,7 +59,7 @@ class Status:
 class RecordSummary:
     """How a recording ended.
 
-    ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link
+    ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted" or "link
     lost"; ``text`` explains what was lost or closed. ``duration_s`` counts from the start of the stream. ``faults`` and
     ``file_losses`` are as in ``Status``. ``box_gone``: why the box could not be stopped, "" if it was stopped.
     ``heard_s``: how long the box was heard. ``robot_gone``: that the robot was lost or silent at the end, "" if not.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from truearm.errors import LinkError, ProtocolError, RefusedError, TruearmError
@@ -65,18 +65,7 @@ class RecordOptions:
     head: Iterable[tuple[str, Mapping[str, Any]]] = ()
 
 
-@dataclass(frozen=True)
-class Hooks:
-    """Callbacks: two are asked at least every 50 ms whether to end; ``progress`` is called four times a second."""
-
-    until: Callable[[], bool] = lambda: False
-    interrupted: Callable[[], bool] = lambda: False
-    progress: Callable[[Status], None] = lambda status: None
-    operator: Operator = field(default_factory=Operator)
-
-
 EVERYTHING = RecordOptions()
-NOBODY = Hooks()
 
 
 def record(
@@ -86,13 +75,14 @@ def record(
     *,
     robot: Link | None = None,
     options: RecordOptions = EVERYTHING,
-    hooks: Hooks = NOBODY,
+    operator: Operator | None = None,
+    interrupted: Callable[[], bool] = lambda: False,
 ) -> RecordSummary:
     """Identify, configure and start the box, then record until the end; completes and closes the session file.
 
     The recording ends ``duration_s`` after the start, when the robot announces its end or sends no reading for 5 s,
-    when ``until()`` or ``interrupted()`` becomes true (both are called at least every 50 ms), on KeyboardInterrupt or
-    at the operator's request. It also ends if a lost or closed link cannot be opened again, or not within
+    when ``interrupted()`` becomes true (it is called at least every 50 ms), on KeyboardInterrupt or at the operator's
+    request. It also ends if a lost or closed link cannot be opened again, or not within
     ``patience_s``. A writer that is held is kept once the box has started. The links stay open.
 
     Raises LinkError if the box does not answer, RefusedError if it refuses a command, ProtocolError if it speaks another
@@ -101,7 +91,7 @@ def record(
     """
     for name, entries in options.head:
         writer.metadata(name, entries)
-    return _Recorder(link, writer, clock, robot, options, hooks).run()
+    return _Recorder(link, writer, clock, robot, options, operator or Operator(), interrupted).run()
 
 
 class _Recorder:
@@ -112,14 +102,15 @@ class _Recorder:
         clock: Clock,
         robot: Link | None,
         options: RecordOptions,
-        hooks: Hooks,
+        operator: Operator,
+        interrupted: Callable[[], bool],
     ) -> None:
         self._link = link
         self._writer = writer
         self._clock = clock
         self._options = options
-        self._hooks = hooks
-        self._operator = operator = hooks.operator
+        self._operator = operator
+        self._interrupted = interrupted
         self._patience_ns = int(options.patience_s * SECOND)
 
         self._counters = Counters()
@@ -234,9 +225,8 @@ class _Recorder:
     def _check_end(self) -> None:
         if self._state == "stopping":
             return
-        for reason in ("until", "interrupted"):
-            if getattr(self._hooks, reason)():
-                raise _Ended(reason)
+        if self._interrupted():
+            raise _Ended("interrupted")
         if self._take_wishes():
             raise _Ended("operator")
         if self._robot is not None:
@@ -374,9 +364,7 @@ class _Recorder:
         if now_ns >= self._next_progress_ns:
             self._next_progress_ns = now_ns + PROGRESS_NS
             self._count_backlogs()
-            status = self._status(now_ns)
-            self._operator.status(status)
-            self._hooks.progress(status)
+            self._operator.status(self._status(now_ns))
 
     def _probe(self, now_ns: int) -> None:
         if now_ns < self._next_probe_ns:

@@ -163,9 +163,10 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
                 patience_s=request.patience,
                 head=[(SETUP, work.setup)],
             )
-            hooks = recorder.Hooks(interrupted=interrupted, operator=state)
             try:
-                summary = recorder.record(link, writer, clock, robot=robot_link, options=options, hooks=hooks)
+                summary = recorder.record(
+                    link, writer, clock, robot=robot_link, options=options, operator=state, interrupted=interrupted
+                )
             except TruearmError as exc:
                 if not writer.kept:
                     raise

@@ -25,7 +25,7 @@ from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
 from truearm.plan.branches import branch_of
 from truearm.progress import step
-from truearm.record.recorder import Hooks, RecordOptions, record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.text import counted
 from truearm.types import Floats, Plan, Rig
@@ -153,12 +153,15 @@ def record_virtually(
             [(SETUP, {"model": model})],
         )
         options = RecordOptions(plan=rows, rig_toml=rig_toml, osr=osr, head=head)
-        hooks = Hooks(
+        summary = record(
+            lab.box_link,
+            writer,
+            lab.clock,
+            robot=lab.robot_link,
+            options=options,
+            operator=Confirming(lab, advance),
             interrupted=interrupted,
-            progress=lambda status: advance(status.elapsed_s / world.duration),
-            operator=Confirming(lab),
         )
-        summary = record(lab.box_link, writer, lab.clock, robot=lab.robot_link, options=options, hooks=hooks)
     if summary.file_losses:
         raise IncompleteError("; ".join(summary.file_losses))
     if interrupted():  # also while the file was being completed, when the recorder no longer asks

@@ -183,8 +183,8 @@ def read_columns(titles: Sequence[str]) -> Columns:
             raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}")
         if joints:
             keys[quantity], scale[quantity] = zip(*joints, strict=True)
-    used = [None if _is_skipped(title) else title for title in titles]
-    return Columns(used, Names(keys, scale, int(columns["t"][0][1])))
+    read_titles = [None if _is_skipped(title) else title for title in titles]
+    return Columns(read_titles, Names(keys, scale, int(columns["t"][0][1])))
 
 
 def _is_skipped(title: str) -> bool:
