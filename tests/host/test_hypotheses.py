@@ -27,6 +27,7 @@ from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
 from truearm.kinds import ball_bar
 from truearm.model.rotation import rotation
+from truearm.report.result_findings import cause
 
 ROBOTS = ("puma560", "ur5e", "urdf")
 IN_TEST = {name: fault for name, fault in worlds.FAULTS.items() if name not in ("small slip", "cable", "encoder step")}
@@ -196,10 +197,10 @@ def test_the_claim_covers_the_truth(fault):
     for finding in result.faults:
         assert set(names_of(finding)) & set(world.names), finding
         assert not set(names_of(finding)) & set(result.claim.unseen)
-        for cause in (finding.mean, *finding.rivals):
-            if cause.apply:
-                *_, shift = result.applied([cause.apply])
-                assert replace(result.claim, shift=shift).total == pytest.approx(cause.error)
+        for rival in (finding.mean, *finding.rivals):
+            if rival.apply:
+                *_, shift = result.applied([rival.apply])
+                assert replace(result.claim, shift=shift).total == pytest.approx(rival.error)
     assert result.faults
     assert as_fitted < 2.0 * result.claim.total
     assert applied < 2.0 * result.claim.applied
@@ -391,6 +392,12 @@ def test_a_last_move_is_judged_beside_the_pose(slipped):
     left = np.concatenate([of.without(one.candidate(0)), np.zeros((nuisance.shape[1], 1))])
     left -= u @ (u.T @ left)
     assert by.values[0] == pytest.approx((left**2).sum(axis=0), rel=1e-6)
+
+
+def test_what_returns_is_applied_by_a_name_that_says_so():
+    result, *_ = judged(worlds.world("puma560", "out and back", 21, planned=True))
+    assert result.faults[0].rivals[0].apply == "base.tilt.returning_drift"
+    assert cause(result.faults[0].rivals[0].apply) == "base.tilt drifts and returns"
 
 
 @pytest.mark.soak

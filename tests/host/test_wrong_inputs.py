@@ -193,8 +193,9 @@ def test_a_session_of_another_robot_is_named_and_no_success():
     assert first_of(estimate) == ("wrong-robot", {"robot": "puma560", "other": "ur5e"})
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(1, 40))])
+@pytest.mark.parametrize("seed", [0, 7, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(1, 40))])
 def test_half_a_mount_with_a_wrong_name_is_named_row_by_row(seed):
+    """Of the rows of seed 7, one fits by chance, and the others were left out as outliers."""
     table, (first, last) = worlds.mislabelled(worlds.plan(), np.random.default_rng(seed))
     estimate = found(table)
     code, values = first_of(estimate)

@@ -38,13 +38,13 @@ class Candidates(NamedTuple):
     """Profiles (c, n) by which an item's columns are multiplied over the rows.
 
     ``spans`` (c, 2) are the first row that each concerns and the one after the last. ``drifts`` are what each is linear
-    in, None if it settles or returns. Steps and runs are differences of ``profiles`` by their numbers in ``pairs`` (c, 2): few rows
+    in, or its other shape. Steps and runs are differences of ``profiles`` by their numbers in ``pairs`` (c, 2): few rows
     begin or end many spans. ``among``: how many spans are equally probable, if these are not all of them.
     """
 
     profiles: Floats
     spans: Indices
-    drifts: tuple[DriftWith | None, ...] = ()
+    drifts: tuple[str, ...] = ()
     pairs: Indices | None = None
     among: float | None = None
 
@@ -263,7 +263,7 @@ def add_loose_flange(out: Catalogue) -> None:
 
 def drifts_of(fit: WhitenedFit) -> Candidates:
     """Return the profiles of a drift in each session: linear in time, settling, returning; linear in the temperature."""
-    courses: list[tuple[Floats, tuple[int, int], DriftWith | None]] = []
+    courses: list[tuple[Floats, tuple[int, int], str]] = []
     for session in np.unique(fit.how.session):
         rows = np.flatnonzero(fit.how.session == session)
         first, last = int(fit.how.row[rows[0]]), int(fit.how.row[rows[-1]]) + 1
@@ -272,11 +272,12 @@ def drifts_of(fit: WhitenedFit) -> Candidates:
             if course is None or (drift is DriftWith.TEMPERATURE and np.ptp(course) < LEAST_WARMING):
                 continue
             share = (course - course[0])[fit.how.row[rows] - first] / np.ptp(course)
-            shapes: list[tuple[DriftWith | None, Floats]] = [(drift, share)]
+            shapes: list[tuple[str, Floats]] = [(drift, share)]
             if drift is DriftWith.TIME:
-                shapes += [(None, np.expm1(-BEND * share) / np.expm1(-BEND)), (None, np.sin(np.pi * share))]
+                shapes += [("settling", np.expm1(-BEND * share) / np.expm1(-BEND))]
+                shapes += [("returning", np.sin(np.pi * share))]
             span = int(rows[0]), int(rows[-1]) + 1
-            courses += [(np.bincount(rows, shape, fit.n).astype(float), span, linear) for linear, shape in shapes]
+            courses += [(np.bincount(rows, course, fit.n).astype(float), span, shape) for shape, course in shapes]
     profiles, spans, drifts = zip(*courses, strict=True) if courses else ((), (), ())
     return Candidates(np.reshape(profiles, (-1, fit.n)), np.reshape(spans, (-1, 2)), drifts)
 

@@ -21,7 +21,7 @@ from truearm.estimate.whitened_rows import only
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import MOVES, Diagnosis, Effect, Estimate, Rival, Size, ToolClaim
+from truearm.results import MOVES, Diagnosis, DriftWith, Effect, Estimate, Rival, Size, ToolClaim
 from truearm.types import Floats, Mask, Rigs, thinned
 
 GROSS = 30.0  # σ of the residuals: a fit this distorted shows only that the inputs are wrong
@@ -181,13 +181,14 @@ def identity(weighed: Weighed) -> tuple[str, str, tuple[int, int] | None]:
     item, form = hypothesis.item, hypothesis.form
     first, last = how.in_table(*candidates.spans[weighed.best].tolist())
     rows = None if candidates.pairs is None else (first, last)
-    drift = candidates.drifts[weighed.best] if candidates.drifts else LAST_MOVE.get(form)
+    shape = candidates.drifts[weighed.best] if candidates.drifts else ""
+    drift = DriftWith(shape) if shape in set(DriftWith) else LAST_MOVE.get(form)
     is_item = any(cause.name == item for cause in hypothesis.fit.causes)
     apply = hypothesis.name
     if item.endswith(EVERY) or form == LASTING:
         apply = ""
-    elif candidates.drifts and drift is None:
-        apply = f"{item}.bent_{form}"
+    elif shape and not drift:
+        apply = f"{item}.{shape}_{form}"
     elif is_item and (drift or rows or form == "offset"):
         apply = str(Effect(item, first, None if last == how.total else last, drift))
     return hypothesis.name, apply, rows

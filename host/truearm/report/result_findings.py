@@ -35,7 +35,11 @@ FORMS = {  # what an item does, by the form of a hypothesis; of another form, a 
     "step": "has moved",
     "run": "was off for a while",
     "drift": "drifts",
+    "settling_drift": "drifts and settles",
+    "returning_drift": "drifts and returns",
     "growth": "grows",
+    "settling_growth": "grows and settles",
+    "returning_growth": "grows and returns",
     "backlash": "has backlash",
     "settling": "was read before it stood still",
     "eccentricity": "has an eccentric encoder",
@@ -320,6 +324,12 @@ def cause(name: str) -> str:
     return f"{one_line(item)} {FORMS.get(form, f'({one_line(form)})')}"
 
 
+def _cause(rival: Document) -> str:
+    """Return an explanation in words; that by which it is applied says how something drifts."""
+    shaped = rival["apply"].rpartition(".")[2] in FORMS
+    return cause(rival["apply"] if shaped else rival["name"])
+
+
 def _fault(fault: Document) -> Finding:
     """Return a fault with its rivals."""
     first, *further_rivals = fault["rivals"]
@@ -329,10 +339,10 @@ def _fault(fault: Document) -> Finding:
         if None not in (size["value"], size["sigma"])
     ]
     values = {
-        "what": cause(first["name"]),
+        "what": _cause(first),
         "size": sizes,
         "rows": _rows(first),
-        "others": [f"{cause(rival['name'])}{', ' if rival['first'] else ''}{_rows(rival)}" for rival in further_rivals],
+        "others": [f"{_cause(rival)}{', ' if rival['first'] else ''}{_rows(rival)}" for rival in further_rivals],
         "aliases": [cause(name) for name in fault["aliases"]],
         "chi2_drop": fault["chi2_drop"],
         "freedom": fault["freedom"],
@@ -466,7 +476,7 @@ def _parts(document: Document) -> dict[str, Any]:
         "unnamed": {"mm": claim["unnamed_mm"]},
         "scatter": {"mm": scatter} if scatter else None,  # earlier results do not have it
         "faults": {"mm": fault_error} if fault_error else None,
-        "names": [cause(rival["name"]) for fault in document["faults"] for rival in fault["rivals"]],
+        "names": [_cause(rival) for fault in document["faults"] for rival in fault["rivals"]],
     }
 
 
