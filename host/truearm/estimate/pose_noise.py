@@ -109,9 +109,11 @@ class RowsByPose(NamedTuple):
 
         They are of matrices on the basis (n, q, q), which are ``beyond`` in all other directions.
         """
-        n, q = len(matrices), matrices.shape[1]
-        basis = np.broadcast_to(np.eye(q), matrices.shape) if self.basis is None else self.basis
-        rows = basis[:, place].reshape(n, -1, width, q)
+        n, q, count = len(matrices), matrices.shape[1], (place.stop - place.start) // width
+        if self.basis is None:
+            blocks = matrices[:, place, place].reshape(n, count, width, count, width)
+            return np.moveaxis(np.diagonal(blocks, axis1=1, axis2=3), 3, 1).reshape(-1, width, width)
+        rows = self.basis[:, place].reshape(n, count, width, q)
         turned = rows.swapaxes(2, 3)
         out = rows @ matrices[:, None] @ turned + beyond * (np.eye(width) - rows @ turned)
         return np.asarray(out.reshape(-1, width, width))

@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 
 from truearm.estimate.pose_noise import PoseNoise, RowsByPose, pose_rows
 from truearm.estimate.problem import Problem
-from truearm.estimate.whitened_rows import distance_without, gate, in_units, leverages, noise_root, solve_semidefinite
+from truearm.estimate.whitened_rows import (
+    distance_without,
+    gate,
+    in_units,
+    leverages,
+    noise_root,
+    seen_by,
+    solve_semidefinite,
+)
 from truearm.kinds.group import Group, unit_columns
 from truearm.results import ResidualParts
 from truearm.types import Floats, Indices, Residuals
@@ -56,30 +64,32 @@ def row_errors(
     left_out, squares = problem.no_residuals(), dict[str, list[Floats]]()
     apart = np.where(weight > 0.0, pose, pose + 1 + pose.max(initial=0))  # what is predicted is a pose of its own
     for poses in _poses(problem, x, columns, apart, noise):
-        seen, residual = poses.rows[..., :-1] @ root, poses.rows[..., -1:]
-        f, weighed, alone = residual, seen, _without_pose(seen, residual, None)
+        leverage, residual = leverages(seen_by(poses.rows[..., :-1], root)), poses.rows[..., -1:]
+        f, absorbed, hat, covariance = residual, leverage, leverage, None
         if noise is not None:
             covariance = poses.covariances(noise)
             inverse = np.linalg.inv(covariance).astype(float)
-            f, weighed, alone = inverse @ residual, inverse @ seen, _without_pose(seen, residual, covariance)
-        expanded = [poses.expanded(array) for array in (residual, seen, f, weighed, alone)]
+            f, absorbed = inverse @ residual, leverage @ inverse
+            hat = inverse @ absorbed
+        expanded = [poses.expanded(array) for array in (residual, f, _without_pose(leverage, residual, covariance))]
         for group, row, declared, place in poses.kinds:
             w = group.sensor_cov.shape[1]
-            e, seen, f, weighed, alone = (array[:, place].reshape(row.size, w, -1) for array in expanded)
-            absorbed = leverage = seen @ weighed.swapaxes(1, 2)
+            e, f, alone = (array[:, place].reshape(row.size, w) for array in expanded)
+            own = poses.own_blocks(hat, 0.0, place, w)
             if noise is not None:
-                own = poses.own_blocks(inverse, 1.0 / noise.sensor, place, w)
-                whitening = np.linalg.inv(np.linalg.cholesky(own))
-                f, leverage = whitening @ f, leverages(whitening @ weighed)
-            distance[row] = np.sqrt(distance_without(leverage, f[..., 0], weight[row]))
+                precision = poses.own_blocks(inverse, 1.0 / noise.sensor, place, w)
+                whitening = np.linalg.inv(np.linalg.cholesky(precision))
+                f, own = in_units(whitening, f), whitening @ own @ whitening.swapaxes(1, 2)
+            distance[row] = np.sqrt(distance_without(own, f, weight[row]))
             width[row] = w
             used, root_declared = weight[row] > 0.0, noise_root(declared)
-            due = ((root_declared @ (np.eye(w) - absorbed)) * root_declared).sum(axis=2)
-            errors = in_units(root_declared, e[..., 0])
+            unfitted = np.eye(w) - poses.own_blocks(absorbed, 0.0, place, w)
+            due = ((root_declared @ unfitted) * root_declared).sum(axis=2)
+            errors = in_units(root_declared, e)
             for unit, components in unit_columns(group.COMPONENTS).items():
                 shares = np.maximum(due[:, components].sum(axis=1), 0.0), (errors[:, components] ** 2).sum(axis=1)
                 squares.setdefault(unit, []).append(np.stack(shares)[:, used])
-            _note(left_out, group, root_declared, np.where(used[:, None], alone[..., 0], np.nan))
+            _note(left_out, group, root_declared, np.where(used[:, None], alone, np.nan))
     joined = {unit: np.concatenate(squares[unit], axis=1) for unit in UNITS if unit in squares}
     means = {unit: square.mean(axis=1) for unit, square in joined.items() if square.size}
     parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(total - due, 0.0))) for u, (due, total) in means.items()}
@@ -90,7 +100,8 @@ def left_out_errors(problem: Problem, x: Floats, columns: NDArray[np.bool_], roo
     """Return the magnitude (n_rows,) of each row's error in a fit without its pose, by SI unit, as ``row_errors`` does."""
     errors = problem.no_residuals()
     for poses in _poses(problem, x, columns, pose, None):
-        alone = poses.expanded(_without_pose(poses.rows[..., :-1] @ root, poses.rows[..., -1:], None))
+        leverage = leverages(seen_by(poses.rows[..., :-1], root))
+        alone = poses.expanded(_without_pose(leverage, poses.rows[..., -1:], None))
         for group, row, declared, place in poses.kinds:
             _note(errors, group, noise_root(declared), alone[:, place].reshape(row.size, -1))
     return errors
@@ -113,15 +124,15 @@ def _note(errors: Residuals, group: Group, noise_root: Floats, whitened: Floats)
         errors[unit][group.row] = np.linalg.norm(of_rows[:, components], axis=1)
 
 
-def _without_pose(seen: Floats, residual: Floats, covariance: Floats | None) -> Floats:
+def _without_pose(leverage: Floats, residual: Floats, covariance: Floats | None) -> Floats:
     """Return the residuals R (R − H)⁻¹e (n, w, 1) of fits without each pose; NaN where its rows alone determine an unknown.
 
-    ``seen`` is J S (n, w, r) with P = S Sᵀ, ``residual`` e (n, w, 1), and ``covariance`` R (n, w, w), None for I.
+    ``leverage`` is H (n, w, w), ``residual`` e (n, w, 1), and ``covariance`` R (n, w, w), None for I.
     """
     if covariance is None:
-        solved, determined = solve_semidefinite(np.eye(seen.shape[1]) - leverages(seen), residual[..., 0])
+        solved, determined = solve_semidefinite(np.eye(leverage.shape[1]) - leverage, residual[..., 0])
         return np.where(determined[:, None], solved, np.nan)[..., None]
     scale = 1.0 / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[..., None]
-    left = (covariance - leverages(seen)) * scale * scale.swapaxes(1, 2)
+    left = (covariance - leverage) * scale * scale.swapaxes(1, 2)
     solved, determined = solve_semidefinite(left, (scale * residual)[..., 0])
     return np.where(determined[:, None, None], covariance @ (scale * solved[..., None]), np.nan)
