@@ -255,8 +255,10 @@ class _Work:
         covariance = _without_null(covariance, sight.unseen, problem.units)
         identifiable = np.insert(before.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
-        weight, root = before.weight[before.fitted], covariance_root(fitted.covariance)
-        rows = row_errors(self.rows(of.laws), fitted.x, of.columns, root, weight, of.pose, learned.noise)
+        weight, columns = before.weight[before.fitted], of.acting().columns
+        acts = columns[of.columns]
+        root = covariance_root(fitted.covariance[np.ix_(acts, acts)])
+        rows = row_errors(self.rows(of.laws), fitted.x, columns, root, weight, of.pose, learned.noise)
         freedom = before.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         judging = held_out is not None

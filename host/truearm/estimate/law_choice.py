@@ -136,17 +136,17 @@ def left_out_square(roots: Sequence[Floats], always: NDArray[np.bool_]) -> float
 
 def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
     """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them; none if none does."""
-    blocks = zip(problem.laws, problem.blocks, strict=True)
-    priors = [prior_root(block, learned.variances[law]) for law, block in blocks]
-    owner = np.repeat(np.arange(-1, len(priors)), [int((~problem.is_law).sum()), *(prior.shape[1] for prior in priors)])
-    order = np.argsort(problem.is_law, kind="stable")
-    change = scipy.linalg.block_diag(np.diag(problem.sigma[~problem.is_law]), *priors)
     part, rows = problem.some(), []
+    blocks = zip(part.laws, part.blocks, strict=True)
+    priors = [prior_root(block, learned.variances[law]) for law, block in blocks]
+    owner = np.repeat(np.arange(-1, len(priors)), [int((~part.is_law).sum()), *(prior.shape[1] for prior in priors)])
+    order = np.argsort(part.is_law, kind="stable")
+    change = scipy.linalg.block_diag(np.diag(part.sigma[~part.is_law]), *priors)
     for number in np.unique(region):
         some = without_knowledge(only(part.problem, region == number))
-        of_region = pose_rows(some, learned.x, problem.columns, problem.pose)
-        root, _ = pose_information(of_region, problem.is_law.size + 1, learned.noise)
-        root[:, -1] += root[:, :-1] @ (learned.x - problem.reference)[problem.columns]
+        of_region = pose_rows(some, learned.x, part.columns, part.pose)
+        root, _ = pose_information(of_region, part.is_law.size + 1, learned.noise)
+        root[:, -1] += root[:, :-1] @ (learned.x - part.reference)[part.columns]
         rows.append(np.column_stack([root[:, order] @ change, root[:, -1]]))
     nats = {}
     for unit in ((), *units, problem.laws):

@@ -46,7 +46,7 @@ from truearm.estimate.pose_noise import (
 from truearm.estimate.problem import Problem
 from truearm.estimate.whitened_rows import only
 from truearm.progress import steps_of
-from truearm.types import Floats, Indices, Law
+from truearm.types import Floats, Indices, Law, Mask
 from truearm.units import UNITS
 
 START = 0.2  # of the cap: initial standard deviations
@@ -79,8 +79,8 @@ class LawProblem:
     laws: tuple[Law, ...]
     blocks: tuple[PriorBlock, ...]  # of the laws' coefficients
 
-    def some(self) -> LawProblem:
-        """Return what the rows say most of: at most LEARNING random poses, and coefficients that act at any reading."""
+    def acting(self) -> LawProblem:
+        """Return the problem of the coefficients that act at any reading: all others have no column in the rows."""
         acts = np.concatenate([np.zeros(0, bool), *(acting(law) for law in self.laws)])
         used = np.ones(self.is_law.size, dtype=bool)
         used[self.is_law] = acts
@@ -92,13 +92,15 @@ class LawProblem:
             last = first + int(kept.sum())
             blocks.append(replace(block, columns=slice(first, last), kernels=block.kernels[:, kept][..., kept]))
             first = last
-        few = replace(self, columns=columns, is_law=self.is_law[used], sigma=self.sigma[used], blocks=tuple(blocks))
-        numbers = np.unique(self.pose)
-        share = self.times(LEARNING)
+        return replace(self, columns=columns, is_law=self.is_law[used], sigma=self.sigma[used], blocks=tuple(blocks))
+
+    def some(self) -> LawProblem:
+        """Return the problem of the ``acting`` coefficients and at most LEARNING random poses."""
+        share, numbers = self.times(LEARNING), np.unique(self.pose)
         if share <= 1.0:
-            return few
+            return self.acting()
         kept = np.random.default_rng(0).permutation(numbers)[: int(numbers.size / share)]
-        return replace(few, problem=only(self.problem, np.isin(self.pose, kept)))
+        return replace(self.acting(), problem=only(self.problem, np.isin(self.pose, kept)))
 
     def rows(self, x: Floats, every: int = 1) -> Iterator[RowsByPose]:
         """Return ``pose_rows`` of the fitted unknowns at x (P,)."""
@@ -206,9 +208,9 @@ def nats_of_scatter(of: LawProblem, found: Learned) -> float:
 
 def posterior(of: LawProblem, found: Learned) -> Posterior:
     """Return the posterior of all poses with the learned variances and noise, linearised at what was learned."""
-    blocks = of.blocks
+    blocks, part = of.blocks, of.acting()
     values = [found.variances[law] for law in of.laws]
-    marginal, rest = _marginal(of, found.x, of.rows(found.x), found.noise)
+    marginal, rest = _marginal(of, found.x, part.rows(found.x), found.noise, part.columns[of.columns])
     weighed = weigh(seen_by(marginal, blocks), blocks, values)
     return _posterior(of, found.x, marginal, rest, coefficients(marginal, weighed, blocks, values), weighed.nats)
 
@@ -221,9 +223,18 @@ class _Rest(NamedTuple):
     evidence: float  # without laws
 
 
-def _marginal(of: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: PoseNoise) -> tuple[Marginal, _Rest]:
-    """Return the poses' information about the laws, linearised at x (P,), about no laws and the reference of the rest."""
-    root, logdet = pose_information(rows, of.is_law.size + 1, noise)
+def _marginal(
+    of: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: PoseNoise, used: Mask | None = None
+) -> tuple[Marginal, _Rest]:
+    """Return the poses' information about the laws, linearised at x (P,), about no laws and the reference of the rest.
+
+    The rows have derivatives by all unknowns, or those that are ``used`` (k,).
+    """
+    filled = np.ones(of.is_law.size + 1, dtype=bool)
+    filled[:-1] = True if used is None else used
+    triangle, logdet = pose_information(rows, int(filled.sum()), noise)
+    root = np.zeros((len(triangle), filled.size))
+    root[:, filled] = triangle
     root[:, -1] += root[:, :-1] @ (x - of.reference)[of.columns]
     order = np.concatenate([np.flatnonzero(~of.is_law), np.flatnonzero(of.is_law), [-1]])
     n = int((~of.is_law).sum())
