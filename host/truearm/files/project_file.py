@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, get_type_hints
 
 from truearm.errors import InputError
 from truearm.files.disk import parse_toml, read_text
@@ -23,31 +24,29 @@ _LINE = Text(longest=400, one_line=True)
 
 @dataclass(frozen=True)
 class Project:
-    """The content of a truearm.toml; "" for a missing entry.
+    """The content of a truearm.toml, each entry with its purpose, which the file states; "" for a missing entry.
 
-    ``model``: built-in robot, robot file or URDF, with ``base`` and ``tip`` of a URDF, and ``branch`` (as for --branch)
-    for a model whose file has none. ``serial`` of the robot, ``controller``, ``customer`` and ``operator`` are for the
-    certificate. ``address``: how the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``table``: seats in sockets, which identify reads instead of sessions.
-    ``sessions``, ``results``: folders that
-    record and identify write to.
+    ``table`` is read instead of sessions. ``sessions`` and ``results`` are folders that record and identify write to.
     """
 
-    model: str
-    name: str = ""
-    base: str = ""
-    tip: str = ""
-    branch: str = ""
-    serial: str = ""
-    controller: str = ""
-    customer: str = ""
-    operator: str = ""
-    address: str = ""
-    box: str = ""
-    rig: str = "rig.toml"
-    plan: str = "plan.csv"
-    table: str = ""
-    sessions: str = "sessions"
-    results: str = "results"
+    model: Annotated[str, "built-in robot, robot file (.toml) or URDF (.urdf)"]
+    name: Annotated[str, "what is calibrated, as reports call it"] = ""
+    base: Annotated[str, "first link of a URDF"] = ""
+    tip: Annotated[str, "last link of a URDF"] = ""
+    branch: Annotated[
+        str, "bounds of the joints to stay in [deg], LOW:HIGH,…; without it the robot file's [branch]"
+    ] = ""
+    serial: Annotated[str, "serial number of the robot, for the certificate"] = ""
+    controller: Annotated[str, "controller of the robot and its software, for the certificate"] = ""
+    customer: Annotated[str, "whom the certificate is for"] = ""
+    operator: Annotated[str, "who measures, for the certificate"] = ""
+    address: Annotated[str, "how truearm record reads the joints, such as rtde://192.168.0.2"] = ""
+    box: Annotated[str, "the box's port; without it the one that is plugged in"] = ""
+    rig: Annotated[str, f"chucks, spheres, bars; {page('Build and measure the rig')}"] = "rig.toml"
+    plan: Annotated[str, "the poses to measure"] = "plan.csv"
+    table: Annotated[str, "the seats in sockets, which truearm identify reads instead of sessions"] = ""
+    sessions: Annotated[str, "folder of the recordings"] = "sessions"
+    results: Annotated[str, "folder of the results"] = "results"
 
 
 KEYS = tuple(Key(name, _LINE, optional=name != "model") for name in Project.__dataclass_fields__)
@@ -63,24 +62,7 @@ def read_project(path: Path) -> Project:
 
 def format_project(project: Project) -> str:
     """Return the text of a truearm.toml with the purpose of each entry; unknown entries are written as comments."""
-    remarks = {
-        "model": "built-in robot, robot file (.toml) or URDF (.urdf)",
-        "name": "what is calibrated, as reports call it",
-        "base": "first link of a URDF",
-        "tip": "last link of a URDF",
-        "branch": "bounds of the joints to stay in [deg], LOW:HIGH,…; without it the robot file's [branch]",
-        "serial": "serial number of the robot, for the certificate",
-        "controller": "controller of the robot and its software, for the certificate",
-        "customer": "whom the certificate is for",
-        "operator": "who measures, for the certificate",
-        "address": "how truearm record reads the joints, such as rtde://192.168.0.2",
-        "box": "the box's port; without it the one that is plugged in",
-        "rig": f"chucks, spheres, bars; {page('Build and measure the rig')}",
-        "plan": "the poses to measure",
-        "table": "the seats in sockets, which truearm identify reads instead of sessions",
-        "sessions": "folder of the recordings",
-        "results": "folder of the results",
-    }
+    remarks = {name: hint.__metadata__[0] for name, hint in get_type_hints(Project, include_extras=True).items()}
     values = vars(project)
     lines = [FIRST_LINE, "# Commands in this folder or below it take missing options from here.", ""]
     for key in KEYS:
