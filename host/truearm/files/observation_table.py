@@ -1,9 +1,8 @@
 """Tables of observations: CSV with units in the column names, one observation per row (docs/reference/table-format.md).
 
-A table is checked in three steps. The text is CSV with rows of equal width (``read_cells``), its header names known
-quantities with units (``read_header``), and its cells contain what their column and the row's kind require
-(``parse_table``). Every error message names the file, the row (as an editor or a spreadsheet counts, with the header as
-row 1) and the column.
+``files.csv_cells`` reads the columns that ``table_titles`` declares. ``check_values`` then checks the rows, as it does
+those of a table that was made in Python. Every error message names the file, the row (as an editor or a spreadsheet
+counts, with the header as row 1) and the column.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.kinds.table import ObservationTable
 from truearm.model.mimic import NO_MIMICS, Mimic
 from truearm.model.robot_tables import MAX_JOINTS
-from truearm.schema import quoted
+from truearm.schema import HUGE, quoted
 from truearm.text import page, with_article
 from truearm.types import Floats, Rig
 from truearm.units import SUFFIXES, named, suffixes
@@ -105,15 +104,15 @@ def _sigma(si: str) -> str:
 def _numbers(cells: CsvTable, quantity: Quantity) -> Floats:
     """Return one column of a quantity as (n,), or several as (n, c), of any size."""
     if len(quantity.columns) == 1:
-        return cells.numbers(quantity.columns[0], np.inf)
-    return cells.vectors(quantity.columns, quantity.words, np.inf)
+        return cells.numbers(quantity.columns[0], HUGE)
+    return cells.vectors(quantity.columns, quantity.words, HUGE)
 
 
 def _sigmas(cells: CsvTable, kind: np.ndarray) -> Floats:
     """Return the standard deviation (n,) of each row in the unit of its kind."""
     sigma = np.full(len(kind), np.nan)
     for unit in registry.units():
-        values = cells.numbers(_sigma(unit), np.inf)
+        values = cells.numbers(_sigma(unit), HUGE)
         has_unit = np.isin(kind, [key for key, entry in registry.kinds().items() if entry.components[0] == unit])
         for row in np.flatnonzero(~has_unit & ~np.isnan(values))[:1]:
             text = f"the residual of {with_article(kind[row])} row is not in its unit; leave that cell empty"
