@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from truearm.box.configuration_schema import (
     CALIBRATION,
@@ -26,15 +26,13 @@ from truearm.box.configuration_schema import (
     check,
     config_keys,
 )
+from truearm.box.control import BoxControl
 from truearm.errors import ConfigError, ProtocolError
 from truearm.files.disk import parse_toml
 from truearm.schema import Table, load_toml, raising, read
 from truearm.text import one_line
 from truearm.units import NS
 from truearm_wire.config import OSRS
-
-if TYPE_CHECKING:
-    from truearm.box.control import BoxControl
 
 MAX_BYTES = 1 << 16
 Values = dict[str, Any]

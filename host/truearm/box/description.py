@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from truearm.box.selftest import Finding
+from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.text import one_line
 from truearm.units import MM, MS, NS, UM, US, length, micro
-
-if TYPE_CHECKING:
-    from truearm.box.selftest import Finding
-    from truearm.session.box_ident import Channel, Ident, Stream
 
 
 def ident_lines(ident: Ident) -> list[str]:

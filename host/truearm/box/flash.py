@@ -5,18 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from truearm.box.boot_drive import board_of, check_drive, find_drives, wait_for, write_image
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.box.requests import FlashOptions
+from truearm.box.uf2 import Image, read_uf2
 from truearm.errors import Argument, InputError, LinkError
 from truearm.progress import step
 from truearm.record.ports import usb_ports
+from truearm.session.box_ident import Ident
 from truearm.version import VERSION
-
-if TYPE_CHECKING:
-    from truearm.box.uf2 import Image
-    from truearm.session.box_ident import Ident
+from truearm_wire.messages import BOOT_LOADER
 
 _ASK_AGAIN_S = 0.5
 _SHORT = 4  # attempts of half a second, repeated
@@ -49,9 +48,6 @@ def own_image() -> Path:
 
 def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]:
     """Write the image. Yields one line per step and returns the version of the firmware in the image, or ""."""
-    from truearm.box.boot_drive import write_image
-    from truearm.box.uf2 import read_uf2
-
     image = read_uf2(path)
     content = (
         f"the box's firmware {image.version}".rstrip()
@@ -68,9 +64,6 @@ def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]
 
 def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str, None, Path]:
     """Return the boot drive to write to; a running box is first asked to present it."""
-    from truearm.box.boot_drive import board_of, check_drive, find_drives, wait_for
-    from truearm_wire.messages import BOOT_LOADER
-
     device, drive = options.box, options.drive
     earlier_drives = find_drives(image.chip.board) if drive is None else []
     if device is None:

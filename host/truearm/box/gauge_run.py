@@ -6,11 +6,13 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.box.configuration import change_lines, checked_config
+from truearm.box.control import BoxControl
 from truearm.box.conversation import conversation, ident_of, streaming
 from truearm.box.gauge_places import (
     MAX_REFERENCES,
@@ -28,17 +30,12 @@ from truearm.box.requests import GaugeOptions
 from truearm.errors import Argument, InputError, LinkError, TruearmError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.progress import step
+from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.sample_noise import mean_of, quick_noise
 from truearm.session.samples import counts_of, railed, volts
 from truearm.text import counted, one_line
 from truearm.types import Floats
 from truearm.units import MM, NS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from truearm.box.control import BoxControl
-    from truearm.session.box_ident import Channel, Ident, Stream
 
 SETTLE_S = 0.2  # for the converter's filter to fill and the operator's hand to leave the stage
 PATIENCE_S = 5.0

@@ -7,23 +7,24 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from truearm.box.control import BoxControl, Sent
 from truearm.box.conversation import conversation, ident_of, one_line_of, streaming
+from truearm.box.description import with_spread
 from truearm.box.readiness import LVDT, far_from_calibration
 from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
+from truearm.session.box_ident import Channel, Ident, Stream
+from truearm.session.clock import fit_clock
+from truearm.session.samples import counts_of, railed
 from truearm.session.streams import COUNTERS
 from truearm.text import counted, faster, one_line
 from truearm.units import DEGC, MDEGC, MS, NS, PPM, US
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from truearm.box.control import BoxControl, Sent
-    from truearm.session.box_ident import Channel, Ident, Stream
+from truearm_wire.messages import EVENT, HEARTBEAT, START, SYNC_REPLY, TEMPERATURE
 
 WINDOW_S = 1.0  # averaging time of displayed values
 PROBE_S = 0.25
@@ -78,9 +79,6 @@ class Watch:
 
     def take(self, sent: Sent) -> None:
         """Process a frame."""
-        from truearm.session.samples import counts_of
-        from truearm_wire.messages import EVENT, HEARTBEAT, SYNC_REPLY, TEMPERATURE
-
         if sent.data is not None:
             stream = self.ident.streams.get(sent.data.stream)
             if stream is not None and (counts := counts_of(sent.data, stream)) is not None:
@@ -118,8 +116,6 @@ def _watch(
     interval_s: float,
     show: Callable[[Labelled], None],
 ) -> Watch:
-    from truearm_wire.messages import START
-
     watch = Watch(ident_of(box))
     begun = time.monotonic()
     next_probe = begun
@@ -181,9 +177,6 @@ def _stream_rows(stream: Stream, window: LastSecond | None) -> Labelled:
 
 def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str:
     """Return the mean of counts (n,) in the channel's best unit, with the standard deviation of one sample."""
-    from truearm.box.description import with_spread
-    from truearm.session.samples import railed
-
     if channel.fault:
         return channel.fault
     if stream.name == "mag":
@@ -202,8 +195,6 @@ def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str
 
 def clock_words(watch: Watch) -> str:
     """Describe how well the host knows the box's clock from the exchanges of the last minute."""
-    from truearm.session.clock import fit_clock
-
     count = len(watch.exchanges)
     fitted = fit_clock(0, np.array(watch.exchanges)) if count >= LEAST_EXCHANGES else None
     if fitted is None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from truearm.errors import InputError
+from truearm.session.box_ident import Ident, Stream, find_channel
 from truearm.text import box_command, one_line
 from truearm.units import DEGC, MM
-
-if TYPE_CHECKING:
-    from truearm.session.box_ident import Ident, Stream
 
 LVDT = "lvdt"
 BAR = "bar"  # name of the bar's thermometer
@@ -71,8 +69,6 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
 
     No warning is given if the box reads a thermometer on the bar: its lengths are corrected.
     """
-    from truearm.session.box_ident import find_channel
-
     place = find_channel(ident, channel)
     if place is None or BAR in ident.thermometers:
         return ""
@@ -90,8 +86,6 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
 
 def usable_channel(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
     """Return the stream with a channel, and the channel's index. Raises InputError if there is none that can be used."""
-    from truearm.session.box_ident import find_channel
-
     place = find_channel(ident, name)
     if place is None:
         names = ", ".join(one_line(c.name) for s in ident.streams.values() for c in s.channels)
