@@ -346,7 +346,7 @@ class _Terminal:
 def monitor(
     *,
     box: str | None = None,
-    duration_s: float | None = None,
+    duration: float | None = None,
     plain: bool = False,
 ) -> None:
     """Show what a box measures: values in physical units with their noise, rates, losses, clock, temperature.
@@ -360,7 +360,7 @@ def monitor(
     with ExitStack() as stack:
         plain = plain or not sys.stdout.isatty()
         show = _plain if plain else _live(stack)
-        print_lines(monitor_box(choose_box(box, sys.stderr), duration_s, PLAIN_S if plain else SHOW_S, show))
+        print_lines(monitor_box(choose_box(box, sys.stderr), duration, PLAIN_S if plain else SHOW_S, show))
 
 
 def _plain(rows: list[tuple[str, str]]) -> None:
