@@ -8,7 +8,6 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from truearm.cli.main import main
@@ -122,14 +121,9 @@ def record_session(
 def measured_by_bars(world):
     """Return the true lengths of the world's dwells, including repeatability, as rows with the joint readings."""
     dwells, plan = world.controller.dwells, world.controller.plan
-    rows = np.flatnonzero(plan.dwells)
-    n = len(rows)
-    empty, nan, kind = np.full(n, ""), np.full(n, np.nan), np.full(n, "ball_bar")
-    words = {name: getattr(plan, name)[rows] for name in ("bar", "chuck", "sphere")}
-    words |= dict.fromkeys(("socket", "place", "shell"), empty)
-    source = np.array([f"dwell {i}" for i in range(n)])
+    names = {name: getattr(plan, name)[plan.dwells] for name in ("bar", "chuck", "sphere")}
     q = quantised(world.controller.q_held[dwells])
-    return ObservationTable(q=q, kind=kind, value=world.truth.length, sigma=nan, source=source, **words)
+    return ObservationTable(q=q, kind="ball_bar", value=world.truth.length, **names)
 
 
 @pytest.fixture(scope="session")

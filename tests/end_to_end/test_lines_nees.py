@@ -61,14 +61,7 @@ def shown(world, flaws=None):
         parts.append((name, c.q_true(t), rate, xyz))
     lines = np.concatenate([np.full(len(q), name) for name, q, *_ in parts])
     q, rate, xyz = (np.concatenate([part[k] for part in parts]) for k in (1, 2, 3))
-    n = len(q)
-    empty, nan = np.full(n, ""), np.full(n, np.nan)
-    words = dict.fromkeys(("bar", "chuck", "sphere", "socket", "place", "shell"), empty)
-    source = np.array([f"row {i}" for i in range(n)])
-    kind, target = np.full(n, "line"), np.full(n, "magnet")
-    return ObservationTable(
-        q=q, kind=kind, value=nan, sigma=nan, source=source, xyz=xyz, q_rate=rate, line=lines, target=target, **words
-    )
+    return ObservationTable(q=q, kind="line", xyz=xyz, q_rate=rate, line=lines, target="magnet")
 
 
 def found(world, table, **how):

@@ -47,16 +47,9 @@ def lengths(plan, chuck_off=0.0, q_off=0.0, sphere=None):
 
 
 def table(plan, length, sphere=None):
-    n = len(plan)
-    return ObservationTable(
-        q=plan.q,
-        kind=np.full(n, "ball_bar"),
-        value=length,
-        bar=plan.bar,
-        chuck=plan.chuck,
-        sphere=plan.sphere if sphere is None else sphere,
-        source=np.array([f"poses.csv row {i + 2}" for i in range(n)]),
-    )
+    names = {"bar": plan.bar, "chuck": plan.chuck, "sphere": plan.sphere if sphere is None else sphere}
+    source = [f"poses.csv row {i + 2}" for i in range(len(plan))]
+    return ObservationTable(q=plan.q, kind="ball_bar", value=length, source=source, **names)
 
 
 def clean(plan, rng):

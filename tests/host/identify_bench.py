@@ -1,7 +1,6 @@
 """Tables and rigs for tests of the command line: the PUMA's ball-bar, exact and with noise."""
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -33,19 +32,14 @@ def exact_lengths(n: int, chucks: int = 3, seed: int = 5) -> tuple[ObservationTa
     q = np.random.default_rng(seed).uniform(-1.5, 1.5, (n, 6))
     chuck, sphere = np.arange(n) % chucks, np.arange(n) // chucks % 3
     ball = point_forward(robot.chain, robot.parameter_sets["optimised"], q, np.array(where["sphere"])[sphere])
-    empty = np.full(n, "")
     table = ObservationTable(
         q=q,
-        kind=np.full(n, "ball_bar"),
+        kind="ball_bar",
         value=np.linalg.norm(ball - np.array(where["chuck"])[chuck], axis=1),
-        sigma=np.full(n, math.nan),
-        bar=np.full(n, "b"),
+        bar="b",
         chuck=np.char.add("c", chuck.astype(str)),
         sphere=np.char.add("s", sphere.astype(str)),
-        socket=empty,
-        place=empty,
         shell=np.where(np.arange(n) < n - 20, "inner", "outer"),
-        source=empty,
     )
     return table, rig
 

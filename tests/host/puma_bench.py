@@ -113,21 +113,9 @@ def lengths(params, q, pairs, chucks=CHUCKS, spheres=SPHERES):
 
 
 def table(q, length, pairs, bar="short"):
-    n = len(q)
-    empty = np.full(n, "")
-    return ObservationTable(
-        q=q,
-        kind=np.full(n, "ball_bar"),
-        value=length,
-        sigma=np.full(n, np.nan),
-        bar=np.full(n, bar),
-        chuck=np.array([c for c, _ in pairs]),
-        sphere=np.array([s for _, s in pairs]),
-        socket=empty,
-        place=empty,
-        shell=empty,
-        source=np.array([f"row {i + 1}" for i in range(n)]),
-    )
+    chuck, sphere = zip(*pairs, strict=True)
+    source = [f"row {i + 1}" for i in range(len(q))]
+    return ObservationTable(q=q, kind="ball_bar", value=length, bar=bar, chuck=chuck, sphere=sphere, source=source)
 
 
 def all_pairs(n):

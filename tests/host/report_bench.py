@@ -89,27 +89,15 @@ def make_page(n=1600, kind="ball_bar", seed=0, **changes):
         fitted=fitted,
         seconds=0.4,
     )
-    blank, index = np.full(n, ""), np.arange(n)
-    pick = {
-        "chuck": np.array(["c1", "c2", "c3"])[index % 3],
-        "sphere": np.array(["s1", "s2", "s3"])[index // 3 % 3],
-        "place": blank,
-    }
-    if kind != "ball_bar":
-        named = np.array(["front", "left", "right"])[index % 3]
+    index = np.arange(n)
+    if kind == "ball_bar":
+        chuck, sphere = np.array(["c1", "c2", "c3"])[index % 3], np.array(["s1", "s2", "s3"])[index // 3 % 3]
+        names = {"chuck": chuck, "sphere": sphere}
+    else:
         column = {"seat": "place", "line": "line", "position": "tracker", "pose": "tracker", "plane": "plane"}[kind]
-        pick = {"chuck": blank, "sphere": blank, "place": blank, column: named}
-    table = ObservationTable(
-        q=np.zeros((n, 6)),
-        kind=np.full(n, kind),
-        value=np.full(n, 0.46),
-        sigma=np.full(n, np.nan),
-        bar=np.full(n, "b46"),
-        socket=blank,
-        shell=np.full(n, "b46-c1"),
-        source=np.array([f"session.mcap dwell {i}" for i in range(n)]),
-        **pick,
-    )
+        names = {column: np.array(["front", "left", "right"])[index % 3]}
+    names |= {"bar": "b46", "shell": "b46-c1", "source": [f"session.mcap dwell {i}" for i in range(n)]}
+    table = ObservationTable(q=np.zeros((n, 6)), kind=kind, value=0.46, **names)
     page = CalibrationPage(
         title="Calibration of a PUMA 560",
         subtitle="46 cm shells",

@@ -77,9 +77,7 @@ def test_six_constants_a_joint_do_not_move_the_tool(seed):
         chucks={name: Point(name, at, 0.0) for name, at in chucks.items()},
         bars={"b": BallBar("b", 1.0, 1.0, 3.0, 3e-5)},
     )
-    table = ObservationTable(
-        q=q, kind=np.full(n, "ball_bar"), value=length, bar=np.full(n, "b"), chuck=chuck, sphere=sphere
-    )
+    table = ObservationTable(q=q, kind="ball_bar", value=length, bar="b", chuck=chuck, sphere=sphere)
     estimate = identify(chain, rig, table, free=robot.free)
     few = identify(chain, rig, table, free=estimate.suggested_free[: truth.size])
     predicted = [predicted_point_error(chain, rig, table, each) for each in (estimate, few)]
@@ -242,7 +240,7 @@ def sagging(n: int, sensor: float, declared: float, joint: float = 0.0, shared: 
     points = point_forward(chain, truth, true + joint * rng.standard_normal(q.shape), np.zeros(3))
     points = points + shared * rng.standard_normal((n, 3))
     xyz = np.repeat(points, rows, axis=0) - tracker + sensor * noise
-    table = ObservationTable(q=np.repeat(q, rows, axis=0), kind="position", xyz=xyz, tracker=np.full(n * rows, "t"))
+    table = ObservationTable(q=np.repeat(q, rows, axis=0), kind="position", xyz=xyz, tracker="t")
     rig = Rig(
         trackers={"t": Device("t", (declared**2 * np.eye(3)).tolist())},
         targets={"ball": Point("ball", (0.0,) * 3, 0.0)},

@@ -38,13 +38,8 @@ def tracked(rng, n, shared, noise=NOISE, names="abc"):
     targets = np.tile(list(names), n)
     points = point_forward(CHAIN, TRUTH, q, np.array([TARGETS[name] for name in targets]))
     moved = np.repeat(shared * rng.normal(size=(n, 3)), len(names), axis=0)
-    return ObservationTable(
-        q=q,
-        kind=np.full(len(q), "position"),
-        xyz=points - np.array(TRACKER.xyz) + moved + noise * rng.normal(size=(len(q), 3)),
-        tracker=np.full(len(q), "t"),
-        target=targets,
-    )
+    xyz = points - np.array(TRACKER.xyz) + moved + noise * rng.normal(size=(len(q), 3))
+    return ObservationTable(q=q, kind="position", xyz=xyz, tracker="t", target=targets)
 
 
 def fitted(table, rig):

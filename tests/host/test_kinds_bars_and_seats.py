@@ -28,18 +28,9 @@ def warmed(t, bar, sensor):
 
 
 def seats(n, rng, sphere="s1", places=("here", "there")):
-    text = {name: np.full(n, "") for name in ("bar", "chuck", "shell")}
-    return ObservationTable(
-        q=random_poses(n, rng),
-        kind=np.full(n, "seat"),
-        value=np.full(n, np.nan),
-        sigma=np.full(n, np.nan),
-        sphere=np.full(n, sphere),
-        socket=np.array([("left", "right")[i % 2] for i in range(n)]),
-        place=np.array([places[(i // 2) % len(places)] for i in range(n)]),
-        source=np.array([f"row {i + 1}" for i in range(n)]),
-        **text,
-    )
+    socket = [("left", "right")[i % 2] for i in range(n)]
+    place = [places[(i // 2) % len(places)] for i in range(n)]
+    return ObservationTable(q=random_poses(n, rng), kind="seat", sphere=sphere, socket=socket, place=place)
 
 
 def both_kinds(rng):

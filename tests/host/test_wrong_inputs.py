@@ -400,14 +400,7 @@ def test_a_robot_with_links_of_another_is_named_though_it_fits():
     xyz = point_forward(arm.chain, truth, q, np.tile([0.05, 0.0, 0.1], (120, 1))) + POSITION_SIGMA * rng.normal(
         size=(120, 3)
     )
-    rows = ObservationTable(
-        q=q,
-        kind=np.full(120, "position"),
-        xyz=xyz,
-        tracker=np.full(120, "tracker"),
-        target=np.full(120, "reflector"),
-        source=np.array([f"poses.csv row {i + 2}" for i in range(120)]),
-    )
+    rows = ObservationTable(q=q, kind="position", xyz=xyz, tracker="tracker", target="reflector")
     result = truearm.identify(other, rows, UR10_RIG)
     assert result.estimate.status == "converged"
     assert first_of(result.estimate) == ("wrong-robot", {"robot": "ur5e", "other": "ur10e"})

@@ -85,14 +85,8 @@ def line(name, q, truth, rng, noise=1.0):
 
 
 def rows(name, q, xyz):
-    n = len(q)
-    empty, nan = np.full(n, ""), np.full(n, np.nan)
-    source = np.array([f"{name} point {i + 1}" for i in range(n)])
-    texts = dict.fromkeys(("bar", "chuck", "sphere", "socket", "place"), empty)
-    return ObservationTable(
-        q=q, kind=np.full(n, "line"), value=nan, sigma=nan, shell=empty, source=source, xyz=xyz,
-        line=np.full(n, name), **texts,
-    )  # fmt: skip
+    source = [f"{name} point {i + 1}" for i in range(len(q))]
+    return ObservationTable(q=q, kind="line", source=source, xyz=xyz, line=name)
 
 
 def join(tables):
