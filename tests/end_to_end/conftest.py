@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -83,6 +84,24 @@ class TappedLink:
         self._link.close()
 
 
+@contextmanager
+def lab_with(world: World, seed: int | None = None, **box: Any) -> Iterator[Lab]:
+    """Return a lab with a box in MicroPython; ``box``: what else a SimulatedBox takes."""
+    seed = world.seed if seed is None else seed
+    simulated = SimulatedBox(world, **{"interpreter": interpreter(), "seed": seed, **box})
+    try:
+        yield Lab(world, simulated, seed)
+    finally:
+        simulated.close()
+
+
+def recorded_with_plan(lab: Lab, path: Path, link: Any = None, **options: Any) -> RecordSummary:
+    """Record a lab with plan and rig of its world; ``link``: in place of the box's; ``options`` of RecordOptions."""
+    setup = {"plan": plan_rows(lab.world.controller.plan), "rig_toml": format_rig(lab.world.rig).encode()}
+    writer, options = SessionWriter(path, lab.clock, overwrite=True), RecordOptions(**(setup | options))
+    return record(link or lab.box_link, writer, lab.clock, robot=lab.robot_link, options=options)
+
+
 def record_session(
     path: Path,
     poses: int,
@@ -100,21 +119,9 @@ def record_session(
     """Record ``poses`` with each bar of the rig, or another plan; ``params`` (p,): another true robot."""
     plan = standard_plan(poses, seed, rig) if plan is None else plan
     world = World(seed, plan, rig, params, arm=arm, setup=Setup(robot_delay_s=robot_delay_s))
-    box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
-    lab = Lab(world, box, seed)
-    link = TappedLink(lab.box_link)
-    try:
-        summary = record(
-            link,
-            SessionWriter(path, lab.clock, overwrite=True),
-            lab.clock,
-            robot=lab.robot_link,
-            options=RecordOptions(
-                plan=plan_rows(plan), rig_toml=format_rig(world.rig).encode(), osr=osr, duration_s=duration_s
-            ),
-        )
-    finally:
-        box.close()
+    with lab_with(world, faults=faults) as lab:
+        link = TappedLink(lab.box_link)
+        summary = recorded_with_plan(lab, path, link, osr=osr, duration_s=duration_s)
     return Recorded(path, summary, world, lab, link.delivered)
 
 

@@ -6,24 +6,18 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy import stats
-from tests.end_to_end.conftest import interpreter, measured_by_bars
+from tests.end_to_end.conftest import lab_with, measured_by_bars, recorded_with_plan
 
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior
 from truearm.files.plan_file import concatenate
-from truearm.files.rig_file import format_rig
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
-from truearm.record.recorder import RecordOptions, record
-from truearm.record.session_writer import SessionWriter
-from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import observations_of_session
-from truearm_sim.lab import Lab
 from truearm_sim.latency import FROM_ROBOT
 from truearm_sim.line_device import Flaws, drive_errors
 from truearm_sim.line_plan import TARGETS, drawn_line_plan, line_rig
-from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import Setup, World, standard_plan, standard_rig
 
 ROBOT = builtin_robot("puma560")
@@ -84,17 +78,8 @@ def nees(world, estimate):
 
 def recorded(world, path):
     """Return the world's session through firmware, recorder and synchronisation."""
-    lab = Lab(world, SimulatedBox(world, interpreter(), seed=world.seed), world.seed)
-    try:
-        record(
-            lab.box_link,
-            SessionWriter(path, lab.clock, overwrite=True),
-            lab.clock,
-            robot=lab.robot_link,
-            options=RecordOptions(plan=plan_rows(four_lines()), rig_toml=format_rig(world.rig).encode(), osr=8192),
-        )
-    finally:
-        lab.box.close()
+    with lab_with(world) as lab:
+        recorded_with_plan(lab, path, osr=8192)
     return observations_of_session(path).table
 
 

@@ -9,21 +9,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.end_to_end.conftest import interpreter, record_session
+from tests.end_to_end.conftest import interpreter, lab_with, record_session, recorded_with_plan
 
 from truearm.cli.main import main
-from truearm.files.rig_file import format_rig
 from truearm.model.robot import builtin_robot
-from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_readings import JointReader
 from truearm.session.session_file import open_session
 from truearm.session.streams import BoxReader
 from truearm.workflows.inputs import Sources, read_sources
-from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import observations_of_session
 from truearm.workflows.session_parts import SETUP, session_parts, with_parts
-from truearm_sim.lab import Lab
 from truearm_sim.ports import Port, Terminal
 from truearm_sim.serve import serve
 from truearm_sim.simbox import SimulatedBox
@@ -158,31 +154,13 @@ def in_parts(tmp_path_factory):
     """One robot's program, recorded as a whole and, by a recorder that was stopped in between, in two parts."""
     folder = tmp_path_factory.mktemp("parts")
     whole = record_session(folder / "whole.mcap", 18, osr=16384)
-    plan = standard_plan(18, 1)
-    world = World(1, plan)
-    box = SimulatedBox(world, interpreter(), seed=1)
-    lab = Lab(world, box, 1)
     first = folder / "s.mcap"
-    try:
+    with lab_with(World(1, standard_plan(18, 1))) as lab:
         for path, setup, seconds in ((first, {}, 60.0), (folder / "s.2.mcap", {"of": "s.mcap", "part": "2"}, None)):
-            summary = record(
-                lab.box_link,
-                SessionWriter(path, lab.clock),
-                lab.clock,
-                robot=lab.robot_link,
-                options=RecordOptions(
-                    plan=plan_rows(plan),
-                    rig_toml=format_rig(world.rig).encode(),
-                    osr=16384,
-                    duration_s=seconds,
-                    head=[(SETUP, setup)],
-                ),
-            )
+            summary = recorded_with_plan(lab, path, osr=16384, duration_s=seconds, head=[(SETUP, setup)])
             assert summary.reason == ("duration" if seconds else "robot closed")
             for _ in range(40):
                 lab.box_link.read(0.1)  # the break: four seconds
-    finally:
-        box.close()
     return whole.path, first
 
 

@@ -5,19 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.end_to_end.conftest import truearm
-from tests.end_to_end.levels import LEVELS, wait_until_ready
+from tests.end_to_end.conftest import lab_with, recorded_with_plan, truearm
+from tests.end_to_end.levels import wait_until_ready
 
 from truearm.estimate.identify import identify
-from truearm.files.rig_file import format_rig, read_rig
-from truearm.record.recorder import RecordOptions, record
-from truearm.record.session_writer import SessionWriter
+from truearm.files.rig_file import read_rig
 from truearm.session.session_tables import tabulate
-from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
-from truearm_sim.lab import Lab
 from truearm_sim.robot import STEP as ENCODER_STEP
-from truearm_sim.simbox import SimulatedBox
 from truearm_sim.thermal import STEEL, Thermal
 from truearm_sim.world import Setup, World, standard_plan, standard_rig
 
@@ -34,7 +29,7 @@ def one_shell():
     return replace(rig, **first)
 
 
-def session(path, thermal, level="vm", seed=3):
+def session(path, thermal, seed=3):
     """The lab, and its session, of a robot that visits POSES poses; the rig knows the bar's coefficients."""
     rig = one_shell()
     bars = {
@@ -46,20 +41,9 @@ def session(path, thermal, level="vm", seed=3):
     rig = replace(rig, bars=bars)
     plan = standard_plan(POSES, seed, rig)
     world = World(seed, plan, rig, setup=Setup(thermal=thermal))
-    box = SimulatedBox(world, seed=seed, power_on=LEVELS[level]())
-    lab = Lab(world, box, seed)
-    try:
+    with lab_with(world) as lab:
         wait_until_ready(lab)
-        options = RecordOptions(plan=plan_rows(plan), rig_toml=format_rig(rig).encode(), osr=OSR)
-        record(
-            lab.box_link,
-            SessionWriter(path, lab.clock, overwrite=True),
-            lab.clock,
-            robot=lab.robot_link,
-            options=options,
-        )
-    finally:
-        box.close()
+        recorded_with_plan(lab, path, osr=OSR)
     return world, rig
 
 

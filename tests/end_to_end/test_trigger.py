@@ -1,20 +1,15 @@
 """The box's trigger output at a robot's input, from the random times to the robot's clock, compared with the simulator's truth."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pytest
-from tests.end_to_end.conftest import interpreter, truearm
+from tests.end_to_end.conftest import lab_with, recorded_with_plan, truearm
 from tests.host.findings_bench import listed
 
-from truearm.record.recorder import RecordOptions, record
-from truearm.record.session_writer import SessionWriter
 from truearm.session.observations import survey
 from truearm.session.session_file import open_session
-from truearm_sim.lab import HOST_AT_START_NS, Lab
-from truearm_sim.simbox import SimulatedBox
-from truearm_sim.vmbox import VmBox
+from truearm_sim.lab import HOST_AT_START_NS
 from truearm_sim.world import RobotInput, Setup, World, standard_plan
 
 INPUT = 3
@@ -27,14 +22,9 @@ WIRED = RobotInput(
 def recorded(path, seed, seconds, rate=500.0):
     """The world of a session with a trigger wire, and its box."""
     world = World(seed, standard_plan(27, seed), setup=Setup(robot_rate=rate, robot_input=WIRED))
-    box = SimulatedBox(world, power_on=partial(VmBox, interpreter()), seed=seed)
-    try:
-        lab = Lab(world, box, seed)
-        writer = SessionWriter(path, lab.clock, overwrite=True)
-        record(lab.box_link, writer, lab.clock, robot=lab.robot_link, options=RecordOptions(duration_s=seconds))
-    finally:
-        box.close()
-    return world, box
+    with lab_with(world) as lab:
+        recorded_with_plan(lab, path, duration_s=seconds)
+        return world, lab.box
 
 
 def surveyed(path):

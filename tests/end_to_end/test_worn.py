@@ -5,13 +5,11 @@ import json
 import numpy as np
 import pytest
 from scipy import stats
+from tests.end_to_end.conftest import recorded_with_plan
 
 from truearm.cli.main import main
 from truearm.files.noise_file import read_noise
-from truearm.files.rig_file import format_rig, write_rig
-from truearm.record.recorder import RecordOptions, record
-from truearm.record.session_writer import SessionWriter
-from truearm.workflows.record import plan_rows
+from truearm.files.rig_file import write_rig
 from truearm_sim import serve
 from truearm_sim.arm import WORN
 from truearm_sim.lab import Lab
@@ -26,17 +24,7 @@ def virtual_time(monkeypatch):
     """``truearm simulate`` is recorded by the lab's clock in place of the wall's: what it would serve goes to session.mcap in its folder."""
 
     def start(world, box, box_port, robot_end, **_):
-        folder = start.folder
-        lab = Lab(world, box, 1)
-        record(
-            lab.box_link,
-            SessionWriter(folder / "session.mcap", lab.clock, overwrite=True),
-            lab.clock,
-            robot=lab.robot_link,
-            options=RecordOptions(
-                plan=plan_rows(world.controller.plan), rig_toml=format_rig(world.rig).encode(), osr=16384
-            ),
-        )
+        recorded_with_plan(Lab(world, box, 1), start.folder / "session.mcap", osr=16384)
 
     monkeypatch.setattr(serve, "serve", start)
     return start
