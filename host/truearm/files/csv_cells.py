@@ -171,11 +171,13 @@ class CsvTable:
 
     def identifiers(self, quantity: str) -> np.ndarray:
         """Return a column of names (n,); "" where it is missing or a cell is empty. Raises TableError."""
+        if quantity not in self.columns:
+            return np.full(len(self.rows), "", dtype="U1")
         cells = self.cells(quantity)
-        for i, cell in enumerate(cells):
+        for cell in dict.fromkeys(cells):
             if cell and not NAME.fullmatch(cell):
                 raise TableError(
-                    f"{self.place(i, quantity)}: {quoted(cell)} is not an identifier; "
+                    f"{self.place(cells.index(cell), quantity)}: {quoted(cell)} is not an identifier; "
                     "use up to 64 letters, digits, '-', '_' and '.'"
                 )
         return np.array(cells)

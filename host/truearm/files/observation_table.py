@@ -165,32 +165,35 @@ def check_values(
         raise TableError(f"{table.source[row]} column kind: {text}")
     for row, joint in np.argwhere(~np.isfinite(table.q))[:1].tolist():
         raise TableError(f"{table.source[row]}: q[{joint}] is not a finite number")
-    _check_kinds(table, columns is not None)
+    rows_by_kind = {key: table.kind == key for key in dict.fromkeys(table.kind.tolist())}
+    _check_kinds(table, rows_by_kind, columns is not None)
     every = np.ones(len(table), dtype=bool)
     noise = {unit: Quantity("sigma", (_sigma(unit),), unit, LARGEST_NOISE, positive=True) for unit in registry.units()}
     for quantity in CIRCUMSTANCES:
         _check_numbers(table, quantity, table[quantity.field], every, columns or {})
-    for key, kind in registry.kinds().items():
+    for key, rows in rows_by_kind.items():
+        kind = registry.kinds()[key]
         for quantity in (*kind.quantities, noise[kind.components[0]]):
-            _check_numbers(table, quantity, table[quantity.field], table.kind == key, columns or {})
+            _check_numbers(table, quantity, table[quantity.field], rows, columns or {})
     for j, unit in enumerate(joint_units or ()):
         for name, readings, si in (("q", table.q, unit), ("q_rate", table.q_rate, f"{unit}/s")):
             _check_numbers(table, Quantity(name, (f"{name}[{j}]",), si), readings[:, j], every, {})
 
 
-def _check_kinds(table: ObservationTable, strict: bool) -> None:
+def _check_kinds(table: ObservationTable, rows_by_kind: Mapping[str, np.ndarray], strict: bool) -> None:
     """Raise TableError for the first row without what its kind needs or, if ``strict``, with what contradicts it."""
     titles = {column: column for column in identifier_columns()} | {q.field: q.title for q in quantities()}
     filled = {column: _filled(table[column]) for column in titles}
     wrong: list[tuple[int, str]] = []
-    for key, kind in registry.kinds().items():
+    for key, rows in rows_by_kind.items():
+        kind = registry.kinds()[key]
         needs = {*map(_field, kind.needs)}
         leaves = filled.keys() - {*needs, *map(_field, kind.may), *ANYWHERE, *map(_field, CIRCUMSTANCES)}
         for column in (*needs, *(leaves if strict else ())):
             text = "has no {}; leave that cell empty" if column in leaves else "needs {}, which is empty or missing"
             title = with_article(column) if column in needs and titles[column] == column else titles[column]
-            rows = np.flatnonzero((table.kind == key) & (filled[column] == (column in leaves)))
-            wrong += [(int(row), f"{with_article(key)} row {text.format(title)}") for row in rows[:1]]
+            bad = np.flatnonzero(rows & (filled[column] == (column in leaves)))
+            wrong += [(int(row), f"{with_article(key)} row {text.format(title)}") for row in bad[:1]]
     if wrong:
         row, text = min(wrong)
         raise TableError(f"{table.source[row]}: {text}")
