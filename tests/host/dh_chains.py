@@ -26,7 +26,9 @@ def chain_from_modified_dh(name, joints, rows, **more):
 def _from_rows(
     layout, name, joints, rows, *, twisted=(), base=NO_MOUNTING, tool=NO_MOUNTING, base_frame="base", end_frame="end"
 ):
-    slots = layout(joints, twisted, base is not None, tool is not None)
+    absent = {"base": base is None, "tool": tool is None}
+    absent |= {f"joint{i + 1}": i not in twisted for i in range(len(joints))}
+    slots = [slot for slot in layout(joints) if not (slot.optional and absent[slot.name.partition(".")[0]])]
     amounts = {law_name(slot, "gain"): 1.0 for slot in slots if slot.joint is not None}
     for table, numbers in (("base", base), ("tool", tool)):
         if numbers is not None:

@@ -22,53 +22,41 @@ Sheth–Uicker chains have six constants per link and two per joint (Goswami, Qu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 
 from truearm.model.chain_structure import Joint
 from truearm.model.elementary_transforms import Slot, six_slots
 
-Layout = Callable[[Sequence[Joint], Collection[int], bool, bool], tuple[Slot, ...]]
+CONSTANTS = {"a": "tx", "alpha": "rx", "beta": "ry"}  # of a row beside the screw of its joint
 
 
-def dh_slots(
-    joints: Sequence[Joint], twisted: Collection[int] = (), base: bool = True, tool: bool = True
-) -> tuple[Slot, ...]:
-    """Return distal rows, optionally between base and tool; ``twisted`` are the indices of joints with a β."""
-    rows = []
-    for i, joint in enumerate(joints):
-        t = f"joint{i + 1}"
-        row = [*_screw(t, i, joint), Slot(f"{t}.a", "tx"), Slot(f"{t}.alpha", "rx")]
-        rows += [*row, Slot(f"{t}.beta", "ry")] if i in twisted else row
-    return _mounted(rows, base, tool)
+def dh_slots(joints: Sequence[Joint]) -> list[Slot]:
+    """Return distal rows between base and tool; base, tool and each row's β are optional."""
+    return _rows(joints, "screw", "a", "alpha", "beta")
 
 
-def modified_dh_slots(
-    joints: Sequence[Joint], twisted: Collection[int] = (), base: bool = True, tool: bool = True
-) -> tuple[Slot, ...]:
-    """Return Craig's rows, optionally between base and tool; ``twisted`` are the indices of joints with a β."""
-    rows = []
-    for i, joint in enumerate(joints):
-        t = f"joint{i + 1}"
-        row = [Slot(f"{t}.alpha", "rx"), Slot(f"{t}.a", "tx"), *_screw(t, i, joint)]
-        rows += [Slot(f"{t}.beta", "ry"), *row] if i in twisted else row
-    return _mounted(rows, base, tool)
+def modified_dh_slots(joints: Sequence[Joint]) -> list[Slot]:
+    """Return Craig's rows between base and tool; base, tool and each row's β are optional."""
+    return _rows(joints, "beta", "alpha", "a", "screw")
 
 
-def _screw(table: str, index: int, joint: Joint) -> tuple[Slot, Slot]:
-    """Return Rz(θ)·Tz(d), one of which is moved by the joint."""
-    if joint.kind == "prismatic":
-        return Slot(f"{table}.theta", "rz"), Slot(f"{table}.offset", "tz", index)
-    return Slot(f"{table}.offset", "rz", index), Slot(f"{table}.d", "tz")
+def _rows(joints: Sequence[Joint], *keys: str) -> list[Slot]:
+    slots = six_slots("base", optional=True)
+    for index, joint in enumerate(joints):
+        table = f"joint{index + 1}"
+        screw = [Slot(f"{table}.offset", "rz", index), Slot(f"{table}.d", "tz")]
+        if joint.kind == "prismatic":
+            screw = [Slot(f"{table}.theta", "rz"), Slot(f"{table}.offset", "tz", index)]
+        for key in keys:
+            constant = [] if key == "screw" else [Slot(f"{table}.{key}", CONSTANTS[key], optional=key == "beta")]
+            slots += constant or screw
+    return slots + six_slots("tool", optional=True)
 
 
-def _mounted(rows: list[Slot], base: bool, tool: bool) -> tuple[Slot, ...]:
-    return (*(six_slots("base") if base else ()), *rows, *(six_slots("tool") if tool else ()))
-
-
-def sheth_uicker_slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:
+def sheth_uicker_slots(joints: Sequence[Joint]) -> list[Slot]:
     """Return link1.x … link1.gamma, joint1.offset, link2.x, …, in the paper's order."""
-    out = [*six_slots("link1")]
+    slots = six_slots("link1")
     for i, joint in enumerate(joints):
         motion = "tz" if joint.kind == "prismatic" else "rz"
-        out += [Slot(f"joint{i + 1}.offset", motion, i), *six_slots(f"link{i + 2}")]
-    return tuple(out)
+        slots += [Slot(f"joint{i + 1}.offset", motion, i), *six_slots(f"link{i + 2}")]
+    return slots

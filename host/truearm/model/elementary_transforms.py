@@ -22,20 +22,24 @@ SIX = (("x", "tx"), ("y", "ty"), ("z", "tz"), ("alpha", "rz"), ("beta", "ry"), (
 
 
 class Slot(NamedTuple):
-    """One elementary transform of a convention; ``joint`` is the index of the joint that moves along or about it."""
+    """One elementary transform of a convention; ``joint`` is the index of the joint that moves along or about it.
+
+    ``optional``: a robot file need not have it.
+    """
 
     name: str  # "joint2.alpha"
     motion: str
     joint: int | None = None
+    optional: bool = False
 
     @property
     def unit(self) -> str:
         return "m" if self.motion[0] == "t" else "rad"
 
 
-def six_slots(table: str) -> tuple[Slot, ...]:
+def six_slots(table: str, optional: bool = False) -> list[Slot]:
     """Return Trans(x, y, z)·Rz(alpha)·Ry(beta)·Rx(gamma), a general transform; alpha is about z, gamma about x."""
-    return tuple(Slot(f"{table}.{key}", motion) for key, motion in SIX)
+    return [Slot(f"{table}.{key}", motion, optional=optional) for key, motion in SIX]
 
 
 def law_name(slot: Slot, term: str) -> str:

@@ -11,11 +11,12 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 from truearm.model import joint_law
 from truearm.model.chain_structure import Joint
-from truearm.model.conventions import Layout, dh_slots, modified_dh_slots, sheth_uicker_slots
+from truearm.model.conventions import dh_slots, modified_dh_slots, sheth_uicker_slots
 from truearm.model.elementary_transforms import Slot, law_name
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.joint_terms.term import Term
@@ -130,13 +131,14 @@ def read_tables(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[st
 
 
 def _read_slots(
-    doc: Mapping[str, Any], head: Sequence[Key], layout: Callable[[Sequence[Joint]], tuple[Slot, ...]]
+    layout: Callable[[Sequence[Joint]], list[Slot]], doc: Mapping[str, Any], head: Sequence[Key]
 ) -> tuple[Mapping[str, Any], Description]:
     """Read a table for each joint, and for each other item named by the convention's slots."""
     count = sum(key.startswith("joint") for key in doc)
     _check_count(count)
     kinds = {f"joint{i + 1}": _kind(doc, f"joint{i + 1}") for i in range(count)}
     slots = layout([Joint(name, kind, 0.0, 0.0) for name, kind in kinds.items()])
+    slots = [slot for slot in slots if not slot.optional or _has(doc, *slot.name.split("."))]
     keys: dict[str, list[Key]] = {name: [Key("kind", KIND), *_moving_keys(kind)] for name, kind in kinds.items()}
     for slot in slots:
         table, name = slot.name.split(".")
@@ -150,7 +152,14 @@ def _read_slots(
         if slot.joint is not None:
             amounts |= _law(slot, values[table])
     joints = tuple(_joint(name, kind, values[name]) for name, kind in kinds.items())
-    return values, Description(joints, slots, amounts)
+    return values, Description(joints, tuple(slots), amounts)
+
+
+def _has(doc: Mapping[str, Any], table: str, key: str) -> bool:
+    """Return whether a file has a table, and if it is that of a joint, a number in it."""
+    content = doc.get(table, {})
+    is_joint = table.startswith("joint") and isinstance(content, dict)
+    return any(name.startswith(f"{key}_") for name in content) if is_joint else table in doc
 
 
 def _check_count(joints: int) -> None:
@@ -170,24 +179,6 @@ def _kind(doc: Mapping[str, Any], name: str) -> str:
 def _law(slot: Slot, values: Mapping[str, Any]) -> dict[str, Amount]:
     """Return the terms of a joint's law other than the offset; a missing term is not returned."""
     return {law_name(slot, t.name): values[t.name] for t in joint_law.terms() if t is not Offset and t.name in values}
-
-
-def _read_sheth_uicker(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
-    return _read_slots(doc, head, sheth_uicker_slots)
-
-
-def _rows_of(layout: Layout) -> Callable[[Mapping[str, Any], Sequence[Key]], tuple[Mapping[str, Any], Description]]:
-    """Return rows of four constants; ``base``, ``tool`` and the β of a row are included if the file has them."""
-
-    def read_rows(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
-        def slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:
-            tables = [doc.get(joint.name) for joint in joints]
-            twisted = [i for i, t in enumerate(tables) if isinstance(t, dict) and any(k.startswith("beta_") for k in t)]
-            return layout(joints, twisted, "base" in doc, "tool" in doc)
-
-        return _read_slots(doc, head, slots)
-
-    return read_rows
 
 
 class _Transform(NamedTuple):
@@ -248,8 +239,8 @@ def _read_elementary(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mappi
 
 
 CONVENTIONS: Mapping[str, Callable[[Mapping[str, Any], Sequence[Key]], tuple[Mapping[str, Any], Description]]] = {
-    "sheth_uicker": _read_sheth_uicker,
-    "dh": _rows_of(dh_slots),
-    "modified_dh": _rows_of(modified_dh_slots),
+    "sheth_uicker": partial(_read_slots, sheth_uicker_slots),
+    "dh": partial(_read_slots, dh_slots),
+    "modified_dh": partial(_read_slots, modified_dh_slots),
     "elementary": _read_elementary,
 }
