@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from truearm.errors import PlanError
 from truearm.files import plan_file
 from truearm.model.robot import Robot, builtin_robot
 from truearm.plan.ball_bar_plan import make_site
@@ -76,9 +75,7 @@ def with_ways(site: Site, parts: list[Plan]) -> list[Plan]:
     """Return the parts of a plan with collision-free via points between them. Raises PlanError if there is no path."""
     out = parts[:1]
     for before, after in pairwise(parts):
-        via = way_without_bar(site, before.q[-1], after.q[0])
-        if via is None:
-            raise PlanError("no way from one line to the next is free; try another seed")
+        via = way_without_bar(site, before.q[-1], after.q[0], "the next line")
         if len(via):
             none = np.full(len(via), "")
             out.append(Plan(np.array(via), none, none, none, none, move=np.full(len(via), "via")))

@@ -123,7 +123,5 @@ def _between(site: Site, start: Floats, end: Floats, pairing: Pairing, seed: int
     via = ways_with_bar(site, start[None], end[None], pairing)[0]
     if via is not None:
         return via, False
-    via = way_without_bar(site, start, end, seed)
-    if via is None:
-        raise PlanError("no collision-free path to two of the poses was found; try another ", Argument("seed"))
+    via = way_without_bar(site, start, end, "two of the poses", seed)
     return via if len(via) else 0.5 * (start + end)[None], True

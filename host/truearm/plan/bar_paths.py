@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.errors import Argument, PlanError
 from truearm.model.chain import along, point_forward, trace_point
 from truearm.plan.measurement_limits import STEP, Limits, Pairing, Site, allowed, arm_allows, device_allows
 from truearm.types import Floats
@@ -117,8 +118,8 @@ def onto_shell(site: Site, q: Floats, pairing: Pairing) -> Floats:
     return q
 
 
-def way_without_bar(site: Site, start: Floats, end: Floats, seed: int = 0) -> Floats | None:
-    """Return via points (v, j), none or one, for a collision-free move; None if no path is found."""
+def way_without_bar(site: Site, start: Floats, end: Floats, goal: str, seed: int = 0) -> Floats:
+    """Return via points (v, j), none or one, for a collision-free move. Raises PlanError, with the goal's name."""
     if moves_allowed(site, start[None], end[None], None).all():
         return np.zeros((0, len(start)))
     branch = site.arm.branch
@@ -127,7 +128,7 @@ def way_without_bar(site: Site, start: Floats, end: Floats, seed: int = 0) -> Fl
     for via in q[np.argsort(length)]:
         if moves_allowed(site, np.stack([start, via]), np.stack([via, end]), None).all():
             return np.asarray(via[None])
-    return None
+    raise PlanError(f"no collision-free path to {goal} was found; try another ", Argument("seed"))
 
 
 def move_seconds(site: Site, start: Floats, end: Floats, p_end_point: Floats, pace: Pace) -> Floats:

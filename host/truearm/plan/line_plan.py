@@ -31,7 +31,7 @@ from truearm.plan.forecast import Aim, Forecast, Knowledge, compiled, forecast, 
 from truearm.plan.measurement_limits import Site
 from truearm.plan.options import LineOptions
 from truearm.plan.region import Region, around, poses_in
-from truearm.plan.route_stops import SETTLE, Stop, plain
+from truearm.plan.route_stops import SETTLE, Stop, plain, visits_of
 from truearm.progress import steps_of
 from truearm.types import Device, Floats, Move, Plan, Rig
 
@@ -47,9 +47,13 @@ class LinePlan(NamedTuple):
     rig: Rig  # with the devices
     devices: dict[str, Device]  # of this plan, in order
     stops: list[Stop]
-    visits: Plan  # the stops as the recorder follows them
     forecast: Forecast
     minutes: float
+
+    @property
+    def visits(self) -> Plan:
+        """Return the stops as the recorder follows them."""
+        return visits_of(self.stops)
 
 
 def plan_lines(
@@ -79,7 +83,7 @@ def plan_lines(
         rows = _chosen(knowledge, candidates, n, options, aim, target)
         lines = candidates.select(rows).select(_order(candidates.q[rows]))
         names = _new_names(knowledge, n)
-        stops = _stops(site, lines, names, options, pace, point)
+        stops = _stops(site, lines, names, options, pace, point, target)
         seconds = sum(stop.seconds for stop in stops) + n * (SETUP + _driving(options))
         if options.minutes is None or seconds <= 60.0 * options.minutes:
             break
@@ -90,10 +94,7 @@ def plan_lines(
     table, devices = line_rows(knowledge, lines, names, target, options.passes)
     errors = a_priori(site, lines.points, point)
     expected = forecast(_with_lines(knowledge, devices), table, aim)
-    visits = _visits(stops, names, options.passes, target)
-    return LinePlan(
-        lines, errors, _with_lines(knowledge, devices).rig, devices, stops, visits, expected, seconds / 60.0
-    )
+    return LinePlan(lines, errors, _with_lines(knowledge, devices).rig, devices, stops, expected, seconds / 60.0)
 
 
 def _driving(options: LineOptions) -> float:
@@ -216,16 +217,15 @@ def _order(q: Floats) -> list[int]:
     return order
 
 
-def _stops(site: Site, lines: Lines, names: list[str], options: LineOptions, pace: Pace, point: Floats) -> list[Stop]:
+def _stops(
+    site: Site, lines: Lines, names: list[str], options: LineOptions, pace: Pace, point: Floats, target: str
+) -> list[Stop]:
     """Return the beginning of every line, its ends in both directions, and via points between lines."""
     stops: list[Stop] = []
     for number, (q, name) in enumerate(zip(lines.q, names, strict=True)):
         places = [q[0]]
         if stops:
-            via = way_without_bar(site, stops[-1].q, q[0], seed=number)
-            if via is None:
-                raise PlanError(f"no collision-free path to line {name} was found; try another ", Argument("seed"))
-            places = [*via, q[0]]
+            places = [*way_without_bar(site, stops[-1].q, q[0], f"line {name}", seed=number), q[0]]
         first = len(stops)
         for place in places:
             seconds = float(move_seconds(site, stops[-1].q[None], place[None], point, pace)[0]) if stops else 0.0
@@ -233,24 +233,7 @@ def _stops(site: Site, lines: Lines, names: list[str], options: LineOptions, pac
         instruction = "Remove the line device" if first else "Check that no line device is in the way"
         stops[first] = stops[first]._replace(before=plain(f"{instruction}. Next: line {name}"))
         stops[-1] = stops[-1]._replace(there=plain(f"Place the line device along line {name}"))
-        stops += [Stop(place, 0.0, Move.LINE, speed=options.speed) for place in (q[-1], q[0]) * options.passes]
+        line = {"line": name, "target": target}
+        ends = (q[-1], q[0]) * options.passes
+        stops += [Stop(place, 0.0, Move.LINE, speed=options.speed, names=line) for place in ends]
     return stops
-
-
-def _visits(stops: list[Stop], names: list[str], passes: int, target: str) -> Plan:
-    """Return the stops as a plan, row by row."""
-    move = np.array([stop.move for stop in stops])
-    driven, blank = move == Move.LINE, np.full(len(stops), "")
-    line = np.full(len(stops), "", dtype=np.array(names).dtype)
-    line[driven] = np.repeat(names, 2 * passes)
-    return Plan(
-        np.array([stop.q for stop in stops]),
-        blank,
-        blank,
-        blank,
-        blank,
-        move=move,
-        line=line,
-        target=np.where(driven, target, ""),
-        speed=np.array([stop.speed for stop in stops]),
-    )

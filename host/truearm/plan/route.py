@@ -8,15 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import Argument, PlanError
 from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
 from truearm.plan.measurement_limits import Pairing, Site, of_pairing, pairing_at
 from truearm.plan.roadmap import Roadmap, make_roadmap, passable
-from truearm.plan.route_stops import Stop, plain
+from truearm.plan.route_stops import Stop, plain, visits_of
 from truearm.plan.shells import move_costs
 from truearm.plan.visit_order import short_tour
 from truearm.progress import steps_of
-from truearm.types import BAR_MOUNTED, Floats, Move, Plan
+from truearm.types import Floats, Move, Plan
 
 NEAR = 12  # poses to which the path is checked before the order is chosen
 
@@ -61,14 +60,7 @@ class Route(NamedTuple):
     @property
     def visits(self) -> Plan:
         """Return all stops as a plan, row by row: via points name what is mounted, or nothing on the way to a mount."""
-        to = _next_pose(self.pose)
-        mounts = np.zeros(len(self.plan), dtype=bool)
-        mounts[self.pose[self.mount]] = True
-        is_via = self.pose < 0
-        names = {
-            name: np.where(is_via & mounts[to], "", getattr(self.plan, name)[to]) for name in (*BAR_MOUNTED, "shell")
-        }
-        return Plan(self.q, **names, move=np.where(is_via, Move.VIA.value, Move.DWELL.value))
+        return visits_of(self.stops)
 
     @property
     def stops(self) -> list[Stop]:
@@ -82,6 +74,9 @@ class Route(NamedTuple):
             out.append(Stop(q, seconds, Move.DWELL if pose >= 0 else Move.VIA))
             if pose < 0:
                 continue
+            names = {name: str(getattr(self.plan, name)[pose]) for name in Plan.IDS}
+            first = i if self.mount[i] else departure
+            out[first:] = [stop._replace(names=names) for stop in out[first:]]
             if self.mount[i]:
                 pairing = pairing_at(self.plan, pose)
                 mounted = f"bar {pairing.bar} from {pairing.chuck} to {pairing.sphere}"
@@ -209,11 +204,9 @@ def _pairings_in_order(site: Site, plan: Plan) -> list[Pairing]:
 def _without_bar(site: Site, plan: Plan, i: int) -> Floats:
     """Return via points to pose i from the previous one with the bar removed: at least one within a pairing."""
     start, end = plan.q[i - 1], plan.q[i]
-    via = way_without_bar(site, start, end, seed=i)
     pairing = pairing_at(plan, i)
-    if via is None:
-        mounted = f"{pairing.bar}, {pairing.chuck}, {pairing.sphere}"
-        raise PlanError(f"no collision-free path to pose {i} ({mounted}) was found; try another ", Argument("seed"))
+    goal = f"pose {i} ({pairing.bar}, {pairing.chuck}, {pairing.sphere})"
+    via = way_without_bar(site, start, end, goal, seed=i)
     return via if len(via) or pairing != pairing_at(plan, i - 1) else 0.5 * (start + end)[None]
 
 

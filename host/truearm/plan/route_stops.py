@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from truearm.types import Floats, Move
+import numpy as np
+
+from truearm.types import Floats, Move, Plan
 
 TIMEOUT = 5.0  # s within which the box must answer
 SETTLE = 0.3  # s between arriving and signalling it
@@ -18,7 +21,7 @@ class Stop(NamedTuple):
 
     Joints (j,); seconds of the move to it (0 for the first); what is measured there or on the way (``Move``); what the
     operator must do before the arm moves off and when it has arrived ("" for nothing, otherwise as ``plain`` returns
-    it); the speed [m/s] of a line.
+    it); the speed [m/s] of a line; what is mounted or driven along on the way, by the columns of a plan.
     """
 
     q: Floats
@@ -27,6 +30,7 @@ class Stop(NamedTuple):
     before: str = ""
     there: str = ""
     speed: float = float("nan")
+    names: Mapping[str, str] = {}
 
 
 class Signals(NamedTuple):
@@ -46,6 +50,13 @@ class Task(NamedTuple):
     dwell: float = 2.0
     signals: Signals = Signals()
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def visits_of(stops: Sequence[Stop]) -> Plan:
+    """Return stops as a plan, row by row."""
+    names = {name: np.array([stop.names.get(name, "") for stop in stops]) for name in (*Plan.IDS, "line", "target")}
+    move, speed = np.array([stop.move.value for stop in stops]), np.array([stop.speed for stop in stops])
+    return Plan(np.array([stop.q for stop in stops]), move=move, speed=speed, **names)
 
 
 def plain(text: str) -> str:
