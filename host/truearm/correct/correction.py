@@ -121,8 +121,8 @@ def correct(
         nominal = nominal._replace(reached=nominal.reached & within(pair.chain, nominal.q))
 
     def chunk(rows: slice) -> Correction:
-        own = Inverse(nominal.q[rows], nominal.reached[rows])
-        return _at(pair, targets[rows], own, Method(method), steps, oriented, margin)
+        solved = Inverse(nominal.q[rows], nominal.reached[rows])
+        return _at(pair, targets[rows], solved, Method(method), steps, oriented, margin)
 
     return joined([chunk(slice(first, first + CHUNK)) for first in range(0, max(len(targets), 1), CHUNK)])
 

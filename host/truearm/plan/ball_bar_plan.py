@@ -123,11 +123,6 @@ def plan_ballbar(
         raise PlanError(
             "exclusive", first=Argument("poses"), second=Argument("minutes"), neither=request.minutes is None
         )
-    if (request.n_poses or 0) > request.n_candidates:
-        raise PlanError(
-            f"{request.n_poses} poses cannot be chosen from {request.n_candidates} candidates; ask for fewer ",
-            *(Argument("poses"), " or more ", Argument("candidates")),
-        )
     with step("planning poses") as advance:
         return _planned(site, knowledge, pairings, request, pace, region, advance)
 

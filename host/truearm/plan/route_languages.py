@@ -51,7 +51,7 @@ def program_text(language: Language, stops: Sequence[Stop], task: Task) -> str:
     on, off = ([line.format(level=level, signals=task.signals) for line in switching] for level in (True, False))
     statements: list[str] = []
     for number, stop in enumerate(stops):
-        before, there = (
+        departing, arriving = (
             [line.format(text=text) for line in language.ask if text] for text in (stop.before, stop.there)
         )
         is_line, is_dwell = stop.move == Move.LINE, stop.move == Move.DWELL
@@ -62,11 +62,11 @@ def program_text(language: Language, stops: Sequence[Stop], task: Task) -> str:
             "mm_s": MM_S.of(stop.speed),
             "tool": TOOL if has_lines else "tool0",
         }
-        statements += [f"{language.remark} row {number}: {stop.move}", *before]
+        statements += [f"{language.remark} row {number}: {stop.move}", *departing]
         statements += [language.settle, *on] if is_line else []
         statements.append(drive.format(joints=language.joints(stop.q), **values))
         statements += off if is_line else []
-        statements += there
+        statements += arriving
         statements += [language.settle, *on, language.dwell.format(dwell=task.dwell), *off] if is_dwell else []
     return "\n".join([*language.program(task, [language.indent + line for line in statements], has_lines), ""])
 

@@ -19,7 +19,7 @@ BYTES = ("utf-8", "surrogateescape")  # bytes that are no UTF-8 stay as they are
 COMMENTS = {"rapid": "!", "urscript": "#", "krl": ";"}  # Fanuc's LS has none beside statements
 
 
-class Change(NamedTuple):
+class Replacement(NamedTuple):
     """Text that replaces the bytes from ``start`` to ``end`` of a file."""
 
     file: int
@@ -37,7 +37,7 @@ class Joints(NamedTuple):
 
 def changes_of(
     census: Census, goal_poses: Mapping[Goal, Floats], joints: Mapping[Goal, Joints], correct_joints: bool
-) -> list[Change]:
+) -> list[Replacement]:
     """Return the changes of the text that a census settled on.
 
     ``goal_poses``: the poses (4, 4) in their frames of goals that are poses. ``correct_joints``: joint readings change too.
@@ -45,7 +45,7 @@ def changes_of(
     due = due_numbers(census, goal_poses, correct_joints)
     posed = [(goal.target.literal, pose) for goal, pose, _ in due.values() if pose is not None]
     pose_texts = iter(texts_of_poses([literal for literal, _ in posed], np.array([pose for _, pose in posed])))
-    changes: list[Change] = []
+    changes: list[Replacement] = []
     for place, (goal, pose, is_own) in due.items():
         literal = goal.target.literal
         if pose is None:
@@ -54,12 +54,12 @@ def changes_of(
             texts = [*next(pose_texts), *configuration_texts(goal, joints.get(goal))]
         numbers = [(start, end, text) for (start, end), text in zip(literal.spans, texts, strict=False)]
         if not is_own:
-            changes += [Change(place.file, *number) for number in numbers]
+            changes += [Replacement(place.file, *number) for number in numbers]
         elif goal.argument is not None:
             first = literal.place.offset
             data = census.program.files[literal.place.file].data[first : literal.end]
             text = _replaced(data, [(start - first, end - first, text) for start, end, text in numbers]).decode(*BYTES)
-            changes.append(Change(place.file, *goal.argument, text))
+            changes.append(Replacement(place.file, *goal.argument, text))
     return sorted(changes)
 
 
@@ -100,7 +100,7 @@ def configuration_texts(goal: Goal, joints: Joints | None) -> list[str]:
     return [str(turns)] if turns != goal.turns else []
 
 
-def marks_of(program: Program) -> list[Change]:
+def marks_of(program: Program) -> list[Replacement]:
     """Return a comment at the end of each line with a move that is not corrected."""
     reasons: dict[tuple[int, int], list[str]] = {}
     for move in program.moves:
@@ -109,12 +109,12 @@ def marks_of(program: Program) -> list[Change]:
             reasons.setdefault((move.place.file, end), []).append(move.reason.text())
     sign = COMMENTS[program.language]
     return [
-        Change(file, end, end, f" {sign} truearm: not corrected: {'; '.join(dict.fromkeys(texts))}")
+        Replacement(file, end, end, f" {sign} truearm: not corrected: {'; '.join(dict.fromkeys(texts))}")
         for (file, end), texts in reasons.items()
     ]
 
 
-def remarks_of(program: Program, changes: Iterable[Change], remark: str) -> list[Change]:
+def remarks_of(program: Program, changes: Iterable[Replacement], remark: str) -> list[Replacement]:
     """Return a comment at the end of each changed file, if its language has comments there."""
     remarks = []
     for file in sorted({change.file for change in changes} if program.language in COMMENTS else ()):
@@ -122,11 +122,11 @@ def remarks_of(program: Program, changes: Iterable[Change], remark: str) -> list
         newline = "\r\n" if b"\r\n" in data else "\n"
         separator = "" if data.endswith(b"\n") else newline
         text = f"{separator}{COMMENTS[program.language]} truearm: {remark}{newline}"
-        remarks.append(Change(file, len(data), len(data), text))
+        remarks.append(Replacement(file, len(data), len(data), text))
     return remarks
 
 
-def changed_files(program: Program, changes: Iterable[Change]) -> list[bytes]:
+def changed_files(program: Program, changes: Iterable[Replacement]) -> list[bytes]:
     """Return the files of a program with changes of their text. Raises ValueError if two of them overlap."""
     by_file: list[list[tuple[int, int, str]]] = [[] for _ in program.files]
     for file, start, end, text in changes:

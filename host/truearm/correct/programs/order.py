@@ -63,12 +63,12 @@ def preceding(
 
     nowhere: list[Source[T]] = [UNKNOWN]
 
-    def after(index: int, entry: T) -> list[Source[T]]:
+    def sources_of(index: int, entry: T) -> list[Source[T]]:
         if links := linked(entry):
             return [source for link in links for source in places.get(link) or nowhere]
         return [frozenset([entry]) if counts(entry) else index]
 
-    sources = _sources(steps, after)
+    sources = _sources(steps, sources_of)
     followers: dict[int, list[int]] = defaultdict(list)
     for index, origins in enumerate(sources):
         for origin in origins:
@@ -78,8 +78,8 @@ def preceding(
     waiting = deque(range(len(steps)))
     while waiting:
         index = waiting.popleft()
-        first, *others = [last[source] if isinstance(source, int) else source for source in sources[index]]
-        union = first.union(*others)
+        first, *further = [last[source] if isinstance(source, int) else source for source in sources[index]]
+        union = first.union(*further)
         if len(union) > limit:
             sources[index], union = [UNKNOWN], UNKNOWN
         if union != last[index]:
@@ -89,15 +89,15 @@ def preceding(
     return {entry: union if len(union) <= limit else UNKNOWN for entry, union in unions.items()}
 
 
-def _sources(steps: Sequence[Step | T], after: Callable[[int, T], list[Source[T]]]) -> list[list[Source[T]]]:
-    """Return what each step may follow; ``after``: what comes before a step that follows an entry."""
+def _sources(steps: Sequence[Step | T], sources_of: Callable[[int, T], list[Source[T]]]) -> list[list[Source[T]]]:
+    """Return what each step may follow; ``sources_of``: what comes before a step that follows an entry."""
     sources: list[list[Source[T]]] = []
     blocks: list[_Block[T]] = []
     last: list[Source[T]] = [UNKNOWN]
     for index, step in enumerate(steps):
         sources.append(last)
         if not isinstance(step, Step):
-            last = after(index, step)
+            last = sources_of(index, step)
             continue
         last = [UNKNOWN] if step in (Step.ROUTINE, Step.CALL) else [index]
         if step in (Step.ROUTINE, Step.IF, *LOOPS):
