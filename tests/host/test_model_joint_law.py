@@ -97,10 +97,6 @@ def test_offset_and_gain_by_hand():
     np.testing.assert_allclose(chain.law.angles(chain.params_nominal, q), [0.1 - 2.0 * 0.5, 0.3 + 0.2])
     np.testing.assert_array_equal(chain.law.by_joints(chain.params_nominal, q), np.diag([-2.0, 1.0]))
     np.testing.assert_allclose(chain.law.readings(chain.params_nominal, np.array([0.1 + 0.4, 0.25])), [-0.2, -0.05])
-    by_parameters = chain.law.by_parameters(chain.params_nominal, q)
-    offset, gain, slide = (chain.parameter_names.index(n) for n in ("joint1.offset", "joint1.gain", "joint2.offset"))
-    assert (by_parameters[0, offset], by_parameters[0, gain], by_parameters[1, slide]) == (1.0, 0.5, 1.0)
-    assert np.count_nonzero(by_parameters) == 3
 
 
 def test_value_and_derivatives_against_complex_steps(further_terms):
@@ -108,12 +104,10 @@ def test_value_and_derivatives_against_complex_steps(further_terms):
     for chain, params in cases(rng):
         law, n, j = chain.law, 7, len(chain.joints)
         q = rng.uniform(-3, 3, (n, j))
-        by_joints, by_parameters = law.by_joints(params, q), law.by_parameters(params, q)
-        assert (by_joints.shape, by_parameters.shape) == ((n, j, j), (n, j, len(params)))
+        by_joints = law.by_joints(params, q)
+        assert by_joints.shape == (n, j, j)
         for k, step in enumerate(1j * H * np.eye(j)):
             np.testing.assert_allclose(by_joints[..., k], law.angles(params, q + step).imag / H, atol=1e-13)
-        for k, step in enumerate(1j * H * np.eye(len(params))):
-            np.testing.assert_allclose(by_parameters[..., k], law.angles(params + step, q).imag / H, atol=1e-13)
 
 
 def test_a_points_derivatives_go_through_the_law(further_terms):
@@ -150,7 +144,7 @@ def test_batches_of_any_shape(further_terms):
     for chain, params in cases(rng):
         law, j = chain.law, len(chain.joints)
         flat = rng.uniform(-2, 2, (6, j))
-        for function in (law.angles, law.by_joints, law.by_parameters, law.readings):
+        for function in (law.angles, law.by_joints, law.readings):
             whole = function(params, flat)
             for lead in ((2, 3), (6, 1), (1, 2, 3)):
                 batch = function(params, flat.reshape(*lead, j))

@@ -92,7 +92,7 @@ class JointLaw:
 
     def __init__(self, structure: Structure) -> None:
         term_names = {parameter.term for parameter in structure.parameters}
-        self.n_parameters, self.mimics = len(structure.parameters), structure.mimics
+        self.mimics = structure.mimics
         self.offset, self.gain = Offset.of_chain(structure), Gain.of_chain(structure)
         further = (
             term.of_chain(structure) for term in terms() if term not in (Offset, Gain) and term.name in term_names
@@ -129,17 +129,6 @@ class JointLaw:
         full = _square(self.at(params, flat(q)).by_joints)
         full = np.broadcast_to(full, (*full.shape[:2], math.prod(q.shape[:-1])))
         return np.moveaxis(full, -1, 0).reshape(*q.shape, q.shape[-1])
-
-    def by_parameters(self, params: Floats, q: Floats) -> Floats:
-        """Return ∂θ/∂params (…, j, p)."""
-        rows = self.at(params, flat(q)).by_parameters
-        out = np.zeros((*q.shape, self.n_parameters), dtype=np.result_type(rows, params))
-        for joint, columns in enumerate(self.columns):
-            parameters = self.of_column[columns]
-            out[..., joint, parameters] = rows[columns].T.reshape(*q.shape[:-1], len(parameters))
-        for parameter, joint in self.constant:
-            out[..., joint, parameter] = 1.0
-        return out
 
     def readings(self, params: Floats, angles: Floats, near: Floats | None = None) -> Floats:
         """Return the inverse: readings (…, j) at which the joints' true angles are ``angles`` (…, j).

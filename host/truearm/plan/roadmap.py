@@ -71,16 +71,6 @@ class Roadmap:
                 chain.insert(0, int(predecessor[chain[0]]))
         return None
 
-    @property
-    def main(self) -> NDArray[np.bool_]:
-        """Return the mask (n,) of the largest set of candidates that appear to be connected."""
-        _, label = connected_components(csr_array(self.edges), directed=False)
-        return np.asarray(label == np.argmax(np.bincount(label)))
-
-
-def make_roadmap(site: Site, pairing: Pairing, stock: Floats) -> Roadmap:
-    return Roadmap(site, pairing, stock, _edges(site, pairing, stock))
-
 
 def roadmaps(site: Site, poses: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
     """Return the candidates reachable from most others of their pairing with the bar on, and their graphs."""
@@ -88,10 +78,11 @@ def roadmaps(site: Site, poses: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
     pairings = list(dict.fromkeys(pairing_at(poses, i) for i in range(len(poses))))
     for pairing in steps_of(pairings, f"looking for paths between {len(poses)} poses"):
         rows = np.flatnonzero(of_pairing(poses, pairing))
-        graph = make_roadmap(site, pairing, poses.q[rows])
-        main = graph.main
+        edges = _edges(site, pairing, poses.q[rows])
+        _, label = connected_components(csr_array(edges), directed=False)
+        main = np.flatnonzero(label == np.argmax(np.bincount(label)))  # the largest set that appears to be connected
         reachable.append(rows[main])
-        graphs[pairing] = Roadmap(site, pairing, graph.stock[main], graph.edges[np.ix_(main, main)])
+        graphs[pairing] = Roadmap(site, pairing, poses.q[rows[main]], edges[np.ix_(main, main)])
     return poses.select(np.concatenate(reachable)), graphs
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
 from truearm.plan.measurement_limits import Pairing, Site, of_pairing, pairing_at
-from truearm.plan.roadmap import Roadmap, make_roadmap, passable
+from truearm.plan.roadmap import Roadmap, passable
 from truearm.plan.route_stops import Stop, plain, visits_of
 from truearm.plan.shells import move_costs
 from truearm.plan.visit_order import short_tour
@@ -87,27 +87,18 @@ class Route(NamedTuple):
         return out
 
 
-def route(
-    site: Site,
-    plan: Plan,
-    pace: Pace,
-    graphs: Mapping[Pairing, Roadmap] | None = None,
-    visits: Visits = ONCE,
-) -> Route:
+def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap], visits: Visits) -> Route:
     """Return a route through all poses of a plan, in an order that this chooses, with check poses visited more than
     once.
 
-    Where a straight path fails, the route may pass through candidates by the ``graphs`` of ``roadmaps``; by default
-    through the plan's own poses. Raises PlanError if no path to a pose is free.
+    Where a straight path fails, the route may pass through candidates by the ``graphs`` of ``roadmaps``. Raises
+    PlanError if no path to a pose is free.
     """
     plan = ordered(site, plan, pace, visits)
     pairing = [pairing_at(plan, i) for i in range(len(plan))]
-    graphs = dict(graphs or {})
     node = np.zeros(len(plan), dtype=np.intp)  # of each pose in the graph of its pairing
     for name in dict.fromkeys(pairing):
         rows = np.flatnonzero(of_pairing(plan, name))
-        if name not in graphs:
-            graphs[name] = make_roadmap(site, name, np.unique(plan.q[rows], axis=0))
         node[rows] = (graphs[name].stock[None] == plan.q[rows, None]).all(axis=2).argmax(axis=1)
         graphs[name].check((int(node[i - 1]), int(node[i])) for i in rows[1:] if pairing[i - 1] == name)
     stops: list[tuple[Floats, int, bool]] = [(plan.q[0], 0, True)]
