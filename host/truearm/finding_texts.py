@@ -86,7 +86,7 @@ INPUTS: Mapping[str, tuple[str, str]] = {
 IDENTIFICATION: Mapping[str, Statement] = {
     # the verdict
     "usable": result(
-        "Usable[{unjudged:!}, but not judged by poses that were not fitted][, but expect tool errors of {expected} RMS by a fault that it does not contain]: the [mean error of {n:#pose} {by}][RMS of {rows}] is {after}, and {before} with the nominal robot."
+        "Usable[{unjudged:!}, but not judged by poses that were not fitted][, but expect tool errors of {expected} RMS by a fault that it does not contain][, and with {applied} applied expect tool errors of {remaining} RMS]: the [mean error of {n:#pose} {by}][RMS of {rows}] is {after}, and {before} with the nominal robot."
     ),
     "no-gain": warning(
         "The calibration is not significantly better than the nominal robot with base and tool placed: mean error {after} against {before}, for {n:#pose} {by}.",

@@ -85,6 +85,12 @@ def test_the_mean_of_the_causes_is_applied_on_request(run: Run, tmp_path) -> Non
     assert errors[0] < 2.0 * predicted[0]
     assert errors[1] < 2.0 * predicted[1]
     assert (plain["applied"], applied["applied"], one["applied"]) == ([], ["mean"], ["bar.sag"])
+    first_lines = [listed(document)["usable"] for document in (plain, applied)]
+    assert first_lines[0]["expected"]["mm"] == pytest.approx(predicted[0] * 1e3)
+    assert (first_lines[1]["applied"], first_lines[1]["remaining"]["mm"]) == (
+        ["mean"],
+        pytest.approx(predicted[1] * 1e3),
+    )
     offered = ["fault-choice" in {finding["code"] for finding in each["findings"]} for each in (plain, applied, one)]
     assert offered == [True, False, False]
 

@@ -92,9 +92,10 @@ def verdict(document: Document) -> Finding:
     if because is not None:
         return _unusable(Unusable(because), document)
     predicted, shown = document["predicted_error"], document["unexplained"] or {}
-    expected = {}
-    if document["faults"] and not document.get("applied") and predicted:
-        expected = {"expected": {"mm": max(predicted["rms_mm"], shown.get("mean_mm") or 0.0)}}
+    expected: dict[str, Any] = {}
+    if document["faults"] and predicted:
+        error, applied = {"mm": max(predicted["rms_mm"], shown.get("mean_mm") or 0.0)}, document.get("applied")
+        expected = {"applied": applied, "remaining": error} if applied else {"expected": error}
     if change is not None:
         gain = change["gain"] != Gain.NONE
         return Finding("usable" if gain else "no-gain", _change(change) | (expected if gain else {}))
