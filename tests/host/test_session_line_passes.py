@@ -44,7 +44,7 @@ def found(clean):
 
 def windows(one):
     """Return begin and end [ns, host] of the data that each row was made from."""
-    return one.t_host_ns - one.window_ns, one.t_host_ns + one.window_ns
+    return 1e9 * one.table.time - one.window_ns, 1e9 * one.table.time + one.window_ns
 
 
 def test_a_leg_for_each_way_of_each_line(clean):
@@ -71,7 +71,7 @@ def test_every_pass_is_its_line_and_direction(found, clean):
     assert set(table.shell) == {"l1-up", "l1-down", "l2-up", "l2-down"}
     assert set(table.target) == {"magnet"}
     assert table.source[0] == "s.mcap pass 1.1"
-    assert len(table) == sum(len(one.xyz) for one in found.passes) >= 4 * 18
+    assert len(table) == sum(len(one.table.xyz) for one in found.passes) >= 4 * 18
     assert found.samples_used == sum(one.n_samples for one in found.passes)
     for one in found.passes:
         assert one.speed == pytest.approx(0.1, rel=0.01)
@@ -81,7 +81,11 @@ def test_rows_are_the_truth_within_their_sigma(found, clean):
     """(measured − true) over the row's own sigma: the clock's share of it is a bound, so the squares' mean is below 1, and that
     of the transverse axes, where hardly any speed is, near it: 300 values of unknown scale, ± 5·sqrt(2/300)."""
     z = np.concatenate(
-        [(one.xyz - clean.truth.xyz(1e-9 * one.t_host_ns)) / one.xyz_sigma for one in found.passes if not one.reason]
+        [
+            (one.table.xyz - clean.truth.xyz(one.table.time)) / one.table.xyz_sigma
+            for one in found.passes
+            if not one.reason
+        ]
     )
     assert np.mean(z[:, 1] ** 2) < 1.0
     assert abs(np.mean(z[:, [0, 2]] ** 2) - 1.0) < 5.0 * np.sqrt(2.0 / 300.0)
@@ -92,14 +96,14 @@ def test_joints_are_those_of_the_instant_and_so_are_their_rates(found, clean):
     The bound of the interpolation holds for every one, with 10 µs for the joints' clock (it is 2 µs off)."""
     truth = clean.truth
     for one in found.passes:
-        t = 1e-9 * one.t_host_ns - LATENCY_S
-        error = one.q - truth.q(t)
-        by_clock = 10e-6 * np.abs(one.q_rate)
+        t = one.table.time - LATENCY_S
+        error = one.table.q - truth.q(t)
+        by_clock = 10e-6 * np.abs(one.table.q_rate)
         assert np.all(np.abs(error) < one.q_error + by_clock)
         assert one.q_error < 2.0 * STEP
         assert np.all(np.sqrt(np.mean(error**2, axis=0)) < np.sqrt(3.0) * one.q_noise)  # half a step
         rate = (truth.q(t + 1e-3) - truth.q(t - 1e-3)) / 2e-3
-        assert np.max(np.abs(one.q_rate - rate)) < 1e-3  # of some 0.1 rad/s
+        assert np.max(np.abs(one.table.q_rate - rate)) < 1e-3  # of some 0.1 rad/s
 
 
 def test_without_a_plan_the_events_say_which_line(lines):
@@ -127,7 +131,7 @@ def test_a_line_that_the_rig_has_not(clean):
 
 def test_as_many_points_as_wanted(clean, found):
     result = synced(clean.messages, line_points=7)
-    assert [len(one.xyz) for one in result.passes] == [7] * 4
+    assert [len(one.table.xyz) for one in result.passes] == [7] * 4
     most = synced(clean.messages, line_points=10_000)
     for one in (*found.passes, *most.passes):
         begin, end = windows(one)
@@ -170,8 +174,8 @@ def test_no_row_across_lost_readings(clean, found, lost):
     assert one.reason == ""
     assert_clear(one, first + EDGE_NS, last - EDGE_NS)
     assert one.dropped["gap"] >= 1
-    assert len(one.xyz) < len(found.passes[0].xyz)
-    assert np.array_equal(result.passes[1].xyz, found.passes[1].xyz)
+    assert len(one.table.xyz) < len(found.passes[0].table.xyz)
+    assert np.array_equal(result.passes[1].table.xyz, found.passes[1].table.xyz)
 
 
 @pytest.mark.parametrize("topic", ["/box/mag", "/box/adc"])
@@ -233,7 +237,7 @@ def test_no_row_across_a_restart_of_the_box(clean):
     assert result.survey.losses.restarts == 1
     assert [one.reason for one in result.passes] == [""] * 4
     assert_clear(result.passes[0], at - 40_000_000, begin - 3_000_000)  # the last whole blocks before, the first after
-    error = np.concatenate([one.xyz - truth.xyz(1e-9 * one.t_host_ns) for one in result.passes])
+    error = np.concatenate([one.table.xyz - truth.xyz(one.table.time) for one in result.passes])
     assert np.max(np.abs(error)) < 40e-6
 
 
@@ -261,10 +265,10 @@ def test_beyond_the_travel_that_the_rig_declares(clean):
     found = synced(clean.messages, replace(RIG, line_travel=1.6 * widest))
     assert np.abs(found.table.xyz[:, [0, 2]]).max() <= 0.8 * widest
     kept, dropped = (
-        [len(one.xyz) for one in found.passes],
+        [len(one.table.xyz) for one in found.passes],
         [one.dropped.get("out of range", 0) for one in found.passes],
     )
-    whole = [len(one.xyz) for one in synced(clean.messages).passes]
+    whole = [len(one.table.xyz) for one in synced(clean.messages).passes]
     assert sum(kept) < sum(whole)
     # every row that is not made is told, but for those whose windows reach across the border
     np.testing.assert_allclose(np.add(kept, dropped), whole, atol=2)
@@ -341,9 +345,9 @@ def test_any_readings_and_blocks_may_be_missing(data):
     result = synced([m for i, m in enumerate(messages) if i not in gone], line_points=10)
     for one in (p for p in result.passes if not p.reason):
         begin, end = windows(one)
-        assert np.all(np.diff(one.t_host_ns) > 0)
-        assert np.all(np.isfinite(np.concatenate([one.xyz, one.q, one.q_rate], axis=1)))
-        assert np.all(one.xyz_sigma > 0.0)
+        assert np.all(np.diff(one.table.time) > 0)
+        assert np.all(np.isfinite(np.concatenate([one.table.xyz, one.table.q, one.table.q_rate], axis=1)))
+        assert np.all(one.table.xyz_sigma > 0.0)
         for i in gone:
             at = host_ns_of(messages[i]) if messages[i].topic == "/robot/joints" else middle_of_block(messages[i])
             assert np.all((end < at + EDGE_NS) | (begin > at - EDGE_NS))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from truearm.collector import uncollected
 from truearm.session.session_file import LATEST_NS
-from truearm.types import Floats, Ints
+from truearm.types import Ints
 
 MAX_T_S = 4e9  # such times in ns still fit 63 bits
 MAX_SEQ = 2**62
@@ -55,7 +55,9 @@ ARRAYS = ("q_cmd", "qd", "current", "effort")  # one number per joint
 NUMBERS = ("robot_mode", "runtime_state")
 OPTIONAL = (*ARRAYS, "inputs", *NUMBERS)
 WHOLE = ("arrival_ns", "seq", "inputs")  # of integers
-_NEEDED = ("arrival_ns", "t", "seq", "q")
+_READ = ("t", "seq", "q")  # of every line
+_NEEDED = ("arrival_ns", *_READ)
+_OF_JOINTS = ("q", *ARRAYS)
 
 _TYPES = {field.name: field.type for field in msgspec.structs.fields(JointLine)}
 _usual_line = msgspec.json.Decoder(JointLine).decode
@@ -122,7 +124,7 @@ _RANGES: dict[str, tuple[float, float]] = {  # of the numbers of a batch: from, 
     "t": (0.0, MAX_T_S),
     "seq": (UNNUMBERED, MAX_SEQ),
     "inputs": (NO_INPUTS, 2**63),
-    **dict.fromkeys(("q", *ARRAYS), (-MAX_Q, MAX_Q)),
+    **dict.fromkeys(_OF_JOINTS, (-MAX_Q, MAX_Q)),
 }
 
 
@@ -165,16 +167,16 @@ def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
     """Concatenate at least one batch of readings with equal numbers of joints."""
     if len(batches) == 1:
         return batches[0]
-    joined = {}
-    for key in dict.fromkeys(chain.from_iterable(batch.columns for batch in batches)):
-        joined[key] = np.concatenate([_column(batch, key) for batch in batches])
-    return JointBatch(joined)
+    width = batches[0].q.shape[1]
+    keys = dict.fromkeys(chain.from_iterable(batch.columns for batch in batches))
 
+    def columns(key: str) -> list[NDArray[Any]]:
+        return [
+            batch.columns[key] if key in batch.columns else _column(key, [None] * len(batch), width)
+            for batch in batches
+        ]
 
-def _column(batch: JointBatch, key: str) -> NDArray[Any]:
-    if key in batch.columns:
-        return batch.columns[key]
-    return _optional(key, [None] * len(batch), batch.q.shape[1])
+    return JointBatch({key: np.concatenate(columns(key)) for key in keys})
 
 
 def pack(batch: JointBatch) -> bytes:
@@ -194,7 +196,7 @@ def unpack(*messages: bytes) -> JointBatch | None:
         ]
         columns = {key: np.concatenate([batch[key] for batch in batches]) for key in batches[0]}
         n, width = len(columns["t"]), len(columns["q"]) // len(columns["t"])
-        shapes = {key: (n, width) if key in ("q", *ARRAYS) else (n,) for key in (*_NEEDED, *OPTIONAL)}
+        shapes = {key: (n, width) if key in _OF_JOINTS else (n,) for key in (*_NEEDED, *OPTIONAL)}
         columns = {key: columns[key].reshape(shapes[key]) for key in shapes if key in columns or key in _NEEDED}
     except (cbor2.CBORError, AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError, RecursionError):
         return None
@@ -217,28 +219,20 @@ def columns_of_rows(
 ) -> JointBatch:
     """Return the columns of lines with equal numbers of joints; ``width`` is used if there are no lines."""
     width = len(rows[0].q) if rows else width or 0
-    columns: dict[str, NDArray[Any]] = {
-        "arrival_ns": np.array(arrival_ns, np.int64),
-        "t": np.array([row.t for row in rows], np.float64),
-        "seq": np.array([row.seq for row in rows], np.int64),
-        "q": _table([row.q for row in rows], width),
-    }
-    for key in OPTIONAL:
+    columns: dict[str, NDArray[Any]] = {"arrival_ns": np.array(arrival_ns, np.int64)}
+    for key in (*_READ, *OPTIONAL):
         values = list(map(attrgetter(key), rows))
-        if values.count(None) < len(rows):
-            columns[key] = _optional(key, values, width)
+        if key in _READ or values.count(None) < len(rows):
+            columns[key] = _column(key, values, width)
     return JointBatch(columns)
 
 
-def _optional(key: str, values: Sequence[Any], width: int) -> NDArray[Any]:
-    """Return a column of optional values; None, and arrays of another number of joints, are values that a reading does not have."""
-    if key in ARRAYS:
+def _column(key: str, values: Sequence[Any], width: int) -> NDArray[Any]:
+    """Return a column of values; None, and arrays of another number of joints, are values that a reading does not have."""
+    if key in _OF_JOINTS:
         nothing = [np.nan] * width
-        return _table([nothing if value is None or len(value) != width else value for value in values], width)
+        rows = (nothing if value is None or len(value) != width else value for value in values)
+        return np.fromiter(chain.from_iterable(rows), np.float64, width * len(values)).reshape(len(values), width)
     if key in WHOLE:
         return np.array([NO_INPUTS if value is None else value for value in values], np.int64)
     return np.array(values, np.float64)
-
-
-def _table(rows: Sequence[Sequence[float]], width: int) -> Floats:
-    return np.fromiter(chain.from_iterable(rows), np.float64, width * len(rows)).reshape(len(rows), width)

@@ -13,6 +13,7 @@ the old level and the first with the new one: two controller times, one cycle ap
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -52,10 +53,9 @@ class InputTrack:
     """Collects the changes of the inputs in one segment of controller time."""
 
     readings: int = 0  # readings with inputs
-    count: int = 0
     _last: tuple[float, int] | None = None
-    _times: list[Floats] = field(default_factory=list)  # (k, 2) before and after
-    _bits: list[Ints] = field(default_factory=list)  # (k, 2)
+    _times: Floats = field(default_factory=lambda: np.empty((0, 2)))  # (k, 2) before and after
+    _bits: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))
 
     def add(self, t: Floats, bits: Ints) -> None:
         """Take readings (n,) in order of controller time [s]; ``bits`` is NO_INPUTS for readings without inputs."""
@@ -65,27 +65,22 @@ class InputTrack:
             return
         self.readings += t.size
         if self._last is not None:
-            t, bits = np.concatenate([[self._last[0]], t]), np.concatenate([[self._last[1]], bits])
+            t, bits = np.append(self._last[0], t), np.append(self._last[1], bits)
         self._last = (float(t[-1]), int(bits[-1]))
-        changed = np.flatnonzero((bits[1:] != bits[:-1]) & (t[1:] > t[:-1]))[: MOST_CHANGES - self.count]
-        if changed.size:
-            self.count += changed.size
-            self._times.append(np.stack([t[changed], t[changed + 1]], axis=1))
-            self._bits.append(np.stack([bits[changed], bits[changed + 1]], axis=1))
+        changed = np.flatnonzero((bits[1:] != bits[:-1]) & (t[1:] > t[:-1]))[:, None] + [0, 1]
+        self._times = np.concatenate([self._times, t[changed]])[:MOST_CHANGES]
+        self._bits = np.concatenate([self._bits, bits[changed]])[:MOST_CHANGES]
 
     def inputs(self) -> list[int]:
         """Return the inputs that changed, ascending."""
-        changed = 0
-        for bits in self._bits:
-            changed |= int(np.bitwise_or.reduce(bits[:, 0] ^ bits[:, 1]))
+        changed = int(np.bitwise_or.reduce(self._bits[:, 0] ^ self._bits[:, 1]))
         return [k for k in range(63) if changed >> k & 1]
 
     def changes(self, number: int) -> Changes:
         """Return the changes of one input."""
-        times = np.concatenate(self._times or [np.empty((0, 2))])
-        bits = np.concatenate(self._bits or [np.empty((0, 2), np.int64)]) >> number & 1
-        of_it = bits[:, 0] != bits[:, 1]
-        return Changes(times[of_it, 0], times[of_it, 1], bits[of_it, 1] == 1)
+        level = self._bits >> number & 1 == 1
+        rows = level[:, 0] != level[:, 1]
+        return Changes(*self._times[rows].T, level[rows, 1])
 
 
 CHUNK = 2048  # readings that show the period
@@ -186,7 +181,7 @@ def joint_batch(messages: Messages, joints: int | None) -> tuple[JointBatch, int
 class SegmentedReadings:
     """Divides the robot's readings into segments: the robot came back, or its controller restarted.
 
-    Each call returns the batches that are due, and for each whether it begins a segment.
+    Each call returns the batches that are due, and the number of the segment of each.
     """
 
     def __init__(self, joints: int | None = None) -> None:
@@ -199,7 +194,7 @@ class SegmentedReadings:
         self._latest_s = -np.inf  # of the segment
         self._segments = 0
 
-    def take(self, messages: Messages) -> list[tuple[bool, JointBatch]]:
+    def take(self, messages: Messages) -> list[tuple[int, JointBatch]]:
         """Take a batch of messages; those of other topics are ignored."""
         events = messages.rows("/events".__eq__)
         self._returns_ns += [int(messages.t_host_ns[k]) for k in events.tolist() if _BACK in messages.payload(k)]
@@ -211,7 +206,7 @@ class SegmentedReadings:
         self._batches.append(batch)
         return self.finish() if self.period_s is not None or sum(map(len, self._batches)) >= CHUNK else []
 
-    def finish(self) -> list[tuple[bool, JointBatch]]:
+    def finish(self) -> list[tuple[int, JointBatch]]:
         """Return the remaining readings at the end of the session."""
         if not self._batches:
             return []
@@ -220,17 +215,13 @@ class SegmentedReadings:
             self.period_s = float(np.median(np.abs(np.diff(batch.t)))) if len(batch) > 1 else 0.0
         back = [t_ns for t_ns in self._returns_ns if t_ns <= batch.arrival_ns[-1]]
         self._returns_ns = self._returns_ns[len(back) :]
-        first = [0] if self._latest_s == -np.inf else []
-        begins = {
-            *first,
-            *np.searchsorted(batch.arrival_ns, back).tolist(),
-            *restarts(batch.t, self._latest_s).tolist(),
-        }
-        begins = set(sorted(begins)[: MOST_SEGMENTS - self._segments])
+        first = [0] if self._segments == 0 else []
+        rows = [*first, *np.searchsorted(batch.arrival_ns, back).tolist(), *restarts(batch.t, self._latest_s).tolist()]
+        begins = sorted(set(rows))[: MOST_SEGMENTS - self._segments]
+        cuts = pairwise(sorted({0, *begins, len(batch)}))
+        pieces = [(self._segments - 1 + bisect_right(begins, start), batch[start:end]) for start, end in cuts]
         self._segments += len(begins)
-        pieces = [(begin in begins, batch[begin:end]) for begin, end in pairwise(sorted({0, *begins, len(batch)}))]
-        begun, last = pieces[-1]
-        self._latest_s = max(float(last.t.max()), -np.inf if begun or len(pieces) > 1 else self._latest_s)
+        self._latest_s = max(float(pieces[-1][1].t.max()), -np.inf if begins else self._latest_s)
         return pieces
 
 
@@ -245,7 +236,7 @@ class JointReader:
         self._inputs: list[InputTrack] = []
         self._bins = Spool()
         self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the open bin
-        self._last: tuple[float, int] | None = None
+        self._last_seq: int | None = None  # of the segment
         self._latest_s = -np.inf
         self._previous_bin_s = -np.inf
         self._bin_s, self._gap_s = BIN_S, READING_GAP_S
@@ -256,13 +247,13 @@ class JointReader:
 
     def take(self, messages: Messages) -> None:
         """Take a batch of messages; those of other topics are ignored."""
-        for begins, batch in self._order.take(messages):
-            self._part(batch, begins)
+        for segment, batch in self._order.take(messages):
+            self._take(segment, batch)
 
     def finish(self) -> JointStream:
         """Return the data of all messages; the reader cannot be used afterwards."""
-        for begins, batch in self._order.finish():
-            self._part(batch, begins)
+        for segment, batch in self._order.finish():
+            self._take(segment, batch)
         self._close_bin()
         fits = [fit_robot_clock(k, arrivals) for k, arrivals in enumerate(self._arrivals)]
         readings = sum(arrivals.readings for arrivals in self._arrivals)
@@ -289,45 +280,42 @@ class JointReader:
         columns = (np.concatenate([load(number)[k] for number in numbers]) for k in range(len(fields(Bins))))
         return Bins(*columns) if numbers else None
 
-    def _begin(self, joints: int) -> None:
-        self._step = np.full(joints, np.inf)
-        self._fast_step = np.full(joints, np.inf)
-        period = self._order.period_s or 0.0
-        if period >= NOTED_S:  # noted one by one: each is a bin of its own, and nothing is known in between
-            period = 0.0
-        self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
-
-    def _part(self, batch: JointBatch, begins: bool) -> None:
-        """Process readings of one segment, which may begin with them."""
+    def _take(self, segment: int, batch: JointBatch) -> None:
+        """Take readings of one segment."""
         if not self._step.size:
-            self._begin(batch.q.shape[1])
+            self._step = self._fast_step = np.full(batch.q.shape[1], np.inf)
+            period = self._order.period_s or 0.0
+            if period >= NOTED_S:  # noted one by one: each is a bin of its own, and nothing is known in between
+                period = 0.0
+            self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
         self._numbered &= bool(np.all(batch.seq != UNNUMBERED))
         t, seq = batch.t, batch.seq
-        if begins:
-            if self._last is not None and t[0] > self._latest_s and seq[0] > self._last[1]:
-                self.lost += int(seq[0]) - self._last[1] - 1  # the robot continued counting while nobody listened
+        if segment == len(self._arrivals):
+            if self._last_seq is not None and t[0] > self._latest_s and seq[0] > self._last_seq:
+                self.lost += int(seq[0]) - self._last_seq - 1  # the robot continued counting while nobody listened
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(batch.arrival_ns[0])))
             self._inputs.append(InputTrack())
-            self._latest_s, self._previous_bin_s, self._last = -np.inf, -np.inf, None
-        highest = np.maximum.accumulate(np.concatenate([[self._latest_s], t]))
-        number_before = np.concatenate([[self._last[1] if self._last else int(seq[0]) - 1], seq[:-1]])
+            self._latest_s, self._previous_bin_s, self._last_seq = -np.inf, -np.inf, None
+        highest = np.maximum.accumulate(np.append(self._latest_s, t))
+        number_before = np.append(seq[0] - 1 if self._last_seq is None else self._last_seq, seq[:-1])
         late, doubled = t < highest[:-1], (t == highest[:-1]) & (seq == number_before)
         keep = ~late & ~doubled
         self.late += int(np.sum(late))
         self.duplicated += int(np.sum(doubled))
-        numbers = seq[keep]
-        self.lost += int(np.maximum(np.diff(numbers, prepend=number_before[0]) - 1, 0).sum())
+        batch = batch[keep]
+        t, seq = batch.t, batch.seq
+        self.lost += int(np.maximum(np.diff(seq, prepend=number_before[0]) - 1, 0).sum())
         self._latest_s = float(highest[-1])
-        if numbers.size:
-            self._last = (self._latest_s, int(numbers[-1]))
-            self._arrivals[-1].add(t[keep], batch.arrival_ns[keep])
-            if "inputs" in batch.columns:
-                self._inputs[-1].add(t[keep], batch.columns["inputs"][keep])
-            self._bin(t[keep], batch.q[keep])
-            if self.keeps:
-                readings = Readings(t[keep], numbers, batch.q[keep])
-                self._all_readings.append(readings, (len(self._arrivals) - 1, float(readings.t[0]), self._latest_s))
+        if not len(batch):
+            return
+        self._last_seq = int(seq[-1])
+        self._arrivals[-1].add(t, batch.arrival_ns)
+        if "inputs" in batch.columns:
+            self._inputs[-1].add(t, batch.columns["inputs"])
+        self._bin(t, batch.q)
+        if self.keeps:
+            self._all_readings.append(Readings(t, seq, batch.q), (segment, float(t[0]), self._latest_s))
 
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:
@@ -347,19 +335,19 @@ class JointReader:
         self._carried = None
 
     def _store(self, t: Floats, q: Floats, key: Floats) -> None:
-        starts = np.flatnonzero(np.concatenate([[True], np.diff(key) > 0]))
-        n = np.diff(np.concatenate([starts, [t.size]]))
+        starts = np.flatnonzero(np.append(True, np.diff(key) > 0))
+        n = np.diff(np.append(starts, t.size))
         mean = np.add.reduceat(q, starts, axis=0) / n[:, None]
         deviation = q - np.repeat(mean, n, axis=0)
         scatter = np.add.reduceat(deviation**2, starts, axis=0)
         # A gap may also lie inside a long bin; it then counts as before the bin.
-        silent = np.diff(np.concatenate([[self._previous_bin_s], t])) > self._gap_s
+        silent = np.diff(np.append(self._previous_bin_s, t)) > self._gap_s
         gap = np.logical_or.reduceat(silent, starts)
         self.gaps += int(np.sum(silent)) - int(np.isinf(self._previous_bin_s))
         self._previous_bin_s = float(t[-1])
         low, high = np.minimum.reduceat(q, starts, axis=0), np.maximum.reduceat(q, starts, axis=0)
         segment = np.full(starts.size, len(self._arrivals) - 1)
-        last = np.concatenate([starts[1:], [t.size]]) - 1
+        last = starts + n - 1
         small = (column.astype(np.float32) for column in (mean - low, high - mean, scatter))
         columns = (segment.astype(np.int32), t[starts], t[last], n.astype(np.int32), mean, *small, gap)
         self._bins.append(columns, (len(self._arrivals) - 1, float(t[0]), float(t[-1])))

@@ -25,6 +25,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from truearm.kinds.table import ObservationTable
 from truearm.session.dwell_samples import MICRON
 from truearm.session.joint_format import UNNUMBERED
 from truearm.session.joint_readings import Bins, JointStream
@@ -52,8 +53,8 @@ class Leg:
     q_start: Floats
     q_end: Floats
     cut: bool
-    start_host_ns: int = 0
-    end_host_ns: int = 0
+    start_host_ns: int
+    end_host_ns: int
 
 
 def find_legs(stream: JointStream) -> list[Leg]:
@@ -65,15 +66,12 @@ def find_legs(stream: JointStream) -> list[Leg]:
     speed = np.max(np.abs(step), axis=1) / seconds
     moving = joined & ~_slow(speed, seconds, stream.step)
     turns = np.einsum("ij,ij->i", step[1:], step[:-1]) < 0.0  # at bin k + 1
-    legs = []
-    for a, b, cut in (_ends(run, moving, joined) for run in _runs(moving, turns)):
-        start, end = bins.mean[a], bins.mean[b]
-        if float(np.max(np.abs(end - start))) >= LEAST_MOVE:
-            legs.append(Leg(int(bins.segment[a]), float(bins.t_first_s[a]), float(bins.t_last_s[b]), start, end, cut))
-    segment = np.array([leg.segment for leg in legs], np.int64)
-    times = np.array([(leg.start_s, leg.end_s) for leg in legs]).reshape(-1, 2)
-    host = zip(legs, stream.to_host_ns(segment, times).tolist(), strict=True)
-    return [replace(leg, start_host_ns=start, end_host_ns=end) for leg, (start, end) in host]
+    runs = [_ends(run, moving, joined) for run in _runs(moving, turns)]
+    runs = [(a, b, cut) for a, b, cut in runs if float(np.max(np.abs(bins.mean[b] - bins.mean[a]))) >= LEAST_MOVE]
+    segment = bins.segment[[a for a, _, _ in runs]]
+    times = np.array([(bins.t_first_s[a], bins.t_last_s[b]) for a, b, _ in runs]).reshape(-1, 2)
+    rows = zip(segment.tolist(), times.tolist(), runs, stream.to_host_ns(segment, times).tolist(), strict=True)
+    return [Leg(k, *t, bins.mean[a], bins.mean[b], cut, *host) for k, t, (a, b, cut), host in rows]
 
 
 def _steps(bins: Bins) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -185,11 +183,10 @@ FORGOTTEN = 2.0  # integrated correlation times after which noise is independent
 class LinePass:
     """One motion along a line and its outcome; ``reason`` is "" if it gave rows.
 
-    ``direction`` is +1 where y rises. The r rows hold instants on the host's clock, joints and their rates, the
-    device's reading and the standard deviations of its own noise and of its time, excluding the uncertainty declared by
-    the rig. ``noise`` (3,) [m] and ``q_noise`` (j,) are standard deviations of single readings about the motion.
-    ``q_error`` [rad or m] bounds the error of the interpolated joints. ``dropped``: rows that could not be made, by
-    reason.
+    ``direction`` is +1 where y rises. ``table``: the r rows; their ``xyz_sigma`` is of the device's own noise and of its
+    time, excluding the uncertainty declared by the rig. ``noise`` (3,) [m] and ``q_noise`` (j,) are standard deviations
+    of single readings about the motion. ``q_error`` [rad or m] bounds the error of the interpolated joints. ``dropped``:
+    rows that could not be made, by reason.
     """
 
     leg: Leg
@@ -199,11 +196,7 @@ class LinePass:
     direction: int = 0
     speed: float = float("nan")  # m/s, median
     window_ns: int = 0  # before and after a row
-    t_host_ns: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (r,)
-    q: Floats = field(default_factory=lambda: np.empty((0, 0)))  # (r, j)
-    q_rate: Floats = field(default_factory=lambda: np.empty((0, 0)))  # (r, j)
-    xyz: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (r, 3)
-    xyz_sigma: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (r, 3)
+    table: ObservationTable = field(default_factory=lambda: ObservationTable(q=np.empty((0, 0)), kind="line"))
     noise: Floats = field(default_factory=lambda: np.full(3, np.nan))
     q_noise: Floats = field(default_factory=lambda: np.empty(0))
     q_error: float = float("nan")
@@ -212,11 +205,6 @@ class LinePass:
     clock_bound_ns: float = float("nan")
     n_samples: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def group(self) -> str:
-        """The group that the rows of this direction belong to, for ``--hold-out shell=``."""
-        return f"{self.mounted['line']}-{'up' if self.direction > 0 else 'down'}"
 
 
 class _Signal(NamedTuple):
@@ -236,7 +224,8 @@ class _Signals:
     """Signals during a leg.
 
     ``shots``: all interrogations, and ``y`` those that were answered. ``across``: without samples at a rail or beyond the
-    reach of the transducers, which are at ``off_t`` (k,). ``half_s``: half of the window of a row.
+    reach of the transducers, which are at ``off_t`` (k,). ``half_s``: half of the window of a row. ``period_s``: of the
+    interrogations. ``step`` (j,): quantisation of the joints.
     """
 
     y: _Signal
@@ -245,6 +234,8 @@ class _Signals:
     off_t: Floats
     q: _Signal
     half_s: float
+    period_s: float
+    step: Floats
 
 
 def measure(
@@ -290,7 +281,7 @@ def measure(
         lost = (why != "") & (coarse.rate[:, 0] * direction >= STEADY * passing.speed)
     lost[first : last + 1] = False  # rows in between are counted one by one
     beyond = Counter(why[lost][::2].tolist())  # a row is as wide as two steps of the grid
-    return _rows(passing, signals, span, beyond, along.period_ns, joints.step, points)
+    return _rows(passing, signals, span, beyond, points)
 
 
 def _readings(leg: Leg, joints: JointStream) -> tuple[_Signal, float]:
@@ -344,6 +335,8 @@ def _signals(leg: Leg, along: Samples, across: Samples, joints: JointStream, rea
         off_t=transverse.t[~on],
         q=readings,
         half_s=0.5 * max(LEAST_WINDOW_S, READINGS * period_s),
+        period_s=1e-9 * along.period_ns,
+        step=joints.step,
     )
 
 
@@ -382,20 +375,11 @@ def _steady(forward: Floats) -> Mask:
 
 
 def _rows(
-    passing: LinePass,
-    s: _Signals,
-    span: tuple[float, float],
-    beyond: Counter[str],
-    period_ns: int,
-    step: Floats,
-    points: int | None,
+    passing: LinePass, s: _Signals, span: tuple[float, float], beyond: Counter[str], points: int | None
 ) -> LinePass:
-    """Return the rows between two times.
-
-    ``beyond``: why some rows before and after could not be made. ``step`` (j,): quantisation of the joints.
-    """
+    """Return the rows between two times. ``beyond``: why some rows before and after could not be made."""
     first, last = span
-    correlation, correlation_s = _correlation(s, first, last, 1e-9 * period_ns)
+    correlation, correlation_s = _correlation(s, first, last)
     passing = replace(passing, correlation_s=correlation_s, window_ns=round(1e9 * s.half_s))
     centres = _instants(s.y.t, first + s.half_s, last - s.half_s, 2.0 * s.half_s, FORGOTTEN * correlation_s, points)
     why = _wrong(s, centres)
@@ -416,16 +400,24 @@ def _rows(
     leverage = np.stack([aside.leverage, along.leverage, aside.leverage], axis=1)[usable]
     noise_var = noise**2 * np.minimum(leverage * correlation, 1.0)
     by_time = (_beside(along.rate, aside.rate)[usable] * passing.time_sigma_s) ** 2
-    return replace(
-        passing,
-        t_host_ns=passing.leg.start_host_ns + np.rint(1e9 * centres[usable]).astype(np.int64),
+    t_host_ns = passing.leg.start_host_ns + np.rint(1e9 * centres[usable]).astype(np.int64)
+    table = ObservationTable(
         q=joints.value[usable],
-        q_rate=joints.rate[usable],
+        kind="line",
+        shell=f"{passing.mounted['line']}-{'up' if passing.direction > 0 else 'down'}",
+        line=passing.mounted.get("line", ""),
+        target=passing.mounted.get("target", ""),
+        time=1e-9 * t_host_ns,
         xyz=_beside(along.value, aside.value)[usable],
         xyz_sigma=np.sqrt(noise_var + by_time),
+        q_rate=joints.rate[usable],
+    )
+    return replace(
+        passing,
+        table=table,
         noise=noise,
-        q_noise=np.maximum(rms_of_columns(joints.rms[usable]), step / np.sqrt(12.0)),
-        q_error=float(np.max(MISSED * joints.rms[usable] + 0.5 * step)),  # a joint that hardly moves stays on one step
+        q_noise=np.maximum(rms_of_columns(joints.rms[usable]), s.step / np.sqrt(12.0)),
+        q_error=float(np.max(MISSED * joints.rms[usable] + 0.5 * s.step)),  # one that hardly moves stays on one step
         n_samples=int(along.n[usable].sum()),
     )
 
@@ -445,12 +437,12 @@ def _instants(y_t: Floats, first: float, last: float, width: float, forgotten: f
     return np.unique(y_t[following - nearer])
 
 
-def _correlation(s: _Signals, first: float, last: float, period_s: float) -> tuple[Floats, float]:
+def _correlation(s: _Signals, first: float, last: float) -> tuple[Floats, float]:
     """Return how many samples of x, y, z (3,) it takes for the noise to be independent, and the longest of these times
     [s].
     """
     channels = ((s.across, 0), (s.y, 0), (s.across, 1))
-    count, longest = np.ones(3), period_s
+    count, longest = np.ones(3), s.period_s
     for k, (signal, column) in enumerate(channels):
         t, values = signal.t, signal.values[:, column]
         residuals, fitted = _noise(t, values, np.arange(first, last, 2.0 * STRETCH * s.half_s))

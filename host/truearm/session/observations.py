@@ -231,8 +231,9 @@ def table_of(
     ``name`` is the session's name for ``source``. ``bins`` of the joints give the direction of approach of each dwell.
     """
     tables = [_of_dwells(dwells, kind, joints, name, bins) for kind, dwells in by_kind.items()]
-    numbered = enumerate(passes, start=1)
-    tables += [_of_pass(line_pass, number, name) for number, line_pass in numbered if not line_pass.reason]
+    for number, line_pass in enumerate(passes, start=1):
+        source = [f"{name} pass {number}.{row}" for row in range(1, len(line_pass.table) + 1)]
+        tables += [line_pass.table.replace(source=source)] if not line_pass.reason else []
     return ObservationTable.joined(tables)
 
 
@@ -251,21 +252,6 @@ def _of_dwells(dwells: Sequence[Dwell], kind: str, joints: int, name: str, bins:
         source=[f"{name} dwell {i}" for i, _ in rows],
         time=[0.5e-9 * (dwell.start_host_ns + dwell.end_host_ns) for _, dwell in rows],
         side=np.where(side == 0.0, np.nan, side),
-    )
-
-
-def _of_pass(line_pass: LinePass, number: int, name: str) -> ObservationTable:
-    return ObservationTable(
-        q=line_pass.q,
-        kind="line",
-        source=[f"{name} pass {number}.{i}" for i in range(1, len(line_pass.xyz) + 1)],
-        shell=line_pass.group,
-        line=line_pass.mounted.get("line", ""),
-        target=line_pass.mounted.get("target", ""),
-        time=np.asarray(1e-9 * line_pass.t_host_ns),
-        xyz=line_pass.xyz,
-        xyz_sigma=line_pass.xyz_sigma,
-        q_rate=line_pass.q_rate,
     )
 
 

@@ -185,16 +185,13 @@ class _Robot:
         if n and len(self._units) != n:
             raise SessionError("other-robot", place="session", joints=n, expected=len(self._units))
         self.order = SegmentedReadings(len(self._units) or None)
-        self._segment = -1
         self._keys: list[JointBatch] = []  # of no readings, with the optional keys so far
 
-    def table(self, pieces: Sequence[tuple[bool, JointBatch]]) -> Iterator[Batch]:
+    def table(self, pieces: Sequence[tuple[int, JointBatch]]) -> Iterator[Batch]:
         """Yield the table of pieces of one segment each."""
         if not pieces:
             return
-        segments = self._segment + np.cumsum([begins for begins, _ in pieces])
-        self._segment = int(segments[-1])
-        segment = np.repeat(segments, [len(piece) for _, piece in pieces])
+        segment = np.concatenate([np.full(len(piece), number) for number, piece in pieces])
         batch = concatenate([*self._keys, *(piece for _, piece in pieces)])
         self._keys = [batch[:0]]
         columns: Columns = {
@@ -295,7 +292,7 @@ def pass_columns(passes: Sequence[LinePass]) -> Columns:
         **_mounted([line_pass.mounted for line_pass in passes], LINE_MOUNTED),
         "direction": _of(passes, "direction", int),
         "speed_m_s": _of(passes, "speed"),
-        "points": np.array([len(line_pass.xyz) for line_pass in passes], dtype=np.int64),
+        "points": np.array([len(line_pass.table) for line_pass in passes], dtype=np.int64),
         "points_dropped": np.array([sum(line_pass.dropped.values()) for line_pass in passes], dtype=np.int64),
         "dropped": np.array([_tally_text(line_pass.dropped) for line_pass in passes], dtype=np.str_),
         "window_s": 2e-9 * _of(passes, "window_ns"),

@@ -207,7 +207,7 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
     passes |= {
         "found": len(result.passes),
         "rejected": result.pass_reasons,
-        "points": sum(len(line_pass.xyz) for line_pass in result.passes),
+        "points": sum(len(line_pass.table) for line_pass in result.passes),
         "table": _pass_rows(result.passes),
     }
     return document
