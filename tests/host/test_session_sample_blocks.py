@@ -61,11 +61,11 @@ def test_what_a_box_lost_before_it_was_started_is_not_the_sessions():
     track = StreamTrack()
     for t0_us, n0 in enumerate((5000, 5013, 10_200, 10_213, 0, 13, 39)):
         track.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
-    assert (track.samples_overrun, track.starts, track.pieces) == (13, 1, 2)
+    assert [track.counted[name] for name in ("samples_overrun", "starts", "pieces")] == [13, 1, 2]
     joined = StreamTrack()
     for t0_us, n0 in enumerate((5000, 5026)):  # never started: what is missing is missing
         joined.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
-    assert (joined.samples_overrun, joined.pieces) == (13, 2)
+    assert (joined.counted["samples_overrun"], joined.counted["pieces"]) == (13, 2)
 
 
 def test_lost_heartbeat_costs_no_samples():

@@ -12,12 +12,10 @@ extend into the motion.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.session.joint_readings import Bins, JointStream
 from truearm.session.sample_noise import LEAST_BLOCKS, rests_within, settled_from
@@ -80,7 +78,7 @@ class Dwell:
 
 def find_dwells(stream: JointStream) -> list[Dwell]:
     """Return all stops in order of time; those ruled out by the joint readings carry their reason."""
-    dwells = [] if stream.bins is None else find_stops(stream.bins, stream.step)
+    dwells = find_stops(stream.bins, stream.step)
     segment = np.array([dwell.segment for dwell in dwells], np.int64)
     times = np.array([(dwell.start_s, dwell.end_s) for dwell in dwells]).reshape(-1, 2)
     host = zip(dwells, stream.to_host_ns(segment, times).tolist(), strict=True)
@@ -89,16 +87,22 @@ def find_dwells(stream: JointStream) -> list[Dwell]:
 
 def find_stops(bins: Bins, step: Floats) -> list[Dwell]:
     """Return the stops of the signals in the bins, given their own noise and their step (j,)."""
-    quiet = complete = _whole_windows(bins)
+    if len(bins.n) < WINDOW_BINS:
+        return []
+    # Of windows (b − 3,): which are without a gap, and in which all joints are quiet
+    quiet = complete = ~np.logical_or.reduce([bins.gap[k : len(bins.n) - WINDOW_BINS + 1 + k] for k in (1, 2, 3)])
     if not np.any(complete):
         return []
     for joint, smallest in enumerate(step):  # one by one: a session may hold half a million bins
         ranges = _window_ranges(bins, joint)
         quiet = quiet & (ranges <= motion_threshold(ranges[complete], smallest))
+    # A chain of windows ties its bins together.
+    tied = np.convolve(quiet, np.ones(WINDOW_BINS - 1)) > 0.0
+    edges = np.flatnonzero(np.diff(tied, prepend=False, append=False))
     runs = [
-        slice(first, last)
-        for first, last in _runs(quiet, len(bins.n))
-        if bins.t_last_s[last - 1] - bins.t_first_s[first] >= PAUSE_S
+        slice(first, last + 1)
+        for first, last in edges.reshape(-1, 2).tolist()
+        if bins.t_last_s[last] - bins.t_first_s[first] >= PAUSE_S
     ]
     resting = _Rest(resting_variance(bins, runs), np.maximum(1.001 * step, LEAST_MOTION), step)
     return [_dwell(bins, run, resting) for run in runs]
@@ -128,49 +132,26 @@ def motion_threshold(ranges: Floats, step: float) -> float:
     return max(QUIET_FACTOR * quiet_range, 2.001 * step, LEAST_MOTION)
 
 
-def _whole_windows(bins: Bins) -> NDArray[np.bool_]:
-    """Return which bins (b,) are followed by three more bins without a gap."""
-    b = len(bins.n)
-    complete = np.arange(b) <= b - WINDOW_BINS
-    for k in range(1, WINDOW_BINS):
-        complete[:-k] &= ~bins.gap[k:]
-    return complete
-
-
 def _window_ranges(bins: Bins, joint: int) -> Floats:
-    """Return the range (b,) of a joint over each bin and the three after it."""
+    """Return the range (b − 3,) of a joint over the bins of each window."""
     mean = bins.mean[:, joint]
     high, low = mean + bins.above[:, joint], mean - bins.below[:, joint]
     for k in (1, 2):  # of two bins, then of four
-        np.maximum(high[:-k], high[k:], out=high[:-k])
-        np.minimum(low[:-k], low[k:], out=low[:-k])
+        high, low = np.maximum(high[:-k], high[k:]), np.minimum(low[:-k], low[k:])
     return np.asarray(high - low)
-
-
-def _runs(quiet: NDArray[np.bool_], b: int) -> Iterator[tuple[int, int]]:
-    """Return the first and past-the-last bin of each chain of bins linked by quiet windows."""
-    tied = np.zeros(b, dtype=bool)  # bin k to bin k + 1
-    for k in range(WINDOW_BINS - 1):
-        tied[k:] |= quiet[: b - k]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], tied, [False]]).astype(np.int8)))
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
-        yield int(first), min(int(last) + 1, b)
 
 
 def _dwell(bins: Bins, run: slice, at_rest: _Rest) -> Dwell:
     stood = float(bins.t_first_s[run.start])
     begin_s = stood + SETTLE_S
     inside = np.flatnonzero((bins.t_first_s[run] >= begin_s) & (bins.t_last_s[run] <= begin_s + LONGEST_DWELL_S))
-    if inside.size:
-        span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1)
-        lasts_s = _seconds(bins, span)
-    else:
-        span, lasts_s = run, float(bins.t_last_s[run.stop - 1]) - begin_s - GUARD_S
+    span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1) if inside.size else run
+    lasts_s = _end_s(bins, span) - (float(bins.t_first_s[span.start]) if inside.size else begin_s)
     if not inside.size or lasts_s < LEAST_DWELL_S:
         return of_bins(bins, span, at_rest.step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
     first, late = _settled(bins, span, at_rest)
     settled = slice(min(span.start + first, span.stop - 1), span.stop)
-    if first and _seconds(bins, settled) < LEAST_DWELL_S:
+    if first and _end_s(bins, settled) - bins.t_first_s[settled.start] < LEAST_DWELL_S:
         swing = float(np.ptp(bins.mean[span][:, late]))
         return of_bins(bins, span, at_rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
     return of_bins(bins, settled, at_rest.step, stood)
@@ -189,15 +170,15 @@ def _settled(bins: Bins, span: slice, resting: _Rest) -> tuple[int, int]:
     return int(np.max(firsts)), int(np.argmax(firsts))
 
 
-def _seconds(bins: Bins, span: slice) -> float:
-    return float(bins.t_last_s[span.stop - 1]) - GUARD_S - float(bins.t_first_s[span.start])
+def _end_s(bins: Bins, span: slice) -> float:
+    return float(bins.t_last_s[span.stop - 1]) - GUARD_S
 
 
 def of_bins(bins: Bins, span: slice, step: Floats, stood: float, reason: str = "", detail: str = "") -> Dwell:
     return Dwell(
         segment=int(bins.segment[span.start]),
         start_s=float(bins.t_first_s[span.start]),
-        end_s=float(bins.t_last_s[span.stop - 1]) - GUARD_S,
+        end_s=_end_s(bins, span),
         stood_s=stood,
         reason=reason,
         detail=detail,
@@ -210,7 +191,7 @@ def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStre
 
     If less than one bin of readings remains, the last bin is used: the joints are at rest in all of them.
     """
-    if stream.bins is None or start_s <= dwell.start_s:
+    if start_s <= dwell.start_s:
         return dwell
     first, end = dwell.bins
     first += int(np.searchsorted(stream.bins.t_first_s[first:end], start_s))

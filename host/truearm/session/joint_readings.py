@@ -34,7 +34,7 @@ from truearm.session.joint_format import (
 )
 from truearm.session.session_file import Messages
 from truearm.session.spool import Spool
-from truearm.types import Floats, Ints
+from truearm.types import Floats, Ints, Mask
 
 MOST_CHANGES = 1_000_000  # per segment; edges cannot be distinguished in a signal faster than that
 
@@ -80,7 +80,7 @@ class InputTrack:
         """Return the changes of one input."""
         level = self._bits >> number & 1 == 1
         rows = level[:, 0] != level[:, 1]
-        return Changes(*self._times[rows].T, level[rows, 1])
+        return Changes(self._times[rows, 0], self._times[rows, 1], level[rows, 1])
 
 
 CHUNK = 2048  # readings that show the period
@@ -129,7 +129,7 @@ class JointStream:
     restarts: int
     rate_hz: float  # NaN with fewer than two readings
     step: Floats  # (j,)
-    bins: Bins | None  # None without a reading
+    bins: Bins
     clocks: tuple[RobotClock, ...]
     reports: tuple[RobotClockReport, ...]
     inputs: tuple[InputTrack, ...]  # of each segment
@@ -275,10 +275,11 @@ class JointReader:
             all_readings=self._all_readings,
         )
 
-    def _all_bins(self) -> Bins | None:
+    def _all_bins(self) -> Bins:
         numbers, load = range(len(self._bins.spans)), self._bins.load  # one column after the other, with little memory
-        columns = (np.concatenate([load(number)[k] for number in numbers]) for k in range(len(fields(Bins))))
-        return Bins(*columns) if numbers else None
+        nothing = [np.empty((0, 0))]
+        columns = (np.concatenate([load(row)[k] for row in numbers] or nothing) for k in range(len(fields(Bins))))
+        return Bins(*columns)
 
     def _take(self, segment: int, batch: JointBatch) -> None:
         """Take readings of one segment."""
@@ -335,22 +336,28 @@ class JointReader:
         self._carried = None
 
     def _store(self, t: Floats, q: Floats, key: Floats) -> None:
-        starts = np.flatnonzero(np.append(True, np.diff(key) > 0))
-        n = np.diff(np.append(starts, t.size))
-        mean = np.add.reduceat(q, starts, axis=0) / n[:, None]
-        deviation = q - np.repeat(mean, n, axis=0)
-        scatter = np.add.reduceat(deviation**2, starts, axis=0)
-        # A gap may also lie inside a long bin; it then counts as before the bin.
-        silent = np.diff(np.append(self._previous_bin_s, t)) > self._gap_s
-        gap = np.logical_or.reduceat(silent, starts)
+        silent = np.diff(t, prepend=self._previous_bin_s) > self._gap_s
         self.gaps += int(np.sum(silent)) - int(np.isinf(self._previous_bin_s))
         self._previous_bin_s = float(t[-1])
-        low, high = np.minimum.reduceat(q, starts, axis=0), np.maximum.reduceat(q, starts, axis=0)
-        segment = np.full(starts.size, len(self._arrivals) - 1)
-        last = starts + n - 1
-        small = (column.astype(np.float32) for column in (mean - low, high - mean, scatter))
-        columns = (segment.astype(np.int32), t[starts], t[last], n.astype(np.int32), mean, *small, gap)
-        self._bins.append(columns, (len(self._arrivals) - 1, float(t[0]), float(t[-1])))
+        segment = len(self._arrivals) - 1
+        bins = binned(segment, t, q, key, silent)
+        self._bins.append(list(vars(bins).values()), (segment, float(t[0]), float(t[-1])))
+
+
+def binned(segment: int, t: Floats, q: Floats, key: Floats, silent: Mask) -> Bins:
+    """Return readings q (n, j) at times t (n,) [s] in bins, one for each value of ``key`` (n,), which rises.
+
+    ``silent`` (n,): readings are missing before this one. Inside a bin, that counts as before it.
+    """
+    starts = np.flatnonzero(np.diff(key, prepend=-np.inf))
+    n = np.diff(starts, append=t.size)
+    mean = np.add.reduceat(q, starts, axis=0) / n[:, None]
+    low, high = np.minimum.reduceat(q, starts, axis=0), np.maximum.reduceat(q, starts, axis=0)
+    squares = np.add.reduceat((q - np.repeat(mean, n, axis=0)) ** 2, starts, axis=0)
+    below, above, scatter = (column.astype(np.float32) for column in (mean - low, high - mean, squares))
+    numbers = np.full(n.size, segment, np.int32)
+    gap = np.logical_or.reduceat(silent, starts)
+    return Bins(numbers, t[starts], t[starts + n - 1], n.astype(np.int32), mean, below, above, scatter, gap)
 
 
 def restarts(t: Floats, latest_s: float) -> NDArray[np.intp]:

@@ -60,7 +60,7 @@ class Leg:
 def find_legs(stream: JointStream) -> list[Leg]:
     """Return all legs in order of time."""
     bins = stream.bins
-    if bins is None or len(bins.n) < 2:
+    if len(bins.n) < 2:
         return []
     step, seconds, joined = _steps(bins)
     speed = np.max(np.abs(step), axis=1) / seconds
@@ -71,7 +71,7 @@ def find_legs(stream: JointStream) -> list[Leg]:
     segment = bins.segment[[a for a, _, _ in runs]]
     times = np.array([(bins.t_first_s[a], bins.t_last_s[b]) for a, b, _ in runs]).reshape(-1, 2)
     rows = zip(segment.tolist(), times.tolist(), runs, stream.to_host_ns(segment, times).tolist(), strict=True)
-    return [Leg(k, *t, bins.mean[a], bins.mean[b], cut, *host) for k, t, (a, b, cut), host in rows]
+    return [Leg(k, t[0], t[1], bins.mean[a], bins.mean[b], cut, *host) for k, t, (a, b, cut), host in rows]
 
 
 def _steps(bins: Bins) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -98,9 +98,8 @@ def _highest_before(speed: Floats, reach: int) -> Floats:
 
 def _runs(moving: NDArray[np.bool_], turns: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the first and last step of each run of moving steps, split at turns."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(np.int8)))
     runs = []
-    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for first, end in np.flatnonzero(np.diff(moving, prepend=False, append=False)).reshape(-1, 2).tolist():
         cuts = [first, *(np.flatnonzero(turns[first : end - 1]) + first + 1).tolist(), end]
         runs += [(a, b - 1) for a, b in pairwise(cuts)]
     return runs

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from truearm.session.dwells import GUARD_S, POSE_TOLERANCE, Dwell, find_stops, of_bins
-from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream
+from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream, binned
 from truearm.session.samples import ChannelSamples, extension, railed
 
 NO_STEP = np.zeros(1)
@@ -22,7 +22,7 @@ NO_STEP = np.zeros(1)
 
 def has_manual_joints(stream: JointStream) -> bool:
     """Return whether the readings are too far apart to show when the robot stood still."""
-    return stream.bins is not None and (stream.readings == 1 or stream.rate_hz * NOTED_S < 1.0)
+    return stream.readings == 1 or stream.rate_hz * NOTED_S < 1.0
 
 
 def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
@@ -30,10 +30,7 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
 
     Those in no rest of the sensor, or in one with another reading, carry their reason.
     """
-    bins = stream.bins
-    if bins is None:
-        return []
-    sensor = sensor_bins(samples)
+    bins, sensor = stream.bins, sensor_bins(samples)
     stops = [] if sensor is None else find_stops(sensor, NO_STEP)
     rests = [stop for stop in stops if stop.reason != "too short"]
     end_s = np.array([*(stop.end_s + GUARD_S for stop in rests), -np.inf])
@@ -63,29 +60,24 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
     Samples at a rail are left out: an open coil is quiet but not at rest. Raises SessionError if the channel has no
     calibration.
     """
-    rows = []
+    pieces = []
     for block, host_ns in samples:
-        blocks_n, blocks_gap, period_ns = (block.table[name] for name in ("n", "gap", "period_ns"))
-        period_ns = period_ns.astype(np.int64)
-        bin_of_block = np.cumsum(blocks_gap) * 1e9 + np.floor(1e-9 * (host_ns - host_ns[0]) / BIN_S)
-        starts = np.flatnonzero(np.diff(bin_of_block, prepend=-1.0))
-        ends = np.append(starts[1:], len(block)) - 1
-        first = block.first[starts]
-        metres = extension(block.counts[:, 0], block.channels[0])
-        n = np.add.reduceat(blocks_n, starts)
-        at_rail = np.logical_or.reduceat(railed(block.counts[:, 0]), first)
-        good = ~at_rail & (np.add.reduceat(blocks_n * period_ns, starts) >= 0.5e9 * BIN_S)
-        gap = blocks_gap[starts] | np.append(False, at_rail[:-1])
-        mean, low, high = (reduce.reduceat(metres, first) for reduce in (np.add, np.minimum, np.maximum))
-        last_s = 1e-9 * (host_ns[ends] + period_ns[ends] * (blocks_n[ends] - 1))
-        columns = (np.full(len(n), block.segment), 1e-9 * host_ns[starts], last_s, n, mean / n, low, high, gap)
-        rows.append([column[good] for column in columns])
-    if not rows:
+        t_s = np.asarray(1e-9 * (np.repeat(host_ns, block.table["n"]) + block.within_ns()), np.float64)
+        rails = railed(block.counts[:, 0])
+        gaps = rails.astype(np.int64)
+        gaps[block.first[:-1]] += block.table["gap"]
+        piece = np.cumsum(gaps)
+        key = 1e9 * piece + np.floor((t_s - t_s[0]) / BIN_S)
+        metres = extension(block.counts[:, :1], block.channels[0])
+        silent = np.diff(piece[~rails], prepend=0) > 0
+        bins = binned(block.segment, t_s[~rails], metres[~rails], key[~rails], silent)
+        filled = bins.n * int(block.table["period_ns"][-1]) >= 0.5e9 * BIN_S
+        pieces.append([column[filled] for column in vars(bins).values()])
+    if not pieces:
         return None
-    segment, first_s, last_s, n, mean, low, high, gap = map(np.concatenate, zip(*rows, strict=True))
-    gap |= first_s - np.append(-np.inf, last_s[:-1]) > 2.0 * BIN_S
-    scatter = np.zeros((len(n), 1), np.float32)
-    return Bins(segment, first_s, last_s, n, mean[:, None], (mean - low)[:, None], (high - mean)[:, None], scatter, gap)
+    bins = Bins(*map(np.concatenate, zip(*pieces, strict=True)))
+    silence_s = bins.t_first_s - np.append(-np.inf, bins.t_last_s[:-1])
+    return replace(bins, gap=bins.gap | (silence_s > 2.0 * BIN_S))
 
 
 def _resting(dwell: Dwell, stop: Dwell, t_host_ns: int) -> Dwell:

@@ -110,9 +110,6 @@ class Losses:
     box: Summary = field(default_factory=lambda: summary_of([]))  # the box's own counters, from its heartbeats
 
 
-COUNTED = ("blocks", "samples", "samples_lost", "samples_overrun", "converter_faults", "starts")  # see Losses
-
-
 @dataclass(frozen=True)
 class StreamReport:
     """A stream as received.
@@ -137,13 +134,7 @@ class StreamTrack:
     next_n0: int | None = None
     frames_lost: int = 0  # on the link, as of the last block
     run: int = 0
-    pieces: int = 0
-    blocks: int = 0
-    samples: int = 0
-    samples_lost: int = 0
-    samples_overrun: int = 0
-    converter_faults: int = 0
-    starts: int = 0
+    counted: Counter[str] = field(default_factory=Counter)  # pieces, and entries of Losses
     joined: bool = False  # the box was sampling before the session began and has not been started by it yet
     period_ns: int = 0
     last_t0_us: int = 0
@@ -165,21 +156,23 @@ class StreamTrack:
         gap[0] |= joins
         run = self.run + np.cumsum(begins)
         if joins:
-            self.joined = not (self.blocks or with_frames[0]) and n0[0] > 0
+            self.joined = not (self.counted["blocks"] or with_frames[0]) and n0[0] > 0
         of_session = np.ones(len(n0), bool)
         if self.joined and begins.any():  # what a box lost before it was started is not the session's
             of_session[: np.argmax(begins)] = False
-            self.joined, self.samples_overrun, self.pieces = False, 0, 0
-        self.samples_lost += int(missing[with_frames].sum())
-        self.samples_overrun += int(missing[~with_frames & of_session].sum())
-        self.pieces += int(np.count_nonzero(gap & of_session))
+            self.joined, self.counted["samples_overrun"], self.counted["pieces"] = False, 0, 0
+        self.counted.update(
+            blocks=len(n0),
+            samples=int(n.sum()),
+            samples_lost=int(missing[with_frames].sum()),
+            samples_overrun=int(missing[~with_frames & of_session].sum()),
+            pieces=int(np.count_nonzero(gap & of_session)),
+            converter_faults=int(np.count_nonzero(flags & wire.FLAG_CONVERTER)),
+            starts=int(np.count_nonzero(begins)),
+        )
         gapless = ~gap
         self.whole_us += int(np.diff(t0_us, prepend=self.last_t0_us)[gapless].sum())
         self.whole_samples += int(np.append(self.last_n, n[:-1])[gapless].sum())
-        self.converter_faults += int(np.count_nonzero(flags & wire.FLAG_CONVERTER))
-        self.starts += int(np.count_nonzero(begins))
-        self.blocks += len(n0)
-        self.samples += int(n.sum())
         self.next_n0, self.frames_lost, self.run = int(n0[-1] + n[-1]), int(frames_lost[-1]), int(run[-1])
         self.last_t0_us, self.last_n = int(t0_us[-1]), int(n[-1])
         return gap, run
@@ -194,8 +187,8 @@ class StreamTrack:
             id=stream_id,
             name=described.name,
             channels=tuple(channel.name for channel in described.channels),
-            samples=self.samples,
-            pieces=self.pieces,
+            samples=self.counted["samples"],
+            pieces=self.counted["pieces"],
             period_ns=self.period_ns,
             measured_ns=1000.0 * self.whole_us / self.whole_samples if self.whole_samples else float("nan"),
         )
@@ -328,8 +321,8 @@ class BoxReader:
 
     def losses(self) -> Losses:
         """Return the losses so far."""
-        count = {name: self._count[name] for name in Losses.__dataclass_fields__ if name != "box"}
-        count |= {name: sum(getattr(stream, name) for stream in self._streams.values()) for name in COUNTED}
+        total = sum((stream.counted for stream in self._streams.values()), self._count)
+        count = {name: total[name] for name in Losses.__dataclass_fields__ if name != "box"}
         return Losses(**count, box=summary_of([(segment.heartbeats, segment.booted) for segment in self.segments]))
 
     def streams(self) -> tuple[StreamReport, ...]:

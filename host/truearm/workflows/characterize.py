@@ -252,9 +252,9 @@ def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float
     return period_s * (int(outside[-1]) + 1 - int(np.argmax(inside)))
 
 
-def _mean_var(bins: Bins | None, dwell: Dwell) -> Floats:
+def _mean_var(bins: Bins, dwell: Dwell) -> Floats:
     """Return the variance (j,) of the mean reading of a dwell, from the means of its bins."""
-    means = np.zeros((0, dwell.q.size)) if bins is None else bins.mean[slice(*dwell.bins)]
+    means = bins.mean[slice(*dwell.bins)]
     if len(means) < 4:
         return np.full(dwell.q.size, np.nan)
     return np.array([mean_variance(column)[0] for column in (means - np.mean(means, axis=0)).T])
