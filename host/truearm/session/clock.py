@@ -219,18 +219,19 @@ class EdgeReport:
     input: int | None  # of the controller, following the output; None: no input does
     inverted: bool  # it goes low when the output goes high
     edges: int  # edges of the box's output while the controller sent readings
-    used: int
     unseen: int  # edges not visible in any reading
     unclear: int  # edges and changes of the input that cannot be distinguished: bounces, missing readings
     stray: int  # changes of the input without a matching edge
-    rejected: int  # edges that contradict the others
-    falling_later_ns: tuple[
-        float, float
-    ]  # falling edges of the output are seen later than rising ones by, at least and at most; NaN if unknown
-    to_box_ns: float  # bound between controller and box, which the edges alone give; median; NaN if none is used
-    bound_ns: float  # largest bound between controller and host, with that of the box's clock; NaN if none is used
-    shortest_latency_ns: float  # NaN if none is used
-    in_use: bool  # the robot's readings are timed by the edges, not by their arrivals
+    used: int = 0
+    rejected: int = 0  # edges that contradict the others
+    # falling edges of the output are seen later than rising ones by, at least and at most; NaN if unknown
+    falling_later_ns: tuple[float, float] = (np.nan, np.nan)
+    to_box_ns: float = (
+        np.nan
+    )  # bound between controller and box, which the edges alone give; median; NaN if none is used
+    bound_ns: float = np.nan  # largest bound between controller and host, with that of the box's clock
+    shortest_latency_ns: float = np.nan
+    in_use: bool = False  # the robot's readings are timed by the edges, not by their arrivals
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ The data frames of a batch become ``Blocks``. ``StreamTrack`` counts their sampl
 were lost are lost with them, others in the box. If ``n0`` falls back, another run began. Losses in the box before
 the session's start are not counted.
 
-``Heartbeats`` sums the box's own counters (SPEC §4).
+The box's own counters in its heartbeats (SPEC §4) are summed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -40,44 +40,6 @@ EXTREMES: Mapping[str, tuple[Callable[..., Any], str]] = {
     for name, kind in _ELEMENTS
     if kind in ("largest", "smallest")
 }
-Summary = Mapping[str, int | None]
-
-
-@dataclass
-class Heartbeats:
-    """The heartbeats of one boot: their number, the first and the last one, and the worst of every extreme."""
-
-    count: int = 0
-    first: Mapping[str, int] = field(default_factory=dict)
-    last: Mapping[str, int] = field(default_factory=dict)
-    worst: dict[str, int] = field(default_factory=dict)
-
-    def take(self, elements: Sequence[int]) -> None:
-        """Take the elements of a heartbeat: boot id, time, counters."""
-        self.last = {name: value for (name, _), value in zip(_ELEMENTS, elements, strict=False)}
-        self.first = self.first or self.last
-        self.count += 1
-        for name, (extreme, key) in EXTREMES.items():
-            if name in self.last:
-                self.worst[key] = extreme(self.worst.get(key, self.last[name]), self.last[name])
-
-
-def summary_of(boots: Sequence[tuple[Heartbeats, bool]]) -> Summary:
-    """Return the number of heartbeats, the sum of every counter and the worst of every extreme; None without heartbeats.
-
-    ``boots``: the heartbeats of each boot, and whether it began in the session.
-    """
-    counters = dict.fromkeys(COUNTERS, 0)
-    for (beats, booted), name in product(boots, COUNTERS):
-        begin = beats.first.get(name, 0)
-        counters[name] += (beats.last.get(name, 0) - begin) % WRAP + (begin if booted else 0)
-    worst: dict[str, int | None] = {
-        key: extreme((beats.worst[key] for beats, _ in boots if key in beats.worst), default=None)
-        for extreme, key in EXTREMES.values()
-    }
-    return {"heartbeats": sum(beats.count for beats, _ in boots), **counters, **worst}
-
-
 # ------------------------------------------------------------------------------------------------------------- accounts
 
 
@@ -107,7 +69,8 @@ class Losses:
     starts: int = 0  # how often n0 began again without a restart
     sync_requests: int = 0
     sync_unanswered: int = 0
-    box: Summary = field(default_factory=lambda: summary_of([]))  # the box's own counters, from its heartbeats
+    # Number of heartbeats, sum of every counter in them since the session began, and worst of every extreme; None without one
+    box: Mapping[str, int | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -259,7 +222,7 @@ class Segment:
     booted: bool = False  # the box booted within the session
     boot_id: int | None = None
     ident: Ident | None = None
-    heartbeats: Heartbeats = field(default_factory=Heartbeats)
+    last_beat: Mapping[str, int] = field(default_factory=dict)
     output: list[tuple[int, bool]] = field(default_factory=list)  # edges of the trigger output: device time [µs], level
     temperatures: dict[str | None, list[tuple[int, int]]] = field(
         default_factory=dict
@@ -275,6 +238,8 @@ class BoxReader:
     def __init__(self, ident: Ident | None = None) -> None:
         self.segments = [Segment(0, ident=ident)]
         self._count: Counter[str] = Counter()
+        self._box_count: Counter[str] = Counter()
+        self._worst: dict[str, int] = {}
         self._next: int | None = None  # seq of the next frame; None before the first
         self._held = NO_FRAMES  # until the box states its boot id
         self._messages = 0  # so far
@@ -323,7 +288,8 @@ class BoxReader:
         """Return the losses so far."""
         total = sum((stream.counted for stream in self._streams.values()), self._count)
         count = {name: total[name] for name in Losses.__dataclass_fields__ if name != "box"}
-        return Losses(**count, box=summary_of([(segment.heartbeats, segment.booted) for segment in self.segments]))
+        extremes = {key: self._worst.get(key) for _, key in EXTREMES.values()}
+        return Losses(**count, box={name: self._box_count[name] for name in ("heartbeats", *COUNTERS)} | extremes)
 
     def streams(self) -> tuple[StreamReport, ...]:
         """Return the streams so far."""
@@ -418,9 +384,9 @@ class BoxReader:
         """Take a frame that was decoded singly, except pages of an ident."""
         segment = self.segment
         if kind == wire.HEARTBEAT:
-            segment.heartbeats.take(elements[2:])
-            mdegc = elements[2:][_TEMPERATURE_AT]
-            segment.temperatures.setdefault(None, []).append((elements[3], mdegc))
+            beat = {name: value for (name, _), value in zip(_ELEMENTS, elements[2:], strict=False)}
+            self._take_heartbeat(beat)
+            segment.temperatures.setdefault(None, []).append((beat["t_us"], beat["temperature_mdegc"]))
         elif kind == wire.EVENT and elements[2] == wire.OUTPUT_LINE:
             segment.output.append((elements[3], bool(elements[4])))
         elif kind == wire.TEMPERATURE:
@@ -429,6 +395,17 @@ class BoxReader:
                 segment.temperatures.setdefault(names[elements[3]], []).append((elements[2], elements[4]))
         elif kind not in wire.LAYOUT:
             self._count["frames_unknown"] += 1
+
+    def _take_heartbeat(self, beat: Mapping[str, int]) -> None:
+        """Add what a box counted since its last heartbeat, or since its boot if that was in the session."""
+        preceding = self.segment.last_beat or ({} if self.segment.booted else beat)
+        self.segment.last_beat = beat
+        self._box_count["heartbeats"] += 1
+        for name in COUNTERS:
+            self._box_count[name] += (beat.get(name, 0) - preceding.get(name, 0)) % WRAP
+        for name in EXTREMES.keys() & beat.keys():
+            extreme, key = EXTREMES[name]
+            self._worst[key] = extreme(self._worst.get(key, beat[name]), beat[name])
 
     def _describe(self, elements: list[Any]) -> None:
         """Take a page of an ident."""
@@ -484,9 +461,6 @@ class BoxReader:
             else:
                 counts[first[alike][:, None] + np.arange(length)] = samples.reshape(-1, length, channels)
         return Blocks(self.segment.index, ident, stream, tuple(range(channels)), table, counts)
-
-
-_TEMPERATURE_AT = wire.names(wire.HEARTBEAT)[1:].index("temperature_mdegc")
 
 
 def segment_at(segments: Sequence[Segment], message: Ints) -> Ints:

@@ -199,9 +199,7 @@ def _of_segment(
     if not len(edges) or not track.readings:
         return arrivals, None
     number, inverted, matched = _followed(track, expected_s, edges["rising"])
-    report = EdgeReport(
-        number, inverted, len(edges), 0, *matched[1:], 0, (np.nan, np.nan), np.nan, np.nan, np.nan, in_use=False
-    )
+    report = EdgeReport(number, inverted, len(edges), *matched[1:])
     if number is None:
         return arrivals, report
     changes, paired = track.changes(number), matched.change >= 0
