@@ -12,7 +12,6 @@ from truearm.errors import RigError, SessionError
 from truearm.report.session_findings import REJECTED
 from truearm.session.box_ident import parse_ident
 from truearm.session.clock import fit_clock
-from truearm.session.frames import Exchange
 from truearm.session.observations import observations, survey
 from truearm.session.samples import ChannelSamples
 from truearm.session.streams import BoxReader
@@ -273,7 +272,7 @@ def test_samples_are_those_of_the_interval_by_signal_time():
     for k in range(400):
         index = np.arange(13 * k, 13 * k + 13)
         box.data(10**9 + 13 * k * PERIOD_NS, np.stack([index] * 4, axis=1))
-    exchanges = [Exchange(t, t // 1000 + 1, t // 1000 + 1, t + 2000) for t in range(0, 8 * 10**9, 250_000_000)]
+    exchanges = [(t, t // 1000 + 1, t // 1000 + 1, t + 2000) for t in range(0, 8 * 10**9, 250_000_000)]
     clocks = {0: fit_clock(0, exchanges)[0]}
     samples, reader = ChannelSamples(("lvdt",)), BoxReader()
     for begin in range(0, len(box.messages), 100):

@@ -11,7 +11,6 @@ from session_stream import columns_of
 
 from truearm.clocks import fit
 from truearm.session.clock import RobotClock, fit_clock
-from truearm.session.frames import Exchange
 from truearm.session.joint_format import NO_INPUTS, parse_lines
 from truearm.session.joint_readings import InputTrack, JointReader
 from truearm.session.trigger_edges import EDGE, fit_edges, match, with_edges
@@ -216,7 +215,7 @@ def session(
     for t0 in np.arange(0.0, end, 0.25):
         t1 = t0 + 125e-6 + rng.exponential(80e-6)
         t3 = t1 + 155e-6 + rng.exponential(120e-6)
-        exchanges.append(Exchange(int(1e9 * t0), int(device_us(t1)), int(device_us(t1 + 5e-6)), int(1e9 * t3) + 1))
+        exchanges.append((int(1e9 * t0), int(device_us(t1)), int(device_us(t1 + 5e-6)), int(1e9 * t3) + 1))
     stamps = device_us(edges).astype(np.int64)
     for k, off in (wrong or {}).items():
         stamps[k] += off
@@ -260,8 +259,7 @@ def test_no_input_that_follows_is_said():
             )
         )
     exchanges = [
-        Exchange(int(x * 1e9), int(x * 1e6) + 50, int(x * 1e6) + 55, int(x * 1e9) + 200_000)
-        for x in np.arange(0, 50, 0.25)
+        (int(x * 1e9), int(x * 1e6) + 50, int(x * 1e6) + 55, int(x * 1e9) + 200_000) for x in np.arange(0, 50, 0.25)
     ]
     times = (1e6 * edges_at(np.random.default_rng(8), 40)).astype(np.int64)
     output = [*zip(times.tolist(), itertools.cycle((True, False)))]
@@ -285,8 +283,7 @@ def test_slow_readings_leave_the_clock_to_arrivals():
             )
         )
     exchanges = [
-        Exchange(int(x * 1e9), int(x * 1e6) + 50, int(x * 1e6) + 55, int(x * 1e9) + 200_000)
-        for x in np.arange(0, 15, 0.25)
+        (int(x * 1e9), int(x * 1e6) + 50, int(x * 1e6) + 55, int(x * 1e9) + 200_000) for x in np.arange(0, 15, 0.25)
     ]
     output = [*zip((1e6 * edges).astype(int).tolist(), itertools.cycle((True, False)))]
     joints = with_edges(finished(reader, messages), {0: output}, {0: fit_clock(0, exchanges)[0]})

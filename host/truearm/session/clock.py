@@ -22,7 +22,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from truearm import clocks
 from truearm.clocks import RATE_LIMIT, SLEWED_WANDER, WANDER, Clock
-from truearm.session.frames import Exchange
 from truearm.session.session_file import Session
 from truearm.session.spool import Spool
 from truearm.types import Floats, Ints
@@ -131,9 +130,9 @@ def recorded_wander(session: Session) -> float:
 
 
 def fit_clock(
-    segment: int, exchanges: Sequence[Exchange] | Ints, wander: float = WANDER
+    segment: int, exchanges: Ints | Sequence[tuple[int, ...]], wander: float = WANDER
 ) -> tuple[DeviceClock, ClockReport] | None:
-    """Return the clock of one segment and its report; None if no exchange is usable."""
+    """Return the clock of one segment and its report; None if no exchange (k, 4) is usable."""
     rows = np.array(exchanges, dtype=np.int64).reshape(-1, 4)
     sane = rows[(rows[:, 1] <= rows[:, 2]) & (rows[:, 0] <= rows[:, 3])]
     # By any clock, the host measured less time than the device: a stamp is wrong.

@@ -87,15 +87,6 @@ _ELEMENTS = {
 }
 
 
-class Exchange(NamedTuple):
-    """An answered clock request: times of host write, device receive, device send and host arrival."""
-
-    t0_ns: int
-    t1_us: int
-    t2_us: int
-    t3_ns: int
-
-
 def is_text(data: bytes) -> bool:
     """Return whether the bytes are text printed by a program rather than a damaged frame."""
     try:
@@ -119,13 +110,15 @@ class _SyncLine(msgspec.Struct, gc=False):
 _read_exchange = msgspec.json.Decoder(_SyncLine).decode
 
 
-def parse_exchange(data: bytes) -> Exchange | None:
-    """Parse a ``/sync`` message; None if the request was not answered or the message is invalid."""
+def parse_exchange(data: bytes) -> tuple[int, ...] | None:
+    """Parse a ``/sync`` message: times of host write, device receive, device send and host arrival.
+
+    None if the request was not answered or the message is invalid.
+    """
     try:
-        line = _read_exchange(data)
+        return msgspec.structs.astuple(_read_exchange(data))
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         return None
-    return Exchange(line.t0_ns, line.t1_us, line.t2_us, line.t3_ns)
 
 
 def is_echo(frame: list[Any]) -> bool:

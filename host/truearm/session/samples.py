@@ -141,11 +141,12 @@ class ChannelSamples:
             if place is None:
                 self._lacking = self._lacking or block.ident
             elif place[0].id == block.stream.id and len(block):
-                counts = with_ratios(block.counts, block.stream.channels)[:, place[1]]
+                counts = with_ratios(block.counts, block.channels)[:, place[1]]
+                channels = tuple(block.channels[column] for column in place[1])
                 begin_us = int(block.table["t_us"].min()) - block.stream.group_delay_ns // 1000 - SLACK_US
                 end_us = int(block.table["t_us"].max()) + block.reach_ns // 1000 + SLACK_US
                 self._arrays.append((block.table, counts), (block.segment, begin_us, end_us))
-                self._kept.append(partial(Blocks, block.segment, block.ident, block.stream, place[1]))
+                self._kept.append(partial(Blocks, block.segment, block.ident, block.stream, channels))
 
     def _load(self, number: int) -> tuple[Blocks, Ints, Floats]:
         """Return blocks, the host time (b,) [ns] at which the signal had the first value of each, and the bounds."""

@@ -171,23 +171,18 @@ class Blocks:
     """Data frames (b,) of one stream, segment and ident, in order of sending.
 
     ``table`` (b,) of BLOCK: index and device time of the first sample, period, number of samples per channel, run, flags,
-    and whether samples before the block are missing. ``counts`` (Σ n, c): of the stream's channels at ``columns``.
+    and whether samples before the block are missing. ``counts`` (Σ n, c): of ``channels``, some or all of the stream's.
     """
 
     segment: int
     ident: Ident
     stream: Stream
-    columns: tuple[int, ...]
+    channels: tuple[Channel, ...]
     table: NDArray[Any]
     counts: NDArray[np.int32]
 
     def __len__(self) -> int:
         return len(self.table)
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """The channels in the columns of ``counts``."""
-        return tuple(self.stream.channels[column] for column in self.columns)
 
     @cached_property
     def first(self) -> Ints:
@@ -460,7 +455,7 @@ class BoxReader:
                 counts = samples.reshape(-1, channels)
             else:
                 counts[first[alike][:, None] + np.arange(length)] = samples.reshape(-1, length, channels)
-        return Blocks(self.segment.index, ident, stream, tuple(range(channels)), table, counts)
+        return Blocks(self.segment.index, ident, stream, stream.channels, table, counts)
 
 
 def segment_at(segments: Sequence[Segment], message: Ints) -> Ints:
