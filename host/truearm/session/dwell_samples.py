@@ -11,11 +11,10 @@ half of it in the mean, and adds at most a hundredth to the variance.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.kinds.kind import DwellSensor
 from truearm.session.dwells import GUARD_S, LEAST_DWELL_S, Dwell, begun_at
@@ -43,15 +42,6 @@ OWN_NOISE = 4.0  # times the usual variance
 NOISY = 5.0  # times the median noise of all dwells
 DRIFT_SIGMAS = 6.0
 MICRON = 1e-6  # a ball-bar's spheres are not rounder: less noise, ringing or drift does not reject a dwell
-
-
-@dataclass(frozen=True)
-class Sensing:
-    """Settings common to all dwells of a session. ``any_clock``: the session has exchanges; ``noise``: of the sensor."""
-
-    joints: JointStream
-    any_clock: bool
-    noise: Noise
 
 
 class Noise(NamedTuple):
@@ -82,10 +72,8 @@ def block_length(samples: Samples) -> int:
     return max(1, round(BLOCK_S / (1e-9 * samples.period_ns)))
 
 
-def measured(dwell: Dwell, samples: Samples | None, sensor: DwellSensor, sensing: Sensing) -> Dwell:
+def measured(dwell: Dwell, samples: Samples, sensor: DwellSensor, joints: JointStream, usual: Noise) -> Dwell:
     """Return the dwell with its mean length, or with the reason why it has none."""
-    if samples is None:
-        return replace(dwell, reason="no samples" if sensing.any_clock else "no clock")
     begin_ns, counts = samples.longest()
     dwell = replace(dwell, clock_bound_ns=samples.bound_ns)
     if samples.bound_ns > 1e9 * GUARD_S:
@@ -98,28 +86,35 @@ def measured(dwell: Dwell, samples: Samples | None, sensor: DwellSensor, sensing
     stretched = extension(counts, samples.channels[0])
     length = sensor.zero + sensor.gain * stretched
     block = block_length(samples)
-    at_rest = settled(length, block, sensor.gain**2 * sensing.noise.block_var, max(UNSETTLED * sensor.sigma, MICRON))
+    at_rest = settled(length, block, sensor.gain**2 * usual.block_var, max(UNSETTLED * sensor.sigma, MICRON))
     # Samples before the first block belong to it.
     first = counts.size % block + int(at_rest.first) * block if at_rest is not None and at_rest.first else 0
-    if period_s * (counts.size - first + 1) < LEAST_DWELL_S:
-        reason, detail = _unusable(counts, stretched, sensor)
-        quick = quick_noise(length)
-        limit = NOISY * abs(sensor.gain) * sensing.noise.quick
-        if not reason and quick > max(limit, MICRON):
-            reason, detail = "noisy", _noise_words(quick, limit)
-        elif not reason:
-            reason, detail = _unsettled(at_rest, round(LEAST_DWELL_S / (block * period_s)))
-        return replace(dwell, reason=reason, detail=detail)
-    mean = mean_of(length[first:])
-    dwell = replace(dwell, sigma=float(np.sqrt(mean.value_var + sensor.sigma**2)), **mean._asdict())
+    unsettled = at_rest if period_s * (counts.size - first + 1) < LEAST_DWELL_S else None
+    if unsettled is not None:
+        first = 0
+    else:
+        mean = mean_of(length[first:])
+        dwell = replace(dwell, sigma=float(np.sqrt(mean.value_var + sensor.sigma**2)), **mean._asdict())
     if first:
         late_s = 1e-9 * (begin_ns - dwell.start_host_ns) + period_s * first
-        dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * samples.period_ns, sensing.joints)
-    reason, detail = _unusable(counts[first:], stretched[first:], sensor)
+        dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * samples.period_ns, joints)
+    rails, reach = np.count_nonzero(railed(counts[first:])), float(np.max(np.abs(stretched[first:])))
+    noise_limit = NOISY * abs(sensor.gain) * usual.quick
+    reason, detail = "", ""
+    if rails:
+        reason, detail = "rail", f"{rails} of {counts.size - first} samples"
+    elif reach > 0.5 * sensor.travel:
+        reason, detail = "out of travel", f"{MM.text(reach, '.1f')} of ±{MM.text(0.5 * sensor.travel, '.1f')}"
+    elif unsettled is not None and (quick := quick_noise(length)) > max(noise_limit, MICRON):
+        reason, detail = "noisy", _noise_words(quick, noise_limit)
+    elif unsettled is not None:  # a swing or creep that is still visible in the last blocks
+        off = float(np.max(np.abs(unsettled.deviation[-round(LEAST_DWELL_S / (block * period_s)) :])))
+        reason = "ringing" if rings(unsettled) else "drift"
+        detail = f"{UM.text(off, '.0f')} off, {UM.text(float(unsettled.bound), '.0f')} allowed"
     # A drift within the bar's declared repeatability is already covered by it.
-    if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, sensor.sigma, MICRON):
+    elif abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, sensor.sigma, MICRON):
         reason, detail = "drift", f"{UM.text(dwell.drift, '+.0f')} in {period_s * dwell.n_samples:.1f} s"
-    return replace(dwell, reason=reason, detail=detail) if reason else dwell
+    return replace(dwell, reason=reason, detail=detail)
 
 
 def settled(length: Floats, block: int, usual_var: float, floor: float) -> Settled | None:
@@ -144,29 +139,6 @@ def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
         replace(d, reason="noisy", detail=_noise_words(d.noise, limit)) if not d.reason and d.noise > limit else d
         for d in dwells
     ]
-
-
-def _unusable(counts: NDArray[Any], stretched: Floats, sensor: DwellSensor) -> tuple[str, str]:
-    """Return reason and detail if the samples cannot give a length, else ""."""
-    at_rail = int(np.count_nonzero(railed(counts)))
-    if at_rail:
-        return "rail", f"{at_rail} of {counts.size} samples"
-    if np.any(np.abs(stretched) > 0.5 * sensor.travel):
-        return (
-            "out of travel",
-            f"{MM.text(float(np.max(np.abs(stretched))), '.1f')} of ±{MM.text(0.5 * sensor.travel, '.1f')}",
-        )
-    return "", ""
-
-
-def _unsettled(at_rest: Settled | None, last: int) -> tuple[str, str]:
-    """Describe the swing or creep that is still visible in the last blocks."""
-    if at_rest is None:
-        return "gap", ""
-    off = float(np.max(np.abs(at_rest.deviation[-last:])))
-    return "ringing" if rings(
-        at_rest
-    ) else "drift", f"{UM.text(off, '.0f')} off, {UM.text(float(at_rest.bound), '.0f')} allowed"
 
 
 def _noise_words(noise: float, limit: float) -> str:

@@ -21,9 +21,9 @@ from truearm.kinds.kind import DwellSensor
 from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
 from truearm.session.clock import BoxTemperature, ClockReport, DeviceClock, box_temperature, fit_clock
-from truearm.session.dwell_samples import LEARNT, Sensing, measured, usual_noise, without_noisy
+from truearm.session.dwell_samples import LEARNT, measured, usual_noise, without_noisy
 from truearm.session.dwells import Dwell, find_dwells
-from truearm.session.joint_readings import Bins, JointReader, JointStream
+from truearm.session.joint_readings import JointReader, JointStream
 from truearm.session.line_passes import Leg, LinePass, find_legs, measure
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.plan_matching import Marks, check_rig, labelled, paired, passes_of, with_mountings
@@ -175,29 +175,27 @@ def observations(
     by_kind: dict[str, list[Dwell]] = {}
     for kind_name, kind in registry.kinds().items():
         if kind.dwell is not None:  # what was mounted does not rule out sensors other than the bar
-            rested = (replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, surveyed.dwells, strict=True))
-            stops = dwells if kind_name == BAR else list(rested)
+            bare = (replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, surveyed.dwells, strict=True))
+            stops = dwells if kind_name == BAR else list(bare)
             by_kind[kind_name] = _measured(stops, kind_name, kind.dwell, surveyed, rig)
     dwells = by_kind[BAR]
-    measurable = (
-        line_pass
-        if line_pass.reason in ("too long", "ambiguous")
-        else measure(line_pass, surveyed.samples[LINE], surveyed.joints, bool(surveyed.clocks), reach, line_points)
-        for line_pass in passes
-    )
-    driven = tuple(line_pass for line_pass in measurable if line_pass is not None)
+    driven, channels, any_clock = list[LinePass](), surveyed.samples[LINE], bool(surveyed.clocks)
+    for line_pass in passes:
+        outcome: LinePass | None = line_pass
+        if line_pass.reason not in ("too long", "ambiguous"):
+            outcome = measure(line_pass, channels, surveyed.joints, any_clock, reach, line_points)
+        driven += [] if outcome is None else [outcome]
     counts = [dwell.n_samples for dwell in dwells if not dwell.reason] + [line_pass.n_samples for line_pass in driven]
-    bins = None if has_manual_joints(surveyed.joints) else surveyed.joints.bins
-    table = table_of(by_kind, driven, len(surveyed.joints.step), name, bins)
+    table = table_of(by_kind, driven, surveyed.joints, name)
     t_host_ns = (1e9 * table.time).astype(np.int64)
-    thermometers = {title: surveyed.thermometers.get(name) for name, title in THERMOMETERS.items()}
+    read = THERMOMETERS.keys() & surveyed.thermometers.keys()
     simulated = any(box.simulated for box in surveyed.idents.values())
     table = table.replace(
-        **{title: t.between(t_host_ns) for title, t in thermometers.items() if t is not None},
+        **{THERMOMETERS[place]: surveyed.thermometers[place].between(t_host_ns) for place in read},
         temperature=surveyed.temperature.at(t_host_ns),
         simulated="yes" if simulated else None,
     )
-    return SyncResult(table, tuple(dwells), driven, surveyed, sum(counts))
+    return SyncResult(table, tuple(dwells), tuple(driven), surveyed, sum(counts))
 
 
 def _measured(dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, surveyed: Survey, rig: Rig) -> list[Dwell]:
@@ -212,41 +210,42 @@ def _measured(dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, surveyed:
         return samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns)
 
     first_samples = {i: during(i) for i in list(sensors)[:LEARNT]}
-    sensing = Sensing(surveyed.joints, bool(surveyed.clocks), usual_noise(first_samples.values()))
+    usual = usual_noise(first_samples.values())
     for i, sensor in sensors.items():
+        dwell, read = dwells[i], first_samples.pop(i) if i in first_samples else during(i)
         if sensor is None:
-            dwells[i] = replace(dwells[i], reason="no plan match")
+            dwells[i] = replace(dwell, reason="no plan match")
+            continue
+        dwell = dwell if sensor.names is dwell.mounted else replace(dwell, mounted=dict(sensor.names))
+        if read is None:
+            dwells[i] = replace(dwell, reason="no samples" if surveyed.clocks else "no clock")
         else:
-            dwell = dwells[i]
-            dwell = dwell if sensor.names is dwell.mounted else replace(dwell, mounted=dict(sensor.names))
-            dwells[i] = measured(dwell, first_samples.pop(i) if i in first_samples else during(i), sensor, sensing)
+            dwells[i] = measured(dwell, read, sensor, surveyed.joints, usual)
     return without_noisy(dwells)
 
 
 def table_of(
-    by_kind: Mapping[str, Sequence[Dwell]], passes: Sequence[LinePass], joints: int, name: str, bins: Bins | None
+    by_kind: Mapping[str, Sequence[Dwell]], passes: Sequence[LinePass], joints: JointStream, name: str
 ) -> ObservationTable:
     """Return a table with one row per dwell without a reason, by kind of observation, then all rows of the passes.
 
-    ``name`` is the session's name for ``source``. ``bins`` of the joints give the direction of approach of each dwell.
+    ``name`` is the session's name for ``source``.
     """
-    tables = [_of_dwells(dwells, kind, joints, name, bins) for kind, dwells in by_kind.items()]
+    tables = [_of_dwells(dwells, kind, joints, name) for kind, dwells in by_kind.items()]
     for number, line_pass in enumerate(passes, start=1):
         source = [f"{name} pass {number}.{row}" for row in range(1, len(line_pass.table) + 1)]
         tables += [line_pass.table.replace(source=source)] if not line_pass.reason else []
     return ObservationTable.joined(tables)
 
 
-def _of_dwells(dwells: Sequence[Dwell], kind: str, joints: int, name: str, bins: Bins | None) -> ObservationTable:
+def _of_dwells(dwells: Sequence[Dwell], kind: str, joints: JointStream, name: str) -> ObservationTable:
     rows = [(i, dwell) for i, dwell in enumerate(dwells, start=1) if not dwell.reason]
-    declared = registry.kinds()[kind]
+    declared, shape = registry.kinds()[kind], (len(rows), len(joints.step))
     named = {key: [dwell.mounted.get(key, "") for _, dwell in rows] for key in (*declared.identifiers, "shell")}
-    side = np.full((len(rows), joints), np.nan)
-    if bins is not None and rows:
-        side[:] = [came_from(bins, dwell) for _, dwell in rows]
+    side = np.array([came_from(joints, dwell) for _, dwell in rows]).reshape(shape)
     return ObservationTable(
         {**named, declared.quantities[0].field: [dwell.value for _, dwell in rows]},
-        q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), joints),
+        q=np.array([dwell.q for _, dwell in rows]).reshape(shape),
         kind=kind,
         sigma=[dwell.sigma for _, dwell in rows],
         source=[f"{name} dwell {i}" for i, _ in rows],
@@ -259,13 +258,13 @@ LEAST = 5e-4  # rad or m; a smaller motion is a swing about the position, not an
 BACK_BINS = 200  # how far back the last motion is searched: 10 s
 
 
-def came_from(bins: Bins, dwell: Dwell) -> Floats:
+def came_from(joints: JointStream, dwell: Dwell) -> Floats:
     """Return the direction (j,) of the last motion of each joint before a dwell.
 
-    −1 or 1, or 0 if the joint did not move or the direction is not known.
+    −1 or 1, or 0 if the joint did not move or the direction is not known, as with readings that were noted one by one.
     """
-    direction = np.zeros(dwell.q.size)
-    last = dwell.bins[0]
+    bins, direction = joints.bins, np.zeros(dwell.q.size)
+    last = 0 if has_manual_joints(joints) else dwell.bins[0]
     while last > 0 and bins.t_first_s[last - 1] >= dwell.stood_s and bins.segment[last - 1] == dwell.segment:
         last -= 1
     for k in range(last - 1, max(-1, last - 1 - BACK_BINS), -1):
