@@ -32,7 +32,7 @@ from truearm.estimate.identifiability import (
     weakly_identifiable,
 )
 from truearm.estimate.information import RANK_TOLERANCE, of_rows
-from truearm.estimate.levenberg_marquardt import idle
+from truearm.estimate.levenberg_marquardt import Damping, idle
 from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
@@ -145,7 +145,9 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
     )
     columns = problem.columns(free)
     wide = replace(problem, prior_sigma=everywhere)
-    _, x = gross_rows(wide, columns, fit(wide, columns, x, Options(PRELIMINARY, ends=idle())).x)
+    _, x = gross_rows(
+        wide, columns, fit(wide, columns, x, Options(PRELIMINARY, damping=Damping(correctors=0), ends=idle(steps=1))).x
+    )
     misfit, rms = _misfit(problem, x, columns)
     if rms > HEAVY * misfit:  # many bad rows bend the fit, so that the others err too
         x = fit(wide, columns, x, Options(loss=Loss.CAUCHY)).x

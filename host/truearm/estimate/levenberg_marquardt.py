@@ -43,9 +43,9 @@ IDLE = 3  # steps
 WORTH = 1e-4  # of χ², by all of these: a figure of the nominal robot, and a start, need no more
 
 
-def idle(worth: float = WORTH) -> Ends:
-    """Return the end of an iteration whose last IDLE steps together reduced χ² by less than the part ``worth``."""
-    return lambda chi2: len(chi2) > IDLE and chi2[-1] > (1.0 - worth) * chi2[-1 - IDLE]
+def idle(worth: float = WORTH, steps: int = IDLE) -> Ends:
+    """Return the end of an iteration whose last ``steps`` together reduced χ² by less than the part ``worth``."""
+    return lambda chi2: len(chi2) > steps and chi2[-1] > (1.0 - worth) * chi2[-1 - steps]
 
 
 class Damping(NamedTuple):

@@ -4,16 +4,14 @@ Fits and choices of rows alternate until the choice no longer changes (``settled
 beyond the gate, so each round leaves out only rows at least half as far as the farthest, and rows back within the gate
 return. Where the usual row errs by more than its declared noise, the gate is wider in proportion.
 
-If more than MOST of all rows are left out or beyond the gate of their declared noise, or more than LONGEST_RUN
-consecutive ones, the model is wrong. Something moved, a label is wrong, or the noise is not as declared. Joint laws may
-be what is missing then, so the rows that are farthest are still named if they ``matter``: a fit with laws decides
-(``law_outliers``).
+If more than MOST of all rows are out or beyond the gate, or more than LONGEST_RUN consecutive ones, the model is wrong:
+something moved, a label is wrong, or the noise is not as declared. Joint laws may be what is missing then, so the rows
+that are farthest are still named if they ``matter``: a fit with laws decides (``law_outliers``).
 
-More rows than that may still be *bad* ones. They bend a least-squares fit too far, but the Cauchy loss ends near the
-fit of the good rows: the choice starts there. They are named, not left out, on three conditions. χ² of all others is
-then in its range, at most MOST_BAD of all rows are bad, and they follow each other no more than by chance. A robot whose
-model is wrong, or whose noise is larger than declared, fails the first. Something that moved for some time fails the
-last.
+More rows may still be *bad*. They bend a least-squares fit too far, but the Cauchy loss ends near the fit of the good
+rows, where the choice starts. They are named, not left out, on three conditions: χ² of all others is then in its range,
+at most MOST_BAD of all rows are bad, and they follow each other no more than by chance. A wrong model or larger noise
+fails the first, something that moved for some time the last.
 """
 
 from __future__ import annotations
