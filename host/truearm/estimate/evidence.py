@@ -81,23 +81,25 @@ def seen_by(marginal: Marginal, blocks: Sequence[PriorBlock]) -> Seen:
     scaled = marginal.root * cap
     tall = scaled.shape[0] > scaled.shape[1]
     square, vectors = np.linalg.eigh(scaled.T @ scaled if tall else scaled @ scaled.T)  # rounding is far below UNSEEN
-    some = vectors[:, square > UNSEEN]
+    directions = vectors[:, square > UNSEEN]
     if tall:
-        some = scaled @ some / np.sqrt(square[square > UNSEEN])
-    return Seen(marginal.root.T @ some, some.T @ marginal.rhs)
+        directions = scaled @ directions / np.sqrt(square[square > UNSEEN])
+    return Seen(marginal.root.T @ directions, directions.T @ marginal.rhs)
 
 
-def weigh(seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> Weighed:
+def weigh(data: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> Weighed:
     """Return c at these variances."""
-    root, rhs = seen
+    root, rhs = data
     inner = np.eye(rhs.size)
     if blocks:
-        parts = zip(blocks, variances, strict=True)
-        half = np.concatenate([_half(block.covariance(variance)) @ root[block.columns] for block, variance in parts])
+        pairs = zip(blocks, variances, strict=True)
+        half = np.concatenate([_half(block.covariance(variance)) @ root[block.columns] for block, variance in pairs])
         inner += half.T @ half
     lower = scipy.linalg.cholesky(inner, lower=True, check_finite=False)
     # On its own the transpose is in LAPACK's order, which takes half the time of one array with the right side.
-    x, y = (scipy.linalg.solve_triangular(lower, of, lower=True, check_finite=False) for of in (root.T, rhs))
+    x, y = (
+        scipy.linalg.solve_triangular(lower, right_side, lower=True, check_finite=False) for right_side in (root.T, rhs)
+    )
     nats = 0.5 * float(rhs @ rhs - y @ y) - float(np.log(np.diag(lower)).sum())
     return Weighed(x, x.T @ y, nats)
 
@@ -117,28 +119,28 @@ class Coefficients(NamedTuple):
 
 
 def coefficients(
-    marginal: Marginal, here: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]
+    marginal: Marginal, weighed: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]
 ) -> Coefficients:
     """Return the estimate of c at these variances."""
     information = (marginal.root**2).sum(axis=0)
     roots = [prior_root(b, v, information[b.columns].max(initial=0.0)) for b, v in zip(blocks, variances, strict=True)]
-    root = scipy.linalg.block_diag(*roots) if roots else np.zeros((here.z.size, 0))
+    root = scipy.linalg.block_diag(*roots) if roots else np.zeros((weighed.z.size, 0))
     pieces = [marginal.root[:, block.columns] @ of_block for block, of_block in zip(blocks, roots, strict=True)]
-    seen = np.concatenate([marginal.root[:, :0], *pieces], axis=1)
-    lower = np.linalg.cholesky(np.eye(root.shape[1]) + seen.T @ seen)
+    along = np.concatenate([marginal.root[:, :0], *pieces], axis=1)
+    lower = np.linalg.cholesky(np.eye(root.shape[1]) + along.T @ along)
     half = scipy.linalg.solve_triangular(lower, root.T, lower=True, check_finite=False)
-    return Coefficients(root @ (root.T @ here.z), half.T @ half, root)
+    return Coefficients(root @ (root.T @ weighed.z), half.T @ half, root)
 
 
 def prior_root(block: PriorBlock, variances: Floats, information: float = 0.0) -> Floats:
     """Return F (m, p) with F Fᵀ the block's prior, without directions that ``information`` cannot tell from none."""
     values, vectors = np.linalg.eigh(block.covariance(variances))
-    some = values * max(information, block.cap**-2) * len(values) > NEGLIGIBLE  # unseen ones keep their prior
-    return np.asarray(vectors[:, some] * np.sqrt(values[some]))
+    significant = values * max(information, block.cap**-2) * len(values) > NEGLIGIBLE  # unseen ones keep their prior
+    return np.asarray(vectors[:, significant] * np.sqrt(values[significant]))
 
 
 def learned(
-    seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats], steps: int, tolerance: float = 3e-3
+    data: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats], steps: int, tolerance: float = 3e-3
 ) -> list[Floats]:
     """Return the variances after ``steps`` fixed-point steps, or once no relevant one changes by over ``tolerance``.
 
@@ -146,31 +148,31 @@ def learned(
     Scandinavian Journal of Statistics 35(2)) in the standard deviations. If the evidence is then lower than at the point
     before the last step, the extrapolation is undone. It is also undone if there is no step left to check it with.
     """
-    here = [np.array(variance) for variance in variances]
+    current = [np.array(variance) for variance in variances]
     undo: list[Floats] | None = None
-    before, objective = [here], -math.inf
+    history, objective = [current], -math.inf
     for _ in range(steps):
-        weighed = weigh(seen, blocks, here)
-        value = _objective(weighed, blocks, here)
+        weighed = weigh(data, blocks, current)
+        value = _objective(weighed, blocks, current)
         if undo is not None and value < objective:
-            here, before, undo = undo, [undo], None
+            current, history, undo = undo, [undo], None
             continue
         objective = value
-        new, largest = _step(weighed, blocks, here)
+        new, largest = _step(weighed, blocks, current)
         if largest < tolerance:
             return new
-        before, here, undo = [*before, new], new, None
-        if len(before) == 3:
-            here, undo = _extrapolated(*before), new
-            before = [here]
-    return here if undo is None else undo
+        history, current, undo = [*history, new], new, None
+        if len(history) == 3:
+            current, undo = _extrapolated(*history), new
+            history = [current]
+    return current if undo is None else undo
 
 
-def _step(here: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> tuple[list[Floats], float]:
+def _step(weighed: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> tuple[list[Floats], float]:
     """Return the variances after a fixed-point step, and the largest relative change of a relevant one."""
     out, largest = [], 0.0
     for block, variance in zip(blocks, variances, strict=True):
-        gain, loss = _gradient(here, block)
+        gain, loss = _gradient(weighed, block)
         new = np.maximum(variance * gain / loss, FLOOR)
         scale = np.maximum(new, COUNTS * max(float(new.sum()), COUNTS * block.cap**2))
         largest = max(largest, float((np.abs(new - variance) / scale).max()))
@@ -178,47 +180,47 @@ def _step(here: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Float
     return out, largest
 
 
-def _objective(here: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> float:
+def _objective(weighed: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> float:
     """Return the log evidence with the hyperprior."""
-    return here.nats - sum(float(v.sum()) / (2.0 * block.cap**2) for v, block in zip(variances, blocks, strict=True))
+    return weighed.nats - sum(float(v.sum()) / (2.0 * block.cap**2) for v, block in zip(variances, blocks, strict=True))
 
 
 def _extrapolated(first: Sequence[Floats], second: Sequence[Floats], third: Sequence[Floats]) -> list[Floats]:
     """Return the variances beyond three successive ones; none falls or rises by more than LEAP beyond the third."""
-    a, b, c = (np.sqrt(np.concatenate(each)) for each in (first, second, third))
+    a, b, c = (np.sqrt(np.concatenate(values)) for values in (first, second, third))
     bend = float(np.linalg.norm(c - 2.0 * b + a))
-    far = max(float(np.linalg.norm(b - a)) / bend, 1.0) if bend > 0.0 else 1.0
-    beyond = np.clip(a + 2.0 * far * (b - a) + far**2 * (c - 2.0 * b + a), c / LEAP, c * LEAP)
-    ends = np.cumsum([len(each) for each in third])[:-1]
-    return [np.maximum(each**2, FLOOR) for each in np.split(beyond, ends)]
+    stride = max(float(np.linalg.norm(b - a)) / bend, 1.0) if bend > 0.0 else 1.0
+    beyond = np.clip(a + 2.0 * stride * (b - a) + stride**2 * (c - 2.0 * b + a), c / LEAP, c * LEAP)
+    ends = np.cumsum([len(values) for values in third])[:-1]
+    return [np.maximum(values**2, FLOOR) for values in np.split(beyond, ends)]
 
 
-def revived(seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> list[Floats]:
+def revived(data: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> list[Floats]:
     """Return the variances, restarting any that had fallen to zero but would raise the evidence.
 
     The fixed point is multiplicative, so a variance that fell while the noise was still too large would recover very
     slowly.
     """
-    here, out = weigh(seen, blocks, variances), []
+    weighed, out = weigh(data, blocks, variances), []
     for block, variance in zip(blocks, variances, strict=True):
-        gain, loss = _gradient(here, block)
+        gain, loss = _gradient(weighed, block)
         again = (REVIVED * block.cap) ** 2
         out.append(np.where((variance < again) & (gain > loss), again, variance))
     return out
 
 
-def _gradient(here: Weighed, block: PriorBlock) -> tuple[Floats, Floats]:
+def _gradient(weighed: Weighed, block: PriorBlock) -> tuple[Floats, Floats]:
     """Return zᵀKz and tr KV + 1/cap² of each kernel."""
-    z, v = here.z[block.columns], here.v(block.columns)
+    z, v = weighed.z[block.columns], weighed.v(block.columns)
     flat = block.kernels.reshape(len(block.kernels), -1)
     return flat @ np.outer(z, z).ravel(), flat @ v.ravel() + 1.0 / block.cap**2
 
 
-def block_nats(here: Weighed, block: PriorBlock, variances: Floats) -> float:
+def block_nats(weighed: Weighed, block: PriorBlock, variances: Floats) -> float:
     """Return by how much a block raises the log evidence, all other variances unchanged: its Savage–Dickey ratio."""
-    z, v, s = here.z[block.columns], here.v(block.columns), block.covariance(variances)
-    left = np.eye(len(z)) - v @ s
-    sign, logarithm = np.linalg.slogdet(left)
+    z, v, s = weighed.z[block.columns], weighed.v(block.columns), block.covariance(variances)
+    remaining = np.eye(len(z)) - v @ s
+    sign, logarithm = np.linalg.slogdet(remaining)
     if sign <= 0.0:  # rounding, if the data are overwhelming
         return math.inf
-    return 0.5 * float(logarithm) + 0.5 * float(z @ s @ np.linalg.solve(left, z))
+    return 0.5 * float(logarithm) + 0.5 * float(z @ s @ np.linalg.solve(remaining, z))

@@ -193,22 +193,22 @@ class _Work:
     chain: Chain
     rig: Rigs
     table: ObservationTable
-    before: Estimate
+    geometry: Estimate
     request: LawRequest
 
     def supported(self, laws: Sequence[Law], nearly: LawChoice | None) -> LawChoice:
         """Return those of some laws that the rows support beside faults; ``nearly``: the choice of nearly the same rows."""
-        noise = PoseNoise.of(max(self.before.chi2_reduced / 2.0, 1e-3), len(self.chain.joints), JOINT_NOISE)
-        fitted, make = self.table.select(self.before.fitted), partial(self.problem, beside=self.request.faults)
+        noise = PoseNoise.of(max(self.geometry.chi2_reduced / 2.0, 1e-3), len(self.chain.joints), JOINT_NOISE)
+        fitted, make = self.table.select(self.geometry.fitted), partial(self.problem, beside=self.request.faults)
         choice = supported(make, laws, regions(fitted, poses(fitted)), nearly or noise)
-        of = self.problem(choice.kept)
-        learned = learn(of, noise) if choice.kept and self.request.faults else choice.learned
-        return without_absent(of, learned, choice)
+        problem = self.problem(choice.kept)
+        learned = learn(problem, noise) if choice.kept and self.request.faults else choice.learned
+        return without_absent(problem, learned, choice)
 
     @property
     def anywhere(self) -> ObservationTable:
         """Return some of the fitted rows in random poses."""
-        rows = np.flatnonzero(self.before.fitted)
+        rows = np.flatnonzero(self.geometry.fitted)
         some = thinned(rows.size, LEAST_POSES)
         return in_any_pose(self.chain, self.table.select(rows[some]))
 
@@ -218,7 +218,7 @@ class _Work:
 
     def rows(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> Problem:
         """Compile the fitted rows, and those left out of the fit as outliers, for a robot with laws and further effects."""
-        chain, prior, fitted = with_laws(self.chain, laws), self.request.prior_sigma, self.before.fitted
+        chain, prior, fitted = with_laws(self.chain, laws), self.request.prior_sigma, self.geometry.fitted
         if prior is not None:
             prior = np.append(prior, np.full(len(chain.parameters) - len(self.chain.parameters), np.inf))
         effects = modelled_of(chain, self.rig, self.table, (*self.request.effects, *beside))
@@ -227,25 +227,25 @@ class _Work:
 
     def problem(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> LawProblem:
         """Return the problem of the rows that are no outliers."""
-        before, fitted = self.before, self.before.fitted
-        problem = only(self.rows(laws, beside), before.weight[fitted] > 0.0)
-        known = dict(zip(before.parameter_names, before.value, strict=True))
-        free = dict(zip(before.parameter_names, before.free, strict=True))
+        geometry, fitted = self.geometry, self.geometry.fitted
+        problem = only(self.rows(laws, beside), geometry.weight[fitted] > 0.0)
+        known = dict(zip(geometry.parameter_names, geometry.value, strict=True))
+        free = dict(zip(geometry.parameter_names, geometry.free, strict=True))
         columns = np.array([free.get(name, True) for name in problem.names])
         start = np.array([known.get(name, 0.0) for name in problem.names])
         return law_problem(problem, columns, start, laws, poses(self.table.select(fitted)))
 
     def fitted(self, of: LawProblem, learned: Learned) -> Estimate:
         """Return the estimate of the geometry with everything that the laws of a problem change."""
-        before, problem, fitted = self.before, of.problem, posterior(of, learned)
+        geometry, problem, fitted = self.geometry, of.problem, posterior(of, learned)
         anywhere = without_knowledge(build_problem(problem.chain, self.rig, self.anywhere))
-        nearer = nearer_geometry(of, anywhere, fitted, before.chi2_reduced)
+        nearer = nearer_geometry(of, anywhere, fitted, geometry.chi2_reduced)
         seen = observe(problem, nearer.x, np.zeros(nearer.x.size, dtype=bool))
-        held = ~(before.fitted | before.left_out)
+        held = ~(geometry.fitted | geometry.left_out)
         held_out, error = judged(problem, nearer.x, self.rig, self.table, held, self.effects)
-        result = _centred(of, nearer, self.table.q[before.fitted])
+        result = _centred(of, nearer, self.table.q[geometry.fitted])
         x, p = result.x, problem.n_robot
-        at, added = before.n_robot_parameters, p - before.n_robot_parameters
+        at, added = geometry.n_robot_parameters, p - geometry.n_robot_parameters
         is_law = np.arange(x.size) >= at
         is_law[p:] = False
 
@@ -253,22 +253,22 @@ class _Work:
         covariance[np.ix_(of.columns, of.columns)] = result.covariance
         sight = determined(settled(problem, x), x, of.columns & ~is_law, self.effects)
         covariance = _without_null(covariance, sight.unseen, problem.units)
-        identifiable = np.insert(before.identifiable, [at] * added, True)
+        identifiable = np.insert(geometry.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
-        weight, columns = before.weight[before.fitted], of.acting().columns
+        weight, columns = geometry.weight[geometry.fitted], of.acting().columns
         acts = columns[of.columns]
         root = covariance_root(fitted.covariance[np.ix_(acts, acts)])
         rows = row_errors(self.rows(of.laws), fitted.x, columns, root, weight, of.pose, learned.noise)
-        freedom = before.rank + _followed(of, fitted)
+        freedom = geometry.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         judging = held_out is not None
-        unfitted = merged({} if judging else rows.left_out, error if judging else {}, before.fitted, held)
+        unfitted = merged({} if judging else rows.left_out, error if judging else {}, geometry.fitted, held)
         unexplained: Mapping[str, MeanError] = {}
         if not quality.explained:
             unexplained = mean_errors(unfitted, poses(self.table), held_out=judging)
-        number = np.cumsum(before.fitted) - 1  # index of each row among the fitted ones
+        number = np.cumsum(geometry.fitted) - 1  # index of each row among the fitted ones
         return replace(
-            before,
+            geometry,
             parameter_names=problem.names,
             units=problem.units,
             nominal=problem.start,
@@ -281,23 +281,23 @@ class _Work:
             covariance=covariance,
             n_robot_parameters=p,
             rms_after=rms_of(seen.residual),
-            residual=merged(seen.residual, error, before.fitted, held),
+            residual=merged(seen.residual, error, geometry.fitted, held),
             held_out=held_out,
             chi2_reduced=quality.reduced,
             chi2_freedom=quality.freedom,
             chi2_band=quality.band,
             unexplained=unexplained,
             unfitted_error=unfitted,
-            distance=np.where(before.fitted, rows.distance[number], np.nan),
-            suspect=before.fitted & (rows.beyond[number] | (before.weight == 0.0)),
-            outlying=spread(outlying_beside_laws(rows, weight > 0.0), before.fitted),
+            distance=np.where(geometry.fitted, rows.distance[number], np.nan),
+            suspect=geometry.fitted & (rows.beyond[number] | (geometry.weight == 0.0)),
+            outlying=spread(outlying_beside_laws(rows, weight > 0.0), geometry.fitted),
             faults=(),
             claim=None,
             prior_sigma=_prior(of, fitted),
             parts=rows.parts,
-            suggested_free=np.append(before.suggested_free, np.zeros(added, dtype=bool)),
-            with_outliers=before.with_outliers
-            and before.with_outliers._replace(value=np.insert(before.with_outliers.value, [at] * added, 0.0)),
+            suggested_free=np.append(geometry.suggested_free, np.zeros(added, dtype=bool)),
+            with_outliers=geometry.with_outliers
+            and geometry.with_outliers._replace(value=np.insert(geometry.with_outliers.value, [at] * added, 0.0)),
         )
 
 

@@ -82,38 +82,39 @@ class LawProblem:
     def acting(self) -> LawProblem:
         """Return the problem of the coefficients that act at any reading: all others have no column in the rows."""
         acts = np.concatenate([np.zeros(0, bool), *(acting(law) for law in self.laws)])
-        used = np.ones(self.is_law.size, dtype=bool)
-        used[self.is_law] = acts
+        active = np.ones(self.is_law.size, dtype=bool)
+        active[self.is_law] = acts
         columns = self.columns.copy()
-        columns[columns] = used
+        columns[columns] = active
         blocks, first = [], 0
         for block in self.blocks:
-            kept = acts[block.columns]
-            last = first + int(kept.sum())
-            blocks.append(replace(block, columns=slice(first, last), kernels=block.kernels[:, kept][..., kept]))
+            chosen = acts[block.columns]
+            last = first + int(chosen.sum())
+            blocks.append(replace(block, columns=slice(first, last), kernels=block.kernels[:, chosen][..., chosen]))
             first = last
-        return replace(self, columns=columns, is_law=self.is_law[used], sigma=self.sigma[used], blocks=tuple(blocks))
+        is_law, sigma = self.is_law[active], self.sigma[active]
+        return replace(self, columns=columns, is_law=is_law, sigma=sigma, blocks=tuple(blocks))
 
     def some(self) -> LawProblem:
         """Return the problem of the ``acting`` coefficients and at most LEARNING random poses."""
         share, numbers = self.times(LEARNING), np.unique(self.pose)
         if share <= 1.0:
             return self.acting()
-        kept = np.random.default_rng(0).permutation(numbers)[: int(numbers.size / share)]
-        return replace(self.acting(), problem=only(self.problem, np.isin(self.pose, kept)))
+        chosen = np.random.default_rng(0).permutation(numbers)[: int(numbers.size / share)]
+        return replace(self.acting(), problem=only(self.problem, np.isin(self.pose, chosen)))
 
-    def rows(self, x: Floats, every: int = 1) -> Iterator[RowsByPose]:
+    def rows(self, x: Floats, stride: int = 1) -> Iterator[RowsByPose]:
         """Return ``pose_rows`` of the fitted unknowns at x (P,)."""
-        return pose_rows(self.problem, x, self.columns, self.pose, every)
+        return pose_rows(self.problem, x, self.columns, self.pose, stride)
 
-    def times(self, most: tuple[int, int]) -> float:
+    def times(self, limits: tuple[int, int]) -> float:
         """Return how many times as many poses or residuals there are, whichever is more."""
         residuals = 0
         for group in (group for group in self.problem.groups if group.row is not None):
             of_pose = np.unique(self.pose[group.row], return_counts=True)[1] * group.sensor_cov.shape[1]
             residuals += int(np.minimum(of_pose, MOST_OF_POSE).sum())
         poses = np.unique(self.pose[_rows_used(self.problem)]).size
-        return max(poses / most[0], residuals / most[1])
+        return max(poses / limits[0], residuals / limits[1])
 
     @property
     def shares_poses(self) -> bool:
@@ -166,56 +167,57 @@ class Posterior(NamedTuple):
     prior_root: Floats
 
 
-def learn(of: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS, shared: bool = True) -> Learned:
+def learn(problem: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS, shared: bool = True) -> Learned:
     """Learn variances and noise from at most LEARNING poses; without ``shared``, no error that the rows of a pose share.
 
     They start from what was learned with more laws; with a noise alone, all variances start small.
     """
-    part = of.some()
-    blocks = part.blocks
+    sample = problem.some()
+    blocks = sample.blocks
     if isinstance(start, Learned):
-        values, noise, x, least = [start.variances[law] for law in of.laws], start.noise, start.x, 0
+        values, noise, x, least_rounds = [start.variances[law] for law in problem.laws], start.noise, start.x, 0
     else:
         values = [np.full(len(block.kernels), (START * block.cap) ** 2) for block in blocks]
-        noise, x, least = start, of.start, LEAST_ROUNDS
-    shared = shared and of.shares_poses
+        noise, x, least_rounds = start, problem.start, LEAST_ROUNDS
+    shared = shared and problem.shares_poses
     if shared and not noise.shared:
         noise = noise._replace(shared=SHARED_START, turned=SHARED_START)
-    every = max(1, int(part.times(FOR_NOISE)))
+    stride = max(1, int(sample.times(FOR_NOISE)))
     for i in steps_of(range(rounds), "learning the sizes of joint laws and noise"):
-        rows = list(part.rows(x)) if every == 1 else []  # more would take much memory
-        marginal, rest = _marginal(part, x, rows or part.rows(x), noise)
-        seen = seen_by(marginal, blocks)
-        values = learned(seen, blocks, revived(seen, blocks, values), STEPS)
-        weighed = weigh(seen, blocks, values)
-        found = coefficients(marginal, weighed, blocks, values)
-        here = _posterior(part, x, marginal, rest, found, weighed.nats)
-        step = (x - here.x)[part.columns]
-        samples = pose_samples(rows or part.rows(x, every), step, here.covariance)
-        x, old, noise = here.x, noise, learned_noise(samples, noise, shared)
-        if i >= least and noise_change(samples, old, noise) < NOISE_END:
+        rows = list(sample.rows(x)) if stride == 1 else []  # more would take much memory
+        marginal, geometry = _marginal(sample, x, rows or sample.rows(x), noise)
+        data = seen_by(marginal, blocks)
+        values = learned(data, blocks, revived(data, blocks, values), STEPS)
+        weighed = weigh(data, blocks, values)
+        estimates = coefficients(marginal, weighed, blocks, values)
+        fit = _posterior(sample, x, marginal, geometry, estimates, weighed.nats)
+        step = (x - fit.x)[sample.columns]
+        samples = pose_samples(rows or sample.rows(x, stride), step, fit.covariance)
+        x, old, noise = fit.x, noise, learned_noise(samples, noise, shared)
+        if i >= least_rounds and noise_change(samples, old, noise) < NOISE_END:
             break
-    nats = {law: block_nats(weighed, b, v) for law, b, v in zip(of.laws, blocks, values, strict=True)}
-    return Learned(dict(zip(of.laws, values, strict=True)), noise, nats, here.evidence, x)
+    nats = {law: block_nats(weighed, b, v) for law, b, v in zip(problem.laws, blocks, values, strict=True)}
+    return Learned(dict(zip(problem.laws, values, strict=True)), noise, nats, fit.evidence, x)
 
 
-def nats_of_scatter(of: LawProblem, found: Learned) -> float:
+def nats_of_scatter(problem: LawProblem, learning: Learned) -> float:
     """Return how much the learned noise raises the log evidence over that of the sensors alone, as declared times a factor."""
-    alone = PoseNoise.of(found.noise.sensor, found.noise.joint.size)
-    sensors = learn(of, found._replace(noise=alone), WITHOUT_SCATTER, shared=False)
-    return max(found.evidence - sensors.evidence, 0.0)
+    alone = PoseNoise.of(learning.noise.sensor, learning.noise.joint.size)
+    sensors = learn(problem, learning._replace(noise=alone), WITHOUT_SCATTER, shared=False)
+    return max(learning.evidence - sensors.evidence, 0.0)
 
 
-def posterior(of: LawProblem, found: Learned) -> Posterior:
+def posterior(problem: LawProblem, learning: Learned) -> Posterior:
     """Return the posterior of all poses with the learned variances and noise, linearised at what was learned."""
-    blocks, part = of.blocks, of.acting()
-    values = [found.variances[law] for law in of.laws]
-    marginal, rest = _marginal(of, found.x, part.rows(found.x), found.noise, part.columns[of.columns])
+    x, noise, blocks, active = learning.x, learning.noise, problem.blocks, problem.acting()
+    values = [learning.variances[law] for law in problem.laws]
+    marginal, geometry = _marginal(problem, x, active.rows(x), noise, active.columns[problem.columns])
     weighed = weigh(seen_by(marginal, blocks), blocks, values)
-    return _posterior(of, found.x, marginal, rest, coefficients(marginal, weighed, blocks, values), weighed.nats)
+    estimates = coefficients(marginal, weighed, blocks, values)
+    return _posterior(problem, x, marginal, geometry, estimates, weighed.nats)
 
 
-class _Rest(NamedTuple):
+class _Geometry(NamedTuple):
     """Everything except laws, integrated out: solutions (k − l, l + 1) for the laws' columns and the residual, and more."""
 
     solved: Floats
@@ -224,43 +226,43 @@ class _Rest(NamedTuple):
 
 
 def _marginal(
-    of: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: PoseNoise, used: Mask | None = None
-) -> tuple[Marginal, _Rest]:
+    problem: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: PoseNoise, active: Mask | None = None
+) -> tuple[Marginal, _Geometry]:
     """Return the poses' information about the laws, linearised at x (P,), about no laws and the reference of the rest.
 
-    The rows have derivatives by all unknowns, or those that are ``used`` (k,).
+    The rows have derivatives by all unknowns, or those that are ``active`` (k,).
     """
-    filled = np.ones(of.is_law.size + 1, dtype=bool)
-    filled[:-1] = True if used is None else used
+    filled = np.ones(problem.is_law.size + 1, dtype=bool)
+    filled[:-1] = True if active is None else active
     triangle, logdet = pose_information(rows, int(filled.sum()), noise)
     root = np.zeros((len(triangle), filled.size))
     root[:, filled] = triangle
-    root[:, -1] += root[:, :-1] @ (x - of.reference)[of.columns]
-    order = np.concatenate([np.flatnonzero(~of.is_law), np.flatnonzero(of.is_law), [-1]])
-    n = int((~of.is_law).sum())
-    weight = 1.0 / of.sigma[~of.is_law]
-    triangle, solved, left = eliminated(np.diag(weight), root[:, order])
+    root[:, -1] += root[:, :-1] @ (x - problem.reference)[problem.columns]
+    order = np.concatenate([np.flatnonzero(~problem.is_law), np.flatnonzero(problem.is_law), [-1]])
+    n = int((~problem.is_law).sum())
+    weight = 1.0 / problem.sigma[~problem.is_law]
+    triangle, solved, reduced = eliminated(np.diag(weight), root[:, order])
     inverse = scipy.linalg.solve_triangular(triangle, np.eye(n), check_finite=False)
     logdet += 2.0 * float(np.log(np.abs(np.diag(triangle)) / weight).sum())
-    evidence = -0.5 * (logdet + float((left[:, -1] ** 2).sum()))
-    return Marginal(left[:, :-1], left[:, -1]), _Rest(inverse @ solved, inverse @ inverse.T, evidence)
+    evidence = -0.5 * (logdet + float((reduced[:, -1] ** 2).sum()))
+    return Marginal(reduced[:, :-1], reduced[:, -1]), _Geometry(inverse @ solved, inverse @ inverse.T, evidence)
 
 
 def _posterior(
-    of: LawProblem, x: Floats, marginal: Marginal, rest: _Rest, found: Coefficients, nats: float
+    problem: LawProblem, x: Floats, marginal: Marginal, geometry: _Geometry, estimates: Coefficients, nats: float
 ) -> Posterior:
-    c, covariance = found.value, found.covariance
-    by_law = -rest.solved[:, :-1]
-    law = of.is_law
+    c, covariance = estimates.value, estimates.covariance
+    by_law = -geometry.solved[:, :-1]
+    law = problem.is_law
     value, full = np.zeros(law.size), np.zeros((law.size, law.size))
-    value[law], value[~law] = c, rest.solved[:, -1] + by_law @ c
+    value[law], value[~law] = c, geometry.solved[:, -1] + by_law @ c
     cross = by_law @ covariance
     full[np.ix_(law, law)] = covariance
     full[np.ix_(~law, law)], full[np.ix_(law, ~law)] = cross, cross.T
-    full[np.ix_(~law, ~law)] = rest.covariance + cross @ by_law.T
+    full[np.ix_(~law, ~law)] = geometry.covariance + cross @ by_law.T
     out = x.copy()
-    out[of.columns] = of.reference[of.columns] + value
-    return Posterior(out, full, rest.evidence + nats, marginal.root, found.prior_root)
+    out[problem.columns] = problem.reference[problem.columns] + value
+    return Posterior(out, full, geometry.evidence + nats, marginal.root, estimates.prior_root)
 
 
 def _rows_used(problem: Problem) -> Indices:
@@ -268,20 +270,20 @@ def _rows_used(problem: Problem) -> Indices:
     return np.concatenate([group.row for group in problem.groups if group.row is not None])
 
 
-def nearer_geometry(of: LawProblem, anywhere: Problem, found: Posterior, misfit: float) -> Posterior:
+def nearer_geometry(of: LawProblem, anywhere: Problem, fit: Posterior, misfit: float) -> Posterior:
     """Return the posterior moved towards ``of.start``, the geometry alone, where the rows do not determine the difference.
 
     ``anywhere`` has rows of the same fixtures in random poses, and ``misfit`` is the reduced χ² of the geometry.
     """
-    at = np.array([of.problem.names.index(name) for name in anywhere.names])
-    middle = 0.5 * (found.x + of.start)[at]  # makes the change exact to second order
-    seen = observe(anywhere, middle, of.columns[at])
-    used = (np.cumsum(of.columns) - 1)[at[of.columns[at]]]
-    root = seen.root / np.sqrt(max(misfit, np.finfo(float).tiny) * seen.n_residuals)
-    change = root @ (found.x - of.start)[of.columns][used]
-    cross = root @ found.covariance[used]
-    inner = np.eye(len(root)) + cross[:, used] @ root.T
+    index = np.array([of.problem.names.index(name) for name in anywhere.names])
+    middle = 0.5 * (fit.x + of.start)[index]  # makes the change exact to second order
+    information = observe(anywhere, middle, of.columns[index])
+    column = (np.cumsum(of.columns) - 1)[index[of.columns[index]]]
+    root = information.root / np.sqrt(max(misfit, np.finfo(float).tiny) * information.n_residuals)
+    change = root @ (fit.x - of.start)[of.columns][column]
+    cross = root @ fit.covariance[column]
+    inner = np.eye(len(root)) + cross[:, column] @ root.T
     move = -cross.T @ scipy.linalg.solve(inner, change, assume_a="pos", check_finite=False)
-    x = found.x.copy()
+    x = fit.x.copy()
     x[of.columns] += move
-    return found._replace(x=x, covariance=found.covariance + np.outer(move, move))
+    return fit._replace(x=x, covariance=fit.covariance + np.outer(move, move))

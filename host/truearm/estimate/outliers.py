@@ -105,20 +105,20 @@ def settled(
     solution: Solution,
     weight: Floats,
     choose: Callable[[Floats, Indices, Mask], Mask],
-    most: float,
+    largest_share: float,
     options: Options,
 ) -> Settled:
     """Alternate the choice of rows and their fit, from a ``solution`` over x[columns] with the rows' ``weight`` (n_rows,).
 
     ``choose`` returns the rows to include by their squared distances, their widths, and the rows included so far. At
-    most the part ``most`` of all may be left out.
+    most the part ``largest_share`` of all may be left out.
     """
     included, choices, is_stable = weight > 0.0, set[bytes](), False
     for _ in range(MAX_ROUNDS):
         square, width = squared_distances(problem, solution.x, columns, solution.information.half, weight)
         chosen = choose(square, width, included)
         is_stable = np.array_equal(chosen, included)
-        if is_stable or (~chosen).mean() > most or chosen.tobytes() in choices:
+        if is_stable or (~chosen).mean() > largest_share or chosen.tobytes() in choices:
             break
         choices.add(chosen.tobytes())
         included, weight = chosen, chosen.astype(float)
@@ -178,15 +178,15 @@ def without_bad_rows(
     if not quality.reduced > HEAVY * usual:
         return None
     robust = fit(problem, columns, solution.x, options._replace(on_step=None, loss=Loss.CAUCHY))
-    near = settled(
+    good = settled(
         problem, columns, robust, robust.weight, lambda square, width, _: ~(square > gate(width)), MOST_BAD, options
     )
-    bad = ~near.included
-    if not near.is_stable or not bad.any() or longest_run(bad) > _longest_by_chance(bad):
+    bad = ~good.included
+    if not good.is_stable or not bad.any() or longest_run(bad) > _longest_by_chance(bad):
         return None
-    remaining = goodness_of(problem, columns, near.fit)
+    remaining = goodness_of(problem, columns, good.fit)
     explained = remaining.explained and remaining.freedom >= LEAST_LEFT
-    return WithoutBad(bad, np.sqrt(near.square), near.fit, remaining) if explained else None
+    return WithoutBad(bad, np.sqrt(good.square), good.fit, remaining) if explained else None
 
 
 def _longest_by_chance(bad: Mask) -> float:

@@ -139,14 +139,14 @@ class PoseInformation(NamedTuple):
 
 
 def pose_rows(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, every: int = 1
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, stride: int = 1
 ) -> Iterator[RowsByPose]:
-    """Return all poses, or every ``every``-th, in chunks with equally many rows of each kind per pose.
+    """Return all poses, or every ``stride``-th, in chunks with equally many rows of each kind per pose.
 
     The unknowns are x[columns], linearised at x. ``pose`` (n_rows,) holds the numbers of the poses.
     """
     by_unknowns = _by_unknowns(problem, x, columns)
-    for pieces in _pieces(problem.groups, pose, by_unknowns.shape[0], every):
+    for pieces in _pieces(problem.groups, pose, by_unknowns.shape[0], stride):
         ends = np.cumsum([count * group.sensor_cov.shape[1] for group, count in pieces]).tolist()
         whitened = [_whitened(problem, x, group, count) for group, count in pieces]
         places = (slice(first, last) for first, last in pairwise([0, *ends]))
@@ -158,25 +158,25 @@ def pose_rows(
         yield RowsByPose(tuple(kinds), (rows.reshape(n * w, -1) @ by_unknowns).reshape(n, w, -1), moved)
 
 
-def _pieces(groups: Sequence[Group], pose: Indices, width: int, every: int) -> Iterator[list[tuple[Group, int]]]:
+def _pieces(groups: Sequence[Group], pose: Indices, width: int, stride: int) -> Iterator[list[tuple[Group, int]]]:
     """Yield observations of some poses, pose by pose: those of each kind, and the number of them per pose."""
     yield from ([(group, 1)] for group in groups if group.row is None)
     measured = [group for group in groups if group.row is not None]
     if not measured:
         return
     of_group = [pose[group.row] for group in measured]
-    numbers = np.flatnonzero(np.bincount(np.concatenate(of_group)))[::every]
-    orders = [np.argsort(mine, kind="stable") for mine in of_group]
-    ends = [np.searchsorted(mine, numbers, "right", order) for mine, order in zip(of_group, orders, strict=True)]
-    starts = [np.searchsorted(mine, numbers, "left", order) for mine, order in zip(of_group, orders, strict=True)]
+    numbers = np.flatnonzero(np.bincount(np.concatenate(of_group)))[::stride]
+    orders = [np.argsort(poses, kind="stable") for poses in of_group]
+    ends = [np.searchsorted(poses, numbers, "right", order) for poses, order in zip(of_group, orders, strict=True)]
+    starts = [np.searchsorted(poses, numbers, "left", order) for poses, order in zip(of_group, orders, strict=True)]
     counts = np.stack(ends) - np.stack(starts)  # (groups, poses)
-    example, which = first_alike(counts)
+    example, signature_of = first_alike(counts)
     for k, signature in enumerate(counts[:, example].T.tolist()):
-        some = np.flatnonzero(which == k)
+        alike = np.flatnonzero(signature_of == k)
         size = sum(count * group.sensor_cov.shape[1] for count, group in zip(signature, measured, strict=True))
-        each = max(1, CHUNK // (size * width))
-        for first in range(0, some.size, each):
-            rows = some[first : first + each]
+        chunk = max(1, CHUNK // (size * width))
+        for first in range(0, alike.size, chunk):
+            rows = alike[first : first + chunk]
             every_kind = zip(measured, orders, starts, signature, strict=True)
             yield [
                 (group.take(order[(start[rows, None] + np.arange(count)).ravel()]), count)
@@ -191,8 +191,8 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> tuple[Fl
     w, n, _ = lin.wrenches.shape
     end = folded(problem.chain, x[: problem.n_robot]).end
     moved = lin.wrenches @ np.concatenate([end[:, ::2], end[:, 1::2]], axis=1)
-    parts = (lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None], moved, lin.by_joints)
-    stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in parts])
+    columns = (lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None], moved, lin.by_joints)
+    stacked = np.concatenate([np.moveaxis(column, 2, 0) for column in columns])
     declared = residual_cov(piece.sensor_cov, lin.jac_joints, problem.joint_cov)
     whiten(stacked, declared)
     rows = np.ascontiguousarray(stacked.transpose(2, 1, 0)).reshape(n // count, count * w, -1)
@@ -202,18 +202,18 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> tuple[Fl
 
 def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -> PoseInformation:
     """Return the information of poses on their ``width`` − 1 unknowns and the residual, with the given noise."""
-    triangle, few, logdet = np.zeros((width, width)), np.zeros((0, width)), 0.0
+    triangle, pending, logdet = np.zeros((width, width)), np.zeros((0, width)), 0.0
     for poses in rows:
         shared, beyond = poses.split()
         root = np.linalg.cholesky(shared.covariances(noise))
         logdet += 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
         logdet += len(root) * shared.spare * math.log(noise.sensor)
         whitened = shared.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ shared.rows
-        for whole in (whitened, beyond / math.sqrt(noise.sensor)):
-            few = np.concatenate([few, whole.reshape(-1, width)])
-            if len(few) > width:
-                triangle, few = fold(triangle, few), few[:0]
-    return PoseInformation(fold(triangle, few) if triangle.any() else few, logdet)
+        for block in (whitened, beyond / math.sqrt(noise.sensor)):
+            pending = np.concatenate([pending, block.reshape(-1, width)])
+            if len(pending) > width:
+                triangle, pending = fold(triangle, pending), pending[:0]
+    return PoseInformation(fold(triangle, pending) if triangle.any() else pending, logdet)
 
 
 def _by_unknowns(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
@@ -267,16 +267,16 @@ def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool)
     The last term is the share of the part's rows absorbed by the unknowns. It is kept constant while the variances are
     found (MacKay's γ): if the posterior were kept instead, a smaller R would make it exceed the number of rows.
     """
-    here = _parts(samples, noise)
-    spent = np.divide(here.spent, here.rows, out=np.zeros(here.rows.size), where=here.rows > 0.0)
+    sums = _parts(samples, noise)
+    spent = np.divide(sums.spent, sums.rows, out=np.zeros(sums.rows.size), where=sums.rows > 0.0)
     for _ in range(MAX_STEPS):
         old = np.array([*noise[:3], *noise.joint])
-        left = np.maximum((1.0 - spent) * here.rows, SMALLEST_SHARE * here.rows)
-        new = old * np.divide(here.gain, left, out=np.zeros(old.size), where=left > 0.0)
+        remaining = np.maximum((1.0 - spent) * sums.rows, SMALLEST_SHARE * sums.rows)
+        new = old * np.divide(sums.gain, remaining, out=np.zeros(old.size), where=remaining > 0.0)
         noise = PoseNoise(max(float(new[0]), LEAST_FACTOR), float(new[1]) * shared, float(new[2]) * shared, new[3:])
-        if np.all(np.abs(new - old) * here.rows <= SETTLED * (old @ here.rows)):
+        if np.all(np.abs(new - old) * sums.rows <= SETTLED * (old @ sums.rows)):
             break
-        here = _parts(samples, noise)
+        sums = _parts(samples, noise)
     return noise
 
 
@@ -287,8 +287,8 @@ def noise_change(samples: Sequence[PoseSample], old: PoseNoise, new: PoseNoise) 
     """
     square, count = 0.0, 0
     for sample in samples:
-        before, after = (noise.covariances(sample.moved) for noise in (old, new))
-        change = np.linalg.solve(after, after - before)
+        old_cov, new_cov = (noise.covariances(sample.moved) for noise in (old, new))
+        change = np.linalg.solve(new_cov, new_cov - old_cov)
         square += float((change * change.swapaxes(1, 2)).sum())
         square += sample.beyond[0] * (new.sensor / old.sensor - 1.0) ** 2
         count += sample.residual.size + sample.beyond[0]

@@ -62,8 +62,8 @@ def row_errors(
     """
     distance, width = np.full(problem.n_rows, np.nan), np.ones(problem.n_rows, dtype=np.intp)
     left_out, squares = problem.no_residuals(), dict[str, list[Floats]]()
-    apart = np.where(weight > 0.0, pose, pose + 1 + pose.max(initial=0))  # what is predicted is a pose of its own
-    for poses in _poses(problem, x, columns, apart, noise):
+    pose_number = np.where(weight > 0.0, pose, pose + 1 + pose.max(initial=0))  # a pose of what is predicted alone
+    for poses in _poses(problem, x, columns, pose_number, noise):
         leverage, residual = leverages(seen_by(poses.rows[..., :-1], root)), poses.rows[..., -1:]
         f, absorbed, hat, covariance = residual, leverage, leverage, None
         if noise is not None:
@@ -75,21 +75,21 @@ def row_errors(
         for group, row, declared, place in poses.kinds:
             w = group.sensor_cov.shape[1]
             e, f, alone = (array[:, place].reshape(row.size, w) for array in expanded)
-            own = poses.own_blocks(hat, 0.0, place, w)
+            row_hat = poses.own_blocks(hat, 0.0, place, w)
             if noise is not None:
                 precision = poses.own_blocks(inverse, 1.0 / noise.sensor, place, w)
                 whitening = np.linalg.inv(np.linalg.cholesky(precision))
-                f, own = in_units(whitening, f), whitening @ own @ whitening.swapaxes(1, 2)
-            distance[row] = np.sqrt(distance_without(own, f, weight[row]))
+                f, row_hat = in_units(whitening, f), whitening @ row_hat @ whitening.swapaxes(1, 2)
+            distance[row] = np.sqrt(distance_without(row_hat, f, weight[row]))
             width[row] = w
-            used, root_declared = weight[row] > 0.0, noise_root(declared)
+            fitted, root_declared = weight[row] > 0.0, noise_root(declared)
             unfitted = np.eye(w) - poses.own_blocks(absorbed, 0.0, place, w)
             due = ((root_declared @ unfitted) * root_declared).sum(axis=2)
             errors = in_units(root_declared, e)
             for unit, components in unit_columns(group.COMPONENTS).items():
                 shares = np.maximum(due[:, components].sum(axis=1), 0.0), (errors[:, components] ** 2).sum(axis=1)
-                squares.setdefault(unit, []).append(np.stack(shares)[:, used])
-            _note(left_out, group, root_declared, np.where(used[:, None], alone, np.nan))
+                squares.setdefault(unit, []).append(np.stack(shares)[:, fitted])
+            _note(left_out, group, root_declared, np.where(fitted[:, None], alone, np.nan))
     joined = {unit: np.concatenate(squares[unit], axis=1) for unit in UNITS if unit in squares}
     means = {unit: square.mean(axis=1) for unit, square in joined.items() if square.size}
     parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(total - due, 0.0))) for u, (due, total) in means.items()}
