@@ -185,10 +185,9 @@ def refused(tmp_path, capsys, rows, rig, *options):
 
 
 def test_rows_without_information(tmp_path, capsys):
-    """None, one, or a reading that never changes: the cable was disconnected, or a cell was filled down in a spreadsheet."""
+    """One row, or a reading that never changes: the cable was disconnected, or a cell was filled down in a spreadsheet."""
     rows = random_table(60, np.random.default_rng(11), SIGMA)
     for chosen, said in (
-        (rows.select(slice(0)), "no rows"),
         (rows.select(slice(1)), "t.csv row 2: 1 row cannot identify"),
         (replace(rows, value=np.full(60, 0.46)), "same in all 60 ball_bar rows though"),
     ):

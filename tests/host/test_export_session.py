@@ -300,24 +300,28 @@ class TestRefusals:
         assert said.count("\n") == 1
         return said
 
-    def test_a_folder_that_holds_something(self, made, tmp_path, capsys):
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            (("--out", "x"), "file-exists"),
+            (("--out", "a/b"), "missing-file"),
+            (("--out", "y", "--format", "xlsx"), "'xlsx'"),
+            (("--out", "y", "--rate", "5"), "--rate"),
+        ],
+    )
+    def test_what_is_wrong(self, made, tmp_path, capsys, monkeypatch, options, said):
+        monkeypatch.chdir(tmp_path)
         (tmp_path / "x").mkdir()
         (tmp_path / "x" / "mine").write_text("precious")
-        ended(self.refused(capsys, made[1], "--out", tmp_path / "x"), "file-exists")
-        assert os.listdir(tmp_path / "x") == ["mine"]
+        ended(self.refused(capsys, made[1], *options), said)
+        assert [str(path) for path in sorted(tmp_path.rglob("*"))] == [
+            str(tmp_path / "x"),
+            str(tmp_path / "x" / "mine"),
+        ]
+
+    def test_an_empty_folder_is_filled(self, made, tmp_path):
         (tmp_path / "y").mkdir()
         export(made[1], tmp_path / "y")
-
-    def test_no_folder_above(self, made, tmp_path, capsys):
-        ended(self.refused(capsys, made[1], "--out", tmp_path / "a" / "b"), "missing-file")
-
-    def test_a_format_that_is_none(self, made, tmp_path, capsys):
-        assert "'xlsx'" in self.refused(capsys, made[1], "--out", tmp_path / "x", "--format", "xlsx")
-
-    def test_a_rate_for_all_samples(self, made, tmp_path, capsys):
-        said = self.refused(capsys, made[1], "--out", tmp_path / "x", "--rate", "5")
-        assert "--rate" in said
-        assert not (tmp_path / "x").exists()
 
     def test_damaged(self, made, tmp_path, capsys):
         messages, path = made

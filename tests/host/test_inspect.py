@@ -178,6 +178,8 @@ def test_a_damaged_session_on_request(stream, tmp_path, run):
     code, out, err = run("inspect", path)
     assert (code, out) == (2, "")
     assert "--allow-damaged" in err
+    with pytest.raises(SessionError):
+        observations_of_session(path)
     code, out, err = run("inspect", path, "--allow-damaged", "--json")
     assert (code, err) == (0, "")
     findings = listed(json.loads(out))
@@ -185,21 +187,9 @@ def test_a_damaged_session_on_request(stream, tmp_path, run):
     assert 0.0 < findings["session-damaged"]["lost_s"] < findings["session-damaged"]["of_s"]
     assert "session-incomplete" not in findings
     assert not findings["received"]["complete"]
-
-
-def test_identify_says_what_is_lost(stream, tmp_path):
-    path = write(tmp_path / "s.mcap", stream, rig_toml(tmp_path))
-    whole = bytearray(path.read_bytes())
-    with path.open("rb") as file:
-        whole[SeekingReader(file).get_summary().chunk_indexes[-1].chunk_start_offset + 200] ^= 4
-    path.write_bytes(whole)
-    with pytest.raises(SessionError):
-        observations_of_session(path)
     said = []
-    options = SessionOptions(allow_damaged=True, say=said.append)
-    assert len(observations_of_session(path, options=options).table) >= 4
-    (line,) = said
-    assert re.search(r"^.*s\.mcap: Damaged at byte \d+: ", line)
+    assert len(observations_of_session(path, options=SessionOptions(allow_damaged=True, say=said.append)).table) >= 3
+    assert re.search(rf"^.*s\.mcap: Damaged at byte {at}: ", said[0])
 
 
 def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):

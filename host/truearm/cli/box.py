@@ -10,14 +10,24 @@ from typing import Any
 
 import click
 
+from truearm.box import configuration
+from truearm.box.boot_drive import find_drives
+from truearm.box.configuration_schema import check
 from truearm.box.conversation import conversation, ident_of, one_line_of
+from truearm.box.description import finding_lines, ident_lines, port_lines
+from truearm.box.flash import flash_box
 from truearm.box.requests import FlashOptions, GaugeOptions
+from truearm.box.selftest import FAIL, WARN, findings
+from truearm.box.uf2 import CHIPS
 from truearm.cli.command import Answer, command
 from truearm.cli.output import print_lines
 from truearm.cli.project import CommandGroup
 from truearm.errors import ConfigError, InputError, TruearmError
 from truearm.exit_codes import ExitCode
+from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.live.choose_box import choose_box
+from truearm.record.ports import usb_ports
+from truearm_wire.messages import RESTART
 
 SHOW_S, PLAIN_S = 0.5, 1.0  # between two views of the monitor
 _LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it runs
@@ -36,10 +46,7 @@ app.add_command(config)
 
 
 @command(app, "list")
-def list_boxes(
-    *,
-    all: bool = False,
-) -> Answer:
+def list_boxes(*, all: bool = False) -> Answer:
     """List the boxes that are plugged in.
 
     truearm asks every serial port with the USB identity of a Pico. A box that is being recorded is listed as in use. Boot drives
@@ -52,11 +59,6 @@ def list_boxes(
     all
         Ask every serial port, not only those of a Pico.
     """
-    from truearm.box.boot_drive import find_drives
-    from truearm.box.description import port_lines
-    from truearm.box.uf2 import CHIPS
-    from truearm.record.ports import usb_ports
-
     ports = [port for port in usb_ports() if port.candidate or all]
     rows = [_asked(port) for port in ports]
     drives = [str(drive) for chip in CHIPS.values() for drive in find_drives(chip.board)]
@@ -78,36 +80,24 @@ def _asked(port: Any) -> dict[str, Any]:
 
 
 @command(app)
-def info(
-    *,
-    box: str | None = None,
-) -> Answer:
+def info(*, box: str | None = None) -> Answer:
     """Print the description that a box gives of itself: firmware, streams, channels, calibrations, faults.
 
     Example: truearm box info --box /dev/ttyACM0
     """
-    from truearm.box.description import ident_lines
-
     with conversation(choose_box(box, sys.stderr)) as connected:
         ident = ident_of(connected)
     return Answer(ident.document, ident_lines(ident))
 
 
 @command(app, "test")
-def self_test(
-    *,
-    box: str | None = None,
-    stop: bool = False,
-) -> Answer:
+def self_test(*, box: str | None = None, stop: bool = False) -> Answer:
     """Run the self-test of a box, and print each result with what to do about it.
 
     The exit code is 1 if a test failed. A warning marks what was not measured or is near its limit.
 
     Example: truearm box test --box /dev/ttyACM0
     """
-    from truearm.box.description import finding_lines
-    from truearm.box.selftest import FAIL, WARN, findings
-
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
         results = connected.self_test()
@@ -121,17 +111,11 @@ def self_test(
 
 
 @command(app)
-def reset(
-    *,
-    box: str | None = None,
-    stop: bool = False,
-) -> None:
+def reset(*, box: str | None = None, stop: bool = False) -> None:
     """Restart a box. This clears its stored traceback.
 
     Example: truearm box reset --box /dev/ttyACM0
     """
-    from truearm_wire.messages import RESTART
-
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
         connected.reset(RESTART)
@@ -139,13 +123,7 @@ def reset(
 
 
 @command(config)
-def get(
-    *,
-    box: str | None = None,
-    out: Path | None = None,
-    force: bool = False,
-    stop: bool = False,
-) -> Answer:
+def get(*, box: str | None = None, out: Path | None = None, force: bool = False, stop: bool = False) -> Answer:
     """Print a box's configuration as TOML.
 
     Example: truearm box config get --box /dev/ttyACM0 --out box.toml
@@ -155,15 +133,12 @@ def get(
     out : FILE
         File to write: the configuration (.toml), instead of printing it.
     """
-    from truearm.box.configuration import checked_config, format_config
-    from truearm.files.disk import check_writable, write_atomic
-
     if out is not None:
         check_writable(out, force, kind="configuration")
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
-        config = checked_config(connected)
-    text = format_config(config)
+        config = configuration.checked_config(connected)
+    text = configuration.format_config(config)
     if out is None:
         return Answer(config, text.splitlines())
     write_atomic(out, text)
@@ -171,13 +146,7 @@ def get(
 
 
 @command(config, "set")
-def put(
-    changes: tuple[str, ...],
-    *,
-    box: str | None = None,
-    dry_run: bool = False,
-    stop: bool = False,
-) -> Answer:
+def put(changes: tuple[str, ...], *, box: str | None = None, dry_run: bool = False, stop: bool = False) -> Answer:
     """Change a box's configuration; print what changes.
 
     Values that you do not give stay unchanged; KEY= without a value removes an optional value, such as
@@ -197,14 +166,12 @@ def put(
     dry_run
         Show what would change, and change nothing.
     """
-    from truearm.box.configuration import change_lines, checked_config
-
     texts = _read(changes)
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
-        previous = checked_config(connected)
+        previous = configuration.checked_config(connected)
         config = _changed(previous, texts)
-        changed = change_lines(previous, config)
+        changed = configuration.change_lines(previous, config)
         stored = bool(changed) and not dry_run
         if stored:
             connected.put_config(config)
@@ -215,25 +182,22 @@ def put(
 
 def _read(changes: Sequence[str]) -> list[tuple[str, str | None]]:
     """(name of a file, its text) or (KEY=VALUE, None) of each argument."""
-    from truearm.box.configuration import MAX_BYTES
-    from truearm.files.disk import read_text
-
     texts: list[tuple[str, str | None]] = []
     for change in changes:
         is_value = "=" in change and not Path(change).is_file()
         if "=" not in change and not change.endswith(".toml") and not Path(change).exists():
             raise ConfigError(f"{change[:60]!r} is neither KEY=VALUE, such as osr=2048, nor a file")
-        texts.append((change, None if is_value else read_text(Path(change), MAX_BYTES, ConfigError)))
+        texts.append((change, None if is_value else read_text(Path(change), configuration.MAX_BYTES, ConfigError)))
     return texts
 
 
 def _changed(config: dict[str, Any], texts: list[tuple[str, str | None]]) -> dict[str, Any]:
-    from truearm.box.configuration import check_ratios, with_assignment, with_file
-    from truearm.box.configuration_schema import check
 
     for name, text in texts:
-        config = with_assignment(config, name) if text is None else with_file(config, text, name)
-    check_ratios(check(config))
+        config = (
+            configuration.with_assignment(config, name) if text is None else configuration.with_file(config, text, name)
+        )
+    configuration.check_ratios(check(config))
     return config
 
 
@@ -269,8 +233,6 @@ def flash(options: FlashOptions) -> None:
     no_check
         Do not wait for the box to answer.
     """
-    from truearm.box.flash import flash_box
-
     print_lines(flash_box(options))
 
 
@@ -343,12 +305,7 @@ class _Terminal:
 
 
 @command(app)
-def monitor(
-    *,
-    box: str | None = None,
-    duration: float | None = None,
-    plain: bool = False,
-) -> None:
+def monitor(*, box: str | None = None, duration: float | None = None, plain: bool = False) -> None:
     """Show what a box measures: values in physical units with their noise, rates, losses, clock, temperature.
 
     Starts the box, and stops it at the end (Ctrl-C or --duration-s). Nothing is recorded.

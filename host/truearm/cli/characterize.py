@@ -14,9 +14,7 @@ BANDS_MM = (0.02, 0.05, 0.1)
 
 @command()
 def characterize(
-    files: CharacterizeFiles,
-    *,
-    within_mm: Annotated[tuple[float, ...], Within(0.0001, 100.0)] = (),
+    files: CharacterizeFiles, *, within_mm: Annotated[tuple[float, ...], Within(0.0001, 100.0)] = ()
 ) -> Answer:
     """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, each with its 95 % interval.
 

@@ -58,13 +58,7 @@ ARGUMENTS, EMPTY = "Arguments", inspect.Parameter.empty
 HEADING = re.compile(rf"^({ARGUMENTS}|Options|{EXPERT})\n-+\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\w[\w, ]*)(?: : (.+))?\n((?: {4}.*\n)*)", re.MULTILINE)
 EXAMPLE = re.compile(r"^(?=Examples?:\n)", re.MULTILINE)  # whose lines the help page must not join
-OPTIONS = {
-    "robot": "model",
-    "bars": "bar",
-    "tools": "tool",
-    "works": "work",
-    "joints": "vary",
-}  # of arguments
+OPTIONS = {"robot": "model", "bars": "bar", "tools": "tool", "works": "work", "joints": "vary"}  # of arguments
 SCALES = {scale.suffix: scale for scale in vars(units).values() if isinstance(scale, units.Scale) and scale.suffix}
 
 

@@ -33,21 +33,15 @@ def result_tables(document: Document) -> Iterator[Table | str]:
     for field, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
         directions = document[field]
         if directions:
-            combinations = counted(len(directions), "combination")
-            yield f"{combinations} of parameters {'is' if len(directions) == 1 else 'are'} {words}; weights in m, rad and 1:"
-            yield from _directions(directions, field)
+            are = "is" if len(directions) == 1 else "are"
+            yield f"{counted(len(directions), 'combination')} of parameters {are} {words}; weights in m, rad and 1:"
+        for direction in directions[:MOST_DIRECTIONS]:
+            yield f"  {direction_text(direction['weights'], direction['names'])}"
+        if len(directions) > MOST_DIRECTIONS:
+            yield f"  and {len(directions) - MOST_DIRECTIONS} more ({field} in the JSON result)"
     for suffix in document["residual_units"]:
         yield _error_table(document, suffix)
         yield from law_steps(document, suffix)
-
-
-def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
-    lines = [
-        f"  {direction_text(direction['weights'], direction['names'])}" for direction in directions[:MOST_DIRECTIONS]
-    ]
-    if len(directions) > MOST_DIRECTIONS:
-        lines.append(f"  and {len(directions) - MOST_DIRECTIONS} more ({field} in the JSON result)")
-    return lines
 
 
 def _error_table(document: Document, suffix: str) -> Table:

@@ -12,13 +12,7 @@ from truearm.text import one_line
 
 
 @command()
-def inspect(
-    session: Path,
-    *,
-    details: bool = False,
-    json: bool = False,
-    allow_damaged: bool = False,
-) -> None:
+def inspect(session: Path, *, details: bool = False, json: bool = False, allow_damaged: bool = False) -> None:
     """Show whether a session is usable, what is in it, and what was lost.
 
     Example: truearm inspect session.mcap

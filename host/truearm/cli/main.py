@@ -118,7 +118,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return exc.exit_code
     except click.UsageError as exc:
         message = _reason(exc, arguments)
-        command = exc.ctx.command_path if exc.ctx else _command_of(arguments)
+        named = [word for word in arguments[:1] if word in COMMANDS]  # of a line that could not be read at all
+        command = exc.ctx.command_path if exc.ctx else " ".join(["truearm", *named])
         finding = Finding("usage", {"reason": message, "command": command})
         _complain(finding.text("--{}".format), finding, arguments)
         return ExitCode.INPUT
@@ -155,26 +156,17 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
     return lambda name: flags[name] if flags.get(name, "").startswith("-") else option(name)
 
 
-def _plain(message: str) -> str:
-    """Return the parser's message on a wrong command line in plainer words."""
-    for theirs, ours in _PLAINER:
-        message = re.sub(theirs, ours, message)
-    return message
-
-
-def _command_of(arguments: Sequence[str]) -> str:
-    """Return the command of a line that its parser could not read at all, such as "truearm identify"."""
-    return " ".join(["truearm", *(word for word in arguments[:1] if word in COMMANDS)])
-
-
 def _reason(exc: click.UsageError, arguments: Sequence[str]) -> str:
     """Return why the parser refuses a command line: an unknown option, a file that a project does not have, or its message."""
     if isinstance(exc, click.NoSuchOption) and exc.ctx is not None:
         return option_for(exc.ctx.command, exc.ctx.info_name or "", exc.option_name)
-    if isinstance(exc, click.MissingParameter) and exc.param is not None:
-        missing = missing_file(exc.param.name or "", arguments[0], Path.cwd())
-        return missing or _plain(exc.format_message())
-    return _plain(exc.format_message())
+    parameter = exc.param if isinstance(exc, click.MissingParameter) else None
+    if parameter is not None and (missing := missing_file(parameter.name, arguments[0], Path.cwd())):
+        return missing
+    message = exc.format_message()
+    for theirs, ours in _PLAINER:
+        message = re.sub(theirs, ours, message)
+    return message
 
 
 def _shown_progress() -> AbstractContextManager[None]:

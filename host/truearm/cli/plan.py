@@ -77,12 +77,7 @@ def ballbar(
 
 
 @command(app, "line")
-def line(
-    files: PlanFiles,
-    *,
-    options: LineOptions,
-    region: Any = None,
-) -> Answer:
+def line(files: PlanFiles, *, options: LineOptions, region: Any = None) -> Answer:
     """Plan lines for a line device, driven there and back, preferably where the expected error is large.
 
     Example:

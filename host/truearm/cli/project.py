@@ -259,10 +259,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Answer]:
 
 def missing_file(parameter: str, command: str, folder: Path) -> str | None:
     """Return the message for a command without its argument ``parameter``, a result or sessions; None outside a project."""
-    has_default = parameter in ("result", "inputs", "session") and (parameter, command) != (
-        "inputs",
-        "validate",
-    )
+    has_default = parameter in ("result", "inputs", "session") and (parameter, command) != ("inputs", "validate")
     project_and_home = project_of(folder) if has_default else None
     if project_and_home is None:
         return None

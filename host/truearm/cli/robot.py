@@ -16,13 +16,7 @@ app = CommandGroup(
 
 
 @command(app)
-def read(
-    address: str,
-    *,
-    robot: str,
-    out: Path = Path("robot.toml"),
-    force: bool = False,
-) -> Answer:
+def read(address: str, *, robot: str, out: Path = Path("robot.toml"), force: bool = False) -> Answer:
     """Read the factory calibration of a Universal Robots controller into a robot file.
 
     The controller computes with these kinematics, not with the drawing. Give the file as --model, or as model in truearm.toml, so that

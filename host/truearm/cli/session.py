@@ -26,12 +26,7 @@ app = CommandGroup(
 
 
 @command(app, "recover")
-def recover(
-    session: Path,
-    *,
-    out: Path | None = None,
-    force: bool = False,
-) -> Answer:
+def recover(session: Path, *, out: Path | None = None, force: bool = False) -> Answer:
     """Write all intact data of a damaged or unfinished session to a new file that every command reads.
 
     For a file whose recorder was killed, whose disk was full, or whose bytes were damaged. The file itself is not changed. Saved
@@ -63,33 +58,25 @@ def lines(recovered: Recovered) -> list[str]:
     """What was saved and what was lost, for people."""
     from truearm.report.session_findings import damage_finding
 
-    messages = sum(account.saved for account in recovered.topics.values())
-    text = [
-        f"saved  {counted(messages, 'message')} over {recovered.seconds:.1f} s, {counted(recovered.samples, 'sample')}, "
-        f"{_named(recovered.attachments, 'attachment')}"
-    ]
+    messages, attachments = sum(account.saved for account in recovered.topics.values()), recovered.attachments
+    named = f"attachment {', '.join(map(one_line, attachments))}" if attachments else "no attachment"
+    counts = f"{counted(messages, 'message')} over {recovered.seconds:.1f} s, {counted(recovered.samples, 'sample')}"
+    text = [f"saved  {counts}, {named}"]
     width = max((len(topic) for topic in recovered.topics), default=0)
     for topic, account in recovered.topics.items():
         lost = f", {account.lost} lost" if account.lost else ""
         text.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
-    for damage in recovered.damage[:SHOWN]:
-        text.append(f"lost   {damage_finding(vars(damage)).text()}")
+    text += [f"lost   {damage_finding(vars(damage)).text()}" for damage in recovered.damage[:SHOWN]]
     if len(recovered.damage) > SHOWN:
         text.append(f"lost   and in {counted(len(recovered.damage) - SHOWN, 'place')} more")
     if recovered.undescribed:
         lost = counted(recovered.undescribed, "block of samples", "blocks of samples")
         text.append(f"lost   what {lost} mean: the box's description of its channels was in a damaged place")
     if recovered.cut_off:
-        text.append(
-            f"lost   the end of the file, after {recovered.seconds:.1f} s: its length is unknown (at most a second if the "
-            "recorder was killed)"
-        )
+        reason = "its length is unknown (at most a second if the recorder was killed)"
+        text.append(f"lost   the end of the file, after {recovered.seconds:.1f} s: {reason}")
     text.append(f"       {counted(recovered.unread_bytes, 'byte is', 'bytes are')} outside intact records")
     return text
-
-
-def _named(names: tuple[str, ...], noun: str) -> str:
-    return f"{noun} {', '.join(map(one_line, names))}" if names else f"no {noun}"
 
 
 @command(app, "relabel")
@@ -130,10 +117,8 @@ def relabel(
     summary = f"{sessions}: {dwells}, {document['with_reading']} with a reading within the stroke; "
     text = [summary + (f"{len(left_out)} left out:" if left_out else "none is left out")]
     text += [f"  {one_line(row['session'])} dwell {row['dwell']}: {one_line(row['detail'])}" for row in left_out]
-    if saved:
-        text.append(f"Written: {', '.join(map(one_line, saved))}. To undo this, delete it.")
-    else:
-        text.append("Nothing was written. Give --trust, or what was mounted, as --mounted 12:14=BAR,CHUCK,SPHERE.")
+    nothing = "Nothing was written. Give --trust, or what was mounted, as --mounted 12:14=BAR,CHUCK,SPHERE."
+    text.append(f"Written: {', '.join(map(one_line, saved))}. To undo this, delete it." if saved else nothing)
     return Answer(document, text)
 
 

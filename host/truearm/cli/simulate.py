@@ -29,12 +29,7 @@ class SimulateCommand(ProjectCommand):
 
 
 @command(cls=SimulateCommand, fast_rate=f"{FAST_RATE_HZ:.0f}")
-def simulate(
-    request: SimulateOptions,
-    *,
-    fast: bool = False,
-    stage: bool = False,
-) -> None:
+def simulate(request: SimulateOptions, *, fast: bool = False, stage: bool = False) -> None:
     """Simulate a sensor box and a robot, to rehearse a session on your own arm.
 
     The true robot differs from the nominal one by random errors, which are drawn from tolerances and hidden (--truth-out writes them). The

@@ -40,12 +40,7 @@ from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import Floats, Rig
 from truearm.workflows.requests import CharacterizeFiles
-from truearm.workflows.session_observations import (
-    SessionOptions,
-    observations_of_opened,
-    reasons_text,
-    recorded_rig,
-)
+from truearm.workflows.session_observations import SessionOptions, observations_of_opened, reasons_text, recorded_rig
 from truearm.workflows.session_parts import open_finished, session_parts
 
 LEAST_VISITS = 6

@@ -103,20 +103,16 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
     chain = drawing.chain
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (N_POSES, JOINTS))
     if [joint.kind for joint in chain.joints] != ["revolute"] * JOINTS:
-        raise RobotError(
-            "unsuited-robot",
-            place=f"robot {chain.name}",
-            reason="a controller of Universal Robots has six revolute joints",
-        )
-    design = chain.params_nominal if drawing.drawing is None else drawing.drawing
+        reason = "a controller of Universal Robots has six revolute joints"
+        raise RobotError("unsuited-robot", place=f"robot {chain.name}", reason=reason)
+    design = _design(drawing)
     ends = kinematics.forward(q)
     differences = apart(ends, forward(chain, design, q))
     distance, turn = (float(np.linalg.norm(vectors, axis=1).max()) for vectors in np.split(differences, 2, axis=1))
     if distance > OTHER_ARM_M or turn > OTHER_ARM_RAD:
-        raise RobotError(
-            f"the controller's arm differs from {chain.name} by up to {MM.text(distance, '.0f')} and {DEG.text(turn, '.0f')}; give its own drawing as ",
-            Argument("robot"),
-        )
+        apart_by = f"{MM.text(distance, '.0f')} and {DEG.text(turn, '.0f')}"
+        text = f"the controller's arm differs from {chain.name} by up to {apart_by}; give its own drawing as "
+        raise RobotError(text, Argument("robot"))
     described = link_frames(chain, design, design)
     rows = dh_rows(described._replace(links=kinematics.links), described, hayati=True)
     values = {
@@ -134,11 +130,8 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
     )
     again = parse_robot(written).chain
     if np.abs(forward(again, again.params_nominal, q) - ends).max() > EXACT:
-        raise RobotError(
-            "unsuited-robot",
-            place=f"robot {chain.name}",
-            reason="its rows cannot hold the controller's; give a robot file like the built-in ur5e: dh, with beta at parallel axes",
-        )
+        reason = "its rows cannot hold the controller's; give a robot file like the built-in ur5e: dh, with beta at parallel axes"
+        raise RobotError("unsuited-robot", place=f"robot {chain.name}", reason=reason)
     return written, differences
 
 
@@ -156,10 +149,14 @@ def _with_set(text: str, values: dict[str, float], checksums: tuple[int, ...]) -
     return toml_text(document)
 
 
+def _design(drawing: Robot) -> Floats:
+    """Return the parameters of the drawing, also of a robot whose nominal ones are a controller's."""
+    return drawing.chain.params_nominal if drawing.drawing is None else drawing.drawing
+
+
 def _drawn_rows(drawing: Robot) -> Floats:
     """Return θ, a, d, α (4, 6) of the drawing."""
-    design = drawing.chain.params_nominal if drawing.drawing is None else drawing.drawing
-    values = dict(zip(drawing.chain.parameter_names, design.tolist(), strict=True))
+    values = dict(zip(drawing.chain.parameter_names, _design(drawing).tolist(), strict=True))
     keys = ("offset", "a", "d", "alpha")
     return np.array([[values.get(f"joint{i + 1}.{key}", 0.0) for i in range(JOINTS)] for key in keys])
 

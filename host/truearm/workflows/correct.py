@@ -26,19 +26,8 @@ from truearm.model.robot_mounting import mountings
 from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.types import Floats
-from truearm.workflows.calibration import (
-    Calibration,
-    check_joints,
-    chosen_mountings,
-    mounting_values,
-    undetermined,
-)
-from truearm.workflows.correct_program import (
-    CalibrationFrames,
-    Corrected,
-    HowCorrected,
-    correct_program,
-)
+from truearm.workflows.calibration import Calibration, check_joints, chosen_mountings, mounting_values, undetermined
+from truearm.workflows.correct_program import CalibrationFrames, Corrected, HowCorrected, correct_program
 from truearm.workflows.correction_findings import (
     CorrectedTargets,
     Refused,

@@ -231,7 +231,7 @@ def _check_moves(title: str, programs: Sequence[Program], pair: ModelPair, optio
         raise InputError("no-move", place=title)
     if len(pair.chain.motors) != N_JOINTS:
         raise InputError("redundant", place=title, joints=len(pair.chain.motors))
-    to_joints = (pair for pair in moves if any(goal.is_joints for goal in pair[1].goals))
+    to_joints = ((program, move) for program, move in moves if any(goal.is_joints for goal in move.goals))
     lines = list(dict.fromkeys(program.where(move.place) for program, move in to_joints))
     if lines and options.joint_moves is None:
         raise InputError("joint-moves", place=lines[0], lines=len(lines))

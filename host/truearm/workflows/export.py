@@ -25,13 +25,7 @@ from truearm.progress import step
 from truearm.text import one_line
 from truearm.types import CurveKnots, Floats, rms, thinned
 from truearm.units import DEG, MM, MRAD
-from truearm.workflows.calibration import (
-    Calibration,
-    check_within,
-    largest_readings,
-    mounting_values,
-    read_usable,
-)
+from truearm.workflows.calibration import Calibration, check_within, largest_readings, mounting_values, read_usable
 from truearm.workflows.requests import ExportFiles
 from truearm.workflows.selection import matching
 

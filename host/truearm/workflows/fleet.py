@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -80,9 +80,8 @@ def identified_arm(home: Path, options: FleetOptions) -> Arm:
         project = read_project(home / FILE)
         model = home / project.model
         row = replace(row, robot=Path(project.model).stem, serial=project.serial)
-        choice = RobotChoice(
-            str(model) if model.is_file() else project.model, project.base or None, project.tip or None
-        )
+        name = str(model) if model.is_file() else project.model
+        choice = RobotChoice(name, project.base or None, project.tip or None)
         files = IdentifyFiles(choice, sources_of(project, home))
         result = _earlier_result(home / project.results, files, options)
         if result is None:
@@ -158,14 +157,11 @@ def identify_fleet(folders: Sequence[Path], options: FleetOptions) -> list[Arm]:
     rows: dict[str, Arm] = {}
     with workers(options, len(homes)) as killed, step(f"identifying {counted(len(homes), 'arm')}") as advance:
         for _ in range(RUNS):
-            missing = [home for home in homes if str(home) not in rows]
-            jobs = (delayed(identified_arm)(home, options) for home in missing)
-            try:
-                for row in Parallel(return_as="generator_unordered")(jobs) if missing else ():
+            jobs = [delayed(identified_arm)(home, options) for home in homes if str(home) not in rows]
+            with suppress(killed):
+                for row in Parallel(return_as="generator_unordered")(jobs) if jobs else ():
                     rows[row.arm] = row
                     advance(len(rows) / len(homes))
-            except killed:
-                continue
     reason = "the process was killed in two runs, as happens without free memory; run again with fewer workers"
     lost = Arm("", code=ExitCode.FAILED, verdict=reason)
     fleet = [rows.get(str(home), replace(lost, arm=str(home))) for home in homes]

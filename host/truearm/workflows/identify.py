@@ -317,11 +317,11 @@ def held_out_in_turn(
 ) -> tuple[Fold, ...]:
     """Return the errors of the selection's folds, each in a fit without its rows, and those of all folds together."""
     folds, together = [], dict[str, Floats]()
+    always_held = np.zeros(len(table), dtype=bool) if selection.held_out is None else selection.held_out
     for name, rows in selection.folds:
-        held = rows if selection.held_out is None else rows & ~selection.held_out
-        without = rows if selection.held_out is None else rows | selection.held_out
+        held, without = rows & ~always_held, replace(selection, held_out=rows | always_held, folds=())
         with step(f"identifying without {name}"):
-            fit = identified(robot, rig, table, replace(selection, held_out=without, folds=()), options).estimate
+            fit = identified(robot, rig, table, without, options).estimate
         folds.append(Fold(name, Figures.by_unit(fit.residual, held)))
         for unit, error in fit.residual.items():
             together.setdefault(unit, np.full(len(table), np.nan))[held] = error[held]

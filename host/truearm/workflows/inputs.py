@@ -221,11 +221,7 @@ class _SessionRead(NamedTuple):
 
 
 def _read_session(
-    session: Session,
-    chain: Chain | None,
-    assigned: Assigned,
-    sources: Sources,
-    robot: Robot | None,
+    session: Session, chain: Chain | None, assigned: Assigned, sources: Sources, robot: Robot | None
 ) -> _SessionRead:
     path, (name, rig) = session.path, assigned
     options = SessionOptions(

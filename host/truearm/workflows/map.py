@@ -22,13 +22,7 @@ from truearm.results import Figures
 from truearm.text import one_line
 from truearm.types import Floats
 from truearm.units import MM, key, number
-from truearm.workflows.calibration import (
-    Calibration,
-    check_joints,
-    chosen_mountings,
-    undetermined,
-    unseen_within,
-)
+from truearm.workflows.calibration import Calibration, check_joints, chosen_mountings, undetermined, unseen_within
 from truearm.workflows.requests import MapFiles
 from truearm.workflows.scene import map_scene
 

@@ -252,7 +252,7 @@ def knowledge_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> K
 def _named(noun: str, name: str | None, have: Iterable[str]) -> str:
     """Return one of the rig's names, by default the first."""
     names = list(have)
-    if (name is None and not names) or (name is not None and name not in names):
+    if not names or (name is not None and name not in names):
         raise InputError(*_not_in_rig(noun, name, names))
     return names[0] if name is None else name
 

@@ -44,21 +44,25 @@ def relabel(
         raise InputError("needs-option", place=Argument("trust"), needed=Argument("robot"))
     paths, stops = session_parts(session), list[Stop]()
     for path in paths:
-        rig, file_stops = _measured(path, rig)
-        stops += file_stops
+        opened = open_finished(path)
+        rig = rig or recorded_rig(opened, path)
+        if not (rig.bars and rig.chucks and rig.spheres):
+            raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
+        stops += stops_of(path, rig, surveyed(opened))
     if rig is None or not stops:
         raise SessionError(f"{session}: the robot never stood still long enough; see truearm inspect {session}")
     named = dict(pair for text in mounted for pair in _named(text, rig, stops))
     chances = None if robot is None else chances_of(robot, rig, stops)
-    labels, left_out = dict[tuple[Path, int], DwellLabel](), list[dict[str, Any]]()
-    for k, stop in enumerate(stops):
-        likely = (None, 0.0) if chances is None else chances.likeliest(k)
-        label = labels[stop.place] = _label(stop, trust, named.get(stop.place), *likely)
-        if not (label.mounted or stop.dwell.reason):
-            left_out.append({"session": stop.place[0].name, "dwell": stop.place[1], "detail": label.detail})
+    likely = [(None, 0.0) if chances is None else chances.likeliest(k) for k in range(len(stops))]
+    labels = [_label(stop, trust, named.get(stop.place), *pair) for stop, pair in zip(stops, likely, strict=True)]
+    left_out = [
+        {"session": stop.place[0].name, "dwell": stop.place[1], "detail": label.detail}
+        for stop, label in zip(stops, labels, strict=True)
+        if not (label.mounted or stop.dwell.reason)
+    ]
     saved = paths if trust or mounted else []
     for path in saved:
-        settled = [label for (file, _), label in labels.items() if file == path]
+        settled = [label for stop, label in zip(stops, labels, strict=True) if stop.place[0] == path]
         write_labels(path, settled, trust or "named", "" if robot is None else robot.chain.name)
     return {
         "sessions": [path.name for path in paths],
@@ -67,15 +71,6 @@ def relabel(
         "with_reading": sum(not stop.dwell.reason for stop in stops),
         "left_out": left_out,
     }
-
-
-def _measured(path: Path, rig: Rig | None) -> tuple[Rig, list[Stop]]:
-    """Return the rig and the stops of a file."""
-    session = open_finished(path)
-    rig = rig or recorded_rig(session, path)
-    if not (rig.bars and rig.chucks and rig.spheres):
-        raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
-    return rig, stops_of(path, rig, surveyed(session))
 
 
 def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing | None, p: float) -> DwellLabel:

@@ -72,16 +72,10 @@ def fill_seats(table: Path, source: Path, options: FileOptions, shortest: float,
     stops = rests(log.t, log.q, shortest, bounds)
     if len(stops) != len(empty):
         times = ", ".join(f"{stop.begin:.1f} to {stop.end:.1f} s" for stop in stops) or "none"
-        raise InputError(
-            f"{source}: has {counted(len(stops), 'rest')}, and {table} has {counted(len(empty), 'row')} without joints; "
-            "rest in each socket once, and longer than elsewhere: choose ",
-            *(
-                Argument("rest_s"),
-                " and ",
-                Argument("rest_deg"),
-                f", or delete rows that were not measured. Rests: {times}",
-            ),
-        )
+        counts = f"{counted(len(stops), 'rest')}, and {table} has {counted(len(empty), 'row')} without joints"
+        advice = "rest in each socket once, and longer than elsewhere: choose "
+        end = f", or delete rows that were not measured. Rests: {times}"
+        raise InputError(f"{source}: has {counts}; {advice}", Argument("rest_s"), " and ", Argument("rest_deg"), end)
     for cells, stop in zip(empty, stops, strict=True):
         for joint, unit, value in zip(joints, units, stop.q.tolist(), strict=True):
             cells[joint.position] = f"{unit.of(value):.7g}"

@@ -6,6 +6,7 @@ Propose a hold-out that leaves enough of everything, and refuse rows that cannot
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -53,12 +54,12 @@ def held_out_rows(
     if not groups:
         return None
     fractions = [value for value in map(held_out_fraction, groups) if value is not None]
-    if not fractions:
-        mask: Mask = np.any([_group_rows(table, group, HOLD_OUT) for group in groups], axis=0)
-    elif len(groups) == 1:
-        mask = _random_rows(table, fractions[0], seed)
-    else:
+    if fractions and len(groups) > 1:
         raise InputError(HOLD_OUT, " takes one fraction or any number of groups, not both")
+    mask: Mask = np.any([_group_rows(table, group, HOLD_OUT) for group in groups if not fractions], axis=0)
+    if fractions:
+        rank = _pose_ranks(table, seed)
+        mask = np.asarray(rank < round(fractions[0] * (int(rank.max()) + 1)))
     if mask.all():
         raise InputError("nothing-left", what="observations", place=HOLD_OUT)
     if not mask.any():
@@ -144,12 +145,6 @@ def _rows_between(numbers: Floats, span: str, group: str, argument: Argument) ->
 
 def _listed(noun: str, names: Sequence[str], owner: str = "it") -> str:
     return f"{owner} has {listed(names)}" if names else f"the observations have no {noun} column"
-
-
-def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
-    """Draw a fraction of the poses."""
-    rank = _pose_ranks(table, seed)
-    return np.asarray(rank < round(fraction * (int(rank.max()) + 1)))
 
 
 def _pose_ranks(table: ObservationTable, seed: int) -> NDArray[np.intp]:
@@ -288,15 +283,13 @@ def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> Ho
     """
     combination = _combinations(table)
     size, n_poses = np.bincount(combination), int(poses(table).max(initial=-1)) + 1
-    for fraction in FRACTIONS:
+    for fraction, seed in itertools.product(FRACTIONS, range(SEEDS)):
         if round(fraction * n_poses) < 1:  # poses are drawn, not rows
             break
-        for seed in range(SEEDS):
-            held = held_out_rows(table, [str(fraction)], seed)
-            if held is not None and np.all(np.bincount(combination[~held], minlength=size.size) >= LEFT * size):
-                return HoldOutProposal(
-                    fraction, seed, int((held if unused is None else held & ~unused).sum()), size.size
-                )
+        held = held_out_rows(table, [str(fraction)], seed)
+        if held is not None and np.all(np.bincount(combination[~held], minlength=size.size) >= LEFT * size):
+            judged = held if unused is None else held & ~unused
+            return HoldOutProposal(fraction, seed, int(judged.sum()), size.size)
     return None
 
 
@@ -317,8 +310,7 @@ def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
     """Return the names without any row left in the fit: ``sphere=s1``."""
     lost_names = []
     for column in named_columns(table):
-        names = table[column]
-        lost = np.setdiff1d(names[held], names[~held])
+        lost = np.setdiff1d(table[column][held], table[column][~held])
         lost_names += [f"{column}={name}" for name in lost.tolist() if name]
     return lost_names
 
@@ -347,17 +339,18 @@ def check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
             continue
         for quantity in (column for column in kind.needs if isinstance(column, Quantity)):
             values = kind_rows[quantity.field].reshape(len(kind_rows), -1)
+            moving = f"in all {len(kind_rows)} {name} rows though the joints move"
             if not np.ptp(values, axis=0).any():
                 are = "are" if " and " in quantity.words else "is"
-                text = f"{quantity.words} {are} the same in all {len(kind_rows)} {name} rows though the joints move"
-                raise ProblemError(f"{kind_rows.source[0]}: {text}; check that the sensor was read")
+                text = f"{quantity.words} {are} the same {moving}; check that the sensor was read"
+                raise ProblemError(f"{kind_rows.source[0]}: {text}")
             spans = zip(quantity.columns, np.ptp(values, axis=0), strict=False)
             constant = [title for title, span in spans if not span]
             if quantity == POINT and constant and _moves_in_space(chain, kind_rows.q):
-                are = "are" if len(constant) > 1 else "is"
-                text = f"{' and '.join(constant)} {are} the same in all {len(kind_rows)} {name} rows though the joints move the end in space"
-                column = f"column{'s' if len(constant) > 1 else ''} of {' and '.join(constant)}"
-                raise ProblemError(f"{kind_rows.source[0]}: {text}; check what the device wrote to the {column}")
+                are, plural = ("are", "s") if len(constant) > 1 else ("is", "")
+                titles = " and ".join(constant)
+                text = f"{titles} {are} the same {moving} the end in space; check what the device wrote to the column"
+                raise ProblemError(f"{kind_rows.source[0]}: {text}{plural} of {titles}")
 
 
 def _moves_in_space(chain: Chain, q: Floats) -> bool:
@@ -371,6 +364,4 @@ def _moves_in_space(chain: Chain, q: Floats) -> bool:
 def default_prior(robot: Robot, solver: str) -> Prior:
     """Return the prior that robot or solver needs: the weak one resolves the redundant constants of a URDF."""
     needed = SOLVERS[solver].prior
-    if needed is None:
-        return Prior.NONE
-    return Prior.WEAK if robot.is_urdf else needed
+    return Prior.NONE if needed is None else Prior.WEAK if robot.is_urdf else needed

@@ -221,18 +221,12 @@ def temperature_warning(result: SyncResult, rig: Rig) -> str:
     and rows lack the bar's temperature.
     """
     table = result.table.select(result.table.kind == "ball_bar")
-    noted = [
-        channel.calibrated_degc
-        for ident in result.survey.idents.values()
-        for stream in ident.streams.values()
-        for channel in stream.channels
-        if channel.name == LVDT and math.isfinite(channel.calibrated_degc)
-    ]
+    streams = (stream for ident in result.survey.idents.values() for stream in ident.streams.values())
+    channels = (channel for stream in streams for channel in stream.channels if channel.name == LVDT)
+    noted = [channel.calibrated_degc for channel in channels if math.isfinite(channel.calibrated_degc)]
     unread = ~np.isfinite(table.bar_temperature)
     warmer = table.temperature[unread] - (noted[0] if noted else np.nan)
-    if not np.isfinite(warmer).any():
-        return ""
-    largest = float(warmer[np.nanargmax(np.abs(warmer))])
+    largest = float(warmer[np.nanargmax(np.abs(warmer))]) if np.isfinite(warmer).any() else 0.0
     if abs(largest) < FAR:
         return ""
     bars = [rig.bars[name] for name in np.unique(table.bar[unread]).tolist() if name in rig.bars]

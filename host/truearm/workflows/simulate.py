@@ -130,13 +130,7 @@ def write_setup(out: Path, world: World) -> None:
 
 
 def record_virtually(
-    out: Path,
-    world: World,
-    box: SimulatedBox,
-    osr: int,
-    seed: int,
-    step_ns: int | None = None,
-    model: str = "",
+    out: Path, world: World, box: SimulatedBox, osr: int, seed: int, step_ns: int | None = None, model: str = ""
 ) -> None:
     """Run the recorder on the lab's links and clock and write session.mcap.
 

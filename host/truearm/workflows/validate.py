@@ -10,6 +10,7 @@ calibration, but partly unexplained; or they are not smaller.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -297,9 +298,8 @@ def _placed(
     placed = judge(chain, rig, table, calibration.nominal, rig_values, place, allowed)
     if (raw.judging & ~placed.judging).any():
         return raw
-    equal = (
-        np.allclose(raw.error[si], error, rtol=0.0, atol=NOTHING, equal_nan=True) for si, error in placed.error.items()
-    )
+    pairs = ((raw.error[si], error) for si, error in placed.error.items())
+    equal = (np.allclose(was, now, rtol=0.0, atol=NOTHING, equal_nan=True) for was, now in pairs)
     return raw if all(equal) else placed
 
 
@@ -418,11 +418,8 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
     reach = np.hypot(p[:, 0], p[:, 1])
     outer, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])
     split = MM.text(np.median(reach), ".0f"), MM.text(np.median(p[:, 2]), ".0f")
-    return [
-        (
-            f"{BY_PLACE}{'>' if is_far else '≤'} {split[0]}, z {'>' if is_high else '≤'} {split[1]}",
-            (outer == is_far) & (high == is_high),
-        )
-        for is_far in (False, True)
-        for is_high in (False, True)
-    ]
+    parts = []
+    for is_far, is_high in itertools.product((False, True), repeat=2):
+        name = f"{BY_PLACE}{'>' if is_far else '≤'} {split[0]}, z {'>' if is_high else '≤'} {split[1]}"
+        parts.append((name, (outer == is_far) & (high == is_high)))
+    return parts
