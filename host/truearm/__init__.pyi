@@ -28,6 +28,7 @@ from truearm.errors import SessionError as SessionError
 from truearm.errors import TableError as TableError
 from truearm.errors import TargetError as TargetError
 from truearm.errors import TruearmError as TruearmError
+from truearm.findings import Finding as Finding
 from truearm.kinds.table import ObservationTable as ObservationTable
 from truearm.model.robot import Robot as Robot
 from truearm.plan.ball_bar_plan import BallBarPlan as BallBarPlan

@@ -37,6 +37,13 @@ class Finding:
     """A statement by its code, such as "shared-use", with the values that its text needs.
 
     Values are numbers, texts, lists of texts, and quantities: {"mm": 0.42}, with one number for each unit.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> verdict = truearm.read_result("result.json").findings[0]
+    >>> verdict.code, verdict.severity.value, verdict.text()[:7]
+    ('usable', 'result', 'Usable:')
     """
 
     code: str

@@ -54,6 +54,7 @@ from truearm import (
     Estimate,
     ExportedRobot,
     Figures,
+    Finding,
     HeldOut,
     Identification,
     IdentifyOptions,
@@ -108,6 +109,7 @@ cells: ErrorMap = truearm.error_map(result, (2, 3), cell=0.05)
 area = Region([0.3, -0.2, 0.1], [0.6, 0.2, 0.4])
 length: ParameterEstimate = found.parameters["link2.x"]
 held_out: HeldOut | None = estimate.held_out
+first: Finding = [*found.findings, *result.findings, *verdict.findings][0]
 figures: Figures | None = held_out.figures["m"] if held_out else None
 refused: list[type[InputError]] = [PlanError, RigError, RobotError, SessionError, TableError, TargetError]
 truearm.write_table("copy.csv", table, robot)

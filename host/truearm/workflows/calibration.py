@@ -206,13 +206,6 @@ class Calibration(Displayed):
         """What screen, report and result.json state: the verdict, warnings, the error of the tool, notes, advice.
 
         The verdict is the first one, after "simulated" if it is of simulated data.
-
-        Examples
-        --------
-        >>> import truearm
-        >>> verdict = truearm.read_result("result.json").findings[0]
-        >>> verdict.code, verdict.severity.value, verdict.values["n"]
-        ('usable', 'result', 90)
         """
         return tuple(result_findings(self.document))
 
