@@ -29,18 +29,8 @@ BUSY_S = 2.0
 @pytest.fixture
 def device(tmp_path):
     """Run a simulated box behind a pseudo-terminal in its own process."""
-    command = [
-        sys.executable,
-        "-u",
-        "-m",
-        "truearm",
-        "simulate",
-        "--out",
-        str(tmp_path / "sim"),
-        "--robot-port",
-        "0",
-        "--pty",
-    ]
+    simulate = ("simulate", "--out", str(tmp_path / "sim"), "--robot-port", "0", "--pty")
+    command = [sys.executable, "-u", "-m", "truearm", *simulate]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     for line in process.stdout:
         if found := re.search(r"truearm record --box (\S+)", line):
@@ -118,20 +108,8 @@ def test_a_terminal_that_stands_still(device, tmp_path):
     master, slave = os.openpty()
     out = tmp_path / "s.mcap"
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "200", "LINES": "50"}
-    command = [
-        sys.executable,
-        "-m",
-        "truearm",
-        "record",
-        "--box",
-        device,
-        "--rate",
-        "4000",
-        "--duration-s",
-        "6",
-        "--out",
-        str(out),
-    ]
+    options = ("--box", device, "--rate", "4000", "--duration-s", "6", "--out", str(out))
+    command = [sys.executable, "-m", "truearm", "record", *options]
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=slave, env=environment, text=True
     )

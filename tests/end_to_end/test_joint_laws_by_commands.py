@@ -97,17 +97,7 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
     ]
     assert verdicts[1]["rms_after_mm"] < 0.5 * verdicts[0]["rms_after_mm"]
     run("map", "laws.json", "--picture-out", "map.svg")
-    run(
-        "export",
-        "laws.json",
-        "--format",
-        "ur",
-        "--over",
-        "check.csv",
-        "--out",
-        "laws.yaml",
-        "--curves-out",
-        "curves.csv",
-    )
+    outputs = ("--out", "laws.yaml", "--curves-out", "curves.csv")
+    run("export", "laws.json", "--format", "ur", "--over", "check.csv", *outputs)
     with open("curves.csv", encoding="utf-8") as file:
         assert {row["simulated"] for row in csv.DictReader(file)} == {"yes"}

@@ -84,18 +84,8 @@ def test_nine_pairings(tmp_path, each):
     measured("sync", "-m", "truearm", "inspect", tmp_path / "session.mcap", "--json", out=tmp_path / "inspect.json")
     options = ["identify", tmp_path / "session.mcap", "--model", "puma560", "--out", tmp_path / "result.json"]
     measured("identify", "-m", "truearm", *options, out=tmp_path / "said.txt")
-    measured(
-        "npz",
-        "-m",
-        "truearm",
-        "session",
-        "export",
-        tmp_path / "session.mcap",
-        "--out",
-        tmp_path / "x",
-        "--format",
-        "npz",
-    )
+    export = ("session", "export", tmp_path / "session.mcap", "--out", tmp_path / "x", "--format", "npz")
+    measured("npz", "-m", "truearm", *export)
     found = json.loads((tmp_path / "inspect.json").read_text())
     lost = [
         name for name, n in found["losses"].items() if name.endswith(("lost", "overrun", "malformed", "missing")) and n

@@ -231,8 +231,7 @@ def test_a_plan_of_sockets_has_columns_of_the_motors(turn, tmp_path):
         str(tmp_path / "arm.urdf"),
         "--ball-xyz-mm",
         "0,0,0",
-        "--table-mm",
-        "-200",
+        "--table-mm=-200",
     ]
     assert main(["init", str(tmp_path / "cell"), *arguments]) == 0
     header, *rows = (tmp_path / "cell" / "places.csv").read_text().splitlines()

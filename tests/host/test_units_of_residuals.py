@@ -86,19 +86,8 @@ def test_lengths_and_inclinations_are_never_pooled(table, run):
     header, *rows = table.read_text().splitlines()
     seats = [",".join(["seat", *row.split(",")[1:7], "near", "", "", "0", "s0"]) for row in rows[:40]]
     table.write_text("\n".join([f"{header},socket,sphere", *(f"{row},," for row in rows), *seats, ""]))
-    code, text, err = run(
-        "identify",
-        table,
-        "--model",
-        "puma560",
-        "--rig",
-        folder / "rig.toml",
-        "--prior",
-        "weak",
-        "--solver",
-        "map",
-        "--details",
-    )
+    options = ("--prior", "weak", "--solver", "map", "--details")
+    code, text, err = run("identify", table, "--model", "puma560", "--rig", folder / "rig.toml", *options)
     assert code == 3, err  # the seats are anywhere: no arm fits them
     lengths, angles = text.split("error [mm]")[1].split("error [deg]")
     assert "ball-in-socket" in lengths
