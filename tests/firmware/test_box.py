@@ -236,10 +236,8 @@ GOOD = {"name": "lvdt", "unit": "V", "scale": [1, -7]}
 @pytest.mark.parametrize(
     ("config", "fault"),
     [
-        ({"osr": 5, "channels": [GOOD] * 4}, "osr: must be one of"),
         ({"osr": 4096.0, "channels": [GOOD] * 4}, "osr: must be one of"),
         ([], "it is not a table"),
-        ({"osr": 1024, "channels": [GOOD] * 3}, "four channels"),
         ({"osr": 1024, "channels": [{**GOOD, "scale": 1.43e-7}] * 4}, "mantissa, exponent"),
         ({"osr": 1024, "channels": [{**GOOD, "scale": [1.5, -7]}] * 4}, "mantissa, exponent"),
         ({"osr": 1024, "channels": [{**GOOD, "calibration": None}] * 4}, "calibration: must be a table"),

@@ -90,24 +90,15 @@ class Truth:
     def q(self, t: np.ndarray) -> np.ndarray:
         """Return true joints (n, 6) at host times t [s]; between lines the robot moves in joint space."""
         q = np.empty((t.size, 6))
-        ends = (
-            [self.at(k, leg[3]) for k, leg in enumerate(self.legs)],
-            [self.at(k, leg[4]) for k, leg in enumerate(self.legs)],
-        )
-        q[:] = ends[0][0]
+        q[:] = self.at(0, self.legs[0][3])
         for k, (start, end, line, a, b) in enumerate(self.legs):
             on = (t >= start) & (t <= end)
             q[on] = self.lines[line].way(a + np.sign(b - a) * trapezoid(t[on] - start, abs(b - a), self.speed))
-            after = (t > end) & (t <= (self.legs[k + 1][0] if k + 1 < len(self.legs) else np.inf))
-            goal = ends[0][k + 1] if k + 1 < len(self.legs) else ends[1][k]
-            until = self.legs[k + 1][0] if k + 1 < len(self.legs) else np.inf
-            share = (
-                np.clip((t[after] - end - 0.3) / max(until - end - 0.6, 1e-9), 0.0, 1.0)
-                if np.isfinite(until)
-                else 0.0 * t[after]
-            )
-            smooth = share**3 * (10.0 + share * (6.0 * share - 15.0))
-            q[after] = ends[1][k] + smooth[:, None] * (goal - ends[1][k])
+            is_last, rest = k + 1 == len(self.legs), self.at(k, b)
+            until, goal = (np.inf, rest) if is_last else (self.legs[k + 1][0], self.at(k + 1, self.legs[k + 1][3]))
+            after = (t > end) & (t <= until)
+            share = np.clip((t[after] - end - 0.3) / max(until - end - 0.6, 1e-9), 0.0, 1.0)
+            q[after] = rest + (share**3 * (10.0 + share * (6.0 * share - 15.0)))[:, None] * (goal - rest)
         return q
 
     speed: float = 0.1

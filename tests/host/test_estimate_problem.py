@@ -98,7 +98,6 @@ def test_priors_by_name_and_by_array():
         ({"free": np.ones(54)}, "54 booleans.* float64"),
         ({"hold_out": np.zeros(17, bool)}, "hold_out must be 18 booleans"),
         ({"hold_out": np.ones(18, bool)}, "no observations"),
-        ({"options": SolverOptions(solver="magic")}, "solver: 'magic'"),
     ],
 )
 def test_arguments_that_do_not_fit(arguments, says):

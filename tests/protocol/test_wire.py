@@ -24,20 +24,8 @@ CHECK = Path(__file__).with_name("check_vectors.py")
 
 
 CONSTANTS = (
-    *(
-        "DATA",
-        "EVENT",
-        "HEARTBEAT",
-        "IDENT",
-        "TEMPERATURE",
-        "SYNC_REQUEST",
-        "SYNC_REPLY",
-        "IDENTIFY",
-        "CONFIGURE",
-        "START",
-        "STOP",
-    ),
-    *("GET_CONFIG", "PUT_CONFIG", "SELF_TEST", "TO_REPL", "RESET", "PULSE", "REPLY", "ERROR"),
+    *("DATA", "EVENT", "HEARTBEAT", "IDENT", "TEMPERATURE", "SYNC_REQUEST", "SYNC_REPLY", "IDENTIFY", "CONFIGURE"),
+    *("START", "STOP", "GET_CONFIG", "PUT_CONFIG", "SELF_TEST", "TO_REPL", "RESET", "PULSE", "REPLY", "ERROR"),
 )
 
 
