@@ -86,14 +86,14 @@ def _callbacks(
 ) -> tuple[Callable[[Floats], Information], Callable[[Floats, Floats], float] | None]:
     """Return ``linearise`` and ``cost`` for ``lm.minimise``."""
 
+    def data_at(weighted: Problem, point: Floats, columns: NDArray[np.bool_]) -> Information:
+        if loss is Loss.LINEAR:
+            return observe(weighted, point, columns)
+        return observe_robustly(weighted, point, columns, loss)[0]
+
     def linearised(weighted: Problem, unknowns: Floats) -> Information:
         point = whole(x, columns, unknowns)
-        data = (
-            observe(weighted, point, columns)
-            if loss is Loss.LINEAR
-            else observe_robustly(weighted, point, columns, loss)[0]
-        )
-        return with_prior(data, *prior_error(problem, columns, point))
+        return with_prior(data_at(weighted, point, columns), *prior_error(problem, columns, point))
 
     if problem.joint_cov is None and held(problem, x) is problem:
         return lambda unknowns: linearised(problem, unknowns), None
@@ -106,11 +106,7 @@ def _callbacks(
 
     def cost(goal: Floats, start: Floats) -> float:
         weighted, point = weighed_at(start.tobytes()), whole(x, columns, goal)
-        data = (
-            observe(weighted, point, nothing)
-            if loss is Loss.LINEAR
-            else observe_robustly(weighted, point, nothing, loss)[0]
-        )
+        data = data_at(weighted, point, nothing)
         error, sigma = prior_error(problem, columns, point)
         return data.chi2 + float(((error / sigma) ** 2).sum())
 

@@ -15,6 +15,7 @@ round leaves out rows beyond the gate that are at least half as far as the farth
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,13 +38,12 @@ class Filter(NamedTuple):
     root: Floats  # (k, k)
 
 
-class Rows(NamedTuple):
-    """Whitened observations linearised at one x; w scalar rows per observation, padded with zeros to the widest."""
+class WhitenedRow(NamedTuple):
+    """A whitened observation linearised at one x."""
 
-    jac: Floats  # (n, w, k)
-    residual: Floats  # (n, w)
-    width: NDArray[np.intp]  # (n,) scalar rows that are not padding
-    row: NDArray[np.intp]  # (n,) rows of the table; -1: knowledge (a known distance), not subject to the gate
+    number: int  # row of the table; −1: knowledge (a known distance), not subject to the gate
+    jac: Floats  # (w, k)
+    residual: Floats  # (w,)
 
 
 def start(mean_minus_x: Floats, sigma: Floats) -> Filter:
@@ -72,15 +72,15 @@ def update(state: Filter, jac: Floats, residual: Floats) -> tuple[Filter, Floats
     return Filter(delta, root), innovations, float(distance)
 
 
-def run(state: Filter, rows: Rows, included: NDArray[np.bool_]) -> tuple[Filter, Floats]:
-    """Process all rows in order; rows that are not ``included`` do not change the filter.
+def run(state: Filter, rows: Sequence[WhitenedRow], included: Mask) -> tuple[Filter, Floats]:
+    """Process all rows in order; rows of the table that are not ``included`` (n_rows,) do not change the filter.
 
     Returns the filter, and the squared distance (n,) of each row from its prediction by those before it.
     """
-    distance = np.zeros(len(rows.residual))
-    for i, width in enumerate(rows.width.tolist()):
-        updated, _, distance[i] = update(state, rows.jac[i, :width], rows.residual[i, :width])
-        if included[i]:
+    distance = np.zeros(len(rows))
+    for i, row in enumerate(rows):
+        updated, _, distance[i] = update(state, row.jac, row.residual)
+        if row.number < 0 or included[row.number]:
             state = updated
     return state, distance
 
@@ -95,7 +95,7 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
         solution, included = choice.fit, choice.included
         if choice.is_stable:
             rows = rows_of(problem, solution.x, columns)
-            state, _ = run(start(*prior_error(problem, columns, solution.x)), rows, np.append(included, True)[rows.row])
+            state, _ = run(start(*prior_error(problem, columns, solution.x)), rows, included)
             message = f"converged; {(~included).sum()} of {included.size} observations were left out as outliers"
             solution = solution._replace(message=message, covariance=state.root @ state.root.T)
         elif solution.status == "converged":
@@ -108,19 +108,10 @@ def _by_gate(square: Floats, width: Indices, included: Mask) -> Mask:
     return within(square, gate(width), included)
 
 
-def rows_of(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Rows:
+def rows_of(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> list[WhitenedRow]:
     """Return all observations at x (P,) in the order of the table, preceded by prior knowledge."""
-    blocks = list(whitened_blocks(problem, x, columns))
-    widest = max((b.residual.shape[1] for b in blocks), default=1)
-    k = int(columns.sum())
-    if not blocks:
-        return Rows(np.zeros((0, 1, k)), np.zeros((0, 1)), *(np.zeros(0, np.intp),) * 2)
-    jac, residual = [], []
-    for b in blocks:
-        padding = widest - b.residual.shape[1]
-        jac.append(np.pad(b.jac, ((0, 0), (0, padding), (0, 0))))
-        residual.append(np.pad(b.residual, ((0, 0), (0, padding))))
-    width = np.concatenate([np.full(len(b.residual), b.residual.shape[1]) for b in blocks])
-    row = np.concatenate([np.full(len(b.residual), -1) if b.row is None else b.row for b in blocks])
-    order = np.argsort(row, kind="stable")
-    return Rows(np.concatenate(jac)[order], np.concatenate(residual)[order], width[order], row[order])
+    rows: list[WhitenedRow] = []
+    for block in whitened_blocks(problem, x, columns):
+        numbers = [-1] * len(block.residual) if block.row is None else block.row.tolist()
+        rows += map(WhitenedRow, numbers, block.jac, block.residual)
+    return sorted(rows, key=lambda row: row.number)

@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from truearm.errors import ProblemError
 from truearm.model.chain import Chain, point_jacobians
 from truearm.types import Floats
 
@@ -73,35 +72,16 @@ def _quantile(mean: float, squares: float, probability: float) -> float:
     return float(squares / mean * special.chdtri(mean**2 / squares, 1.0 - probability))
 
 
-def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats, p_end_point: Floats) -> Floats:
-    """Return the RMS error (n,) [m] of a point of the end from the covariance (p, p) of the robot's parameters.
-
-    It is evaluated at params (p,) and q (n, j). Raises ProblemError for a covariance of another shape or with entries
-    that are not finite, and if there are no poses.
-    """
-    p = len(chain.parameters)
-    covariance, q = np.asarray(covariance, dtype=float), np.atleast_2d(np.asarray(q, dtype=float))
-    if covariance.shape != (p, p) or not np.isfinite(covariance).all():
-        raise ProblemError(f"the covariance must be {p} × {p} finite numbers, its shape is {covariance.shape}")
-    if len(q) == 0:
-        raise ProblemError("no poses to predict the error for; give at least one row of joint readings")
-    root = covariance_root(covariance)
-    errors = []
-    for first in range(0, len(q), CHUNK):
-        _, jac, _ = point_jacobians(chain, params, q[first : first + CHUNK], p_end_point)
-        errors.append(np.linalg.norm(jac @ root, axis=(1, 2)))
-    return np.concatenate(errors)
-
-
 def tolerance_error(chain: Chain, sigma: Floats, q: Floats, p_end_point: Floats) -> Floats:
-    """Return the a priori RMS error (n,) [m] that tolerances σ (p,) of independent parameters cause at the nominal robot.
+    """Return the a priori RMS error (n,) [m] of a point of the end at q (n, j), of the nominal robot.
 
-    Raises ProblemError for σ of another shape, negative or not finite.
+    ``sigma`` (p,) are the tolerances of its parameters, which are independent.
     """
-    sigma = np.asarray(sigma, dtype=float)
-    if sigma.shape != (len(chain.parameters),) or not (np.isfinite(sigma).all() and (sigma >= 0.0).all()):
-        raise ProblemError(f"tolerances must be {len(chain.parameters)} finite numbers ≥ 0, in m, rad and 1")
-    return predicted_error(chain, chain.params_nominal, np.diag(sigma**2), q, p_end_point)
+    errors = [np.zeros(0)]
+    for first in range(0, len(q), CHUNK):
+        _, jac, _ = point_jacobians(chain, chain.params_nominal, q[first : first + CHUNK], p_end_point)
+        errors.append(np.linalg.norm(jac * sigma, axis=(1, 2)))
+    return np.concatenate(errors)
 
 
 def covariance_root(covariance: Floats) -> Floats:
