@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from truearm.checks.evidence import SCALES, Design, Weighed, amount_of, products, weigh
+from truearm.checks.evidence import SCALES, Design, Weighed, amount_of, followed, products, weigh
 from truearm.checks.search import RIVAL, Detection, Search
 from truearm.types import Floats
 
@@ -167,7 +167,7 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
     for hypothesis, moments in ((weighed.hypothesis, weighed.moments) for weighed in result.table):
         root = HIDDEN * moments.vectors / np.sqrt(1.0 + moments.values / result.design.variance)[:, None]
         loading = products(hypothesis, follow)[:, : hypothesis.sizes.size]
-        square = hypothesis.candidates.of_squares(np.tensordot(loading, loading, axes=(2, 2)))
+        square = followed(hypothesis, loading)
         moves, directions = np.linalg.eigh(root.swapaxes(1, 2) @ square @ root)
         median = int(np.argsort(moves[:, -1])[len(moves) // 2])
         motion = math.sqrt(max(moves[median, -1], 0.0))

@@ -37,7 +37,8 @@ class Design:
 
     fit: WhitenedFit
     kernel: Kernel
-    basis: Floats  # (m + κ, r) Q, of the parameters and then of further columns
+    basis: Floats  # (m + κ, r + f) Q, of the parameters and then of further columns
+    follow: Floats  # (m, r) the dual of Q of the parameters
     root: Floats  # (k, ·) S with Q = jac S for the parameters alone, so that S Sᵀ is their covariance
     remainder: Floats  # (m + κ,) (I − QQᵀ) residual
     freedom: float  # residuals minus what they determine
@@ -52,9 +53,10 @@ class Design:
         return 1.0 if self.kernel.declared else max(self.chi2 / max(self.freedom, 1.0), 1e-12)
 
     @cached_property
-    def follow(self) -> Floats:
-        """Return the dual (m, r + 1) of the basis and the remainder."""
-        return self.kernel.dual(np.column_stack([self.basis, self.remainder])[: self.fit.residual.size])
+    def further(self) -> Floats:
+        """Return the dual (m, f + 1) of Q of the further columns, and of the remainder."""
+        further = self.basis[: len(self.follow), self.follow.shape[1] :]
+        return self.kernel.dual(np.column_stack([further, self.remainder[: len(self.follow)]]))
 
     def without(self, columns: Floats) -> Floats:
         """Return columns (m, d) divided by the noise, (m + κ, d), without what the design follows."""
@@ -93,7 +95,7 @@ def build_design(fit: WhitenedFit, kernel: Kernel, prior: Floats) -> Design:
     significant = singular > RANK_TOLERANCE * singular.max(initial=0.0)
     basis, root = u[:, significant], vt[significant].T / singular[significant] / scale[:, None]
     remainder, freedom = residual - basis @ (basis.T @ residual), m - float((basis[:m] ** 2).sum())
-    return Design(fit, kernel, basis, root, remainder, freedom)
+    return Design(fit, kernel, basis, kernel.dual(basis[:m]), root, remainder, freedom)
 
 
 class Moments(NamedTuple):
@@ -130,14 +132,31 @@ class Weighed(NamedTuple):
         return self.hypothesis.candidate(self.best)
 
 
-def moments(hypothesis: Hypothesis, design: Design, square: Floats | None = None) -> Moments:
-    """Return M and b of all candidates beside a design and the hypothesis' nuisance; ``square``: its ``squares``, if known."""
-    candidates, d = hypothesis.candidates, hypothesis.sizes.size
-    square = squares(hypothesis, design.kernel) if square is None else square
-    cross = products(hypothesis, design.follow)
+class Information(NamedTuple):
+    """CᵀC (c, d, d) of c candidates without what the parameters follow, and its trace (c, 1) before."""
+
+    square: Floats
+    size: Floats
+
+
+def information(hypothesis: Hypothesis, design: Design) -> Information:
+    """Return what a hypothesis is beside the parameters, whatever the findings."""
+    square, d = squares(hypothesis, design.kernel), hypothesis.sizes.size
     size = np.trace(square[:, :d, :d], axis1=1, axis2=2)[:, None]
-    followed = np.tensordot(cross[..., :-1], cross[..., :-1], axes=(2, 2))
-    square, score = square - candidates.of_squares(followed), candidates.of_profiles(cross[..., -1])
+    return Information(square - followed(hypothesis, products(hypothesis, design.follow)), size)
+
+
+def followed(hypothesis: Hypothesis, cross: Floats) -> Floats:
+    """Return the products (c, d, d) of the candidates with what follows them, from those (p, d, x) of the profiles."""
+    return hypothesis.candidates.of_squares(np.tensordot(cross, cross, axes=(2, 2)))
+
+
+def moments(hypothesis: Hypothesis, design: Design, beside: Information | None = None) -> Moments:
+    """Return M and b of all candidates beside a design and the hypothesis' nuisance; ``beside`` its parameters, if known."""
+    square, size = information(hypothesis, design) if beside is None else beside
+    cross, d = products(hypothesis, design.further), hypothesis.sizes.size
+    square = square - followed(hypothesis, cross[..., :-1])
+    score = hypothesis.candidates.of_profiles(cross[..., -1])
     nuisance = square[:, d:, d:] + np.eye(square.shape[1] - d) / WIDEST**2
     follow = np.linalg.solve(nuisance, square[:, d:, :d])
     square = square[:, :d, :d] - square[:, :d, d:] @ follow
@@ -166,9 +185,9 @@ def squares(hypothesis: Hypothesis, kernel: Kernel) -> Floats:
     return candidates.of_squares(np.asarray(gram))
 
 
-def weigh(hypothesis: Hypothesis, design: Design, square: Floats | None = None) -> Weighed:
+def weigh(hypothesis: Hypothesis, design: Design, beside: Information | None = None) -> Weighed:
     """Return the evidence of a hypothesis and the probability of chance."""
-    sums = moments(hypothesis, design, square)
+    sums = moments(hypothesis, design, beside)
     information, scores, significant = sums.values, sums.scores, sums.values > 0.0
     variance, square = design.variance, SCALES[:, None, None] ** 2
     gain = square * scores**2 / variance / (variance + square * information)

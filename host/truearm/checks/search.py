@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, special
 
 from truearm.checks.catalogue import Hypothesis, catalogue, rows_used, spans_of
-from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, squares, weigh
+from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, information, weigh
 from truearm.checks.noise import learned_noise
 from truearm.checks.whitened import DECLARED, WhitenedFit
 from truearm.estimate.ties import largest_first
@@ -114,12 +114,12 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
     """
     fit, log_count = bare.fit, log_counts(hypotheses)
     block = left_out_blocks(fit.n, fit.how.place)[fit.row]
-    square = [squares(hypothesis, bare.kernel) for hypothesis in hypotheses]
+    beside = [information(hypothesis, bare) for hypothesis in hypotheses]
     detections: list[Detection] = []
     refused: tuple[str, ...] = ()
     while True:
         design = bare.extended(columns_of(detections, fit))
-        table = tuple(map(weigh, hypotheses, repeat(design), square))
+        table = tuple(map(weigh, hypotheses, repeat(design), beside))
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count[weighed.hypothesis.kind])}
         if not significant or refused or len(detections) == MOST_FINDINGS:
             return Search(tuple(detections), design, table, bare, fitted, bare, block, refused)
