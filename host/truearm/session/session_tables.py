@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -24,8 +23,8 @@ from truearm.errors import SessionError
 from truearm.session.box_ident import Channel
 from truearm.session.dwells import Dwell
 from truearm.session.frames import fields_of, parse_exchange
-from truearm.session.joint_format import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, concatenate
-from truearm.session.joint_readings import SegmentedReadings
+from truearm.session.joint_format import NO_INPUTS, OPTIONAL, UNNUMBERED, JointBatch, concatenate
+from truearm.session.joint_readings import JointStream, SegmentedReadings
 from truearm.session.line_passes import LinePass
 from truearm.session.observations import Survey, read_blocks
 from truearm.session.samples import extension, volts, with_ratios
@@ -40,11 +39,8 @@ UNKNOWN = -1  # an unknown integer
 Columns = dict[str, NDArray[Any]]
 Batch = tuple[str, Columns]
 
-# Optional keys of a reading and the titles of their columns (docs/reference/session-format.md).
-_TITLES = {
-    **{"q_cmd": "q_cmd{0}_{1}", "qd": "qd{0}_{1}_s", "current": "current{0}_A", "effort": "effort{0}_{2}"},
-    **{name: name for name in ("inputs", "robot_mode", "runtime_state")},
-}
+# Optional keys of a reading for each joint, and the titles of their columns (docs/reference/session-format.md).
+_TITLES = {"q_cmd": "q_cmd{0}_{1}", "qd": "qd{0}_{1}_s", "current": "current{0}_A", "effort": "effort{0}_{2}"}
 _SMALL = {  # topics of small messages, and the frames of the box on them
     **{"/box/heartbeat": wire.HEARTBEAT, "/box/event": wire.EVENT, "/box/temperature": wire.TEMPERATURE},
     **dict.fromkeys(("/sync", "/events"), 0),
@@ -59,28 +55,30 @@ def tabulate(survey: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]
     keeps changing.
     """
     titles: dict[str, list[tuple[str, ...]]] = {}  # of the tables of each name
-    robot, messages_before = _Robot(survey, joint_units), 0
+    for name, columns in _batches(survey, joint_units):
+        tables = titles.setdefault(name, [])
+        if tuple(columns) not in tables:
+            tables.append(tuple(columns))
+            if sum(map(len, titles.values())) > MAX_TABLES:
+                raise SessionError(
+                    f"the session would become more than {MAX_TABLES} tables; a session of truearm record has about a dozen"
+                )
+        number = tables.index(tuple(columns)) + 1
+        yield name if number == 1 else f"{name}-{number}", columns
+
+
+def _batches(survey: Survey, joint_units: Sequence[str]) -> Iterator[Batch]:
+    n, messages_before = len(survey.joints.step), 0
+    units = tuple(joint_units) or ("rad",) * n
+    if n and len(units) != n:
+        raise SessionError("other-robot", place="session", joints=n, expected=len(units))
+    order, keys = SegmentedReadings(len(units) or None), list[JointBatch]()
     for messages, blocks in read_blocks(survey.source, BoxReader(survey.ident)):
-        tables = ((f"box_{released.stream.name}", samples(released, survey)) for released in blocks)
-        readings = robot.table(robot.order.take(messages))
-        for name, columns in chain(tables, _small_tables(messages, messages_before, survey), readings):
-            yield _table_of(name, columns, titles), columns
+        yield from ((f"box_{released.stream.name}", samples(released, survey)) for released in blocks)
+        yield from _small_tables(messages, messages_before, survey)
+        yield from _readings(order.take(messages), survey.joints, units, keys)
         messages_before += len(messages)
-    for name, columns in robot.table(robot.order.finish()):
-        yield _table_of(name, columns, titles), columns
-
-
-def _table_of(name: str, columns: Columns, titles: dict[str, list[tuple[str, ...]]]) -> str:
-    """Return the name of the table with these columns."""
-    tables = titles.setdefault(name, [])
-    if tuple(columns) not in tables:
-        tables.append(tuple(columns))
-        if sum(map(len, titles.values())) > MAX_TABLES:
-            raise SessionError(
-                f"the session would become more than {MAX_TABLES} tables; a session of truearm record has about a dozen"
-            )
-    number = tables.index(tuple(columns)) + 1
-    return name if number == 1 else f"{name}-{number}"
+    yield from _readings(order.finish(), survey.joints, units, keys)
 
 
 def _small_tables(messages: Messages, messages_before: int, survey: Survey) -> Iterator[Batch]:
@@ -175,43 +173,31 @@ def _channel(counts: NDArray[np.int32], channel: Channel, unnamed: str) -> Itera
         )
 
 
-class _Robot:
-    """The readings of the robot in order of arrival, each with its host time."""
-
-    def __init__(self, survey: Survey, units: Sequence[str]) -> None:
-        self._joints = survey.joints
-        n = len(survey.joints.step)
-        self._units = tuple(units) or ("rad",) * n
-        if n and len(self._units) != n:
-            raise SessionError("other-robot", place="session", joints=n, expected=len(self._units))
-        self.order = SegmentedReadings(len(self._units) or None)
-        self._keys: list[JointBatch] = []  # of no readings, with the optional keys so far
-
-    def table(self, pieces: Sequence[tuple[int, JointBatch]]) -> Iterator[Batch]:
-        """Yield the table of pieces of one segment each."""
-        if not pieces:
-            return
-        segment = np.concatenate([np.full(len(piece), number) for number, piece in pieces])
-        batch = concatenate([*self._keys, *(piece for _, piece in pieces)])
-        self._keys = [batch[:0]]
-        columns: Columns = {
-            "arrival_ns": batch.arrival_ns,
-            "host_time_ns": self._joints.to_host_ns(segment, batch.t),
-            "segment": segment,
-            "controller_time_s": batch.t,
-            "seq": np.where(batch.seq == UNNUMBERED, UNKNOWN, batch.seq),
-            **_joints(batch.q, self._units),
-        }
-        for key, title in _TITLES.items():
-            values = batch.columns.get(key)
-            if values is None:
-                continue
-            if key in ARRAYS:
-                titles = [title.format(j, unit, _TORQUE.get(unit, unit)) for j, unit in enumerate(self._units, start=1)]
-                columns |= zip(titles, values.T, strict=True)
-            else:
-                columns[title] = np.where(values == NO_INPUTS, np.nan, values) if key == "inputs" else values
-        yield "joints", columns
+def _readings(
+    pieces: Sequence[tuple[int, JointBatch]], joints: JointStream, units: Sequence[str], keys: list[JointBatch]
+) -> Iterator[Batch]:
+    """Yield the table of readings in order of arrival, by segment. ``keys``: a batch of no readings, with all keys so far."""
+    if not pieces:
+        return
+    segment = np.concatenate([np.full(len(piece), number) for number, piece in pieces])
+    batch = concatenate([*keys, *(piece for _, piece in pieces)])
+    keys[:] = [batch[:0]]
+    columns: Columns = {
+        "arrival_ns": batch.arrival_ns,
+        "host_time_ns": joints.to_host_ns(segment, batch.t),
+        "segment": segment,
+        "controller_time_s": batch.t,
+        "seq": np.where(batch.seq == UNNUMBERED, UNKNOWN, batch.seq),
+        **_joints(batch.q, units),
+    }
+    for key in OPTIONAL:
+        values = batch.columns.get(key)
+        if values is not None and key in _TITLES:
+            titles = [_TITLES[key].format(j, unit, _TORQUE.get(unit, unit)) for j, unit in enumerate(units, start=1)]
+            columns |= zip(titles, values.T, strict=True)
+        elif values is not None:
+            columns[key] = np.where(values == NO_INPUTS, np.nan, values) if key == "inputs" else values
+    yield "joints", columns
 
 
 def _kind(text: str) -> str:
@@ -280,6 +266,10 @@ def pass_columns(passes: Sequence[LinePass]) -> Columns:
     """
     legs = [line_pass.leg for line_pass in passes]
     noise = np.array([line_pass.noise for line_pass in passes]).reshape(len(passes), 3)
+
+    def tally(dropped: Mapping[str, int]) -> str:
+        return ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+
     return {
         "pass": np.arange(1, len(passes) + 1),
         "reason": _of(passes, "reason", np.str_),
@@ -294,7 +284,7 @@ def pass_columns(passes: Sequence[LinePass]) -> Columns:
         "speed_m_s": _of(passes, "speed"),
         "points": np.array([len(line_pass.table) for line_pass in passes], dtype=np.int64),
         "points_dropped": np.array([sum(line_pass.dropped.values()) for line_pass in passes], dtype=np.int64),
-        "dropped": np.array([_tally_text(line_pass.dropped) for line_pass in passes], dtype=np.str_),
+        "dropped": np.array([tally(line_pass.dropped) for line_pass in passes], dtype=np.str_),
         "window_s": 2e-9 * _of(passes, "window_ns"),
         "samples": _of(passes, "n_samples", int),
         **{f"noise_{axis}_m": noise[:, k] for k, axis in enumerate("xyz")},
@@ -314,10 +304,6 @@ def rows_of(columns: Columns) -> list[dict[str, Any]]:
 
 def _of(items: Sequence[object], name: str, kind: type = float) -> NDArray[Any]:
     return np.array([getattr(item, name) for item in items], dtype=kind)
-
-
-def _tally_text(tally: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {reason}" for reason, count in tally.items())
 
 
 def _poses(items: Sequence[Dwell] | Sequence[LinePass]) -> NDArray[np.int64]:
