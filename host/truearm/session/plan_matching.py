@@ -63,9 +63,7 @@ class Marks:
     malformed: int = 0
 
     def feed(self, topic: str, t_host_ns: int, data: bytes) -> None:
-        """Take one message of either topic; others are ignored."""
-        if topic not in ("/plan", "/events"):
-            return
+        """Take one message of either topic."""
         try:
             document = msgspec.json.decode(data, type=dict[str, Any])
         except (msgspec.MsgspecError, ValueError, RecursionError):
