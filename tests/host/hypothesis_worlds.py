@@ -158,13 +158,13 @@ def measured(of, truth, length, rng, names=(), noise=None, chuck=None, sphere=No
     n = len(of.q)
     noise = SIGMA * rng.normal(size=n) if noise is None else noise
     (bar,) = of.rig.bars
-    names = {
+    labels = {
         "bar": bar,
         "chuck": of.chuck if chuck is None else chuck,
         "sphere": of.sphere if sphere is None else sphere,
     }
     source = [f"poses.csv row {i + 2}" for i in range(n)]
-    table = ObservationTable(q=of.q, kind="ball_bar", value=length + noise, source=source, **names)
+    table = ObservationTable(q=of.q, kind="ball_bar", value=length + noise, source=source, **labels)
     return World(of, truth, table, names)
 
 
