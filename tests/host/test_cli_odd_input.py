@@ -86,10 +86,7 @@ CASES = {
     "a demo into the folder of no name": (("demo", "--out", ""), "file-exists"),
     "a demo into a file": (("demo", "--out", "t.csv"), "cannot be used as"),
     "a demo into a stranger's folder": (("demo", "--out", "."), "file-exists"),
-    "a rate that is not a number": (
-        ("demo", "--rate", "nan", "--out", "new"),
-        "--rate must be",
-    ),
+    "a rate that is not a number": (("demo", "--rate", "nan", "--out", "new"), "--rate must be"),
     "a device of no address": (("record", "--box", "socket://", "--out", "s.mcap"), "wrong-value"),
     "an endless time": (("record", "--box", "x", "--out", "s.mcap", "--duration-s", "inf"), "finite number"),
     "a port beyond": (("simulate", "--port", "99999"), "65535"),

@@ -132,11 +132,7 @@ def test_a_file_of_ur_calibration_is_the_same_kinematics(run, tmp_path):
     rows = built_rows(UR5E.chain, SEED)
     frames = kinematics_of_info(info(rows)).links[:6]
     text = ["kinematics:"]
-    for name, link in zip(
-        ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"),
-        frames,
-        strict=True,
-    ):
+    for name, link in zip(("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"), frames, strict=True):
         x, y, z = (float(v) for v in link[:3, 3])
         roll, pitch, yaw = (
             float(np.arctan2(link[2, 1], link[2, 2])),

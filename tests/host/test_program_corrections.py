@@ -27,12 +27,7 @@ from truearm.findings import Finding
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.workflows import correct_program as correct_program_module
-from truearm.workflows.correct_program import (
-    CalibrationFrames,
-    HowCorrected,
-    ProgramRefused,
-    correct_program,
-)
+from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, ProgramRefused, correct_program
 from truearm.workflows.requests import ProgramOptions
 
 Q = correct_bench.good_poses(12)

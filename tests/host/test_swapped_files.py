@@ -27,12 +27,7 @@ FILES = {
         ("inspect arm.urdf", "arm.urdf", "a robot", "session (.mcap)"),
         ("simulate --plan report.html", "report.html", "a page", "plan (plan.csv)"),
         ("plan ballbar --model ur5e --minutes 9 --rig truearm.toml", "truearm.toml", "a project's file", "a rig"),
-        (
-            "correct result.json result.json --out o.csv",
-            "result.json",
-            "a result",
-            "targets (.csv) or",
-        ),
+        ("correct result.json result.json --out o.csv", "result.json", "a result", "targets (.csv) or"),
     ],
 )
 def test_a_swapped_file_is_named(typed, file, kind, expected, run, tmp_path, monkeypatch):
