@@ -69,9 +69,9 @@ class Entry(NamedTuple):
     metavar: str = ""
     text: str = ""
 
-    def completed(self, other: Entry) -> Entry:
-        """Return it with what it lacks from another one."""
-        return Entry(*(mine or theirs for mine, theirs in zip(self, other, strict=True)))
+    def completed(self, shared: Entry) -> Entry:
+        """Return it with what it lacks from the shared one."""
+        return Entry(*(field or default for field, default in zip(self, shared, strict=True)))
 
 
 def described(docstring: str | None, texts: Mapping[str, str]) -> tuple[str, dict[tuple[bool, str], Entry]]:
@@ -160,10 +160,10 @@ def command(
             if answers:
                 answer.show(typed["json"], typed.get("details"))
 
-        made = cls(title or function.__name__, run, EXAMPLE.sub("\b\n", page), parameters)
+        new_command = cls(title or function.__name__, run, EXAMPLE.sub("\b\n", page), parameters)
         if group is not None:
-            group.add_command(made)
-        return made
+            group.add_command(new_command)
+        return new_command
 
     return declare
 
@@ -242,8 +242,8 @@ def _type(kind: Any, rules: Sequence[Any], scale: units.Scale) -> Any:
     for rule in rules:
         if isinstance(rule, Within):
             ends: Iterator[Any] = (end if scale.factor == 1.0 else scale.of(end) for end in (rule.least, rule.most))
-            least, most = (None if math.isinf(end) else end for end in ends)
-            return click.IntRange(least, most) if kind is int else click.FloatRange(least, most)
+            low, high = (None if math.isinf(end) else end for end in ends)
+            return click.IntRange(low, high) if kind is int else click.FloatRange(low, high)
         if isinstance(rule, OneOf):
             return click.Choice([str(name) for name in rule.names])
     if issubclass(kind, StrEnum):

@@ -85,11 +85,11 @@ class ProjectCommand(click.Command):
             if kind != "result" and (kind or not further) and takes_more and (result := ctx.lookup_default("result")):
                 ctx.meta[RESULT_TAKEN] = [result]
                 args = [result, *args]
-        rest = super().parse_args(ctx, args)
+        further_words = super().parse_args(ctx, args)
         for parameter in self.params:  # a project may have no such file
             if parameter.required and ctx.params[parameter.name] in (None, ()) and not ctx.resilient_parsing:
                 raise click.MissingParameter(ctx=ctx, param=parameter)
-        return rest
+        return further_words
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command. Raises InputError for nan, inf and "-", which click accepts, and for a file of another kind."""

@@ -37,7 +37,8 @@ def write_page(
     from truearm.report.residual_rows import row_name
     from truearm.workflows.scene import calibration_scene
 
-    table, estimate = identification.table, identification.estimate
+    table, estimate, predicted = identification.table, identification.estimate, identification.predicted
+    document = identification.document
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
     page = CalibrationPage(
         title=f"Calibration of {identification.chain.name}",
@@ -46,14 +47,8 @@ def write_page(
         table=table,
         longitude=longitudes(identification.chain, identification.rig, table, estimate),
         command=command,
-        predicted=identification.predicted
-        if identification.predicted and _leads(identification.predicted, estimate)
-        else None,
-        law_steps=tuple(
-            step
-            for suffix in identification.document["residual_units"]
-            for step in law_steps(identification.document, suffix)
-        ),
+        predicted=predicted if predicted and _leads(predicted, estimate) else None,
+        law_steps=tuple(step for suffix in document["residual_units"] for step in law_steps(document, suffix)),
         curves=_curves(identification),
         facts=(*facts_of(recordings), *_facts(table)),
         certificate=certificate,

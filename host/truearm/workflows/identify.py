@@ -366,8 +366,10 @@ def identified(
     sigma = weak if prior is Prior.WHERE_NEEDED else prior_named(chain, prior)
     if prior is Prior.WHERE_NEEDED and not chosen.believed:
         prior = Prior.NONE
-    how = {name: getattr(options, name) for name in ("solver", "loss", "max_iterations")}
-    solver_options = SolverOptions(**how, progress=progress, effects=effects, leave_out=leave_out, reject=True)
+    fields_of_solver = {name: getattr(options, name) for name in ("solver", "loss", "max_iterations")}
+    solver_options = SolverOptions(
+        **fields_of_solver, progress=progress, effects=effects, leave_out=leave_out, reject=True
+    )
 
     def geometry(outliers: Mask | None = None) -> Estimate:
         chosen_options = replace(solver_options, outliers=outliers)

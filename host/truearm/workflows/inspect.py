@@ -195,13 +195,13 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
     except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
         dwells["not_paired"] = one_line(str(exc))
         return document
-    used = [dwell for dwell in result.dwells if not dwell.reason]
+    usable = [dwell for dwell in result.dwells if not dwell.reason]
     dwells |= {
         "rejected": result.reasons,
         "mountings": result.n_mountings,
-        "observations": len(used),
+        "observations": len(usable),
         "samples_used": result.samples_used,
-        "clock_bound_ns": max((dwell.clock_bound_ns for dwell in used), default=None),
+        "clock_bound_ns": max((dwell.clock_bound_ns for dwell in usable), default=None),
         "table": _dwell_rows(survey, result.dwells),
     }
     passes |= {

@@ -151,26 +151,23 @@ def _table(grid: ErrorMap, calibration: Calibration) -> str:
     units = calibration.joint_units
     mark = {"simulated": "yes"} if calibration.simulated else {}
     joints = [key(f"q{i}", unit) for i, unit in enumerate(units, start=1)]
-    rows: list[list[object]] = [
-        ["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm", "covered", *mark]
-    ]
+    titles: list[object] = ["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm", "covered", *mark]
+    rows = [titles]
     for i, j in zip(*np.nonzero(~np.isnan(grid.error)), strict=True):
         place = MM.of(np.array([grid.u[j], grid.v[i], *grid.point[i, j]]))
+        q = (number(value, unit, 5) for value, unit in zip(grid.q[i, j], units, strict=True))
         sigma = number(grid.sigma[i, j], "m", 5) if np.isfinite(grid.sigma[i, j]) else ""
-        cells = [f"{value:.3f}" for value in place] + [
-            number(value, unit, 5) for value, unit in zip(grid.q[i, j], units, strict=True)
-        ]
         covered = "" if grid.outside is None else int(not grid.outside[i, j])
-        rows.append([*cells, number(grid.error[i, j], "m", 5), sigma, covered, *mark.values()])
+        error = number(grid.error[i, j], "m", 5)
+        rows.append([*(f"{value:.3f}" for value in place), *q, error, sigma, covered, *mark.values()])
     return csv_text(rows)
 
 
 def _picture(grid: ErrorMap, region: BestRectangle | None, calibration: Calibration, styled: bool = True) -> str:
     task = None if region is None else MM.of(np.array([*region.u, *region.v])).tolist()
     labels = [f"{axis(direction)} [mm]" for direction in grid.axes]
-    title = (
-        "Simulated: " * calibration.simulated + f"Error of {one_line(calibration.chain.name)[:40]} without calibration"
-    )
+    name = one_line(calibration.chain.name)[:40]
+    title = "Simulated: " * calibration.simulated + f"Error of {name} without calibration"
     outside = np.zeros(grid.error.shape, dtype=bool) if grid.outside is None else grid.outside
     cells = Cells(MM.of(grid.u), MM.of(grid.v), MM.of(grid.error), MM.of(grid.sigma), outside)
     return map_picture(cells, title, task, labels, styled)

@@ -299,7 +299,7 @@ def _placed(
     if (raw.judging & ~placed.judging).any():
         return raw
     pairs = ((raw.error[si], error) for si, error in placed.error.items())
-    equal = (np.allclose(was, now, rtol=0.0, atol=NOTHING, equal_nan=True) for was, now in pairs)
+    equal = (np.allclose(*pair, rtol=0.0, atol=NOTHING, equal_nan=True) for pair in pairs)
     return raw if all(equal) else placed
 
 
@@ -418,8 +418,8 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
     reach = np.hypot(p[:, 0], p[:, 1])
     outer, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])
     split = MM.text(np.median(reach), ".0f"), MM.text(np.median(p[:, 2]), ".0f")
-    parts = []
+    quarters = []
     for is_far, is_high in itertools.product((False, True), repeat=2):
         name = f"{BY_PLACE}{'>' if is_far else '≤'} {split[0]}, z {'>' if is_high else '≤'} {split[1]}"
-        parts.append((name, (outer == is_far) & (high == is_high)))
-    return parts
+        quarters.append((name, (outer == is_far) & (high == is_high)))
+    return quarters
