@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.end_to_end.levels import LEVELS, MAG_PERIOD_NS, lab_of, record_lab, samples
 
-from truearm.session.box_ident import find_channel
+from truearm.session.box_ident import find_channels
 from truearm.session.observations import survey
 from truearm.session.session_file import open_session
 from truearm_sim import sensors
@@ -104,7 +104,7 @@ def test_the_position_of_the_magnet(session):
     Half a tick is 11.2 µm, and 3.7 σ of the head's 5.1 µm fit beside it: one shot in 10^5 is further off. A mean of 100 has its
     bias of at most 2.6 µm and three of its own σ of 0.75 µm.
     """
-    stream, column = find_channel(session.ident(), "magnetostrictive")
+    stream, (column,) = find_channels(session.ident(), "magnetostrictive")
     channel = stream.channels[column]
     ticks, stamps, _ = samples(session.blocks(1), 1)
     good = ticks[:, 0] > 0

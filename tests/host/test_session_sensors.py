@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from session_stream import ident_document, metres_of
 
 from truearm.errors import ProtocolError, SessionError
-from truearm.session.box_ident import Channel, decimal, decode_ident, find_channel, parse_ident, parse_ident_json
+from truearm.session.box_ident import Channel, decimal, decode_ident, find_channels, parse_ident, parse_ident_json
 from truearm.session.frames import Pages
 from truearm.session.joint_format import JointLine, parse_line
 from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, shown, volts
@@ -32,12 +32,12 @@ def test_what_is_no_decimal_is_refused(value):
 
 
 def test_counts_to_metres_by_the_ident():
-    stream, column = find_channel(parse_ident(ident_document()), "lvdt")
+    stream, (column,) = find_channels(parse_ident(ident_document()), "lvdt")
     assert (stream.name, column, stream.group_delay_ns) == ("adc", 0, 1_500_000)
     counts = np.array([[0, -8_000_000], [1, 8_000_000]], dtype=np.int32)
     assert np.allclose(extension(counts, stream.channels[0]), metres_of(counts), rtol=0, atol=1e-17)
     assert volts(counts, stream.channels[0])[1, 1] == pytest.approx(1.144, abs=1e-15)
-    assert find_channel(parse_ident(ident_document()), "other") is None
+    assert find_channels(parse_ident(ident_document()), "other") is None
 
 
 def test_millimetres_at_the_border():
@@ -91,7 +91,7 @@ class TestIdent:
     def test_a_faulty_channel_is_no_faulty_box(self, change, says):
         """Recorded and read alike; the channel says what is wrong, the others are whole."""
         found = decode_ident(cbor2.dumps(with_channel(**change)))
-        stream, column = find_channel(found, "lvdt")
+        stream, (column,) = find_channels(found, "lvdt")
         assert column == 0
         assert math.isnan(stream.channels[0].scale)
         assert [c.fault for c in stream.channels[1:]] == ["", "", ""]
@@ -140,7 +140,7 @@ class TestIdent:
         mag = {"id": 1, "name": "mag", "period_ns": 983040, "osr": 0, "group_delay_ns": 0, "channels": [channel]}
         document["streams"].append(mag)
         found = parse_ident(document)
-        stream, column = find_channel(found, "magnetostrictive")
+        stream, (column,) = find_channels(found, "magnetostrictive")
         assert (stream.id, stream.osr, column, found.faults) == (1, 0, 0, ())
         assert extension(np.array([12_500]), stream.channels[0])[0] == pytest.approx(-33567e-7 + 2806.6298 * 100e-6)
 

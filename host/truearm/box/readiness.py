@@ -8,7 +8,7 @@ from datetime import date
 from typing import Any
 
 from truearm.errors import InputError
-from truearm.session.box_ident import Ident, Stream, find_channel
+from truearm.session.box_ident import Ident, Stream, find_channels
 from truearm.text import box_command, one_line
 from truearm.units import DEGC, MM
 
@@ -69,10 +69,10 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
 
     No warning is given if the box reads a thermometer on the bar: its lengths are corrected.
     """
-    place = find_channel(ident, channel)
+    place = find_channels(ident, channel)
     if place is None or BAR in ident.thermometers:
         return ""
-    stream, index = place
+    stream, (index,) = place
     warmer = degc - stream.channels[index].calibrated_degc
     if not abs(warmer) >= FAR:  # also if it is not known
         return ""
@@ -86,7 +86,7 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
 
 def usable_channel(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
     """Return the stream with a channel, and the channel's index. Raises InputError if there is none that can be used."""
-    place = find_channel(ident, name)
+    place = find_channels(ident, name)
     if place is None:
         names = ", ".join(one_line(c.name) for s in ident.streams.values() for c in s.channels)
         advice = (
@@ -96,10 +96,11 @@ def usable_channel(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
             f"{box_command('config set box.toml', device)}"
         )
         raise InputError(f"the box has no channel {one_line(name[:40])} (it has {names}); {advice}")
-    if fault := place[0].channels[place[1]].fault:
+    stream, (index,) = place
+    if fault := stream.channels[index].fault:
         command = box_command(f"config set channel.{name}.KEY=VALUE", device)
         raise InputError(f"channel {name} cannot be used: {fault}; correct it with {command}")
-    return place
+    return stream, index
 
 
 def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[str], list[str]]:

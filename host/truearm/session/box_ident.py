@@ -204,12 +204,12 @@ def parse_ident_json(text: str) -> Ident:
         ) from exc
 
 
-def find_channel(ident: Ident, name: str) -> tuple[Stream, int] | None:
-    """Return the stream with a channel of this name, and the channel's index; None if there is none."""
+def find_channels(ident: Ident, *names: str) -> tuple[Stream, tuple[int, ...]] | None:
+    """Return the stream that has channels of these names, and their indices; None if no single stream has them all."""
     for stream in ident.streams.values():
-        for index, channel in enumerate(stream.channels):
-            if channel.name == name:
-                return stream, index
+        available = [channel.name for channel in stream.channels]
+        if set(names) <= set(available):
+            return stream, tuple(map(available.index, names))
     return None
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from truearm import units
 from truearm.errors import SessionError
-from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channel
+from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channels
 from truearm.session.clock import DeviceClock
 from truearm.session.frames import Data
 from truearm.session.spool import Spool
@@ -137,7 +137,7 @@ class ChannelSamples:
     def keep(self, blocks: Iterable[Blocks]) -> None:
         """Keep the channels' samples among all blocks of a box."""
         for block in blocks:
-            place = columns_in(block.ident, self._names)
+            place = find_channels(block.ident, *self._names)
             if place is None:
                 self._lacking = self._lacking or block.ident
             elif place[0].id == block.stream.id and len(block):
@@ -210,11 +210,3 @@ class ChannelSamples:
             period_ns=int(period_ns[-1]),
             bound_ns=float(bound.max()),
         )
-
-
-def columns_in(ident: Ident, names: Sequence[str]) -> tuple[Stream, tuple[int, ...]] | None:
-    """Return the stream that has these channels, and their columns; None if no single stream has them all."""
-    places = [place for name in names if (place := find_channel(ident, name)) is not None]
-    if len(places) < len(names) or len({stream.id for stream, _ in places}) != 1:
-        return None
-    return places[0][0], tuple(column for _, column in places)
