@@ -390,7 +390,7 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
         walk = RecordWalk(path, file, every_record=True)
         walk.walk()
         if not allow_damaged:
-            place = f"at byte {walk.damaged_at[0]}" if walk.damaged_at else wrong_crc
+            place = f"at byte {walk.gaps[0][0]}" if walk.gaps else wrong_crc
             raise SessionError("damaged-session", place=path, where=place)
         return walk.salvaged(bool(wrong_crc))
 
@@ -404,7 +404,7 @@ class RecordWalk:
 
     def __init__(self, path: Path, file: BinaryIO, every_record: bool) -> None:
         self.session = Session(path)
-        self.damaged_at: list[int] = []
+        self.gaps: list[tuple[int, int]] = []  # byte of each damaged place, and chunks before it
         self.crc = 0  # of all bytes before ``_data_end``, as the file states it; 0: not stated
         self._file, self._every_record = file, every_record
         self._size = os.fstat(file.fileno()).st_size
@@ -413,7 +413,6 @@ class RecordWalk:
         self.complete = has_footer(file, self._size)
         self._span_ns: tuple[int, int] | None = None  # of the messages, as the end of the file states it
         self._times_ns: list[tuple[int, int]] = []  # of the messages of each chunk
-        self._gaps: list[int] = []  # chunks before each damaged place
         self._proven: set[str] = set()  # metadata and attachments with a CRC
         self._data_end = 0
         if every_record and self.complete:
@@ -425,8 +424,7 @@ class RecordWalk:
         while offset + RECORD.size <= self._size and not self._data_end:
             end = self._record(offset)
             if end is None:
-                self.damaged_at.append(offset)
-                self._gaps.append(len(self._times_ns))
+                self.gaps.append((offset, len(self._times_ns)))
                 if not self._every_record:
                     return
                 begin, offset = offset, self._search(offset + 1)
@@ -459,8 +457,7 @@ class RecordWalk:
 
     def salvaged(self, wrong_crc: bool) -> Session:
         """Return the session, with what is missing in each damaged place."""
-        session, times_ns = self.session, self._times_ns
-        gaps = [*zip(self.damaged_at, self._gaps, strict=True)]
+        session, times_ns, gaps = self.session, self._times_ns, list(self.gaps)
         session.truncated = not self.complete
         while gaps and gaps[-1][1] == len(times_ns) and not (self.complete and self._span_ns):
             gaps.pop()  # nothing follows, and nothing says how long it was
@@ -532,7 +529,7 @@ class RecordWalk:
 
     def _search(self, offset: int) -> int:
         """Return the next position at which a record seems to begin; the end of the file if there is none."""
-        if len(self.damaged_at) > MAX_BAD:
+        if len(self.gaps) > MAX_BAD:
             raise SessionError(f"{self.session.path}: is damaged in more than {MAX_BAD} places; copy it again")
         while offset + RECORD.size <= self._size:
             self._file.seek(offset)
