@@ -285,7 +285,7 @@ class _Reader(Reading):
             components = self.components(tokens, line)
         except Uncertain as uncertain:
             if uncertain.reason.name != "undeclared":
-                raise uncertain.about(subject) from None
+                raise uncertain.again(subject=subject) from None
             name = key.replace("[", "").replace("]", "")
             return self.given(name, Uncertain("undeclared", name=name.upper(), subject=subject))
         x, y, z, a, b, c = (_number(components.get(name, ())) for name in POSE)

@@ -196,7 +196,7 @@ def _frame_of(task: Task, tokens: Tokens, scope: Scope, subject: str) -> Floats:
             raise Uncertain("moved-object")
         return np.asarray(matrix_of_quaternion(*value[3]) @ matrix_of_quaternion(*value[4]))
     except Uncertain as uncertain:
-        raise uncertain.about(subject) from None
+        raise uncertain.again(subject=subject) from None
 
 
 # moves

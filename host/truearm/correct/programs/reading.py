@@ -26,19 +26,9 @@ class Uncertain(Exception):
         super().__init__(name)
         self.reason = Reason(name, values)
 
-    def again(self) -> Uncertain:
-        """Return the same reason for another move: an exception that is raised again keeps all its tracebacks."""
-        return Uncertain(self.reason.name, **self.reason.values)
-
-    def within(self, program: Program, place: Place) -> Uncertain:
-        """Return the same reason with the place of the value that is computed at run time, if it has none."""
-        name, values = self.reason.name, self.reason.values
-        location = {"where": program.where(place)} if name == "run-time" else {}
-        return Uncertain(name, **{**location, **values})
-
-    def about(self, subject: str) -> Uncertain:
-        """Return the same reason as one about a tool, work object or offset."""
-        return Uncertain(self.reason.name, **{**self.reason.values, "subject": subject})
+    def again(self, **values: object) -> Uncertain:
+        """Return the same reason, with values: an exception that is raised again keeps all its tracebacks."""
+        return Uncertain(self.reason.name, **{**self.reason.values, **values})
 
 
 @dataclass(eq=False)
@@ -75,9 +65,9 @@ class Reading:
             try:
                 alternatives += evaluate(tokens, scope)
             except Uncertain as uncertain:
-                if tokens:
-                    uncertain = uncertain.within(self.program, Place(scope.file, tokens[0].start))
-                raise uncertain from None
+                if uncertain.reason.name != "run-time" or "where" in uncertain.reason.values or not tokens:
+                    raise
+                raise uncertain.again(where=self.program.where(Place(scope.file, tokens[0].start))) from None
             if len(alternatives) > MOST_TARGETS:
                 raise Uncertain("many", most=MOST_TARGETS)
         return alternatives

@@ -182,7 +182,7 @@ class _Reader:
             try:
                 return self.script.once(setter, lambda: self.pose(setter.argument(0, "pose"), setter.statement))
             except Uncertain as uncertain:
-                raise uncertain.about("tool") from None
+                raise uncertain.again(subject="tool") from None
         return self.script.given("", Uncertain("tool"))
 
     def goals(self, call: Call) -> list[Goal]:
