@@ -13,7 +13,7 @@ X, Y, Z = np.eye(3)
 
 def test_universal_robots_base_is_half_a_turn_from_base_link():
     """A point in front of base_link is behind the controller's base, at the same height."""
-    base = base_of("urscript", "base_link", brought=False)
+    base = base_of("urscript", "base_link")
     np.testing.assert_allclose(base.pose[:3, :3] @ X, -X, atol=1e-15)
     np.testing.assert_allclose(base.pose[:3, :3] @ Z, Z, atol=1e-15)
     np.testing.assert_array_equal(base.pose[:3, 3], 0.0)
@@ -39,7 +39,7 @@ def test_universal_robots_tool0_in_the_flange_of_ur_description():
 def test_frames_that_are_the_controllers_own(language):
     """A robot that is not a URDF is described in the controller's own frames, whose flange has z out of it."""
     for frame in (
-        base_of(language, "base", True),
+        base_of(language, "base"),
         flange_of(language, "flange", True),
         flange_of(language, "tool0", False),
     ):
@@ -50,7 +50,7 @@ def test_frames_that_are_the_controllers_own(language):
 @pytest.mark.parametrize("name", ["world", "ee_link", "chuck_fixture", "link_6", ""])
 def test_a_name_that_says_nothing_is_not_guessed_at(language, name):
     for brought in (False, True):
-        assert base_of(language, name, brought) is None
+        assert base_of(language, name) is None
         assert flange_of(language, name, brought) is None
 
 

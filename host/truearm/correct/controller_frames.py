@@ -39,43 +39,32 @@ _HALF, _QUARTER = np.pi, 0.5 * np.pi
 SAME = _turn("the same frame")
 BASES = {
     "urscript": {
-        "base": SAME,
         "base_link": _turn("base (half a turn about z from base_link)", yaw=_HALF),
         "base_link_inertia": _turn("base (the same frame as base_link_inertia)"),
     },
-    "rapid": {"base": SAME, "base_link": _turn("base (the same frame as base_link)")},
-    "krl": {"base": SAME},
-    "ls": {"base": SAME},
-}
+    "rapid": {"base_link": _turn("base (the same frame as base_link)")},
+}  # beside base, which is each controller's own
 FLANGES = {
-    "urscript": {
-        "tool0": SAME,
-        "flange": _turn("tool0 (z out of the flange)", roll=_QUARTER, yaw=_QUARTER),
-    },
-    "rapid": {"tool0": SAME, "flange": _turn("tool0 (z out of the flange)", pitch=_QUARTER)},
-    "krl": {"tool0": SAME},
-    "ls": {"tool0": SAME},
-}
-
+    "urscript": {"flange": _turn("tool0 (z out of the flange)", roll=_QUARTER, yaw=_QUARTER)},
+    "rapid": {"flange": _turn("tool0 (z out of the flange)", pitch=_QUARTER)},
+}  # beside tool0
 OUT = {"tool0": 2, "flange": 0}  # which of a frame's axes points out of the flange
 ALONG = 1.0 - 1e-6
 
 
-def base_of(language: str, frame: str, brought: bool) -> Frame | None:
-    """Return the controller's base in the calibration's base frame, or None if the name does not determine it.
-
-    ``brought``: the robot is not a URDF.
-    """
-    return SAME if brought and frame == "base" else BASES[language].get(frame)
+def base_of(language: str, frame: str) -> Frame | None:
+    """Return the controller's base in the calibration's base frame, or None if the name does not determine it."""
+    return SAME if frame == "base" else BASES.get(language, {}).get(frame)
 
 
 def flange_of(language: str, frame: str, brought: bool, axis: Floats | None = None) -> Frame | None:
     """Return the controller's flange in the calibration's end frame, or None if the name does not determine it.
 
-    ``axis``: the last joint's axis (3,) in the end frame. In a URDF, it must be the direction that points out of a frame
-    of this name: not every description follows REP 199.
+    ``brought``: the robot is not a URDF. ``axis``: the last joint's axis (3,) in the end frame. In a URDF, it must be
+    the direction that points out of a frame of this name: not every description follows REP 199.
     """
     if brought:
-        return SAME if frame in ("flange", "tool0") else FLANGES[language].get(frame)
-    along = None if axis is None else abs(axis[OUT.get(frame, 2)])
-    return None if along is not None and along < ALONG else FLANGES[language].get(frame)
+        return SAME if frame in ("flange", "tool0") else None
+    if axis is not None and abs(axis[OUT.get(frame, 2)]) < ALONG:
+        return None
+    return SAME if frame == "tool0" else FLANGES.get(language, {}).get(frame)

@@ -473,7 +473,7 @@ def _controller_frames(
     axis = believed(pair, q)[0, :3, :3].T @ joint_jacobian(pair.chain, pair.nominal, q)[0, 3:, -1]  # in the end frame
     robot_frame = SAME if names.own and names.brought else None
     tool0 = None if names.tool0 is None else Frame(names.tool0, "tool0 (as in the URDF)")
-    base = _given(options.works.get("")) or base_of(language, names.base, names.brought) or robot_frame
+    base = _given(options.works.get("")) or base_of(language, names.base) or robot_frame
     flange = _given(options.flange) or tool0 or flange_of(language, names.end, names.brought, axis) or robot_frame
     if base is not None and flange is not None:
         return base, flange
