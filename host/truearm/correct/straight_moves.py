@@ -42,18 +42,15 @@ def straight_moves(pair: ModelPair, q_start: Floats, commanded: Floats, tool: Fl
     """
     begin = believed(pair, q_start) @ tool
     motion = apart(commanded @ tool, begin)
-    back = inverted(tool)
-    q, places = np.asarray(q_start, dtype=float), [_tool_points(pair, q_start, tool)]
-    singular, limits = singular_value(pair.chain, pair.nominal, q), limit_margins(pair.chain, q)
-    drivable = np.ones(len(commanded), dtype=bool)
+    path, drivable = [np.asarray(q_start, dtype=float)], np.ones(len(commanded), dtype=bool)
     for share in np.linspace(0.0, 1.0, SAMPLES + 2)[1:]:
-        solution = inverse(pair.chain, pair.nominal, moved(begin, share * motion) @ back, q)
-        drivable &= solution.reached & (np.abs(solution.q - q).max(axis=-1) < JUMP)
-        q = solution.q
-        singular = np.minimum(singular, singular_value(pair.chain, pair.nominal, q))
-        limits = np.minimum(limits, limit_margins(pair.chain, q))
-        places.append(_tool_points(pair, q, tool))
-    return StraightMoves(_deviation(np.array(places)), singular, limits, drivable & (limits >= 0.0).all(axis=1))
+        solution = inverse(pair.chain, pair.nominal, moved(begin, share * motion) @ inverted(tool), path[-1])
+        drivable &= solution.reached & (np.abs(solution.q - path[-1]).max(axis=-1) < JUMP)
+        path.append(solution.q)
+    places = np.array([(reached(pair, q) @ tool)[:, :3, 3] for q in path])
+    singular = np.min([singular_value(pair.chain, pair.nominal, q) for q in path], axis=0)
+    limits = np.min([limit_margins(pair.chain, q) for q in path], axis=0)
+    return StraightMoves(_deviation(places), singular, limits, drivable & (limits >= 0.0).all(axis=1))
 
 
 def limit_margins(chain: Chain, q: Floats) -> Floats:
@@ -63,10 +60,6 @@ def limit_margins(chain: Chain, q: Floats) -> Floats:
     """
     lower, upper = chain.limits
     return np.asarray(np.minimum(q - lower, upper - q))
-
-
-def _tool_points(pair: ModelPair, q: Floats, tool: Floats) -> Floats:
-    return np.asarray((reached(pair, q) @ tool)[:, :3, 3])
 
 
 def _deviation(places: Floats) -> Floats:
