@@ -5,7 +5,6 @@ import pytest
 from dh_chains import chain_from_dh, chain_from_modified_dh
 from rank_bench import random_joints, rank_and_gap, sensitivity
 
-from truearm.errors import RobotError
 from truearm.model.chain import forward, point_forward, point_jacobians
 from truearm.model.chain_structure import Joint
 
@@ -113,16 +112,3 @@ def test_parallel_axes_lose_a_parameter_each_without_beta(build, rows, pairs):
     plain, one, twisted = (build("r", joints("RRRRRR"), rows, twisted=t) for t in ((), pairs[:1], pairs))
     assert [seen(chain) for chain in (plain, one, twisted)] == [34, 35, 36]
     assert len(twisted.parameters) == len(plain.parameters)  # β has taken the place of d
-
-
-@BOTH
-@pytest.mark.parametrize(
-    ("rows", "more", "says"),
-    [
-        (np.full((2, 4), np.nan), {}, r"joint1\.\w+"),
-        (np.zeros((2, 4)), {"tool": (np.inf,) * 6}, r"tool\.x .*finite"),
-    ],
-)
-def test_numbers_that_are_not_finite_are_refused(build, rows, more, says):
-    with pytest.raises(RobotError, match=says):
-        build("r", joints("RR"), rows, **more)

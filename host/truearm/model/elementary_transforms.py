@@ -8,11 +8,9 @@ numbers.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
-from truearm.errors import RobotError
 from truearm.model import joint_law
 from truearm.model.chain import Chain
 from truearm.model.chain_structure import Joint, Parameter
@@ -58,30 +56,22 @@ def chain_from_slots(
 ) -> Chain:
     """Return the chain of the slots.
 
-    amounts : a number [SI] for every slot, by name, and for each further parameter of the joints' laws; a joint without
+    amounts : a finite number [SI] for every slot, by name, and for each further parameter of the joints' laws; a joint without
         any has gain 1 and no further term.
     fixed : names of slots that are constants rather than parameters.
 
-    Raises RobotError for numbers that are missing or not finite, and for the same reasons as ``Chain``.
+    Raises RobotError for two parameters of one name.
     """
     elements: list[Element] = []
     parameters: list[Parameter] = []
-
-    def number(key: str) -> float:
-        if key not in amounts:
-            raise RobotError(f"robot {name}: {key} has no value")
-        if not math.isfinite(amounts[key]):
-            raise RobotError(f"robot {name}: parameter {key} is not finite")
-        return float(amounts[key])
-
     for slot in slots:
-        value = number(slot.name)
+        value = float(amounts[slot.name])
         if slot.joint is not None:
             for term in joint_law.terms():
                 key = law_name(slot, term.name)
                 if key in amounts and key not in fixed:
                     unit = term.unit_of(joints[slot.joint].kind)
-                    parameters.append(Parameter(key, unit, number(key), term.name, slot.joint))
+                    parameters.append(Parameter(key, unit, float(amounts[key]), term.name, slot.joint))
             elements.append(Element(slot.motion, value, joint=slot.joint))
         elif slot.name in fixed:
             elements.append(Element(slot.motion, value))
