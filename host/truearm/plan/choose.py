@@ -20,10 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import PlanError
 from truearm.plan.criteria import Criterion
 from truearm.progress import steps_of
-from truearm.text import counted
 from truearm.types import Floats
 
 GAIN = 1e-9  # of the criterion, relative: a swap with a smaller gain is rounding
@@ -46,9 +44,9 @@ def choose(
     rows (N, w, k): whitened rows, columns in units of the prior; information (k, k): of the prior and of existing
     measurements, in the same units. ``region`` (r, k): L of I-optimality, transposed. ``passes``: maximum number of
     exchange passes. ``group`` (N,): groups that each need a setup; its extra cost is ``setup`` times that of a
-    candidate. Raises PlanError for an unknown criterion, I without a region, and more candidates wanted than there are.
+    candidate.
     """
-    state = Gains(rows, information.copy(), _checked(rows, n, criterion, region), region)
+    state = Gains(rows, information.copy(), Criterion(criterion), region)
     chosen = list[int]()
     available = np.ones(len(rows), dtype=bool)
     group = np.zeros(len(rows), dtype=np.intp) if group is None else group
@@ -179,20 +177,6 @@ def _exchange(state: Gains, chosen: list[int], available: NDArray[np.bool_]) -> 
 def _inverse(information: Floats) -> Floats:
     inverse = np.linalg.inv(information)
     return np.asarray(0.5 * (inverse + inverse.T))
-
-
-def _checked(rows: Floats, n: int, criterion: str, region: Floats | None) -> Criterion:
-    if criterion not in tuple(Criterion):
-        raise PlanError("wrong-value", place="criterion", value=criterion, names=list(Criterion))
-    if criterion == Criterion.I and region is None:
-        raise PlanError(
-            "criterion I needs the argument region: the rows of the region in which the error should be small"
-        )
-    if not 1 <= n <= len(rows):
-        raise PlanError(
-            f"only {counted(len(rows), 'candidate')} to choose {n} from; ask for fewer poses or more candidates"
-        )
-    return Criterion(criterion)
 
 
 def condensed(jacobian: Floats, own_jacobian: Floats | None = None) -> Floats:
