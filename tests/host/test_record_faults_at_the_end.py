@@ -23,7 +23,7 @@ ENDINGS = [None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP]  # None: --durati
 @pytest.fixture
 def lab(monkeypatch):
     lab = Lab()
-    monkeypatch.setattr("truearm.record.links.HostClock", lambda: lab)
+    monkeypatch.setattr("truearm.workflows.record.HostClock", lambda: lab)
     return lab
 
 
@@ -31,8 +31,8 @@ def record(monkeypatch, lab, out, ending, fault=lambda box, robot: None, more=()
     """Run truearm record until its ending; ``fault`` prepares what happens to the box and the robot before."""
     box, robot = Box(lab), Robot(lab, 100.0)
     fault(box, robot)
-    monkeypatch.setattr("truearm.record.ports.BoxPort", lambda *_: lambda: box.link)
-    monkeypatch.setattr("truearm.record.robots.sources.open_source", lambda *_: robot.link)
+    monkeypatch.setattr("truearm.workflows.record.BoxPort", lambda *_: lambda: box.link)
+    monkeypatch.setattr("truearm.workflows.record.open_source", lambda *_: robot.link)
     options = ["--duration-s", "6"]
     if ending is not None:
         options = []
@@ -146,7 +146,7 @@ def test_a_second_recorder_with_the_same_name_is_refused_before_its_box_is_start
     def second(box, robot):
         def run():
             with monkeypatch.context() as patch:
-                patch.setattr("truearm.record.ports.BoxPort", lambda *_: lambda: other.link)
+                patch.setattr("truearm.workflows.record.BoxPort", lambda *_: lambda: other.link)
                 codes.append(main(["record", "--box", "memory", "--duration-s", "1", "--out", str(out)]))
 
         box.link.on_write, write = lambda data: (run() if not codes else None, write(data)), box.link.on_write
