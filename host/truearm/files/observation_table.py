@@ -73,8 +73,9 @@ def parse_table(
     content |= {"sigma": _sigmas(cells, kind), "q_rate": _rates(cells)}
     columns = {field: column for field, column in content.items() if _filled(column).any()}
     table = ObservationTable(columns, q=q, kind=kind, source=np.array(cells.sources))
+    table = table.completed(mimics, len(joint_units or q.T))
     check_values(table, joint_units, cells.columns)
-    return table.completed(mimics, len(joint_units or q.T))
+    return table
 
 
 def table_titles() -> Titles:
