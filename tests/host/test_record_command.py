@@ -2,12 +2,16 @@
 
 import json
 import os
+import signal
 import socket
+import subprocess
+import sys
+import time
 from contextlib import suppress
 
 import numpy as np
 import pytest
-from record_real import box_on_a_socket, serve_robot
+from record_real import PATIENCE_S, box_on_a_socket, serve_robot
 from tests.refusals import ended, shown
 
 from truearm.cli.main import main
@@ -88,6 +92,25 @@ def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):
     assert len(set(warnings)) == len(warnings) == 2  # and that no channel is calibrated
     (event,) = shown["recording-disturbed"]["events"]
     assert event.startswith(fault)
+    assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
+
+
+@posix
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_completes_the_file(tmp_path, number):
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (box, device):
+        command = [sys.executable, "-m", "truearm", "record", "--box", device, "--out", str(out)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        deadline = time.monotonic() + PATIENCE_S
+        while box.blocks < 10 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.send_signal(number)
+        said, complaint = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert "Traceback" not in complaint
+    assert said.split()[-1] == "interrupted."
+    assert not box.streaming
     assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
 
