@@ -404,10 +404,17 @@ def test_what_returns_is_applied_by_a_name_that_says_so():
 @pytest.mark.usefixtures("recipe")
 @pytest.mark.parametrize("robot", ["puma560", "ur5e", "irb120", "panda", "urdf"])
 def test_sixty_clean_worlds_of_each_robot(robot):
-    """No clean world has a finding (LEVEL is 0.1 %), and the claim is neither too small nor too large."""
+    """No clean world has a finding (LEVEL is 0.1 %), and the claim is neither too small nor too large.
+
+    What may be wrong without showing adds some 5 %. The RMS of 60 errors, each of about six directions, has a standard
+    deviation of 1/√720 of itself: the limits are three of them.
+    """
     every = [judged(worlds.world(robot, "clean", 100 + seed, planned=robot in worlds.BARS)) for seed in range(60)]
     assert not any(result.faults for result, *_ in every)
-    assert 0.95 < np.mean([result.claim.total / error for result, error, _ in every]) < 1.25
+    claims, errors = (
+        np.array(column) for column in zip(*((each.claim.total, off) for each, off, _ in every), strict=True)
+    )
+    assert 0.89 < np.linalg.norm(claims) / np.linalg.norm(errors) < 1.16
     assert np.mean([error < 2.0 * result.claim.total for result, error, _ in every]) > 0.95
 
 
