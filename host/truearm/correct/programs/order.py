@@ -85,7 +85,7 @@ def preceding(
         if union != last[index]:
             last[index] = union
             waiting += followers[index]
-    unions = {entry: frozenset[T | None]().union(*(last[i] for i in indices)) for entry, indices in places.items()}
+    unions = {entry: last[first].union(*(last[i] for i in further)) for entry, (first, *further) in places.items()}
     return {entry: union if len(union) <= limit else UNKNOWN for entry, union in unions.items()}
 
 
