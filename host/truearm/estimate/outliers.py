@@ -1,17 +1,16 @@
 """Outlying rows, left out of a least-squares fit according to their prediction by all other rows.
 
 Fits and choices of rows alternate until the choice no longer changes (``settled``). An outlier pushes its neighbours
-beyond the gate, so each round leaves out only rows at least half as far as the farthest, and rows back within the gate
-return. Where the usual row errs by more than its declared noise, the gate is wider in proportion.
+beyond the gate, so each round leaves out only rows at least half as far as the farthest, and takes others back. Where
+the usual row errs by more than its declared noise, the gate is wider in proportion.
 
-If more than MOST of all rows are out or beyond the gate, or more than LONGEST_RUN consecutive ones, the model is wrong:
-something moved, a label is wrong, or the noise is not as declared. Joint laws may be what is missing then, so the rows
-that are farthest are still named if they ``matter``: a fit with laws decides (``law_outliers``).
+With more than MOST of all rows out, or more than LONGEST_RUN consecutive ones, the model is wrong. Rows that are
+farthest are still named if they ``matter``: what is missing may be joint laws, and a fit with them decides
+(``law_outliers``).
 
-More rows may still be *bad*. They bend a least-squares fit too far, but the Cauchy loss ends near the fit of the good
-rows, where the choice starts. They are named, not left out, on three conditions: χ² of all others is then in its range,
-at most MOST_BAD of all rows are bad, and they follow each other no more than by chance. A wrong model or larger noise
-fails the first, something that moved for some time the last.
+More rows may be *bad*: they bend a least-squares fit too far. The choice then starts at the fit with the Cauchy loss,
+which ends near the good rows. Bad rows are named, not left out, if χ² of all others is in its range, at most MOST_BAD
+are bad, and they follow each other no more than by chance.
 """
 
 from __future__ import annotations
