@@ -205,6 +205,17 @@ def test_half_a_mount_with_a_wrong_name_is_named_row_by_row(seed):
     assert estimate.unusable in (Unusable.WRONG_INPUTS, Unusable.NOT_CONVERGED)
 
 
+@pytest.mark.parametrize("rows", [(100, 104), (100, 102, 104), (100, 101, 104, 105), (2, 5, 7)])
+def test_gross_rows_near_each_other_are_no_other_set_up(rows):
+    table = worlds.clean(worlds.plan(), np.random.default_rng(2))
+    value = table.value.copy()
+    value[list(rows)] += 0.05
+    estimate = found(table.replace(value=value))
+    assert not estimate.explanations
+    assert not estimate.unusable
+    assert np.flatnonzero(estimate.outlying).tolist() == list(rows)
+
+
 def wrong_in_rig(what, size, seed):
     """A session of the true rig, and a rig file in which a chuck or sphere has other coordinates, or a bar another zero."""
     rng, rig = np.random.default_rng(seed), worlds.RIG

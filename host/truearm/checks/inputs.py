@@ -70,8 +70,8 @@ def checked_inputs(
     beyond = _unconverged(estimate) or _beyond(estimate, "weak_sigma")  # what correct inputs hardly give
     doubtful = beyond or is_elsewhere(estimate) or estimate.chi2_reduced > GROSS**2
     # Rows left out as outliers may be what is left of a mount with a wrong name, some of whose rows fit by chance.
-    several = int(estimate.outlying.sum()) > 1
-    misfit = not estimate.faults and (several or estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT))
+    several, bent = int(estimate.outlying.sum()) > 1, estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT)
+    misfit = not estimate.faults and (several or bent)
     original = fitted(inputs) if doubtful or misfit else None
     if original is not None and original.freedom >= 1.0:
         # The trial ran longer than a fit that only needs more iterations.
@@ -79,7 +79,7 @@ def checked_inputs(
         if doubtful and not finished:
             explanations, tried = explanations_of(original, usual, robots(), allowed)
         elif misfit:
-            explanations, tried = other_set_up(original, estimate.outlying)
+            explanations, tried = other_set_up(original, bent)
     estimate = replace(estimate, explanations=explanations, alternatives_tried=tried)
     return replace(estimate, unusable=_unusable(estimate))
 
@@ -110,14 +110,14 @@ def explanations_of(
     return tuple(_explanation(original, trial, tried) for trial in rivals), tried
 
 
-def other_set_up(original: Trial, outlying: Mask) -> tuple[tuple[Explanation, ...], int]:
+def other_set_up(original: Trial, bent: bool) -> tuple[tuple[Explanation, ...], int]:
     """Return the rows with other labels or another set-up, if the declared noise explains all others.
 
     A joint that steps by a degree bends a fit too far for an analysis of first order, but leaves less than a millimetre.
-    That only ``outlying`` rows (n,) fit no label is known.
+    Unless the fit is ``bent`` without outliers, only other labels explain these: rows between them that fit are not apart.
     """
     labels, runs = relabelled(original.alternative)
-    if labels.code == "rows-apart" and outlying[np.setdiff1d(original.alternative.rows, labels.rows)].all():
+    if not bent and labels.code != "wrong-labels":
         return (), 1
     after = fitted(labels) if runs else None
     if after is None or not explains(original, after, 1, TENFOLD):
