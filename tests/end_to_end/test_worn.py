@@ -10,7 +10,7 @@ from tests.end_to_end.conftest import recorded_with_plan
 from truearm.cli.main import main
 from truearm.files.noise_file import read_noise
 from truearm.files.rig_file import write_rig
-from truearm_sim import serve
+from truearm.workflows import simulate
 from truearm_sim.arm import WORN
 from truearm_sim.lab import Lab
 from truearm_sim.world import standard_rig
@@ -26,7 +26,7 @@ def virtual_time(monkeypatch):
     def start(world, box, box_port, robot_end, **_):
         recorded_with_plan(Lab(world, box, 1), start.folder / "session.mcap", osr=16384)
 
-    monkeypatch.setattr(serve, "serve", start)
+    monkeypatch.setattr(simulate, "serve", start)
     return start
 
 
