@@ -31,6 +31,7 @@ from truearm.estimate.levenberg_marquardt import Damping, idle
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.outliers import (
+    MOST_BAD,
     WithoutBad,
     fit_with_all,
     fit_without,
@@ -73,7 +74,6 @@ from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
 DAMPINGS = ("scaled", "plain")
-MAJORITY = 0.5  # of the rows: a robust loss follows it, and the fit is judged by it
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
@@ -362,7 +362,7 @@ def _quality(task: _Task, solved: _Solved, root: Floats, options: SolverOptions)
     quality = goodness_of(problem, columns, solution)
     if options.loss != Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
         inliers = only(problem, ~rows.beyond)
-        tolerated = inliers if rows.beyond.mean() < MAJORITY else problem
+        tolerated = inliers if rows.beyond.mean() <= MOST_BAD else problem
         shares = prior_shares(root, solution.prior_sigma)
         quality = goodness(*weighted_chi2(tolerated, solution.x, Loss(options.loss)), shares)
         left_out = left_out_errors(inliers, solution.x, columns, root, task.pose)
