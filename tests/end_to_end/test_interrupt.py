@@ -75,7 +75,7 @@ def test_an_interrupt_while_the_file_is_being_completed_is_not_lost(tmp_path, mo
         signal.raise_signal(signal.SIGINT)
         return summary
 
-    monkeypatch.setattr("truearm.record.recorder.record", struck_after)
+    monkeypatch.setattr("truearm.workflows.simulate.record", struck_after)
     with pytest.raises(KeyboardInterrupt):
         record_virtually(tmp_path, world, box, 16384, 1)
     box.close()

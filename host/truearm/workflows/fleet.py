@@ -131,8 +131,8 @@ def workers(options: FleetOptions, limit: int) -> Iterator[type[Exception]]:
     try:
         from distributed import Client, KilledWorker
     except ImportError:
-        package = {"package": "distributed", "install": "truearm[dask]"}
-        raise InputError("missing-package", place=Argument("dask"), **package) from None
+        place, install = Argument("dask"), "truearm[dask]"
+        raise InputError("missing-package", place=place, package="distributed", install=install) from None
     cluster: dict[str, Any] = {"address": options.dask, "timeout": 5.0}  # s, of connecting
     if options.dask != LOCAL and options.workers is not None:
         raise InputError("no-effect", place=Argument("workers"), reason=f"{options.dask} has workers of its own")
