@@ -506,7 +506,7 @@ SESSION: Mapping[str, Statement] = {
     ),
     # the robot
     "joint-readings": note(
-        "{readings:#reading} of {joints:#joint} at {rate_hz:.2f} Hz; {late} late, {duplicated} duplicated, none lost."
+        "{readings:#reading} of {joints:#joint} at {rate_hz:.2f} Hz; {late} late, {duplicated} duplicated[, {lost} lost]."
     ),
     "joint-readings-lost": warning(
         "{readings:#reading} of {joints:#joint}:[ {lost} lost,] {gaps:#gap}, {malformed} malformed, {restarts:#restart} ({late} late, {duplicated} duplicated); dwells in gaps are rejected.",

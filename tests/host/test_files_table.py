@@ -88,7 +88,7 @@ def test_quaternions_and_matrices_are_rotation_vectors() -> None:
         ("r11,r12,r13,r21,r22,r23,r31,r32,r33", "1,0,0,0,1,0,0,0,-1", "row 2: r11 to r33"),  # a mirror
         ("m00,m01,m02,m10,m11,m12,m20,m21,m22", "1,0,0,0,1,0,0,0,-1", "row 2: m00 to m22"),
         ("m00,m01,m02,m03,m10,m11,m12,m20,m21,m22", "1,0,0,4,0,1,0,0,0,1", r"column 10 \('m03'\).*m03_m, m03_mm"),
-        ("qw,qx,qy,qz,rx_rad", "1,0,0,0,0", "rx"),
+        ("qw,qx,qy,qz,rx_rad", "1,0,0,0,0", "ry"),
     ],
 )
 def test_orientations_that_are_none_are_refused(names, values, place) -> None:

@@ -40,6 +40,12 @@ def record(monkeypatch, lab, out, ending, fault=lambda box, robot: None, more=()
     return main(["record", "--box", "memory", "--address", "tcp://memory:1", "--out", str(out), *options, *more])
 
 
+def overwrite(path):
+    with path.open("r+b") as file:
+        file.seek(200)
+        file.write(b"\xff\x00\xff")
+
+
 def regrow(path):
     """As ``cp`` of another file does: the file is emptied and is at once longer than before."""
     path.write_bytes(b"x" * (path.stat().st_size + 1000))
@@ -68,8 +74,9 @@ def mute_robot(lab, box, robot, path):
 
 
 FAULTS = {
+    "overwritten": (to_the_file(overwrite), "overwritten"),
     "truncated": (to_the_file(lambda path: os.truncate(path, 100)), "was truncated"),
-    "truncated and regrown": (to_the_file(regrow), "was overwritten"),
+    "truncated and regrown": (to_the_file(regrow), "were overwritten"),
     "deleted": (to_the_file(lambda path: path.unlink()), "was deleted"),
     "renamed": (to_the_file(lambda path: path.rename(path.with_name("other.mcap"))), "was renamed"),
     "full disk": (to_the_file(fill_disk), "cannot be written any more"),
@@ -137,7 +144,7 @@ def test_bytes_appended_to_the_file(monkeypatch, tmp_path, lab, capfd):
             file.write(b"x" * 1_000_000)
 
     assert record(monkeypatch, lab, out, None, lambda box, robot: lab.at(END_NS - SECOND, append)) == 4
-    assert "was overwritten" in capfd.readouterr().err
+    assert "were overwritten" in capfd.readouterr().err
 
 
 def test_a_second_recorder_with_the_same_name_is_refused_before_its_box_is_started(monkeypatch, tmp_path, lab, capfd):

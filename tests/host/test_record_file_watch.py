@@ -5,11 +5,13 @@ import io
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,9 +21,10 @@ from record_files import events, run, topics
 from record_real import box_on_a_socket
 from test_record_command import RIG
 
-from truearm.errors import WriteError
-from truearm.record.recorder import RecordOptions
+from truearm.errors import SessionError, WriteError
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.recover import recover
+from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="a file that is open cannot be deleted elsewhere")
@@ -136,6 +139,15 @@ def test_a_renamed_file_is_written_to_as_before(lab, path):
     assert [p.name for p in path.parent.iterdir()] == ["other.mcap"]
 
 
+def test_a_renamed_file_that_is_deleted_then(lab, path):
+    other = path.with_name("other.mcap")
+    lab.at(HOST_0 + 2 * SECOND + SECOND // 2, lambda: other.unlink())
+    summary = lost(lab, path, lambda: path.rename(other))
+    assert [text.split(" was ")[1].split()[0] for text in summary.file_losses] == ["renamed", "deleted"]
+    (rescued,) = path.parent.iterdir()
+    assert 10 * len(samples(rescued)) == summary.counters.samples
+
+
 @pytest.mark.parametrize("size", [0, 1000])
 def test_what_comes_after_a_truncation_can_be_recovered(lab, path, size):
     """Nothing of the last second is lost, which waited in memory; nor plan, rig and what is mounted, which are repeated."""
@@ -150,12 +162,71 @@ def test_what_comes_after_a_truncation_can_be_recovered(lab, path, size):
     assert first[0] * 983_040 < 1_500_000_000
 
 
+def test_a_file_is_deleted_between_the_last_sync_and_the_end(lab, path):
+    class Late(SessionWriter):
+        def close(self, end=None):
+            if end is not None:
+                path.unlink()
+            super().close(end)
+
+    with Late(path, lab) as writer:
+        summary = record(Box(lab).link, writer, lab, options=RecordOptions(duration_s=2.0))
+    assert len(summary.file_losses) == 1
+    rescued = path.with_name(f"{path.stem}-rescued{path.suffix}")
+    assert not open_session(rescued).truncated
+    assert 10 * len(samples(rescued)) == summary.counters.samples
+
+
+@pytest.mark.parametrize("at", [100, -50])
+def test_bytes_that_are_overwritten_in_place_are_seen_at_the_end(lab, path, at):
+    """Neither the name nor the length of the file changes; without damage nothing is reported."""
+
+    def happens():
+        with path.open("r+b") as file:
+            file.seek(at, os.SEEK_SET if at >= 0 else os.SEEK_END)
+            file.write(b"\xff\x00\xff\x00")
+
+    (text,) = lost(lab, path, happens).file_losses
+    assert text.startswith(f"{path}: parts of it were overwritten while it was written")
+    with pytest.raises(SessionError):
+        open_session(path)
+    other = path.with_name("other.mcap")
+    assert run(lab, Box(lab), other, options=OPTIONS).file_losses == ()
+    assert not open_session(other).truncated
+
+
 def test_a_second_rescue_takes_another_name(lab, path):
     rescued = path.with_name(f"{path.stem}-rescued{path.suffix}")
     rescued.write_text("of yesterday")
     lost(lab, path, path.unlink)
     assert rescued.read_text() == "of yesterday"
     assert is_head_whole(path.with_name(f"{path.stem}-rescued-2{path.suffix}"))
+
+
+def test_the_command_says_it_within_two_seconds(tmp_path):
+    """And again when a signal has ended it: the recording is not complete."""
+    out = tmp_path / "s.mcap"
+    (tmp_path / "rig.toml").write_text(RIG)
+    with box_on_a_socket() as (_, device):
+        options = ["--unchecked", "--box", device, "--rig", tmp_path / "rig.toml", "--out", out]
+        command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        while not (out.exists() and out.stat().st_size > 2000):
+            time.sleep(0.02)
+        time.sleep(1.0)
+        out.unlink()
+        happened = time.monotonic()
+        for line in process.stderr:
+            if "while it was written" in line:
+                break
+        said_s = time.monotonic() - happened
+        process.send_signal(signal.SIGHUP)
+        stdout, _ = process.communicate(timeout=30)
+    assert said_s < 2.0
+    assert process.returncode == 4
+    rescued = tmp_path / "s-rescued.mcap"
+    assert str(rescued) in stdout
+    assert not open_session(rescued).truncated
 
 
 # of what was received and not stored, five seconds are stored at the end
@@ -200,3 +271,19 @@ def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
     start, stop = (next(t for _, t, row in rows if row.get("kind") == kind) for kind in ("start", "stop"))
     assert 2.0 <= (stop - start) / SECOND < 4.0 + 1.0
     assert int(session.metadata["session-end"]["samples"]) > 1.5 * 1017
+
+
+@pytest.mark.soak
+def test_a_flood_of_junk_does_not_end_the_recording(tmp_path):
+    """The box is recorded to the end, and the exit code says that not everything was stored."""
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device):
+        address = flood(b"x" * 4095 + b"\n")
+        options = ["--unchecked", "--box", device, "--address", address, "--duration-s", "4", "--out", out]
+        command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 4, done.stderr
+    end = open_session(out).metadata["session-end"]
+    assert end["reason"] == "duration"
+    assert int(end["robot_lines"]) == 1
+    assert int(end["samples"]) > 3 * 1017 * 10 // 10

@@ -1,12 +1,63 @@
-"""A robot whose readings wait to be stored when the recording ends."""
+"""A robot whose readings cannot be stored at once: late readings are complete, lost ones are not."""
 
 import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
 
 import pytest
 from record_box import HOST_0, SECOND, Box, Robot, Wire
 from record_files import run, topics
+from record_real import box_on_a_socket
 
 from truearm.record.links import Backlog
+from truearm.workflows.record import what_is_missing
+
+BURST = 30_000  # readings of 52 bytes: 380 pieces of 4096 bytes
+SMALL_QUEUE = (
+    "import truearm.record.links as l; l._QUEUE_ITEMS = 16; from truearm.cli.main import main; raise SystemExit(main())"
+)
+
+
+def bursting_robot(lost):
+    """Return the address of a robot that sends a burst, then a few readings as they come; ``lost`` are left out."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def line(k):
+        return json.dumps({"t": 0.01 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n"
+
+    def serve():
+        peer, _ = listener.accept()
+        with peer, listener, suppress(OSError):
+            peer.sendall(b"".join(line(k) for k in range(BURST)))
+            for k in range(BURST + lost, BURST + lost + 100):
+                peer.sendall(line(k))
+                time.sleep(0.01)
+            peer.sendall(b'{"end": true}\n')
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(("lost", "code"), [(0, 0), (7, 4)])
+def test_a_stream_that_was_held_up_is_complete_if_nothing_is_missing(tmp_path, lost, code):
+    """TCP makes the sender wait, so only readings that the robot itself left out are lost."""
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device):
+        options = ["--unchecked", "--box", device, "--address", bursting_robot(lost), "--out", out]
+        command = [sys.executable, "-c", SMALL_QUEUE, "record", *map(str, options)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == code, done.stderr
+    assert "robot sends more than can be stored" in done.stderr
+    if lost:
+        assert "robot sent more than could be stored: 7 readings" in done.stderr.splitlines()[-1]
+    else:
+        assert "no reading is missing" in done.stdout
+    stored = [json.loads(m.data)["seq"] for m in topics(out)["/robot/joints"]]
+    assert stored == [*range(BURST), *range(BURST + lost, BURST + lost + 100)]
 
 
 class Backlogged(Wire):
@@ -46,3 +97,25 @@ def test_what_was_received_before_the_end_is_stored(lab, path, ending, mute):
     assert stored == robot.sent[: len(stored)]
     assert stored[-1] not in burst
     assert set(burst) <= set(stored)
+
+
+@pytest.mark.parametrize(
+    ("drops", "counts", "skipped", "says"),
+    [
+        (False, True, 0, ""),
+        (False, False, 0, ""),
+        (False, True, 3, "3 readings are missing"),
+        (True, True, 0, ""),
+        (True, True, 1, "1 reading is missing"),
+        (True, False, 0, "readings may be missing"),
+    ],
+)
+def test_what_a_held_up_robot_lost(lab, path, drops, counts, skipped, says):
+    """By the numbers of its readings; without numbers, datagrams may be lost and a stream is not."""
+    robot = Robot(lab, 2.0, counts=counts)
+    robot.link.backlog = Backlog(0, 1, drops)
+    say = robot.say
+    robot.say = lambda line: None if 10 <= (json.loads(line)["t"] - 100) / 0.008 + 0.5 < 10 + skipped else say(line)
+    summary = run(lab, Box(lab), path, seconds=3.0, robot=robot.link)
+    missing = what_is_missing(summary, with_robot=True)
+    assert (says in missing) if says else missing == ""

@@ -255,13 +255,14 @@ class TestWriterErrors:
         assert open_session(tmp_path / "s.mcap").metadata["session-end"]["reason"] == "first"
 
     def test_held(self, tmp_path):
-        """Nothing is lost of what was written before it is kept, and nothing is left if it never is."""
+        """Only a header before it is kept; then what was held is in it, in front of what follows."""
         path = tmp_path / "s.mcap"
         lab = Lab()
         with SessionWriter(path, lab, hold=True) as writer:
             writer.add("/box/adc", lab.now, b"early")
             writer.tick(lab.now + CHUNK_NS)
             assert not writer.kept
+            assert path.stat().st_size < 100
             assert open_session(path, allow_damaged=True).truncated  # what a killed recorder leaves
             writer.keep()
             writer.keep()
@@ -285,15 +286,23 @@ class TestWriterErrors:
             first.keep()
         assert open_session(path).metadata["session"]
 
-    @pytest.mark.parametrize("kept", [True, False])
-    def test_an_earlier_recording_is_intact_until_there_is_another(self, tmp_path, kept):
+    @pytest.mark.parametrize("end", ["deleted", "closed"])
+    def test_an_earlier_recording_is_intact_until_there_is_another(self, tmp_path, end):
         path = tmp_path / "s.mcap"
         written(path, 3)
         before = path.read_bytes()
         with SessionWriter(path, Lab(), overwrite=True, hold=True) as writer:
-            writer.metadata("mark", {"new": "1"})
             assert path.read_bytes() == before
-            if kept:
+            if end == "deleted":
+                path.unlink()
                 writer.keep()
-        assert (path.read_bytes() == before) == (not kept)
-        assert ("mark" in open_session(path).metadata) == kept
+        assert open_session(path).path == path
+        assert (path.read_bytes() == before) == (end == "closed")
+
+    def test_a_file_that_came_while_it_was_held(self, tmp_path):
+        writer = SessionWriter(tmp_path / "s.mcap", Lab(), hold=True)
+        (tmp_path / "s.mcap").write_text("precious")
+        with refused("file-exists"):
+            writer.keep()
+        writer.close()
+        assert (tmp_path / "s.mcap").read_text() == "precious"

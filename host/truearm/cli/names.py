@@ -61,6 +61,8 @@ def option_for(command: Any, path: str, word: str) -> str:
     options = [name for option in command.params for name in option.opts]
     if (new_name := EARLIER.get(f"{path} {word}", EARLIER.get(word))) in options:
         return f"{word} is now {new_name}"
+    if word in ("--install-completion", "--show-completion"):
+        return f"{word} is now: source <(_TRUEARM_COMPLETE=bash_source truearm)"
     if alike := get_close_matches(word, options, cutoff=ALIKE):
         return f"No such option: {word}; did you mean {' or '.join(alike)}?"
     return f"No such option: {word}"

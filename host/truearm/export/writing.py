@@ -99,7 +99,10 @@ def written(name: str, robot: RobotToWrite) -> str:
 
 
 def held(chain: Chain, form: Format) -> NDArray[np.bool_]:
-    """Return a mask (p,) of the parameters that a format can hold."""
+    """Return a mask (p,) of the parameters that a format can hold. Raises ValueError if it declares an unknown term."""
+    unknown = set(form.holds) - {term.name for term in joint_law.terms()}
+    if unknown:
+        raise ValueError(f"a format holds {', '.join(sorted(unknown))}, which no term of the joint law is called")
     return np.array([p.term == GEOMETRY or p.term in form.holds for p in chain.parameters])
 
 

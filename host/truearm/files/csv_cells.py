@@ -139,7 +139,7 @@ def _unknown_title(title: str, titles: Titles, place: str, docs_page: str) -> Ta
     """Return the error for a title that is none: of a known quantity in another unit, or like known ones."""
     stem = title
     while stem:
-        if names := [name for name, (_, unit) in titles.items() if name == named(stem, unit)]:
+        if names := [name for name, (_, unit) in titles.items() if unit and name == named(stem, unit)]:
             return TableError("wrong-value", place=place, names=names)
         stem = stem.rpartition("_")[0]
     close = difflib.get_close_matches(title[:40].lower(), titles, n=2, cutoff=LIKE)
@@ -216,6 +216,9 @@ class CsvTable:
         required: bool = False,
     ) -> Floats:
         """Return columns side by side (n, c), of which each row must have all or none, as ``numbers`` does."""
+        absent = [quantity for quantity in quantities if quantity not in self.columns]
+        if len(absent) not in (0, len(quantities)):
+            raise TableError("missing-column", place=self.name, column=absent[0])
         columns = [self.numbers(quantity, largest, required=required) for quantity in quantities]
         out = np.stack(columns, axis=1)
         missing = np.isnan(out)

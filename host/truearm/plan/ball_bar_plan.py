@@ -143,7 +143,7 @@ def _planned(
     advance(linked)
     if (request.n_poses or 0) > len(candidate_poses):
         raise PlanError(
-            f"only {len(candidate_poses)} of {request.n_candidates} candidates are within reach with the bar attached, too few for "
+            f"only {len(candidate_poses)} candidates are within reach with the bar attached, too few for "
             f"{counted(request.n_poses or 0, 'pose')}; ask for fewer ",
             *(Argument("poses"), " or more ", Argument("candidates"), ", lower ", Argument("reserve"), ", widen "),
             *(Argument("branch"), ", or move the chucks"),

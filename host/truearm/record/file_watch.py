@@ -1,4 +1,5 @@
-"""Detect when other programs or people delete, rename, replace, truncate or overwrite a session's file while it is being written.
+"""Detect when other programs or people delete, rename, replace, truncate or overwrite a session's file while it is being
+written.
 
 A POSIX system keeps a deleted file for as long as it is open, so all of it can still be copied elsewhere. Data lost by
 a truncation cannot be recovered.
@@ -7,22 +8,25 @@ a truncation cannot be recovered.
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
+import zlib
+from collections.abc import Iterator
 from contextlib import suppress
 from enum import StrEnum
+from functools import reduce
 from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
 from truearm.files.write_lock import hold
 
+COPIED_BYTES = 1 << 20  # per step
+
 
 class FileLoss(StrEnum):
     """What happened to an open file."""
 
     TRUNCATED = "truncated"
-    OVERWRITTEN = "overwritten"
     DELETED = "deleted"
     REPLACED = "replaced"
     RENAMED = "renamed"
@@ -31,8 +35,8 @@ class FileLoss(StrEnum):
 def file_loss(file: BinaryIO, path: Path, size: int) -> FileLoss | None:
     """Return what happened to ``file``, opened at ``path`` with ``size`` bytes written; None if it is unchanged."""
     status = os.fstat(file.fileno())
-    if status.st_size != size:
-        return FileLoss.TRUNCATED if status.st_size < size else FileLoss.OVERWRITTEN
+    if status.st_size < size:
+        return FileLoss.TRUNCATED
     try:
         path_status = path.stat()
     except OSError:
@@ -61,10 +65,9 @@ def _copied(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:
     copy = out.open("x+b")
     hold(copy)
     try:
-        file.seek(0)
-        shutil.copyfileobj(file, copy)
-        copy.truncate(size)
-        copy.seek(size)
+        for data in _pieces(file, size):
+            copy.write(data)
+        copy.flush()
         os.fsync(copy.fileno())
     except OSError:
         out.unlink()
@@ -72,3 +75,22 @@ def _copied(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:
             copy.close()
         raise
     return out, copy
+
+
+def _pieces(file: BinaryIO, size: int) -> Iterator[bytes]:
+    """Yield the first ``size`` bytes of an open file. Raises OSError if it is shorter."""
+    file.seek(0)
+    while size:
+        data = file.read(min(COPIED_BYTES, size))
+        if not data:
+            raise OSError(None, "the file became shorter")
+        yield data
+        size -= len(data)
+
+
+def content_crc(file: BinaryIO, size: int) -> int | None:
+    """Return the CRC-32 of the first ``size`` bytes of an open file, None if it is shorter. Takes about 1 s per GB."""
+    try:
+        return reduce(lambda crc, data: zlib.crc32(data, crc), _pieces(file, size), 0)
+    except OSError:
+        return None

@@ -189,6 +189,8 @@ class RobotIntake:
     def _take_reading(self, t_host_ns: int, line: bytes, reading: JointLine) -> None:
         if self.lost is not None and not self.ended:
             self._back(t_host_ns, reading)
+        elif self._last is not None:
+            self._count_missing(self._last, reading)
         self._counters.robot_lines += 1
         self._store(t_host_ns, line, reading)
         self.heard_ns, self._last = t_host_ns, reading
@@ -201,6 +203,15 @@ class RobotIntake:
         if numeric and t_host_ns >= self._next_preview_ns:
             self._next_preview_ns = t_host_ns + PREVIEW_NS
             self._writer.add(ROBOT_PREVIEW, t_host_ns, line)
+
+    def _count_missing(self, last: JointLine, reading: JointLine) -> None:
+        """Count readings that were lost because they could not be stored, by their numbers if they have any."""
+        if not self.backlog.held_up:
+            return
+        if UNNUMBERED in (last.seq, reading.seq):
+            self._counters.robot_dropped |= self.backlog.drops
+        elif reading.t > last.t:
+            self._counters.robot_missing += max(reading.seq - last.seq - 1, 0)
 
     def flush(self, t_host_ns: int) -> None:
         """Store what came behind the last line feed."""

@@ -33,6 +33,8 @@ class Counters:
     robot_losses: int = 0
     held_up: int = 0  # how often a link's reader had to wait for the recorder
     robot_held_up: int = 0  # how often the robot's reader had to: the robot sends more than can be stored
+    robot_missing: int = 0  # readings, by the gaps in their numbers since the reader first had to wait
+    robot_dropped: int = 0  # 1 if readings without numbers may be lost: the link drops what cannot be stored
     robot_foreign: int = 0  # datagrams from other addresses than the robot's, not stored
     dropped_in_box: int = 0  # trigger edges, by the heartbeats since the first
     overruns_in_box: int = 0  # samples, by the heartbeats since the first

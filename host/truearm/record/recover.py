@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +23,8 @@ from truearm.units import NS
 IDENT = "/box/ident"  # the metadata repeat it once a minute: it is lost only with all copies
 
 
-class TopicAccount(NamedTuple):
+@dataclass(frozen=True)
+class TopicAccount:
     """Messages of one topic. ``lost`` of them are known to be missing, by their numbers or by the end of the file.
 
     If a recording was cut off, it is not known what followed.

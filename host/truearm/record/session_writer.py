@@ -10,7 +10,7 @@ minute, attachments and a copy of the plan every ten minutes, and at the end. A 
 Twice a second the writer checks its file (``FileLoss``). A deleted or replaced file is copied from the open descriptor to a
 new one, where the recording continues. Others are written to as before.
 
-A writer that is held leaves an existing file unchanged before ``keep``, and removes a new one that is closed before.
+A writer that is held only reserves its name, with a header or a lock, before ``keep``.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import json
 import os
 import sys
 import time
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -30,7 +31,7 @@ from mcap.writer import CompressionType, Writer
 
 from truearm.errors import InputError, WriteError
 from truearm.files.write_lock import hold
-from truearm.record.file_watch import FileLoss, file_loss, rescued_file
+from truearm.record.file_watch import FileLoss, content_crc, file_loss, rescued_file
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
@@ -58,8 +59,8 @@ _Message = tuple[int, int, bytes, int, int]  # arguments of add_message(): chann
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` there is no new file if the writer is closed before ``keep``. Without a ``clock`` the file is a copy of
-    a finished recording: it contains no times of its own except those in ``metadata`` and ``close``.
+    With ``hold`` there is only a header before ``keep``, and no file if the writer is closed before. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
+    ``close``.
 
     Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's
     clock is used.
@@ -69,10 +70,11 @@ class SessionWriter:
 
     def __init__(self, path: Path, clock: Clock | None, *, overwrite: bool = False, hold: bool = False) -> None:
         self.path = path
-        self._replaces = overwrite and path.exists()
-        self.kept = not hold
+        self._overwrite = overwrite
+        self._held = hold
+        self._new = False  # not an earlier recording
         self._file = self._open()
-        self._out = _Output(io.BytesIO() if hold and self._replaces else self._file)
+        self._out = _Output(io.BytesIO() if hold else self._file)
         self._clock = clock
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
         self._utc_offset_ns = 0  # UTC minus the host's clock
@@ -88,7 +90,7 @@ class SessionWriter:
         self.losses: list[str] = []  # what happened to the file, one sentence each
         self._reported: set[FileLoss] = set()  # of this file
         self._failed = False  # a write did, so the file is not as it should be
-        self._size = os.fstat(self._file.fileno()).st_size  # on the disk, as last written
+        self._size = 0  # on the disk, as last written
         self._waiting: list[_Message] = []  # of the current chunk
         self._encodings: dict[str, Encodings] = {}  # of the channels
         self._head: list[_Message] = []  # the plan and what is mounted, which a replacement file must also contain
@@ -97,6 +99,8 @@ class SessionWriter:
         self._attachments: dict[str, bytes] = {}
         self._chunks = 0
         self._writer = _begun(self._out)
+        if hold:
+            self._reserve()
         if clock is not None:
             self.metadata("session", {"version": VERSION, "clock": clock.kind, **_anchor(clock)})
 
@@ -106,14 +110,43 @@ class SessionWriter:
     def __exit__(self, kind: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
 
+    @property
+    def kept(self) -> bool:
+        """Whether there is a file."""
+        return not self._held
+
     def keep(self) -> None:
-        """Keep the file; what it held before is replaced by what was written so far. A second call does nothing."""
-        self.kept = True
-        if isinstance(held := self._out.file, io.BytesIO):
-            self._out.file = self._file
-            with self._writing():
-                self._file.truncate()
-                self._file.write(held.getvalue())
+        """Create the file from what was held so far, and write to it from now on. A second call does nothing."""
+        if not self._held:
+            return
+        held = self._out.file
+        if not self._is_reserved():
+            self._file.close()
+            self._file = self._open()
+        self._held = False
+        self._out.file = self._file
+        try:
+            self._file.truncate(self._file.seek(0))
+            self._file.write(held.getvalue())  # type: ignore[attr-defined]
+            self._flushed()
+        except OSError as exc:
+            raise self._cannot_write(exc) from exc
+
+    def _reserve(self) -> None:
+        """Write the header into a new file: without it, what a killed recorder leaves is no session."""
+        try:
+            if self._new:
+                self._file.write(self._out.file.getvalue())  # type: ignore[attr-defined]
+                self._file.flush()
+        except OSError as exc:
+            self.path.unlink()
+            raise self._cannot_write(exc) from exc
+        self._size = os.fstat(self._file.fileno()).st_size
+
+    def _is_reserved(self) -> bool:
+        """Return whether nobody touched the file since its name was reserved."""
+        changed = os.fstat(self._file.fileno()).st_size != self._size
+        return not changed and file_loss(self._file, self.path, self._size) is None
 
     def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         """Append a message unchanged; ``sequence`` is its number within its topic, by default the next one.
@@ -215,11 +248,12 @@ class SessionWriter:
         """
         if self._out.file.closed:
             return
-        if not self.kept:
+        if self._held:
+            unused = self._new and not self._file.closed and self._is_reserved()
             self._out.file.close()
             self._file.close()
-            if not self._replaces:
-                self.path.unlink(missing_ok=True)
+            if unused:
+                self.path.unlink()
             return
         try:
             with self._writing():
@@ -231,8 +265,15 @@ class SessionWriter:
                     self._add_metadata("session-end", entries)
                 self._writer.finish()
                 self._flushed()
-                os.fsync(self._file.fileno())
+                os.fsync(self._out.file.fileno())
                 self._watch()
+                is_longer = os.fstat(self._out.file.fileno()).st_size > self._size
+                is_changed = is_longer or content_crc(self._out.file, self._size) not in (self._out.crc, None)
+                if is_changed and not self._reported:  # overwritten in place, or appended to: its name is the same
+                    self.losses.append(
+                        f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
+                        f"{self.path} shows what is left"
+                    )
         finally:
             with suppress(OSError):  # a full disk refuses the same bytes again
                 self._out.file.close()
@@ -249,58 +290,56 @@ class SessionWriter:
 
     def _open(self) -> BinaryIO:
         try:
-            file = self.path.open("x+b" if not self._replaces else "w+b" if self.kept else "r+b")
+            self._new = not (self._overwrite and self.path.exists())
+            file = self.path.open("x+b" if self._new else "r+b" if self._held else "w+b")
         except FileExistsError as exc:
             raise InputError("file-exists", place=self.path, may_force=True) from exc
         except OSError as exc:
             raise InputError(f"{self.path}: cannot be written: {exc.strerror}") from exc
-        if not hold(file) and self._replaces:
+        if not hold(file) and not self._new:
             file.close()
             raise InputError("in-use", place=self.path)
         return file
 
     def _flushed(self) -> None:
         self._out.flush()
-        if self._out.file is self._file:
+        if not self._held:
             self._size = self._out.tell()
 
     def _watch(self) -> None:
         """Check the file before more is written to it; report each kind of loss once. Raises OSError, WriteError."""
-        if self._failed or self._out.file is not self._file:
+        if self._held or self._failed:
             return
         self._watched_s = time.monotonic()
-        loss = file_loss(self._file, self.path, self._size)
+        loss = file_loss(self._out.file, self.path, self._size)
         if loss is None or loss in self._reported:
             return
         old = self.path
-        self._reported.add(loss)
         match loss:
             case FileLoss.RENAMED:
                 outcome = "the recording continues in it, under its new name"
-            case FileLoss.TRUNCATED:
-                outcome = "its earlier content is lost; truearm session recover saves what was written since"
-            case FileLoss.OVERWRITTEN:
-                outcome = "truearm inspect shows what is left"
             case FileLoss.DELETED | FileLoss.REPLACED:
                 self._move(loss)
-                self._reported.clear()
                 outcome = f"all of it is in {self.path}"
+            case FileLoss.TRUNCATED:
+                outcome = "its earlier content is lost; truearm session recover saves what was written since"
             case _:
                 assert_never(loss)
+        self._reported = {loss} - {FileLoss.DELETED, FileLoss.REPLACED}
         self.losses.append(f"{old}: was {loss} while it was written; {outcome}")
 
     def _move(self, loss: FileLoss) -> None:
         """Continue in a new file that has the contents of the old one."""
         try:
-            path, new = rescued_file(self._file, self._size, self.path)
+            path, new = rescued_file(self._out.file, self._size, self.path)
         except OSError as exc:
             why = exc.strerror or str(exc)
             raise WriteError(
                 f"{self.path}: was {loss} while it was written, and could not be copied ({why}); its content is lost",
                 why,
             ) from exc
-        self._file.close()
-        self.path, self._file, self._out.file = path, new, new
+        self._out.file.close()
+        self.path, self._out.file = path, new
 
     def _copy_head(self, attached: bool) -> None:
         """Repeat all metadata, and the attachments with a copy of the plan and of what was mounted."""
@@ -336,8 +375,8 @@ class SessionWriter:
                 self._copy_head(attached=self._chunks % _ATTACHED_EVERY == 0)
             self._flushed()
             # The real clock is used on purpose: in virtual time an hour passes in seconds.
-            if self._out.file is self._file and time.monotonic() - self._synced_s >= _FSYNC_EVERY_S:
-                os.fsync(self._file.fileno())
+            if not self._held and time.monotonic() - self._synced_s >= _FSYNC_EVERY_S:
+                os.fsync(self._out.file.fileno())
                 self._synced_s = time.monotonic()
 
     def _write_chunk(self) -> None:
@@ -389,12 +428,14 @@ def _pack(writer: Writer, messages: Iterable[_Message]) -> None:
 
 
 class _Output:
-    """Destination of the session; the file behind it may change."""
+    """Destination of the session; the file behind it may change. ``crc`` is that of everything written."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.file = file
+        self.crc = 0
 
     def write(self, data: bytes) -> int:
+        self.crc = zlib.crc32(data, self.crc)
         return self.file.write(data)
 
     def tell(self) -> int:

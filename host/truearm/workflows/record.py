@@ -127,7 +127,10 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
         reasons.append(f"{closed} a joint reading")
     elif summary.robot_gone:
         reasons.append(summary.robot_gone)
-    if summary.counters.robot_unstored or summary.counters.robot_held_up:
+    if summary.counters.robot_missing:
+        number = counted(summary.counters.robot_missing, "reading is", "readings are")
+        reasons.append(f"{FLOODED}: {number} missing; let it send fewer per second")
+    elif summary.counters.robot_unstored or summary.counters.robot_dropped:
         reasons.append(f"{FLOODED}, so readings may be missing; let it send fewer per second")
     if summary.box_gone and summary.reason != "link lost":
         lost_s = summary.duration_s - summary.heard_s
@@ -358,5 +361,7 @@ def _disturbances(counters: Counters) -> Iterator[str]:
     for name, words in DISTURBANCES.items():
         if n := getattr(counters, name):
             yield counted(n, *words)
-    if counters.robot_held_up or counters.robot_unstored:
+    if counters.robot_missing or counters.robot_dropped or counters.robot_unstored:
         yield FLOODED
+    elif counters.robot_held_up:
+        yield "the robot sent faster than could be stored for a time; no reading is missing"

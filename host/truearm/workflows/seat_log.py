@@ -62,6 +62,8 @@ def fill_seats(table: Path, source: Path, options: FileOptions, shortest: float,
     """
     header, rows = read_cells(read_text(table, MAX_BYTES, InputError), str(table))
     joints = CsvTable(str(table), rows, read_header(header, table_titles(), str(table), PAGE)).numbered("q")
+    if not joints:
+        raise InputError("missing-column", place=str(table), column="q1_rad")
     empty = [row.cells for row in rows if not all(row.cells[joint.position] for joint in joints)]
     lines = [reading.line for reading in readings_of_file(source, options)]
     log = parse_lines(lines, range(len(lines)))
@@ -70,7 +72,7 @@ def fill_seats(table: Path, source: Path, options: FileOptions, shortest: float,
     units = [SUFFIXES[joint.unit] for joint in joints]
     bounds = np.array([bound if unit.si == "rad" else MM.to_si(DEG.of(bound)) for unit in units])
     stops = rests(log.t, log.q, shortest, bounds)
-    if len(stops) != len(empty):
+    if len(stops) != len(empty) or not stops:
         times = ", ".join(f"{stop.begin:.1f} to {stop.end:.1f} s" for stop in stops) or "none"
         counts = f"{counted(len(stops), 'rest')}, and {table} has {counted(len(empty), 'row')} without joints"
         advice = "rest in each socket once, and longer than elsewhere: choose "

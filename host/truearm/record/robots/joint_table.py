@@ -88,6 +88,13 @@ class Columns:
         if len(cells) != len(self.titles):
             return None
         row = {title: _number(cell) for title, cell in zip(self.titles, cells, strict=True) if title}
+        whole = [
+            row[title]
+            for name, title in self.names.keys.items()
+            if name in ("seq", "inputs") and isinstance(title, str)
+        ]
+        if None in row.values() or not all(type(number) is int for number in whole):
+            return None
         return self.names.line(row, **entries)
 
 
