@@ -26,6 +26,7 @@ from truearm.session.joint_format import MAX_T_S, format_reading
 
 PORT = 30004
 ANSWER_NS = 5_000_000_000
+MOST_UNASKED = 10_000  # packages before an answer: a controller sends at most ANSWER_NS of data, at 500 Hz
 NEEDED = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D"}  # with their types
 WANTED = {  # with their keys in a line
     "target_q": "q_cmd",
@@ -140,6 +141,8 @@ class RtdeLink(LinkOnTop):
                         answer = package[1]
                     else:
                         self._pending.append((t_host_ns, self._line(*package)))
+                if len(self._pending) > MOST_UNASKED:
+                    raise self._stranger()
             if answer is not None:
                 return answer
             if self._packages.broken:
