@@ -23,13 +23,13 @@ from truearm.estimate.fit import fit
 from truearm.estimate.information import observe
 from truearm.estimate.problem import build_problem, without_knowledge
 from truearm.estimate.solution import Options
-from truearm.files.observation_table import concatenate, read_table
-from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import load_robot
 from truearm.kinds.position import nearest_rotation
+from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import concatenate, read_table
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
+from truearm.model.robot_file import load_robot
 from truearm.types import BallBar, Device, Floats, Point, Rig
 from truearm.workflows.calibration import Identification
 from truearm.workflows.identify import IdentifyOptions, Selection, identified

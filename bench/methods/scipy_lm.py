@@ -5,8 +5,8 @@ from method import run
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
-from truearm.files.robot_file import load_robot
 from truearm.model.chain import forward, point_forward, point_jacobians
+from truearm.model.robot_file import load_robot
 
 
 def fit(data):

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.files import plan_file
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot, builtin_robot
+from truearm.plan import plan_file
 from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import bars, circle, first_rig
 from truearm.plan.forecast import Knowledge

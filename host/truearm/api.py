@@ -21,13 +21,16 @@ from truearm.bounds import CELL, LINE_POINTS, MINUTES, PATH, POSES, OneOf
 from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
+from truearm.disk import write_atomic
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError, SessionError, TableError
+from truearm.estimate import result_file
 from truearm.export.formats import FORMATS
 from truearm.file_names import missing_file
-from truearm.files import observation_table, result_file, rig_file, robot_file
-from truearm.files.disk import write_atomic
+from truearm.kinds import rig_file
+from truearm.kinds import table_file as observation_table
 from truearm.kinds.table import ObservationTable
+from truearm.model import robot_file
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
 from truearm.plan.ball_bar_plan import BallBarPlan

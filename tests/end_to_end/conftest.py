@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from truearm.cli.main import main
-from truearm.files.rig_file import format_rig
+from truearm.kinds.rig_file import format_rig
 from truearm.kinds.table import ObservationTable
 from truearm.record import ports
 from truearm.record.recorder import RecordOptions, RecordSummary, record

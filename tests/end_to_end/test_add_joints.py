@@ -13,7 +13,7 @@ from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.errors import InputError
-from truearm.files.robot_file import RobotChoice
+from truearm.model.robot_file import RobotChoice
 from truearm.record.robots.add_readings import Anchors
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.session_writer import SessionWriter

@@ -10,10 +10,10 @@ from tests.end_to_end.conftest import lab_with, measured_by_bars, recorded_with_
 
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior
-from truearm.files.plan_file import concatenate
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
+from truearm.plan.plan_file import concatenate
 from truearm.workflows.session_observations import observations_of_session
 from truearm_sim.latency import FROM_ROBOT
 from truearm_sim.line_device import Flaws, drive_errors

@@ -11,8 +11,8 @@ import pytest
 from tests.end_to_end.conftest import measured_by_bars
 
 from truearm.estimate.identify import identify
-from truearm.files.plan_file import read_plan
 from truearm.model.robot import builtin_robot
+from truearm.plan.plan_file import read_plan
 from truearm_sim.world import World
 
 pytestmark = [pytest.mark.soak, pytest.mark.skipif(not hasattr(os, "wait4"), reason="needs the memory of a child")]
@@ -23,7 +23,7 @@ RECORD = f"""
 import sys
 from pathlib import Path
 from truearm.workflows.simulate import record_virtually
-from truearm.files.plan_file import read_plan
+from truearm.plan.plan_file import read_plan
 from truearm_sim import micropython
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World

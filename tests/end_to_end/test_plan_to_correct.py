@@ -21,15 +21,15 @@ from tests.host.target_bench import driven, miss, rapid, script, table
 
 from truearm.cli.main import main
 from truearm.correct.inverse import singular_value
-from truearm.files.observation_table import write_table
-from truearm.files.plan_file import read_plan
-from truearm.files.rig_file import write_rig
-from truearm.files.robot_file import load_robot
-from truearm.files.target_table import parse_targets
+from truearm.correct.target_table import parse_targets
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import write_table
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import load_robot
 from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.forecast import bar_table
+from truearm.plan.plan_file import read_plan
 from truearm.plan.shells import candidates
 
 UNITS = ("rad",) * 6

@@ -9,8 +9,8 @@ import pytest
 from tests.end_to_end.conftest import noise_alone, record_session
 
 from truearm.cli.main import main
-from truearm.files.plan_file import read_plan
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
+from truearm.plan.plan_file import read_plan
 from truearm_sim.robot import new_pairing
 from truearm_sim.world import standard_rig
 

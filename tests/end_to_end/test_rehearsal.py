@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from truearm.cli.main import main
-from truearm.files.plan_file import read_plan
+from truearm.plan.plan_file import read_plan
 
 PANDA_URDF = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
 PANDA_BRANCH = "--branch=-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"

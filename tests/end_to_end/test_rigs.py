@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.end_to_end.conftest import record_session, truearm
 
-from truearm.files.observation_table import read_table
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import read_table
 from truearm.types import Point
 from truearm_sim.world import standard_rig
 

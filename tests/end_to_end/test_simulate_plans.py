@@ -5,9 +5,9 @@ import pytest
 from tests.refusals import ended
 
 from truearm.cli.main import main
-from truearm.files.plan_file import read_plan, write_plan
-from truearm.files.rig_file import read_rig, write_rig
+from truearm.kinds.rig_file import read_rig, write_rig
 from truearm.model.robot import builtin_robot
+from truearm.plan.plan_file import read_plan, write_plan
 from truearm.workflows.requests import SimulateOptions
 from truearm.workflows.simulate import simulated_robot, visits
 from truearm_sim.line_plan import drawn_line_plan, line_rig

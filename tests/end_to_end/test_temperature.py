@@ -9,7 +9,7 @@ from tests.end_to_end.conftest import lab_with, recorded_with_plan, truearm
 from tests.end_to_end.levels import wait_until_ready
 
 from truearm.estimate.identify import identify
-from truearm.files.rig_file import read_rig
+from truearm.kinds.rig_file import read_rig
 from truearm.session.session_tables import tabulate
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
 from truearm_sim.robot import STEP as ENCODER_STEP

@@ -8,8 +8,8 @@ from scipy import stats
 from tests.end_to_end.conftest import recorded_with_plan
 
 from truearm.cli.main import main
-from truearm.files.noise_file import read_noise
-from truearm.files.rig_file import write_rig
+from truearm.kinds.noise_file import read_noise
+from truearm.kinds.rig_file import write_rig
 from truearm.workflows import simulate
 from truearm_sim.arm import WORN
 from truearm_sim.lab import Lab

@@ -16,9 +16,9 @@ from record_box import Lab
 from tests.refusals import findings
 
 from truearm.cli import main as cli
-from truearm.files.observation_table import write_table
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import write_table
 from truearm.types import Rig
 
 

@@ -7,9 +7,9 @@ from tests.host.puma_bench import CHAIN, CHUCKS, DESIGN, FREE, RIG, SIGMA, SPHER
 
 from truearm.correct.inverse import singular_value
 from truearm.estimate.identify import identify
-from truearm.files.observation_table import concatenate
-from truearm.files.result_document import result_of
-from truearm.files.result_file import RobotFrames, write_result
+from truearm.estimate.result_document import result_of
+from truearm.estimate.result_file import RobotFrames, write_result
+from truearm.kinds.table_file import concatenate
 from truearm.model.chain import forward
 from truearm.results import Estimate
 

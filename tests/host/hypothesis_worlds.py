@@ -16,10 +16,10 @@ import plan_bench
 
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.files.robot_file import load_robot
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import load_robot
 from truearm.model.rotation import rotation
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from command_line import Run
 
-from truearm.files.observation_table import write_table
-from truearm.files.rig_file import write_rig
-from truearm.files.robot_file import load_robot
+from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import write_table
 from truearm.model.chain import point_forward
+from truearm.model.robot_file import load_robot
 from truearm.types import BallBar, Point, Rig
 
 ROOT = Path(__file__).parents[2]

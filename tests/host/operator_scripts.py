@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from session_stream import BLOCK, CHANNELS, PERIOD_NS, Box, counts_of, renumber, robot_messages
 
-from truearm.files.rig_file import format_rig
+from truearm.kinds.rig_file import format_rig
 from truearm.model.chain import Chain, point_forward
 from truearm.record.session_writer import SessionWriter
 from truearm.types import BAR_MOUNTED, Message, Plan, Rig

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truearm.files.result_file import Parameter, Result, checksum, parse_result
+from truearm.estimate.result_file import Parameter, Result, checksum, parse_result
 from truearm.kinds.columns import ORIGINS, identifiers
 
 RMS = ("rms_before", "rms_after")

@@ -22,7 +22,7 @@ from truearm.correct.methods import Method
 from truearm.errors import InputError, RobotError, TargetError
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
 from truearm.model.chain import forward
 from truearm.plan.criteria import Criterion
 from truearm.record.links import HostClock

@@ -16,12 +16,12 @@ from world_stream import HOST_NS, messages_of
 from truearm.estimate.identify import identify
 from truearm.estimate.problem import build_problem
 from truearm.estimate.whitened_rows import whitened_blocks
-from truearm.files.noise_file import NoiseFile, read_noise, with_noise
-from truearm.files.plan_file import write_plan
-from truearm.files.rig_file import format_rig
+from truearm.kinds.noise_file import NoiseFile, read_noise, with_noise
+from truearm.kinds.rig_file import format_rig
 from truearm.model.chain import along, trace_point
 from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import REPEATABILITY
+from truearm.plan.plan_file import write_plan
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.observations import observations, survey

@@ -16,11 +16,11 @@ from tests.host.target_bench import driven, miss, rapid, script, table
 from tests.refusals import ended
 
 from truearm.cli import main as cli
-from truearm.files.observation_table import read_table
-from truearm.files.robot_file import load_robot
-from truearm.files.target_table import parse_targets
+from truearm.correct.target_table import parse_targets
 from truearm.findings import Finding
+from truearm.kinds.table_file import read_table
 from truearm.model.chain import forward, joint_jacobian
+from truearm.model.robot_file import load_robot
 from truearm.model.robot_mounting import mountings
 from truearm.types import Plan
 from truearm.workflows.calibration import read_calibration

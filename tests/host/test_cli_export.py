@@ -13,12 +13,12 @@ from tests.host.findings_bench import listed
 import truearm
 from truearm.correct.inverse import inverse
 from truearm.estimate.identify import identify
-from truearm.files.observation_table import read_table, write_table
-from truearm.files.result_file import read_result
-from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import load_robot
+from truearm.estimate.result_file import read_result
+from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import read_table, write_table
 from truearm.model.chain import forward
+from truearm.model.robot_file import load_robot
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 

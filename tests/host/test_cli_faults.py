@@ -13,8 +13,8 @@ from puma_bench import CHAIN
 from result_schema import check_schema
 from tests.host.findings_bench import listed, stated
 
-from truearm.files.observation_table import write_table
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import write_table
 from truearm.report.result_findings import fault_findings
 
 

@@ -12,8 +12,8 @@ from tests.host.puma_bench import table as rows_of
 from tests.host.result_schema import signed
 from tests.host.target_bench import rapid, script, table
 
-from truearm.files.observation_table import write_table
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import write_table
 
 CORRECT = "correct result.json targets.csv --out new.csv"
 PROGRAM = "correct result.json program.mod --own-frames"

@@ -14,9 +14,9 @@ from identify_bench import MUKCA, SIGMA, exact_lengths, identified
 from tests.host.findings_bench import stated
 from tests.refusals import shown
 
-from truearm.files.observation_table import read_table, write_table
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import read_table, write_table
 from truearm.types import Rig
 
 

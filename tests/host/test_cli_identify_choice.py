@@ -5,8 +5,8 @@ import pytest
 from tests.refusals import refused
 
 from truearm.errors import InputError
-from truearm.files.observation_table import concatenate, parse_table
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import concatenate, parse_table
 from truearm.workflows.selection import free_parameters, held_out_fraction, held_out_rows
 
 NAMES = ("joint1.offset", "joint1.gain", "link2.x", "link2.y")

@@ -11,7 +11,7 @@ from identify_bench import MUKCA, ROOT, SIGMA, identified
 from result_schema import BY_UNIT, FIELDS, check_schema
 from tests.host.findings_bench import stated
 
-from truearm.files.result_file import Parameter
+from truearm.estimate.result_file import Parameter
 from truearm.findings import option
 from truearm.kinds.table import ObservationTable
 from truearm.types import Rig

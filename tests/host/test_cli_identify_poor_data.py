@@ -26,9 +26,9 @@ from tests.refusals import ended
 from truearm.checks import inputs
 from truearm.cli import main as cli
 from truearm.estimate.solvers import SOLVERS
-from truearm.files.observation_table import write_table
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import write_table
 from truearm.model.chain import point_forward
 from truearm.types import Device, Point, Rig
 from truearm.workflows.selection import check_rows

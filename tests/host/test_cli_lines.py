@@ -8,7 +8,7 @@ from line_stream import MAGNET, line_session, some_lines, true_params
 from tests.host.findings_bench import listed
 from tests.refusals import shown
 
-from truearm.files.rig_file import format_rig
+from truearm.kinds.rig_file import format_rig
 from truearm.model.rotation import rotation_vector
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter

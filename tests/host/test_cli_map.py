@@ -14,7 +14,7 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import RobotError
-from truearm.files.result_file import read_result
+from truearm.estimate.result_file import read_result
 from truearm.findings import Finding
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot

@@ -12,15 +12,15 @@ from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.estimate.identify import identify
+from truearm.estimate.result_document import result_of
+from truearm.estimate.result_file import RobotFrames, write_result
 from truearm.export.link_frames import link_frames
 from truearm.export.urdf import new_urdf
-from truearm.files.observation_table import write_table
-from truearm.files.plan_file import check_against_rig, read_plan
-from truearm.files.result_document import result_of
-from truearm.files.result_file import RobotFrames, write_result
-from truearm.files.rig_file import read_rig, write_rig
+from truearm.kinds.rig_file import read_rig, write_rig
+from truearm.kinds.table_file import write_table
 from truearm.model.builtin import builtin_text
 from truearm.plan.forecast import bar_table
+from truearm.plan.plan_file import check_against_rig, read_plan
 from truearm.results import Diagnosis, Rival
 
 COMMON = ("--model", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")

@@ -8,8 +8,8 @@ import pytest
 from puma_bench import RIG, SIGMA, shell_table
 from tests.refusals import ended
 
-from truearm.files.observation_table import write_table
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import write_table
 from truearm.results import Unusable
 
 COMMANDS = {

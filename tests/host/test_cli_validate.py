@@ -13,12 +13,12 @@ import pytest
 from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 from tests.host.findings_bench import listed
 
-from truearm.files.observation_table import write_table
-from truearm.files.project_file import Project, format_project
-from truearm.files.project_folder import FILE
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import write_table
 from truearm.report.validation_findings import validation_findings
 from truearm.types import Device, Rig
+from truearm.workflows.project_file import Project, format_project
+from truearm.workflows.project_folder import FILE
 
 
 def verdict_of(document):

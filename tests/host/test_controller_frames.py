@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from truearm.correct.controller_frames import base_of, flange_of
-from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.model.robot_file import RobotChoice, load_robot
 from truearm.workflows.correct import tool0_in_flange
 
 X, Y, Z = np.eye(3)

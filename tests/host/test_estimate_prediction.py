@@ -13,9 +13,9 @@ from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import MOST_POSES, ParametersKnown, end_sigmas, point_covariance, predicted_point_error
 from truearm.estimate.prior import weak_prior
-from truearm.files.robot_file import load_robot
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_frames, point_forward, point_jacobians
+from truearm.model.robot_file import load_robot
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.results import weights_of
 from truearm.types import BallBar, Device, Plane, Point, Rig, rms

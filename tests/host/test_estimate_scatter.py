@@ -14,8 +14,8 @@ from truearm.estimate.problem import build_problem
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options
 from truearm.estimate.uncertainty import Goodness
-from truearm.files.observation_table import concatenate
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import concatenate
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.types import BallBar, Device, Point, Rig
 

@@ -7,7 +7,7 @@ import pytest
 from tests.host import plan_bench as bench
 
 from truearm.estimate.validation import expected, judge
-from truearm.files.observation_table import concatenate
+from truearm.kinds.table_file import concatenate
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation
 from truearm.plan.ball_bar_plan import all_pairings

@@ -21,8 +21,8 @@ from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.errors import SessionError
-from truearm.files.observation_table import read_table
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import read_table
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_format import parse_lines

@@ -6,9 +6,9 @@ import os
 import pytest
 from tests.refusals import refused
 
+from truearm.disk import check_writable, own_folder, same_file, write_atomic
 from truearm.errors import InputError, WriteError
 from truearm.exit_codes import ExitCode
-from truearm.files.disk import check_writable, own_folder, same_file, write_atomic
 
 
 def test_an_input_is_never_an_output(tmp_path):

@@ -10,11 +10,11 @@ from mutations import bounded, is_clear, text_changed
 from test_files_plan import MOVING
 from test_files_rig import FULL
 
+from truearm.correct.target_table import read_targets
 from truearm.errors import TruearmError
-from truearm.files.observation_table import read_table
-from truearm.files.plan_file import read_plan
-from truearm.files.rig_file import read_rig
-from truearm.files.target_table import read_targets
+from truearm.kinds.rig_file import read_rig
+from truearm.kinds.table_file import read_table
+from truearm.plan.plan_file import read_plan
 from truearm.units import UNITS
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"

@@ -9,8 +9,8 @@ from tests.refusals import refused
 
 from truearm.api import load_robot
 from truearm.errors import PlanError
-from truearm.files.file_kind import kind_of
-from truearm.files.plan_file import check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
+from truearm.file_kind import kind_of
+from truearm.plan.plan_file import check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
 from truearm.types import Device, Plan, Point, Rig
 from truearm.workflows.export import _poses_of
 

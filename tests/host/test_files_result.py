@@ -19,13 +19,21 @@ from result_schema import signed
 
 import truearm
 from truearm.errors import InputError
-from truearm.files.observation_table import parse_table
-from truearm.files.result_document import result_of
-from truearm.files.result_file import Covariance, Input, RobotFrames, input_of, parse_result, read_result, write_result
-from truearm.files.strict_json import strict_json
+from truearm.estimate.result_document import result_of
+from truearm.estimate.result_file import (
+    Covariance,
+    Input,
+    RobotFrames,
+    input_of,
+    parse_result,
+    read_result,
+    write_result,
+)
 from truearm.kinds.columns import ORIGINS, identifiers
+from truearm.kinds.table_file import parse_table
 from truearm.report.result_findings import result_findings
 from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Unusable
+from truearm.strict_json import strict_json
 
 RESULTS = Path(__file__).parents[1] / "data" / "results"
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import RigError
-from truearm.files.rig_file import format_rig, parse_rig, read_rig, write_rig
+from truearm.kinds.rig_file import format_rig, parse_rig, read_rig, write_rig
 from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
 
 FULL = """

@@ -6,7 +6,7 @@ import pytest
 from tests.refusals import refused
 
 from truearm.errors import RobotError
-from truearm.files.robot_file import load_robot, robot_file
+from truearm.model.robot_file import load_robot, robot_file
 
 PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from truearm.files.observation_table import in_order_of_time
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import in_order_of_time
 
 SESSION = 5.0 + 12.0 * np.arange(60)
 

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from identify_bench import SIGMA, exact_lengths
 
-from truearm.files.observation_table import write_table
-from truearm.files.project_file import Project, format_project
-from truearm.files.project_folder import FILE
-from truearm.files.result_file import FORMAT
-from truearm.files.rig_file import write_rig
+from truearm.estimate.result_file import FORMAT
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import write_table
+from truearm.workflows.project_file import Project, format_project
+from truearm.workflows.project_folder import FILE
 
 ARMS = ("a", "b", "c")
 

@@ -22,10 +22,10 @@ from truearm.checks.trial import Alternative
 from truearm.checks.whitened import DECLARED, whitened_fit
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import build_problem
-from truearm.files.observation_table import parse_table
-from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import load_robot
 from truearm.kinds import ball_bar
+from truearm.kinds.rig_file import read_rig
+from truearm.kinds.table_file import parse_table
+from truearm.model.robot_file import load_robot
 from truearm.model.rotation import rotation
 from truearm.report.result_findings import cause
 

@@ -11,8 +11,8 @@ from session_stream import PERIOD_NS, RIG, columns_of, ident_document, session
 from tests.host.findings_bench import listed
 
 from truearm.errors import SessionError
-from truearm.files.rig_file import write_rig
 from truearm.finding_texts import STATEMENTS, Severity
+from truearm.kinds.rig_file import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.report.session_findings import REJECTED

@@ -20,23 +20,23 @@ from truearm.estimate.law_candidates import knots
 from truearm.estimate.law_curves import SampledCurve, law_readings, sampled_curves, spectrum, strongest_periods
 from truearm.estimate.pose_noise import PoseNoise, PoseSample, noise_change
 from truearm.estimate.problem import build_problem
+from truearm.estimate.result_file import parse_result
 from truearm.export.writing import fit_to
-from truearm.files.observation_table import format_table, parse_table
-from truearm.files.result_file import parse_result
-from truearm.files.rig_file import format_rig, parse_rig
-from truearm.files.robot_file import RobotChoice
-from truearm.files.strict_json import strict_json
 from truearm.findings import Finding, findings_of
 from truearm.kinds.position import nearest_rotation
+from truearm.kinds.rig_file import format_rig, parse_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import format_table, parse_table
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.law_chain import carries, distal_frames, with_laws
 from truearm.model.poses import position_and_rotation
+from truearm.model.robot_file import RobotChoice
 from truearm.plan.forecast import Knowledge
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.report.figures import law_figures
 from truearm.report.law_findings import law_findings
+from truearm.strict_json import strict_json
 from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page

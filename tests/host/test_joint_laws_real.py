@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from ur10_bench import RIG
 
-from truearm.files.observation_table import parse_table
-from truearm.files.robot_file import load_robot
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import parse_table
+from truearm.model.robot_file import load_robot
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 ROOT = Path(__file__).parents[2]

@@ -15,7 +15,7 @@ from truearm.cli import command as declaration
 from truearm.cli.main import TASKS, command_tree, main
 from truearm.cli.names import EARLIER, MEANINGS
 from truearm.errors import RobotError
-from truearm.files.robot_file import load_robot
+from truearm.model.robot_file import load_robot
 from truearm.plan.options import PoseOptions
 from truearm.types import Payload
 

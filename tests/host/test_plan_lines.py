@@ -14,7 +14,6 @@ from tests.refusals import refused
 
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
-from truearm.files.plan_file import format_plan, parse_plan
 from truearm.model.chain import forward, joint_frames, point_forward
 from truearm.plan.bar_paths import Pace
 from truearm.plan.cartesian_lines import a_priori, candidate_lines, driven_lines
@@ -22,6 +21,7 @@ from truearm.plan.collision_shapes import Sizes, device_is_clear, make_shapes
 from truearm.plan.forecast import forecast
 from truearm.plan.line_plan import SETUP, line_rows, plan_lines
 from truearm.plan.options import LineOptions
+from truearm.plan.plan_file import format_plan, parse_plan
 from truearm.plan.region import Region
 from truearm.plan.route_program import program
 from truearm.plan.route_stops import SETTLE, Signals, Task

@@ -17,9 +17,7 @@ from tests.refusals import ended
 
 from truearm.cli.project import defaults, project_model
 from truearm.errors import InputError
-from truearm.files.project_file import Project, format_project, read_project
-from truearm.files.project_folder import FILE, find_project
-from truearm.files.rig_file import read_rig, write_rig
+from truearm.kinds.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import builtin_robot
 from truearm.plan.branches import branch_of
@@ -28,6 +26,8 @@ from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.results import Unusable
 from truearm.workflows.project import results_of, sessions_of
+from truearm.workflows.project_file import Project, format_project, read_project
+from truearm.workflows.project_folder import FILE, find_project
 
 
 @pytest.fixture

@@ -12,9 +12,9 @@ from truearm.checks.inputs import explaining
 from truearm.checks.trial import Alternative, fitted
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior
-from truearm.files.observation_table import read_table
-from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import load_robot
+from truearm.kinds.rig_file import read_rig
+from truearm.kinds.table_file import read_table
+from truearm.model.robot_file import load_robot
 from truearm.model.urdf import free_without_gains
 from truearm.report.result_findings import fault_findings
 from truearm.units import DEG

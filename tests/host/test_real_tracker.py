@@ -10,7 +10,7 @@ from tests.host.findings_bench import stated
 from tests.host.ur10_bench import RIG, ROBOT, tracked
 
 import truearm
-from truearm.files.observation_table import concatenate
+from truearm.kinds.table_file import concatenate
 from truearm.report.result_findings import tool_error
 from truearm.workflows.selection import held_out_rows
 

@@ -15,7 +15,7 @@ from record_real import PATIENCE_S, box_on_a_socket, serve_robot
 from tests.refusals import ended, shown
 
 from truearm.cli.main import main
-from truearm.files.plan_file import write_plan
+from truearm.plan.plan_file import write_plan
 from truearm.record.links import HostClock
 from truearm.session.session_file import open_session
 from truearm.types import Plan

@@ -11,8 +11,8 @@ from test_record_command import CALIBRATED, RIG
 from tests.refusals import ended
 
 from truearm.cli.main import main
-from truearm.files.plan_file import write_plan
 from truearm.live.session_progress import SessionProgress
+from truearm.plan.plan_file import write_plan
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session

@@ -13,9 +13,9 @@ from operator_scripts import Visit, forgetful, lengths, pairing_at, script, writ
 from tests.refusals import ended
 
 from truearm.cli.main import main
-from truearm.files.labels_file import labels_path, read_labels
-from truearm.files.write_lock import hold
 from truearm.model.robot import builtin_robot
+from truearm.record.write_lock import hold
+from truearm.session.labels_file import labels_path, read_labels
 from truearm.types import BAR_MOUNTED
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.record import recorded_dwells, unsettled

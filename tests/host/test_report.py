@@ -11,7 +11,7 @@ from report_bench import Strict, both, cells_of, drawings, make_page, rms, title
 from scipy import stats
 
 from truearm.estimate.kind_errors import errors_by_kind
-from truearm.files.file_kind import KINDS
+from truearm.file_kind import KINDS
 from truearm.findings import Finding
 from truearm.kinds import NAMES
 from truearm.kinds.registry import kinds

@@ -20,10 +20,8 @@ from session_stream import RIG, session
 import truearm
 from truearm.cli.main import main
 from truearm.estimate.prediction import nominal_error
-from truearm.files.observation_table import write_table
-from truearm.files.project_file import Project, format_project
-from truearm.files.project_folder import FILE
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import write_table
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.report.calibration_page import render
@@ -34,6 +32,8 @@ from truearm.types import rms
 from truearm.units import MM
 from truearm.workflows.correction_findings import unexplained_error
 from truearm.workflows.inputs import Sources, read_sources, sensors_of
+from truearm.workflows.project_file import Project, format_project
+from truearm.workflows.project_folder import FILE
 
 SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
 OPTIONS = ["--hold-out", "0.2", "--seed", "3", "--solver", "map", "--freeze", "link2.y"]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from truearm.box.configuration import with_file
 from truearm.errors import ConfigError, RigError, RobotError
-from truearm.files.rig_file import parse_rig
+from truearm.kinds.rig_file import parse_rig
 from truearm.model.robot import parse_robot
 from truearm.schema import (
     IDENTIFIER,

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truearm.files.observation_table import read_table
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import read_table
 from truearm.session.session_file import open_session
 from truearm.workflows.export_session import export_session_files
 from truearm.workflows.requests import ExportSession

@@ -10,7 +10,7 @@ import truearm
 from truearm.cli.main import main
 from truearm.errors import ProblemError
 from truearm.estimate.prior import weak_prior
-from truearm.files.rig_file import parse_rig, write_rig
+from truearm.kinds.rig_file import parse_rig, write_rig
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.plan.forecast import planned_table

@@ -12,8 +12,8 @@ import pytest
 from command_line import told
 from ros_bags import joint_state, write_bag
 
-from truearm.files.robot_file import load_robot
 from truearm.model.chain import joint_and_end_frames, point_forward, point_jacobians
+from truearm.model.robot_file import load_robot
 from truearm.plan.socket_block import SocketBlock
 from truearm.workflows.socket_project import stl
 

@@ -11,9 +11,9 @@ from result_schema import check_schema
 from tests.host.findings_bench import listed
 
 from truearm.extend import add_kind
-from truearm.files.observation_table import read_table
-from truearm.files.rig_file import write_rig
 from truearm.kinds import columns, registry
+from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import read_table
 from truearm.model.chain import forward
 
 SIGMA_DEG = 0.01

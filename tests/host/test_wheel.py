@@ -13,7 +13,7 @@ from identify_bench import exact_lengths
 from session_stream import RIG, session
 
 import truearm
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 

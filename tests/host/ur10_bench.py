@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from truearm.files.robot_file import load_robot
 from truearm.kinds.table import ObservationTable
+from truearm.model.robot_file import load_robot
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Point, Rig
 

@@ -17,7 +17,7 @@ from tests.host.plan_bench import RIGS
 from tests.host.record_box import Lab
 from tests.host.tcp_peer import Peer
 from tests.recipes.recipes import ROOT, Copy, findings
-from truearm.files.rig_file import write_rig
+from truearm.kinds.rig_file import write_rig
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
 from truearm.record.session_writer import SessionWriter
@@ -466,7 +466,7 @@ import json, re
 from truearm.kinds import quantities
 quantities.CIRCUMSTANCES += (quantities.Quantity("force", ("force",), "N"),)
 from truearm.errors import TableError
-from truearm.files.observation_table import format_table, parse_table
+from truearm.kinds.table_file import format_table, parse_table
 from truearm.schema import Key, Number, SchemaError
 from truearm.units import number, title
 

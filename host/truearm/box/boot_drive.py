@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from truearm.box.uf2 import Image
+from truearm.disk import read_text
 from truearm.errors import InputError, LinkError
-from truearm.files.disk import read_text
 
 INFO = "INFO_UF2.TXT"
 _INFO_MAX = 4096

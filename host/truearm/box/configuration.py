@@ -27,8 +27,8 @@ from truearm.box.configuration_schema import (
     config_keys,
 )
 from truearm.box.control import BoxControl
+from truearm.disk import parse_toml
 from truearm.errors import ConfigError, ProtocolError
-from truearm.files.disk import parse_toml
 from truearm.schema import Table, load_toml, raising, read
 from truearm.text import one_line
 from truearm.units import NS

@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 
 from truearm.box.gauge_polynomial import distinct_places
+from truearm.disk import read_bytes, read_text, write_atomic
 from truearm.errors import InputError, TableError, WriteError
-from truearm.files.csv_cells import Column, CsvTable, read_cells
-from truearm.files.disk import read_bytes, read_text, write_atomic
+from truearm.kinds.csv_cells import Column, CsvTable, read_cells
 from truearm.session.sample_noise import MeanOfSamples
 from truearm.text import counted, one_line
 from truearm.types import Floats

@@ -27,8 +27,8 @@ from truearm.box.gauge_places import (
 from truearm.box.gauge_result import HEAD, calibrate, gauge_page, with_calibration
 from truearm.box.readiness import usable_channel
 from truearm.box.requests import GaugeOptions
+from truearm.disk import check_writable, write_atomic
 from truearm.errors import Argument, InputError, LinkError, TruearmError
-from truearm.files.disk import check_writable, write_atomic
 from truearm.progress import step
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.sample_noise import mean_of, quick_noise

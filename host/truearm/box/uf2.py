@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from truearm.disk import read_bytes
 from truearm.errors import ImageError
-from truearm.files.disk import read_bytes
 
 BLOCK = 512
 PAGE = 256  # bytes of data in a block; the ROM accepts no other size

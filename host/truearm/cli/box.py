@@ -22,9 +22,9 @@ from truearm.box.uf2 import CHIPS
 from truearm.cli.command import Answer, command
 from truearm.cli.output import print_lines
 from truearm.cli.project import CommandGroup
+from truearm.disk import check_writable, read_text, write_atomic
 from truearm.errors import ConfigError, InputError, TruearmError
 from truearm.exit_codes import ExitCode
-from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.live.choose_box import choose_box
 from truearm.record.ports import usb_ports
 from truearm_wire.messages import RESTART

@@ -60,8 +60,8 @@ def demo(
     rate : HZ
         Samples per second of each channel.
     """
-    from truearm.files.plan_file import read_plan
     from truearm.finding_texts import Severity
+    from truearm.plan.plan_file import read_plan
     from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
     from truearm.workflows.selection import last_of_each
     from truearm.workflows.simulate import SESSION, simulate_fast

@@ -16,8 +16,8 @@ from truearm.cli.project import typed
 from truearm.errors import InputError
 from truearm.estimate.solvers import SOLVERS, with_loss
 from truearm.exit_codes import ExitCode
-from truearm.files.robot_file import RobotChoice
 from truearm.findings import Finding
+from truearm.model.robot_file import RobotChoice
 from truearm.units import tolerances
 from truearm.workflows.requests import FitOptions
 

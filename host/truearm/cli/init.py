@@ -105,9 +105,9 @@ def init(
         Sockets: postures of the arm at each place.
     json
     """
-    from truearm.files.project_file import Project
     from truearm.findings import entries, findings_of, option
     from truearm.workflows.project import ProjectWanted, create
+    from truearm.workflows.project_file import Project
     from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
 
     sockets = None
@@ -182,7 +182,7 @@ def _from_folder(model: str, folder: Path) -> str:
 
 def _model(text: str) -> str:
     """Return the name of a robot that exists; the links of a URDF are chosen later."""
-    from truearm.files.robot_file import is_urdf, load_robot
+    from truearm.model.robot_file import is_urdf, load_robot
 
     if not is_urdf(text):
         load_robot(text)

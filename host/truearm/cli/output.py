@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from truearm.files.strict_json import strict_json
+from truearm.strict_json import strict_json
 from truearm.text import one_line
 
 

@@ -14,11 +14,11 @@ from click.core import ParameterSource
 
 from truearm.cli.names import command_for
 from truearm.errors import InputError
-from truearm.files.file_kind import KINDS, kind_of
-from truearm.files.project_folder import project_of
+from truearm.file_kind import KINDS, kind_of
+from truearm.workflows.project_folder import project_of
 
 if TYPE_CHECKING:
-    from truearm.files.project_file import Project
+    from truearm.workflows.project_file import Project
 
 EXPERT = "Expert options"
 SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut

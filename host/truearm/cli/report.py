@@ -10,7 +10,7 @@ import click
 from truearm.bounds import LINE_POINTS, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import command_line, issue_of, sources_of
-from truearm.files.robot_file import NO_ROBOT, RobotChoice
+from truearm.model.robot_file import NO_ROBOT, RobotChoice
 from truearm.text import one_line
 
 

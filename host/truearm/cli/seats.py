@@ -7,8 +7,8 @@ from typing import Annotated
 
 from truearm.bounds import Within
 from truearm.cli.command import Answer, command
-from truearm.files.robot_file import NO_ROBOT, RobotChoice
 from truearm.findings import entries
+from truearm.model.robot_file import NO_ROBOT, RobotChoice
 from truearm.record.robots.sources import TABLE, FileOptions, file_entry, files_help
 from truearm.units import DEG
 

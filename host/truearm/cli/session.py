@@ -10,7 +10,7 @@ from truearm.bounds import OneOf
 from truearm.cli.command import Answer, command
 from truearm.cli.output import warn_of_further_parts
 from truearm.cli.project import CommandGroup
-from truearm.files.robot_file import NO_ROBOT, RobotChoice
+from truearm.model.robot_file import NO_ROBOT, RobotChoice
 from truearm.record.robots.sources import FileOptions, files_help
 from truearm.text import counted, one_line
 from truearm.workflows.requests import ExportSession
@@ -107,7 +107,7 @@ def relabel(
     mounted : DWELLS=BAR,CHUCK,SPHERE
         What was mounted at some dwells, numbered as printed: 12:14=bar46,c1,s2; of a further part, "s.2.mcap 12=...".
     """
-    from truearm.files.rig_file import read_rig
+    from truearm.kinds.rig_file import read_rig
     from truearm.workflows.relabel import relabel as relabel_session
 
     nominal = robot.load() if robot.robot else None

@@ -11,7 +11,7 @@ from truearm.bounds import Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import command_line, issue_of, sources_of
 from truearm.errors import Argument, InputError
-from truearm.files.robot_file import NO_ROBOT, RobotChoice
+from truearm.model.robot_file import NO_ROBOT, RobotChoice
 
 
 @command()

@@ -18,7 +18,7 @@ from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
-from truearm.files.write_lock import hold
+from truearm.record.write_lock import hold
 
 COPIED_BYTES = 1 << 20  # per step
 

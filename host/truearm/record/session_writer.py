@@ -30,10 +30,10 @@ from typing import Any, BinaryIO, assert_never
 from mcap.writer import CompressionType, Writer
 
 from truearm.errors import InputError, WriteError
-from truearm.files.write_lock import hold
 from truearm.record.file_watch import FileLoss, content_crc, file_loss, rescued_file
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
+from truearm.record.write_lock import hold
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
 from truearm.session.session_file import CHANNELS, CRC, LATEST_NS, PLAN_COPY, Session, metadata_crc
 from truearm.version import VERSION

@@ -15,20 +15,20 @@ from truearm.arguments import converted, floats
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.estimate.frame_choice import mounting
-from truearm.files.result_file import Result, read_result
-from truearm.files.robot_file import NO_ROBOT, RobotChoice, is_urdf, load_robot
-from truearm.files.strict_json import number_or_null
+from truearm.estimate.result_file import Result, read_result
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain, point_jacobians
 from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
 from truearm.model.robot import Robot, poses
+from truearm.model.robot_file import NO_ROBOT, RobotChoice, is_urdf, load_robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
 from truearm.report.result_findings import result_findings
 from truearm.report.result_words import direction_text, parameter_table
 from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of
+from truearm.strict_json import number_or_null
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, Rigs, SagMasses
 from truearm.units import DEG, MM, UNITS
 

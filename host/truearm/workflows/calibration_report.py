@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from truearm.disk import write_atomic
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
-from truearm.files.disk import write_atomic
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain

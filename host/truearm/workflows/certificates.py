@@ -11,8 +11,7 @@ import numpy as np
 
 from truearm.estimate.mean_error import gain_of
 from truearm.estimate.prediction import nominal_error, predicted_point_error
-from truearm.files.project_file import Project
-from truearm.files.result_file import Input
+from truearm.estimate.result_file import Input
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
 from truearm.report.certificate import MOST, Certificate, Facts, Recording, conditions, more, recorded, sensor_facts
@@ -24,6 +23,7 @@ from truearm.units import MM, PPM
 from truearm.version import VERSION
 from truearm.workflows.calibration import Calibration, Identification, masses_of
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error
+from truearm.workflows.project_file import Project
 from truearm.workflows.validate import Measured, Validation
 
 NOT_GIVEN = "not given"

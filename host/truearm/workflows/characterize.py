@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from truearm.disk import check_writable, write_atomic
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.repeatability import (
     MISFIT,
@@ -23,12 +24,11 @@ from truearm.estimate.repeatability import (
     sigma_interval,
     variance_interval,
 )
-from truearm.files.disk import check_writable, write_atomic
-from truearm.files.noise_file import NoiseFile, format_noise
-from truearm.files.plan_file import read_plan
-from truearm.files.rig_file import read_rig
 from truearm.findings import entries
+from truearm.kinds.noise_file import NoiseFile, format_noise
+from truearm.kinds.rig_file import read_rig
 from truearm.model.chain import Chain, distance_jacobian
+from truearm.plan.plan_file import read_plan
 from truearm.progress import step
 from truearm.report.repeatability_findings import remarks, repeatability_findings
 from truearm.session.dwells import Dwell

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from truearm.disk import check_writable, read_text, write_atomic
 from truearm.errors import Argument, InputError, LinkError, RobotError
 from truearm.export.dh import dh_rows
 from truearm.export.link_frames import link_frames
-from truearm.files.disk import check_writable, read_text, write_atomic
-from truearm.files.robot_file import MAX_BYTES, RobotChoice, is_urdf, load_robot, robot_file
 from truearm.findings import Finding
 from truearm.model.builtin import builtin_text
 from truearm.model.chain import forward
@@ -29,6 +28,7 @@ from truearm.model.controller_kinematics import (
 from truearm.model.elementary_transforms import SIX
 from truearm.model.poses import apart, six_of
 from truearm.model.robot import CONTROLLER, Robot, parse_robot
+from truearm.model.robot_file import MAX_BYTES, RobotChoice, is_urdf, load_robot, robot_file
 from truearm.progress import step
 from truearm.record.robots.sources import RTDE
 from truearm.record.robots.ur_primary import kinematics_info

@@ -14,14 +14,14 @@ from truearm.correct.inverse import several_fit
 from truearm.correct.methods import with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of
+from truearm.correct.target_table import check_is_table, format_corrected, read_targets
+from truearm.disk import check_new_folder, check_outputs, check_writable, read_bytes, write_atomic, write_folder
 from truearm.errors import Argument, InputError, RobotError, TargetError
-from truearm.files.disk import check_new_folder, check_outputs, check_writable, read_bytes, write_atomic, write_folder
-from truearm.files.robot_file import RobotChoice, load_robot
-from truearm.files.target_table import check_is_table, format_corrected, read_targets
 from truearm.finding_texts import UNDETERMINED
 from truearm.findings import Finding, ordered
 from truearm.model.chain import Chain, forward
 from truearm.model.poses import frame_of, inverted
+from truearm.model.robot_file import RobotChoice, load_robot
 from truearm.model.robot_mounting import mountings
 from truearm.progress import step
 from truearm.report.correction_page import render

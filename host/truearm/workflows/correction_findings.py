@@ -17,10 +17,10 @@ from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
-from truearm.files.strict_json import number_or_null
 from truearm.findings import Finding, Reason, entries
 from truearm.model.poses import apart, inverted, position_and_rotation
 from truearm.report.correction_page import STRAIGHT
+from truearm.strict_json import number_or_null
 from truearm.text import listed
 from truearm.types import CurveKnots, Floats, rms
 from truearm.units import DEG, MM, MRAD, key, shown

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from truearm.disk import check_outputs, check_writable, read_text, write_atomic
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError, RobotError
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
 from truearm.export.writing import FormatFit, RobotToWrite, fit_to, held, written
-from truearm.files.disk import check_outputs, check_writable, read_text, write_atomic
-from truearm.files.file_kind import HEAD, KINDS
-from truearm.files.observation_table import read_table
-from truearm.files.plan_file import read_plan
-from truearm.files.robot_file import MAX_BYTES
+from truearm.file_kind import HEAD, KINDS
 from truearm.findings import Finding, ordered
+from truearm.kinds.table_file import read_table
 from truearm.model.chain import Chain
+from truearm.model.robot_file import MAX_BYTES
+from truearm.plan.plan_file import read_plan
 from truearm.progress import step
 from truearm.text import one_line
 from truearm.types import CurveKnots, Floats, rms, thinned

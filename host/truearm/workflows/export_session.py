@@ -8,20 +8,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from truearm.disk import check_new_folder, sha256, working_folder
 from truearm.errors import InputError, WriteError
 from truearm.file_names import system_reason
-from truearm.files.column_writers import ArrowTable, Columns
-from truearm.files.disk import check_new_folder, sha256, working_folder
-from truearm.files.labels_file import read_labels
-from truearm.files.observation_table import table_columns
-from truearm.files.rig_file import read_rig
-from truearm.files.strict_json import strict_json
+from truearm.kinds.rig_file import read_rig
+from truearm.kinds.table_file import table_columns
 from truearm.progress import step
+from truearm.session.labels_file import read_labels
 from truearm.session.observations import Survey, observations
 from truearm.session.session_file import Session
 from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
+from truearm.strict_json import strict_json
 from truearm.text import one_line
 from truearm.types import Rig
+from truearm.workflows.column_writers import ArrowTable, Columns
 from truearm.workflows.requests import ExportSession
 from truearm.workflows.session_observations import attached_rig, surveyed
 from truearm.workflows.session_parts import open_finished

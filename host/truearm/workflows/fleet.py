@@ -14,14 +14,12 @@ from typing import Any
 
 import msgspec
 
+from truearm.disk import check_writable, write_atomic
 from truearm.errors import Argument, InputError, TruearmError
 from truearm.exit_codes import ExitCode
 from truearm.file_names import system_reason
-from truearm.files.csv_cells import csv_text
-from truearm.files.disk import check_writable, write_atomic
-from truearm.files.project_file import Project, read_project
-from truearm.files.project_folder import FILE
-from truearm.files.robot_file import RobotChoice
+from truearm.kinds.csv_cells import csv_text
+from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.report.result_findings import verdict
 from truearm.text import counted
@@ -29,6 +27,8 @@ from truearm.workflows.certificates import Issue
 from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
 from truearm.workflows.inputs import Sources, hashed_inputs
 from truearm.workflows.project import new_file, result_document, results_of, sessions_of
+from truearm.workflows.project_file import Project, read_project
+from truearm.workflows.project_folder import FILE
 from truearm.workflows.report import report_files
 from truearm.workflows.requests import FleetOptions
 from truearm.workflows.session_parts import with_parts

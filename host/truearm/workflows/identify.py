@@ -27,18 +27,18 @@ from truearm.estimate.mean_error import with_gain
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import build_problem, modelled_of
+from truearm.estimate.result_document import copies_of, result_of
+from truearm.estimate.result_file import Input, RobotFrames, write_result
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solution import Options
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.files.observation_table import write_table
-from truearm.files.result_document import copies_of, result_of
-from truearm.files.result_file import Input, RobotFrames, write_result
-from truearm.files.robot_file import RobotChoice
 from truearm.findings import entries
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import write_table
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
+from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.results import Effect, Estimate, Figures, Fold
 from truearm.types import Floats, Mask, Rigs

@@ -14,20 +14,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from truearm.disk import check_outputs, same_file
 from truearm.errors import Argument, InputError, RigError, SessionError
-from truearm.files.disk import check_outputs, same_file
-from truearm.files.labels_file import labels_path, read_labels
-from truearm.files.noise_file import check_against_rigs, read_noise, with_noise
-from truearm.files.observation_table import check_against_rig, concatenate, read_table
-from truearm.files.result_file import Input, input_of
-from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import RobotChoice
+from truearm.estimate.result_file import Input, input_of
+from truearm.kinds.noise_file import check_against_rigs, read_noise, with_noise
 from truearm.kinds.registry import kinds, with_every_name
+from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import check_against_rig, concatenate, read_table
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot
+from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.report.certificate import Facts, Recording, between
+from truearm.session.labels_file import labels_path, read_labels
 from truearm.text import listed, one_line
 from truearm.types import DOUBTFUL, Rig, Rigs, SocketDistance, rigs_by_name
 from truearm.units import NS, UM, US

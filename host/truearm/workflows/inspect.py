@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truearm.errors import InputError
-from truearm.files.labels_file import read_labels
-from truearm.files.strict_json import without_nan
 from truearm.findings import entries
 from truearm.progress import step
 from truearm.report.session_findings import session_findings
 from truearm.session.joint_format import parse_line
+from truearm.session.labels_file import read_labels
 from truearm.session.session_tables import dwell_columns, pass_columns, rows_of
+from truearm.strict_json import without_nan
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM

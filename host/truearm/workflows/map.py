@@ -10,10 +10,10 @@ import numpy as np
 
 from truearm.correct.error_map import BestRectangle, ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
+from truearm.disk import check_outputs, write_atomic
 from truearm.errors import Argument, InputError
-from truearm.files.csv_cells import csv_text
-from truearm.files.disk import check_outputs, write_atomic
 from truearm.findings import Finding, entries, ordered
+from truearm.kinds.csv_cells import csv_text
 from truearm.progress import step
 from truearm.report.map_picture import Cells, map_picture
 from truearm.report.page_parts import html_page, scrolled

@@ -11,12 +11,10 @@ import numpy as np
 
 from truearm import option_defaults
 from truearm.arguments import Checked
+from truearm.disk import check_outputs, write_atomic
 from truearm.errors import Argument, InputError
-from truearm.files.disk import check_outputs, write_atomic
-from truearm.files.plan_file import write_plan
-from truearm.files.rig_file import read_rig, write_rig
-from truearm.files.strict_json import number_or_null
 from truearm.findings import entries
+from truearm.kinds.rig_file import read_rig, write_rig
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import Robot
@@ -30,12 +28,14 @@ from truearm.plan.law_forecast import curve_forecasts
 from truearm.plan.line_plan import LinePlan, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
 from truearm.plan.options import ApproachOptions, LineOptions, PoseOptions
+from truearm.plan.plan_file import write_plan
 from truearm.plan.region import Region
 from truearm.plan.route import Visits
 from truearm.plan.route_program import check_joints, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.progress import step
 from truearm.report.plan_findings import approach_findings, forecast_findings
+from truearm.strict_json import number_or_null
 from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration

@@ -12,13 +12,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from truearm.disk import working_folder, write_atomic
 from truearm.errors import InputError, TruearmError
-from truearm.files.disk import working_folder, write_atomic
-from truearm.files.project_file import Project, format_project, read_project
-from truearm.files.project_folder import FILE
 from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.progress import step
 from truearm.units import MM
+from truearm.workflows.project_file import Project, format_project, read_project
+from truearm.workflows.project_folder import FILE
 
 if TYPE_CHECKING:
     from truearm.findings import Finding
@@ -85,7 +85,7 @@ def folders_of(home: Path) -> list[Path]:
 
 def result_document(path: Path) -> dict[str, Any]:
     """Return the document of a result; empty for any other file."""
-    from truearm.files.result_file import FORMAT
+    from truearm.estimate.result_file import FORMAT
 
     try:
         document = json.loads(path.read_bytes())
@@ -131,8 +131,8 @@ def create(folder: Path, request: ProjectWanted) -> Created:
     Existing files are not overwritten. Raises InputError for a folder that is already a project, and whatever loading
     the robot and planning raise; then nothing is written.
     """
-    from truearm.files.rig_file import read_rig
-    from truearm.files.robot_file import RobotChoice
+    from truearm.kinds.rig_file import read_rig
+    from truearm.model.robot_file import RobotChoice
     from truearm.plan.branches import branch_of
     from truearm.plan.first_rig import first_rig
     from truearm.workflows.controller_model import ROBOT_FILE, controller_choice
@@ -279,14 +279,14 @@ def _seats(home: Path, project: Project) -> dict[str, Any] | None:
 
 
 def _poses(plan: Path | None) -> int:
-    from truearm.files.plan_file import read_plan
+    from truearm.plan.plan_file import read_plan
 
     return 0 if plan is None else int(read_plan(plan).dwells.sum())
 
 
 def _session(path: Path, project: Project) -> dict[str, Any]:
     """Return a recording: ``other_robot`` is the one for which it was recorded if that is not the project's."""
-    from truearm.files.write_lock import is_held
+    from truearm.record.write_lock import is_held
     from truearm.session.session_file import has_footer
     from truearm.workflows.session_parts import recorded_model
 
@@ -304,7 +304,7 @@ def _session(path: Path, project: Project) -> dict[str, Any]:
 
 
 def _result(path: Path) -> dict[str, Any]:
-    from truearm.files.result_file import read_result
+    from truearm.estimate.result_file import read_result
 
     document, held_out, unusable = result_document(path), None, None
     try:

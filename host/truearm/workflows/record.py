@@ -14,17 +14,16 @@ import numpy as np
 
 from truearm.box.configuration_schema import MODULATOR_NS
 from truearm.box.readiness import Purpose
+from truearm.disk import check_writable, read_bytes
 from truearm.errors import Argument, IncompleteError, InputError, RigError, TruearmError, WriteError
-from truearm.files.disk import check_writable, read_bytes
-from truearm.files.plan_file import check_against_rig, read_plan
-from truearm.files.rig_file import MAX_BYTES, parse_rig, read_rig
-from truearm.files.write_lock import is_held
 from truearm.findings import Finding, entries
 from truearm.interrupt import asked_to_stop
+from truearm.kinds.rig_file import MAX_BYTES, parse_rig, read_rig
 from truearm.live.choose_box import choose_box
 from truearm.live.session_progress import SessionProgress, check_mounted, parse_mounted
 from truearm.live.state import LiveState
 from truearm.live.view import showing
+from truearm.plan.plan_file import check_against_rig, read_plan
 from truearm.record import recorder
 from truearm.record.links import Clock, HostClock
 from truearm.record.operator import Counters, RecordSummary
@@ -32,6 +31,7 @@ from truearm.record.ports import BoxPort
 from truearm.record.reopening import Reopening
 from truearm.record.robots.sources import open_source
 from truearm.record.session_writer import SessionWriter
+from truearm.record.write_lock import is_held
 from truearm.session.dwells import POSE_TOLERANCE, needs_decision
 from truearm.session.observations import SyncResult
 from truearm.session.session_file import open_session

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, Words, mountings
-from truearm.files.labels_file import labels_path, write_labels
 from truearm.live.session_progress import check_mounted
 from truearm.progress import step
+from truearm.session.labels_file import labels_path, write_labels
 from truearm.session.plan_matching import Pairing, distances, match_plan, pairing_of
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.session_observations import recorded_rig, surveyed

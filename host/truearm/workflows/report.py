@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from truearm.disk import sha256, write_atomic
 from truearm.errors import Argument, InputError
-from truearm.files.disk import sha256, write_atomic
-from truearm.files.project_folder import find_project
-from truearm.files.result_file import Result, read_result
-from truearm.files.robot_file import load_robot
+from truearm.estimate.result_file import Result, read_result
 from truearm.findings import findings_of
+from truearm.model.robot_file import load_robot
 from truearm.progress import step
 from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.page_parts import html_page, making, section, table
@@ -25,6 +24,7 @@ from truearm.workflows.certificates import Issue, calibration_certificate, valid
 from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.project import folders_of
+from truearm.workflows.project_folder import find_project
 from truearm.workflows.validate import Validation, measured_files, validated
 
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit

@@ -17,7 +17,7 @@ from truearm.bounds import ITERATIONS, REPEATABILITY, SEED, OneOf, Within
 from truearm.correct.methods import JointMoves, Method
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
-from truearm.files.robot_file import NO_ROBOT, RobotChoice
+from truearm.model.robot_file import NO_ROBOT, RobotChoice
 
 if TYPE_CHECKING:
     from truearm.model.poses import Six

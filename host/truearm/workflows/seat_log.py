@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from truearm.disk import read_text, write_atomic
 from truearm.errors import Argument, InputError
-from truearm.files.csv_cells import CsvTable, csv_text, read_cells, read_header
-from truearm.files.disk import read_text, write_atomic
-from truearm.files.observation_table import MAX_BYTES, PAGE, table_titles
 from truearm.findings import Finding
+from truearm.kinds.csv_cells import CsvTable, csv_text, read_cells, read_header
+from truearm.kinds.table_file import MAX_BYTES, PAGE, table_titles
 from truearm.progress import step
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.session.joint_format import parse_lines

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.measured_order import first_alike, poses
 from truearm.estimate.solvers import SOLVERS, Prior
-from truearm.files.observation_table import column_of_title
 from truearm.kinds.columns import ANYWHERE, GROUPS, identifiers, is_label
 from truearm.kinds.quantities import POINT, Quantity
 from truearm.kinds.registry import drawn_from, kinds
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import column_of_title
 from truearm.model.chain import Chain, forward
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.robot import Robot

@@ -8,10 +8,10 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from truearm.disk import check_writable, sha256, working_folder
 from truearm.errors import Argument, InputError, SessionError, WriteError
 from truearm.file_names import system_reason
-from truearm.files.disk import check_writable, sha256, working_folder
-from truearm.files.robot_file import RobotChoice
+from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session

@@ -16,7 +16,7 @@ import numpy as np
 
 from truearm.box.readiness import FAR, LVDT, LVDT_DRIFT, STEEL
 from truearm.errors import Argument, InputError, RigError, SessionError
-from truearm.files.labels_file import read_labels
+from truearm.session.labels_file import read_labels
 from truearm.text import counted, one_line, page
 from truearm.types import DOUBTFUL, Floats
 from truearm.units import DEGC, MM, PPM_PER_K
@@ -91,7 +91,7 @@ def is_session(path: Path) -> bool:
 
 def attached_rig(session: Session, path: Path) -> Rig | None:
     """Return the rig given to the recorder, None if there was none. Raises RigError if it is not a valid rig."""
-    from truearm.files.rig_file import parse_rig
+    from truearm.kinds.rig_file import parse_rig
 
     data = session.attachments.get(RIG)
     if data is None:

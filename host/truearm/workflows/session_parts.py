@@ -15,9 +15,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from truearm.disk import same_file
 from truearm.errors import Argument, InputError, SessionError
-from truearm.files.disk import same_file
-from truearm.files.write_lock import is_held
+from truearm.record.write_lock import is_held
 from truearm.types import Move
 
 if TYPE_CHECKING:

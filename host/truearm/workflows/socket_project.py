@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.distance import pdist
 
+from truearm.disk import read_text
 from truearm.errors import InputError, PlanError
 from truearm.estimate.prior import weak_prior
-from truearm.files.csv_cells import csv_text, read_cells
-from truearm.files.disk import read_text
-from truearm.files.observation_table import MAX_BYTES
-from truearm.files.rig_file import parse_rig
 from truearm.findings import Finding, entries
+from truearm.kinds.csv_cells import csv_text, read_cells
+from truearm.kinds.rig_file import parse_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import MAX_BYTES
 from truearm.model.robot import Robot
 from truearm.plan.forecast import Aim, Knowledge, forecast, planned_table
 from truearm.plan.socket_block import SocketBlock

@@ -26,19 +26,19 @@ from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import moved
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.payload_rows import payloads_of
+from truearm.estimate.result_document import copies_of, fault_entries
+from truearm.estimate.result_file import Input
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
-from truearm.files.result_document import copies_of, fault_entries
-from truearm.files.result_file import Input
-from truearm.files.robot_file import RobotChoice
-from truearm.files.strict_json import without_nan
 from truearm.findings import Finding, entries, findings_of
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
+from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.report.certificate import Recording
 from truearm.report.validation_findings import BY_PLACE, error_tables, validation_findings
 from truearm.results import Effect, Figures
+from truearm.strict_json import without_nan
 from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key, shown
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of

@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from truearm.errors import Argument, InputError, TableError
 from truearm.file_names import open_input, reading
-from truearm.files.csv_cells import MAX_COLUMNS, NUMBER, Row, rows_of
+from truearm.kinds.csv_cells import MAX_COLUMNS, NUMBER, Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from truearm.disk import read_text
 from truearm.errors import TableError, TargetError
-from truearm.files.csv_cells import joint_titles, read_csv
-from truearm.files.disk import read_text
+from truearm.kinds.csv_cells import joint_titles, read_csv
 from truearm.model.mimic import NO_MIMICS, Mimic, completed
 from truearm.model.poses import pose_of
 from truearm.model.robot_tables import MAX_JOINTS

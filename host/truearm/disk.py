@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from truearm.errors import InputError, TruearmError, WriteError
+from truearm.file_kind import HEAD, KINDS
 from truearm.file_names import DISK_FAILED, open_input, reading, system_reason
-from truearm.files.file_kind import HEAD, KINDS
 from truearm.schema import load_toml
 
 SESSION_MAGIC = b"\x89MCAP"

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from truearm.disk import read_text, write_atomic
 from truearm.errors import Argument, PlanError, TableError
-from truearm.files.csv_cells import csv_text, joint_titles, read_csv
-from truearm.files.disk import read_text, write_atomic
+from truearm.kinds.csv_cells import csv_text, joint_titles, read_csv
 from truearm.model.robot_tables import MAX_JOINTS
 from truearm.schema import quoted
 from truearm.text import page

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, get_type_hints
 
+from truearm.disk import parse_toml, read_text
 from truearm.errors import InputError
-from truearm.files.disk import parse_toml, read_text
 from truearm.schema import Key, Table, Text, read
 from truearm.text import page
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from truearm.disk import read_text
 from truearm.errors import Argument, RobotError
-from truearm.files.disk import read_text
 from truearm.model.builtin import builtin_names
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ declares, which ends the name. ``Result`` leaves out what it does not declare.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
+from pathlib import PurePath
 from typing import Annotated, Any, get_origin, get_type_hints
 
 import msgspec
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from truearm.estimate.kind_errors import errors_by_kind
 from truearm.estimate.mean_error import gain_of
+from truearm.estimate.result_file import Covariance, Parameter, Result, RobotFrames
 from truearm.estimate.scatter import is_of_arm
-from truearm.files.result_file import Covariance, Parameter, Result, RobotFrames
 from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.kinds.table import ObservationTable
 from truearm.results import (
@@ -171,7 +171,7 @@ def copies_of(copied: NDArray[np.intp], table: ObservationTable) -> list[dict[st
 
 def source_name(table: ObservationTable, row: int) -> str:
     """Return the source of a row, without the folder, as in ``input_of``."""
-    return os.path.basename(str(table.source[row]))
+    return PurePath(str(table.source[row])).name
 
 
 def residual_units(estimate: Estimate) -> list[str]:
@@ -220,7 +220,7 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
 
 def _predicted(predicted: PredictedError) -> dict[str, Any]:
     sizes = {"rms_mm": predicted.rms, "max_mm": predicted.largest, "scatter_mm": predicted.scatter}
-    place = {"at": os.path.basename(predicted.source), "n": predicted.n, "relative": predicted.relative}
+    place = {"at": PurePath(predicted.source).name, "n": predicted.n, "relative": predicted.relative}
     return {**{name: MM.of(size) for name, size in sizes.items()}, **place}
 
 

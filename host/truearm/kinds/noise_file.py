@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from truearm.disk import parse_toml, read_text
 from truearm.errors import RigError
-from truearm.files.disk import parse_toml, read_text
-from truearm.files.rig_file import JOINT_COVARIANCE, OF_RIG
 from truearm.kinds.rig_entries import NAME, by_name
+from truearm.kinds.rig_file import JOINT_COVARIANCE, OF_RIG
 from truearm.schema import Entries, Key, Matrix, SchemaError, Table, read
 from truearm.types import SIZE, Rig, Rigs, rigs_by_name
 

@@ -14,10 +14,10 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from truearm.disk import read_text, sha256, write_atomic
 from truearm.errors import SessionError
-from truearm.files.disk import read_text, sha256, write_atomic
-from truearm.files.strict_json import number_or_null, strict_json
 from truearm.schema import NAME
+from truearm.strict_json import number_or_null, strict_json
 from truearm.types import BAR_MOUNTED, DwellLabel
 
 SUFFIX = ".labels.json"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.errors import TableError
-from truearm.files.csv_cells import CsvTable
+from truearm.kinds.csv_cells import CsvTable
 from truearm.model.rotation import rotation_vector
 from truearm.types import Floats
 

@@ -20,11 +20,11 @@ import numpy as np
 from msgspec import UNSET, Meta, Struct, UnsetType
 from numpy.typing import NDArray
 
+from truearm.disk import read_text, sha256, write_atomic
 from truearm.errors import InputError
 from truearm.estimate.solvers import Loss, Prior
-from truearm.files.disk import read_text, sha256, write_atomic
-from truearm.files.strict_json import strict_json
 from truearm.results import Addition, Defaults, NullDirection, Unusable
+from truearm.strict_json import strict_json
 from truearm.types import Floats, Law, Payload
 from truearm.units import MM, UNITS
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from truearm.disk import parse_toml, read_text, write_atomic
 from truearm.errors import RigError
-from truearm.files.disk import parse_toml, read_text, write_atomic
 from truearm.kinds.registry import entries
 from truearm.kinds.seat import Socket
 from truearm.schema import Key, Sigmas, Table, keys_of, read, sigma, values_of

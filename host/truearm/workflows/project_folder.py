@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from truearm.files.project_file import Project
+    from truearm.workflows.project_file import Project
 
 FILE = "truearm.toml"
 MAX_LEVELS = 64  # folders above the working folder
@@ -25,6 +25,6 @@ def project_of(start: Path) -> tuple[Project, Path] | None:
     file = find_project(start)
     if file is None:
         return None
-    from truearm.files.project_file import read_project
+    from truearm.workflows.project_file import read_project
 
     return read_project(file), file.parent

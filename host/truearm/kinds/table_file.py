@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from truearm.disk import read_text, write_atomic
 from truearm.errors import Argument, TableError
-from truearm.files.csv_cells import Column, CsvTable, Titles, csv_text, joint_titles, read_csv
-from truearm.files.disk import read_text, write_atomic
-from truearm.files.orientation_columns import HOMOGENEOUS, LAST_ROW, MATRIX, QUATERNION, rotation_vectors
 from truearm.kinds import registry
 from truearm.kinds.columns import ANYWHERE, is_label, quantities
 from truearm.kinds.columns import identifiers as identifier_columns
+from truearm.kinds.csv_cells import Column, CsvTable, Titles, csv_text, joint_titles, read_csv
+from truearm.kinds.orientation_columns import HOMOGENEOUS, LAST_ROW, MATRIX, QUATERNION, rotation_vectors
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.kinds.table import ObservationTable
 from truearm.model.mimic import NO_MIMICS, Mimic
