@@ -51,13 +51,6 @@ class Lossy:
         return arrivals
 
 
-def test_the_box_says_what_it_is(box):
-    ident = box.identify()
-    assert ident.document["board"] in ("vm", "rp2040")
-    assert [stream.name for stream in ident.streams.values()] == ["adc", "mag"]
-    assert box.ident is ident
-
-
 def test_what_is_no_configuration_is_refused_and_changes_nothing(box):
     box.identify()
     config = box.config()

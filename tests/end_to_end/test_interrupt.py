@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from tests.end_to_end.conftest import interpreter, standard_plan, truearm
+from tests.end_to_end.conftest import interpreter, standard_plan
 
 from truearm.record.recorder import record
 from truearm.workflows.simulate import record_virtually, write_setup
@@ -94,11 +94,3 @@ def test_full_disk_behind_standard_output():
 def test_closed_standard_output():
     done = subprocess.run(["sh", "-c", f"'{sys.executable}' -m truearm --version >&-"], capture_output=True, text=True)
     assert "Traceback" not in done.stderr
-
-
-def test_simulate_into_a_file(tmp_path):
-    (tmp_path / "rig.toml").write_text("mine")
-    done = truearm("simulate", "--out", tmp_path / "rig.toml")
-    assert done.returncode == 2
-    assert "cannot be used as" in done.stderr
-    assert (tmp_path / "rig.toml").read_text() == "mine"

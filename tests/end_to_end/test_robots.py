@@ -5,9 +5,7 @@ import json
 import numpy as np
 from tests.end_to_end.conftest import truearm, truearm_process
 from tests.end_to_end.test_real_time import Simulator
-from tests.refusals import ended
 
-from truearm.cli.main import main
 from truearm.session.joint_format import unpack
 from truearm.session.session_file import open_session
 from truearm_sim.world import Setup, World, standard_plan
@@ -37,9 +35,3 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
     robot = json.loads(report.stdout)["robot"]
     assert robot["readings"] == len(rows)
     assert robot["lost"] == seq[-1] + 1 - len(rows)
-
-
-def test_another_kind_of_robot_is_refused(tmp_path, capsys):
-    assert main(["simulate", "--protocol", "kuka", "--out", str(tmp_path / "x")]) == 2
-    ended(capsys.readouterr().err, "usage", "--protocol", "kuka")
-    assert not (tmp_path / "x").exists()

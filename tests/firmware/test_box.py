@@ -68,18 +68,6 @@ def test_time_passes_the_wraps_of_30_and_32_bits(chip):
         assert blocks[-1][4] > far > blocks[0][4]
 
 
-def test_a_link_that_is_never_idle_does_not_exhaust_the_heap(chip):
-    """Commands allocate; on a link that takes less than what is streamed no moment is idle, and memory is collected anyway."""
-    chip.start()
-    answers = 0
-    for i in range(4000):
-        rx = command(48, 10 + i) if i % 2 else frame.frame(cbor.encode([60, 10 + i, bytes(200)]))
-        chip.sample(13, rx=rx if chip.answer.rx_room > 500 else b"", tx_room=240)
-        answers += chip.answer.tx.count(b"unknown command")
-    assert answers > 50  # an answer after eight blocks
-    assert not chip.answer.reset
-
-
 def test_the_longest_answers_on_a_link_that_is_never_idle(tmp_path):
     """A configuration of all its pages and a traceback of full length: the most that telling of them takes of the heap."""
     channels = [{**GOOD, "note": "x" * 690}] * 4

@@ -51,10 +51,6 @@ def changed(config, **changes):
     return config
 
 
-def poly(stream):
-    return [float(f"{m}e{e}") for m, e in stream["channels"][0]["calibration"]["poly"]]
-
-
 def test_a_configuration_is_put_told_kept_and_in_force(boot):
     box = boot()
     config = changed(
@@ -82,20 +78,6 @@ def test_a_configuration_is_put_told_kept_and_in_force(boot):
     box = boot()
     assert box.document(messages.GET_CONFIG) == config
     assert "fault" not in ident_document(box.boot)
-
-
-def test_position_of_the_head_by_hand(boot):
-    """9.05 µs an inch: 100 µs less 1.2 µs of delay are 277.2951 mm."""
-    box = boot()
-    (mag,) = [
-        s
-        for s in ident_document(box.put(changed(box.document(52), magnetostrictive__delay_ns=1200)))["streams"]
-        if s["id"] == 1
-    ]
-    zero, speed = poly(mag)
-    assert speed == pytest.approx(25400 / 9.05, rel=1e-13)
-    assert zero + speed * 8e-9 * 12_500 == pytest.approx((100e-6 - 1.2e-6) * 0.0254 / 9.05e-6, rel=1e-13)
-    assert zero + speed * 8e-9 * 12_500 == pytest.approx(0.2772950, abs=1e-7)
 
 
 @pytest.mark.parametrize("gain", [1, 2, 32, 64, 128])
@@ -306,13 +288,6 @@ def test_a_flash_that_takes_nothing_is_an_error_and_the_box_goes_on(boot, flash)
 
 
 # -- self-test, traceback, ways out
-
-
-def test_self_test_of_a_healthy_box(bench):
-    results = bench.document(messages.SELF_TEST)
-    assert all(r["ok"] for r in results.values())
-    assert set(results) == {*HEALTHY, "temperature"}
-    assert results["rail_5v"] == {"ok": 1, "value": 5020, "unit": "mV", "low": 4400, "high": 5500}
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Two sources in one ring, the box's output and inputs, and a host that is gone, grant by grant."""
 
-import itertools
 import struct
 
 import pytest
@@ -38,21 +37,6 @@ def flights(found, missing=frozenset()):
         assert block[7] == (messages.FLAG_MISSING_STOP if 0 in expected else 0)
         n += len(expected)
     return n
-
-
-def test_both_streams_come_whole_and_in_their_own_blocks(bench):
-    bench.start()
-    found = [f for _ in range(40) for f in bench.sample(64, both=True)]
-    found += bench.give(rx=command(51, 3))
-    assert found[-1][0] == REPLY
-    assert flights(found) == 40 * 64
-    assert sum(len(values(f)) // 4 for f in blocks(found, 0)) == 40 * 64
-    assert [len(values(f)) for f in blocks(found, 1)] == [52] * (2560 // 52) + [2560 % 52]
-    for f in blocks(found, 1):
-        assert f[4] == bench.t_start_us + f[3] * PERIOD_NS // 1000
-        assert f[5] == PERIOD_NS
-    seqs = [f[1] for f in found]
-    assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
 
 
 def test_nothing_is_allocated_while_both_stream(chip):
@@ -262,13 +246,6 @@ def test_the_watchdog_is_fed_by_the_loop_and_not_in_a_stall(bench):
     assert not bench.answer.alive
     bench.give()
     assert bench.answer.alive
-
-
-def test_edges_of_lines_keep_their_order(bench):
-    edges = b"".join(struct.pack(">BBI", i % 3, i & 1, 10 * i) for i in range(12))
-    found = [f for f in bench.give(us=1000, edges=edges) if f[0] == EVENT]
-    assert [(f[2], f[3]) for f in found] == [(i % 3, 10 * i) for i in range(12)]
-    assert all(b[1] == a[1] + 1 for a, b in itertools.pairwise(found))
 
 
 def test_a_stop_with_a_full_ring_loses_nothing_more(bench):

@@ -42,11 +42,6 @@ def test_samples_do_not_depend_on_the_chunks_they_are_asked_in(first, lengths):
         assert np.array_equal(np.concatenate(pieces), whole[column])
 
 
-def test_stamps_are_the_exact_device_time_rounded_down():
-    _, stamps = WORLD.samples(4_000_000, 4_000_050, 1_234_567_891, PERIOD)
-    assert stamps.tolist() == [(1_234_567_891 + k * PERIOD) // 1000 for k in range(4_000_000, 4_000_050)]
-
-
 def test_noise_of_another_seed_channel_or_block_is_other_noise():
     streams = [sensors.sample_noise(s, c, b) for s, c, b in [(1, 0, 0), (2, 0, 0), (1, 1, 0), (1, 0, 1)]]
     correlations = np.corrcoef(streams)[np.triu_indices(4, 1)]
@@ -80,15 +75,6 @@ def test_the_length_in_motion_joins_the_dwells_without_a_jump_but_for_the_scatte
     # At the start of a move the bar's scatter changes to that of the next dwell: 84 µm · √2, 5 σ.
     before, after = (WORLD.length(controller.move_start[calm] + dt) for dt in (-1e-9, 1e-9))
     assert np.abs(after - before).max() < 5 * np.sqrt(2) * 84e-6
-
-
-def test_repeatability_is_drawn_once_a_dwell():
-    n = 3000
-    scatter = sensors.repeatability(21, n)
-    assert np.array_equal(sensors.repeatability(21, 100), scatter[:100])
-    low, high = stats.chi2.ppf([1e-4, 1 - 1e-4], n)
-    assert low < np.sum(scatter**2) < high
-    assert abs(np.corrcoef(scatter[1:], scatter[:-1])[0, 1]) < 5 / np.sqrt(n)
 
 
 def test_the_worlds_scatter_is_the_declared_repeatability():

@@ -112,13 +112,6 @@ def test_the_true_bar_stays_within_its_travel_on_every_way_that_it_is_on(plan):
     assert 18 <= world.controller.mounting.sum() <= 18 + 0.01 * len(plan)
 
 
-@pytest.mark.parametrize("n", [9, 50, 101])
-def test_any_number_of_poses(n):
-    plan = shells.plan_shells(KNOWN, "bar46", n)
-    assert len(plan) == n
-    assert len(np.unique(np.stack([plan.chuck, plan.sphere]), axis=1).T) == 9
-
-
 def test_inverse_kinematics_reaches_what_it_says_and_refuses_the_rest():
     rng = np.random.default_rng(8)
     arm = make_arm(ROBOT.chain, DESIGN, ROBOT.branch, rng)
@@ -139,13 +132,6 @@ def test_what_cannot_be_planned_is_said():
     far = Rig(chucks={"far": Point("far", (3.0, 0.0, 0.0))}, spheres=RIG.spheres, bars=RIG.bars)
     with pytest.raises(PlanError, match=r"between chuck far and sphere s\d"):
         shells.plan_shells(replace(KNOWN, rig=far), "bar46", 9)
-
-
-def test_a_tour_along_a_line_is_walked_from_its_end():
-    rng = np.random.default_rng(4)
-    x = rng.permutation(np.arange(40.0))
-    order = tour.short_tour(np.abs(x + 1.0), np.abs(x[:, None] - x) ** 2)
-    assert x[order].tolist() == list(range(40))
 
 
 def test_reversing_mends_what_the_nearest_neighbour_left_behind():
