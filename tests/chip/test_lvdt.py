@@ -61,15 +61,12 @@ def spectrum(run, bit):
     return mean, first
 
 
-def test_all_are_square_waves_of_that_frequency_and_half_the_time_high(run):
+def test_all_are_square_waves_with_the_phases_of_the_simulated_circuit(run):
     for bit in (0, 2, 4):
         mean, first = spectrum(run, bit)
         assert abs(mean - 0.5) < 0.02  # times are in whole µs of 393, samples some µs apart
         assert abs(abs(first) - 1 / math.pi) < 0.01
     assert run[2] == [49151] * 3
-
-
-def test_the_demodulators_clocks_are_behind_as_in_the_simulated_circuit(run):
     excitation = cmath.phase(spectrum(run, 0)[1])
     for bit, behind in ((2, lvdt_check.PHASE_S), (4, lvdt_check.PHASE_P)):
         late = (excitation - cmath.phase(spectrum(run, bit)[1])) / (2 * math.pi) % 1

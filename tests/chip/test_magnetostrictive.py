@@ -179,9 +179,12 @@ def test_missing_stops_are_zero_counted_and_flagged(runs):
     assert (lost, missing) == (0, sum(absent))
 
 
-def test_a_broken_line_gives_no_positions(runs):
+def test_broken_lines_and_misuse(runs):
     (shots,) = runs["stuck"]["out"]
     assert [ticks for ticks, *_ in shots] == [0] * 12
+    assert all(isinstance(text, str) for text in runs["misuse"]["out"])
+    assert runs["misuse"]["out"][1] == "the period is a multiple of 8 ns, at least 510000, not 505000"
+    assert runs["allocation"]["out"] == [0]
 
 
 def test_four_thousand_a_second(runs):
@@ -197,15 +200,6 @@ def test_a_lapped_ring_is_counted_exactly(runs):
     assert 1280 < lost < 1350
     check(shots[:3], truth[:3])
     check(shots[3:], truth[3 + lost : 8 + lost], 3 + lost)
-
-
-def test_nothing_is_allocated(runs):
-    assert runs["allocation"]["out"] == [0]
-
-
-def test_misuse_says_what_is_wrong(runs):
-    assert all(isinstance(text, str) for text in runs["misuse"]["out"])
-    assert runs["misuse"]["out"][1] == "the period is a multiple of 8 ns, at least 510000, not 505000"
 
 
 def test_the_stamps_pass_the_timers_wrap():

@@ -86,26 +86,17 @@ def temperatures(found):
     return [mdegc if state == 1 else None for state, _, mdegc in found[1:]]
 
 
-def test_an_empty_wire_is_known_as_such(out):
-    assert out["nobody"] == [[], 2]
-
-
-def test_all_are_found_and_read_to_a_sixteenth_of_a_degree(out):
+def test_all_are_read_to_a_sixteenth_of_a_degree_in_some_steps(out):
     assert sorted(out["found"][0]) == sorted(UIDS)
     expected = dict(zip(UIDS, (20_062, -10_125, 124_937), strict=True))  # sixteenths, rounded down
     assert temperatures(out["found"][1]) == [expected[uid] for uid in out["found"][0]]
     assert out["found"][1][0] == 1
-
-
-def test_a_reading_takes_some_steps_of_the_loop(out):
     for _, steps, _ in out["found"][1][1:]:
         assert 30 <= steps <= 60  # 152 bits, four a step
-
-
-def test_a_wire_that_comes_up_slowly_still_serves(out):
-    """11 µs after it is let go, as with 2.4 nF to the Pico's threshold of 2 V."""
+    # 11 µs after it is let go, as with 2.4 nF to the Pico's threshold of 2 V.
     assert out["slow"][0] == 3
     assert None not in temperatures(out["slow"][1])
+    assert out["nobody"] == [[], 2]
 
 
 @pytest.mark.parametrize("fault", ["noise", "silent", "power"])
@@ -119,15 +110,12 @@ def test_one_that_fails_leaves_the_others(out, fault):
     assert temperatures(out[fault][0]) == [expected[uid] for uid in order]
 
 
-def test_a_wire_without_thermometers_or_held_low_fails_at_once(out):
+def test_a_wire_without_thermometers_or_held_low_fails_at_once_until_it_is_mended(out):
     assert out["gone"][0][0] == 2
     assert temperatures(out["gone"][0]) == 3 * [None]
     assert temperatures(out["short"][0]) == 3 * [None]
     assert out["short"][1] == 0
     assert temperatures(out["short"][2]) == [None], "zeros have a checksum that is right"
-
-
-def test_it_serves_again_when_the_wire_is_mended(out):
     assert set(temperatures(out["back"][0])) == {20_000, 20_500, 21_000}
 
 

@@ -89,11 +89,8 @@ def test_the_chips_assembler_and_ours_agree(runs):
     assert runs["words"]["out"] == [triggers.program(Assembler).words]
 
 
-def test_nothing_happened_before_the_first_edge(runs):
-    assert runs["make"]["out"] == [[]]
-
-
 def test_every_edge_of_both_lines_is_stamped(runs):
+    assert runs["make"]["out"] == [[]]
     found, dropped = runs["random"]["out"]
     check(found, runs["random"], "random")
     assert dropped == 0
@@ -113,7 +110,7 @@ def test_the_boxs_own_output_is_line_2(runs):
     assert -1 < min(late_us) <= max(late_us) <= 0.3
 
 
-def test_what_a_burst_overwrites_is_counted_exactly(runs):
+def test_what_a_burst_overwrites_is_counted_and_edges_after_it_are_as_before(runs):
     found, dropped = runs["burst"]["out"]
     assert len(found) + dropped == 702
     assert len(found) >= 120  # half the ring, but what is being written
@@ -121,17 +118,11 @@ def test_what_a_burst_overwrites_is_counted_exactly(runs):
     sent = runs["burst"]["sentNs"]
     assert [edge[:2] for edge in found] == [edge[:2] for edge in made]
     assert all(-1 < stamp - (sent + ns) / 1000 <= 0.3 for (_, _, stamp), (_, _, ns) in zip(found, made, strict=True))
-
-
-def test_edges_after_a_burst_are_as_before(runs):
     found, dropped = runs["after"]["out"]
     check(found, runs["after"], "after")
     assert dropped == runs["burst"]["out"][1]
 
 
-def test_nothing_is_allocated(runs):
+def test_nothing_is_allocated_and_a_watcher_that_was_stopped_writes_no_more(runs):
     assert runs["allocation"]["out"] == [[200, 0]]
-
-
-def test_a_watcher_that_was_stopped_writes_no_more(runs):
     assert runs["stopped"]["out"] == [[], [0, 0]]

@@ -153,7 +153,7 @@ truearm c
 """
 
 
-def test_blocks_of_a_page():
+def test_blocks_of_a_page_and_what_they_must_print():
     setup, file, first, skipped, slow = blocks(PAGE)
     assert (skipped.body, skipped.skip) == ("truearm b\n", "needs a box")
     assert (setup.language, setup.body.strip()) == ("setup", "copy tests/data/README")
@@ -163,9 +163,6 @@ def test_blocks_of_a_page():
     assert blocks("<!-- test: page skip, a list -->\n" + PAGE) == []
     with pytest.raises(ValueError, match="line 1: sometimes"):
         blocks("<!-- test: sometimes -->")
-
-
-def test_what_is_shown_must_be_printed_in_this_order():
     assert unprinted(("a … c", "d"), "a b c\nd\n") is None
     assert unprinted(("d", "a … c"), "a b c\nd\n") == "a … c"
     assert unprinted(("ab",), "abc") == "ab"

@@ -123,16 +123,13 @@ def test_every_edge_has_its_time(session):
     assert np.abs(np.array([e[3] for e in events]) - due).max() <= 1
 
 
-def test_nothing_is_lost(session):
+def test_nothing_is_lost_and_the_rings_cover_the_longest_loop_four_times(session, level):
     counters = session.counters()
     assert {name: counters[name] for name in COUNTED} == dict.fromkeys(COUNTED, 0)
     assert session.summary.reason == "duration"
     assert session.summary.faults == ()
     assert session.summary.counters.lost_frames == 0
-
-
-def test_the_rings_cover_the_longest_loop_four_times(session, level):
-    """What is sampled while the loop stands still waits in the board. The first loop after a start takes the longest."""
+    # What is sampled while the loop stands still waits in the board. The first loop after a start takes the longest.
     longest_us = max(beat["loop_max_us"] for beat in session.heartbeats())
     for held, period_ns in zip(HELD[level], (ADC_PERIOD_NS, MAG_PERIOD_NS), strict=True):
         assert longest_us * 4 < held * period_ns / 1000
@@ -185,12 +182,18 @@ def disturbed(level, tmp_path_factory):
         return record_lab(lab, tmp_path_factory.mktemp("disturbed") / "s.mcap", 3.3)
 
 
-def test_faults_of_the_sensors_are_counted(disturbed):
+def test_faults_of_the_sensors_are_counted_and_cost_a_gap(disturbed):
     counters = disturbed.counters()
     assert counters["crc_errors"] == 1
     assert counters["converter_resets"] == 1
     assert abs(counters["missing_stops"] - 10) <= 1, "10 ms are ten shots, or eleven"
     assert (counters["bad_frames"], counters["dropped"]) == (0, 0)
+    # At most 1 and 30 samples; the simulated board loses none.
+    blocks = disturbed.blocks(0)
+    lost = [b.n0 - a.n0 - len(a.samples) // 16 for a, b in itertools.pairwise(blocks)]
+    assert sum(lost) == disturbed.counters()["overruns"]
+    assert sum(lost) <= 31
+    assert [bool(b.flags & wire.FLAG_OVERRUN) for b in blocks[1:]] == [n > 0 for n in lost]
 
 
 @pytest.mark.parametrize(
@@ -204,15 +207,6 @@ def test_faults_of_the_sensors_are_flagged_where_they_were(disturbed, stream, fl
     assert set(near) <= {1, 2}
     assert sum(near) == len(flagged)
     assert not any(b.flags & flag for b in disturbed.blocks(1 - stream))
-
-
-def test_what_the_converters_faults_cost_is_a_gap_and_counted(disturbed):
-    """At most 1 and 30 samples; the simulated board loses none."""
-    blocks = disturbed.blocks(0)
-    lost = [b.n0 - a.n0 - len(a.samples) // 16 for a, b in itertools.pairwise(blocks)]
-    assert sum(lost) == disturbed.counters()["overruns"]
-    assert sum(lost) <= 31
-    assert [bool(b.flags & wire.FLAG_OVERRUN) for b in blocks[1:]] == [n > 0 for n in lost]
 
 
 @VM_FIRST

@@ -26,20 +26,13 @@ def demo(tmp_path_factory, poses):
     return out, done.stdout, json.loads((out / "result.json").read_text())
 
 
-def test_firmware_ran_in_micropython(demo):
-    assert "firmware: MicroPython" in demo[1]
-
-
-def test_residual_is_what_noise_leaves(demo, poses):
-    """With 36 parameters: σ·√(1 − 36/n), with a standard error of σ/√(2 (n − 36))."""
+def test_the_fit_converges_to_what_noise_leaves(demo, poses):
+    # With 36 parameters: σ·√(1 − 36/n), with a standard error of σ/√(2 (n − 36)).
     _, _, result = demo
     n = sum(kind["fitted"] for kind in result["observations"])
     assert n == poses
     expected, error = SIGMA * math.sqrt(1 - 36 / n), SIGMA / math.sqrt(2 * (n - 36))
     assert abs(result["rms_after_mm"] - expected) <= 3 * error
-
-
-def test_rank_and_iterations(demo):
     result = demo[2]
     assert result["status"] == "converged"
     assert result["iterations"] <= 10
@@ -53,22 +46,17 @@ def test_validation_on_the_other_shells(demo, poses):
     assert held_out["rms_mm"] <= math.sqrt(SIGMA**2 + (0.097**2 - SIGMA**2) * FULL_POSES / poses)
 
 
-def test_nothing_was_lost(demo):
-    done = truearm("inspect", demo[0] / "session.mcap", "--json")
-    losses = json.loads(done.stdout)["losses"]
-    assert (losses["frames_lost"], losses["samples_lost"], losses["samples_overrun"]) == (0, 0, 0)
-
-
-def test_the_answer_is_five_lines_and_the_page(demo):
+def test_the_answer_is_five_lines_and_a_page_marked_as_simulated(demo):
     recorded, *answer = demo[1].splitlines()[1:]
     assert "robot time" in recorded
     assert len(answer) <= 5
     assert answer[-1] == f"Written: {demo[0] / 'report.html'}"
-
-
-def test_its_result_and_page_are_marked_as_simulated(demo):
     assert demo[2]["simulated"] is True
     assert '<p class="watermark" aria-hidden="true">simulated</p>' in (demo[0] / "report.html").read_text()
+    assert "firmware: MicroPython" in demo[1]
+    done = truearm("inspect", demo[0] / "session.mcap", "--json")
+    losses = json.loads(done.stdout)["losses"]
+    assert (losses["frames_lost"], losses["samples_lost"], losses["samples_overrun"]) == (0, 0, 0)
 
 
 def test_lines_are_fitted_but_for_the_last_one(tmp_path, monkeypatch):

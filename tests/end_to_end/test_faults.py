@@ -60,9 +60,12 @@ EXPECTED = {  # frames lost, malformed, console runs with text, console runs, re
 }
 
 
-def test_the_file_holds_every_byte_that_was_received(faulty):
+def test_the_file_holds_every_byte_that_was_received_and_heartbeats_go_on(faulty):
     _, session = faulty
     assert received(session.path) == b"".join(session.sent).replace(b"\0", b"")
+    _, session = faulty
+    beats = [cbor2.loads(m.data) for topic, m in messages(session.path) if topic == "/box/heartbeat"]
+    assert len(beats) >= 45
 
 
 def test_inspect_counts_exactly_what_was_injected(faulty):
@@ -98,9 +101,3 @@ def test_no_sample_across_a_gap_is_used(faulty):
         ) in used.values():  # one side of the gap alone; the gap lies within a step of the lab and a block of the fault
             longer_side_ns = max(fault_ns - dwell.start_host_ns, dwell.end_host_ns - fault_ns) + STEP_NS + 13 * 983040
             assert not dwell.start_host_ns < fault_ns < dwell.end_host_ns or dwell.n_samples * 983040 <= longer_side_ns
-
-
-def test_heartbeats_go_on_after_the_fault(faulty):
-    _, session = faulty
-    beats = [cbor2.loads(m.data) for topic, m in messages(session.path) if topic == "/box/heartbeat"]
-    assert len(beats) >= 45

@@ -80,9 +80,6 @@ def test_edges_tie_the_robot_to_the_box_whatever_its_input_does(session):
     assert 1e-3 * edges.bound_ns > 1e-3 * edges.to_box_ns + 137.0
     # What arrivals alone cannot know: 300 µs of the link's, and what their own clock's half asymmetry takes off.
     assert 1e-3 * edges.shortest_latency_ns == pytest.approx(300.0, abs=150.0)
-
-
-def test_inspect_shows_it(session):
     path, *_ = session
     trigger = listed(json.loads(truearm("inspect", path, "--json").stdout))["trigger"]
     assert (trigger["input"], trigger["inverted"], trigger["in_use"]) == (INPUT, True, True)

@@ -40,11 +40,8 @@ def without(made, ref):
     )
 
 
-def test_the_box_has_no_finding(made):
+def test_the_box_and_its_committed_netlist_have_no_finding(made):
     assert findings(made) == []
-
-
-def test_the_committed_netlist_has_no_finding():
     assert findings(from_csv((OUT / "netlist.csv").read_text())) == []
 
 
@@ -90,18 +87,12 @@ def test_a_single_fault_is_found_by_its_rule(made, rule, change, words):
     assert any(words in text for text in rule(with_pins(made, **change)))
 
 
-def test_a_wrong_value_is_found(made):
+def test_a_wrong_value_an_unfitted_and_a_stray_part_are_found(made):
     parts = dict(made.components)
     parts["R9"] = Component("R9", "4.99k 0.1%", parts["R9"].mpn)
     assert any("499" in text for text in findings(Netlist(parts, made.pins)))
-
-
-def test_a_capacitor_that_is_not_fitted_is_found(made):
     parts = {**made.components, "C7": replace(made.components["C7"], fitted=False)}
     assert any("U3.CAP" in text for text in findings(Netlist(parts, made.pins)))
-
-
-def test_a_resistor_across_the_isolation_is_found(made):
     parts = {**made.components, "R99": Component("R99", "1M", "ERJ-6ENF1004V")}
     across = Netlist(parts, {**made.pins, ("R99", "1"): "GND", ("R99", "2"): "TI0_N"})
     assert any("R99" in text for text in isolated(across))

@@ -37,10 +37,18 @@ def test_no_date_and_no_path_is_in_them():
             assert not re.search(r"20\d\d-\d\d-\d\d|/tmp/|/home/", text), path
 
 
-def test_the_netlist_survives_its_text_form():
+def test_the_netlist_survives_its_text_form_and_the_parts_list_has_every_part():
     made = netlist(sheets())
     read = from_csv(to_csv(made))
     assert (read.pins, read.components) == (dict(made.pins), dict(made.components))
+    rows = (outputs.OUT / "parts.csv").read_text().splitlines()[1:]
+    listed = {ref for row in rows for ref in row.split(",")[1].split()}
+    assert listed == set(netlist(sheets()).components)
+    assert all("unpriced" in row for row in rows)
+    made = netlist(sheets())
+    assert quantity(made.components["C7"].value) == 220e-9
+    assert quantity("4.7k 1%") == 4700
+    assert quantity("33R") == 33
 
 
 def test_no_two_wires_of_different_nets_meet():
@@ -57,20 +65,6 @@ def test_no_two_wires_of_different_nets_meet():
                 and min(a[1], b[1]) <= point[1] <= max(a[1], b[1])
             ]
             assert between == [], (sheet.name, a, b)
-
-
-def test_every_part_is_in_the_parts_list_with_maker_and_number():
-    rows = (outputs.OUT / "parts.csv").read_text().splitlines()[1:]
-    listed = {ref for row in rows for ref in row.split(",")[1].split()}
-    assert listed == set(netlist(sheets()).components)
-    assert all("unpriced" in row for row in rows)
-
-
-def test_the_values_that_data_sheets_ask_for():
-    made = netlist(sheets())
-    assert quantity(made.components["C7"].value) == 220e-9
-    assert quantity("4.7k 1%") == 4700
-    assert quantity("33R") == 33
 
 
 def test_twice_the_excitation_is_a_null_of_the_filter():

@@ -19,9 +19,6 @@ def made():
 
 def test_every_part_number_is_what_its_value_and_the_circuit_need(made):
     assert findings(made) == []
-
-
-def test_no_need_is_of_a_part_that_is_not_there(made):
     there = {(decode(part.mpn).kind, part.value) for part in made.components.values()}
     assert set(read_needs()) == there
 
@@ -138,11 +135,8 @@ NO_WORSE = {
 }
 
 
-def test_a_part_without_a_need_is_found(made):
+def test_a_part_without_a_need_and_a_wrong_number_are_found(made):
     assert any("part_needs.txt has none" in text for text in part_findings(Component("R1", "21k", "ERJ-6ENF2102V")))
-
-
-def test_a_wrong_number_in_the_netlist_is_found(made):
     parts = {**made.components, "R9": Component("R9", "499R 0.1%", "ERA-6AEB4991V")}
     assert findings(Netlist(parts, made.pins)) == ["R9 (499R 0.1%): ERA-6AEB4991V is 4990, not 499"]
 

@@ -10,21 +10,15 @@ from hardware.sheet import netlist
 from hardware.spice import Circuit
 
 
-def test_the_rules_check_finds_nothing(tools):
+def test_kicad_finds_no_fault_and_reads_the_same_netlist_and_pins(tools):
     assert commands.erc(tools) == []
+    assert commands.same_netlist(tools, netlist(sheets())) == []
+    assert commands.same_pins(tools) == []
 
 
 def test_the_rules_check_would_find_a_pin_that_nothing_drives(tools, monkeypatch):
     monkeypatch.setattr(outputs, "FLAGS", {})
     assert any("power_pin_not_driven" in text for text in commands.erc(tools))
-
-
-def test_kicad_reads_the_same_netlist(tools):
-    assert commands.same_netlist(tools, netlist(sheets())) == []
-
-
-def test_the_data_sheets_pins_are_those_of_kicads_symbols(tools):
-    assert commands.same_pins(tools) == []
 
 
 # Of 200 Ω, whose ratio changes most at the corners of the filter's tolerances; all in make soak.
@@ -126,12 +120,9 @@ def test_the_readings_of_the_first_power_up_show_a_wrong_part(tools, values, fai
     assert [row.what for row in rows if not row.passed] == [f"switched on, {pin}: V" for pin in failed]
 
 
-def test_a_supply_that_a_fault_raises_while_the_box_is_off_is_found(tools):
+def test_a_supply_that_a_fault_raises_and_an_input_that_floats_are_found(tools):
     rows = stress.switched_off(tools, changed(R56="1k"))
     assert [row.what for row in rows if not row.passed] == ["box off, +30 V on J1.2: V at 3V3"]
-
-
-def test_an_input_that_floats_without_the_pico_is_found(tools):
     circuit = changed(R53="10M")
     assert [row.what for row in spice_check.without_pico(tools, circuit) if not row.passed] == [
         "Pico out of its sockets, 10 µA into U6.IN1: V"

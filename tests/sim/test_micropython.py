@@ -64,16 +64,13 @@ def says(version: str, maxsize: int = 2**63 - 1) -> str:
     return f"echo micropython {version} {maxsize}"
 
 
-def test_sources_deb822():
+def test_sources_of_both_forms():
     key = "\n -----BEGIN PGP PUBLIC KEY BLOCK-----\n .\n mQINBF\n -----END PGP PUBLIC KEY BLOCK-----"
     base = Source("http://deb.example/debian http://second.example/debian", key)
     assert debian.sources_deb822(DEB822, ["bookworm"]) == [base]
     stable = Source("http://stable.example/debian", "/usr/share/keyrings/some.gpg")
     assert debian.sources_deb822(DEB822, ["bookworm", "stable"]) == [base, stable]
     assert debian.sources_deb822("", ["bookworm"]) == []
-
-
-def test_sources_one_line():
     assert debian.sources_one_line(ONE_LINE, ["bookworm"]) == [
         Source("http://deb.example/debian", None),
         Source("https://mirror.example/debian", "/etc/apt/keyrings/k.gpg"),

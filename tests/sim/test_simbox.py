@@ -148,16 +148,13 @@ def test_the_magnet_stays_within_its_stroke_and_rests_while_the_bar_is_off():
     assert np.ptp(position[~off]) > 0.05
 
 
-def test_stops_are_lost_by_the_share_that_was_asked_for():
+def test_stops_are_lost_by_the_share_and_between_the_times_that_were_asked_for():
     world = World(4, standard_plan(9, 4), setup=Setup(mag_period_ns=983_040, lost_stops=0.1))
     n = 20_000
     lost = np.mean(world.flight_times(0, n, 0, 983_040) < 0)
     assert abs(lost - 0.1) < 5 * np.sqrt(0.09 / n)
     kept = world.flight_times(0, n, 0, 983_040)
     assert np.array_equal(kept[kept >= 0], WORLD.flight_times(0, n, 0, 983_040)[kept >= 0])
-
-
-def test_stops_are_lost_between_the_times_that_were_asked_for():
     t_s = (2.0, 2.01)
     signals = Signals(WORLD, WORLD.device_clock.from_true_ns(10**9), (t_s,))
     flights = signals.flight_times(0, 2000, 0, 983_040)

@@ -57,7 +57,7 @@ def test_speeds_and_accelerations_are_kept_and_used():
         assert max(speed[way].max(), acceleration[way].max()) > 0.98  # some joint is at its limit, but for the sampling
 
 
-def test_dwells_last_two_seconds_from_the_end_of_the_commanded_motion():
+def test_dwells_pauses_and_remounting():
     plan = small_plan()
     controller = Controller.from_plan(plan)
     dwells = controller.dwells
@@ -69,9 +69,6 @@ def test_dwells_last_two_seconds_from_the_end_of_the_commanded_motion():
     for t in (start + 1e-6, 0.5 * (start + end), end - 1e-6):
         assert np.array_equal(controller.stop_index(t), dwells)
         assert np.allclose(controller.q_commanded(t), plan.q, rtol=0, atol=1e-14)
-
-
-def test_the_robot_waits_for_the_operator_before_new_pairings():
     plan = small_plan()
     controller = Controller.from_plan(plan, remount=np.arange(12) == 3)
     waits = np.flatnonzero(controller.mounting)
@@ -80,9 +77,6 @@ def test_the_robot_waits_for_the_operator_before_new_pairings():
     assert np.array_equal(controller.pose[waits + 1], controller.pose[waits])
     turned = controller.q[waits] - plan.q[[0, 3, 6]]
     assert np.allclose(turned, [[0, 0, 0, 0, 0, -0.05]] * 3, rtol=0, atol=1e-15)
-
-
-def test_the_bar_is_off_only_from_the_dwell_before_until_the_operator_is_ready():
     controller = Controller.from_plan(small_plan(), remount=np.arange(12) == 3)
     t = np.arange(0.0, controller.duration, 0.01)
     off = ~controller.bar_is_on(t)

@@ -90,15 +90,12 @@ def test_the_worlds_scatter_is_the_declared_repeatability():
     assert np.allclose(scatter, sensors.repeatability(5, len(PLAN)), rtol=0, atol=1e-9)
 
 
-def test_without_the_bar_the_lvdt_lies_at_the_rail():
+def test_the_bar_off_lies_at_the_rail_and_the_converter_saturates_and_rounds():
     counts, _ = WORLD.samples(0, 9000, START, PERIOD)
     t = WORLD.device_clock.true(1e-9 * (START + np.arange(9000) * PERIOD - sensors.group_delay_ns(4096)))
     off = ~WORLD.controller.bar_is_on(t)
     assert 0 < off.sum() < 9000
     assert np.array_equal(counts[:, 0] == -(2**23), off)
-
-
-def test_the_converter_saturates_and_rounds():
     volts = np.array([-5.0, -1.2, 0.0, 0.6 * sensors.VOLTS_PER_COUNT, 1.2, 5.0])
     assert sensors.counts_of_volts(volts).tolist() == [-(2**23), -(2**23), 0, 1, 2**23 - 1, 2**23 - 1]
 

@@ -37,7 +37,7 @@ def bar_vectors(plan, params, q=None):
     return p_sphere - points(plan, "chuck"), poses[:, :3, :3]
 
 
-def test_every_pose_lies_on_its_shell_of_the_design_model(plan):
+def test_poses_lie_evenly_on_their_shells(plan):
     zero = np.where(plan.bar == "bar46", 0.46, 0.61)
     vectors, _ = bar_vectors(plan, DESIGN)
     # Inverse kinematics stops at 1e-7 in units of LEVER (0.45 m) and radians, at a sphere 0.14 m from the end.
@@ -45,18 +45,12 @@ def test_every_pose_lies_on_its_shell_of_the_design_model(plan):
     assert np.all(vectors[:, 2] > 0.0)
     for name, chuck, bar in zip(plan.shell, plan.chuck, plan.bar, strict=True):
         assert name == f"{bar}-{chuck}"
-
-
-def test_the_number_of_poses_is_exact_and_shared_evenly_by_the_pairings(plan):
     for bar in ("bar46", "bar61"):
         rows = plan.bar == bar
         assert rows.sum() == 800
         pairings, counts = np.unique(np.stack([plan.chuck[rows], plan.sphere[rows]]), axis=1, return_counts=True)
         assert pairings.shape[1] == 9
         assert counts.max() - counts.min() <= 1
-
-
-def test_the_poses_cover_the_shells(plan):
     vectors, _ = bar_vectors(plan, DESIGN)
     latitude = np.rad2deg(np.arcsin(vectors[:, 2] / np.linalg.norm(vectors, axis=1)))
     longitude = np.rad2deg(np.arctan2(vectors[:, 1], vectors[:, 0]))
@@ -80,7 +74,7 @@ def test_tool_orientation_is_varied_and_faces_the_chuck(plan):
             assert abs(np.exp(1j * turn).mean()) < 0.5
 
 
-def test_joint_limits_branch_and_singularities_are_kept_away_from(plan):
+def test_joint_limits_branch_and_travel_of_the_true_bar_are_kept(plan):
     margin = np.deg2rad(5.0)
     for i, joint in enumerate(ROBOT.chain.joints):
         assert plan.q[:, i].min() >= joint.lower + margin
@@ -89,10 +83,7 @@ def test_joint_limits_branch_and_singularities_are_kept_away_from(plan):
     assert np.all(plan.q < ROBOT.branch.upper)
     scaled = joint_jacobian(ROBOT.chain, DESIGN, plan.q) / np.array([0.45] * 3 + [1.0] * 3)[:, None]
     assert np.linalg.svd(scaled, compute_uv=False)[:, -1].min() > 0.05
-
-
-def test_the_true_bar_keeps_travel_in_reserve_at_every_dwell(plan):
-    """A calibration that starts from the design model must get every reading: 10 mm of 37.5 mm are left."""
+    # A calibration that starts from the design model must get every reading: 10 mm of 37.5 mm are left.
     zero = np.where(plan.bar == "bar46", 0.46, 0.61)
     vectors, _ = bar_vectors(plan, OPTIMISED)
     extension = np.linalg.norm(vectors, axis=1) - zero
@@ -134,14 +125,11 @@ def test_what_cannot_be_planned_is_said():
         shells.plan_shells(replace(KNOWN, rig=far), "bar46", 9)
 
 
-def test_reversing_mends_what_the_nearest_neighbour_left_behind():
+def test_a_tour_is_short_and_may_leave_out_the_dearest_visit():
     x = np.array([0.0, 1.0, -1.2, 3.0, 7.0])  # the nearest first: 0, 1, 3, 7 and then all the way back to -1.2
     cost = np.abs(x[:, None] - x) ** 2
     order = tour.short_tour(np.abs(x), cost)
     assert np.sum(np.diff(x[order]) ** 2) < np.sum(np.diff([0.0, 1.0, 3.0, 7.0, -1.2]) ** 2) / 2
-
-
-def test_the_dearest_visit_is_left_out():
     x = np.array([0.0, 1.0, 50.0, 2.0, 3.0])
     order = shells.without_dearest(np.arange(5), np.abs(x[:, None] - x) ** 2, 4)
     assert x[order].tolist() == [0.0, 1.0, 2.0, 3.0]
