@@ -208,7 +208,7 @@ class Box:
     def _send_event(self):
         self._events.take(self._edge, self._t_edge)
         self.link.begin(EVENT, 3)
-        self.link.put_int(0)
+        self.link.put_int(self._edge[0])
         self.link.put_u64(self._t_edge)
         self.link.put_int(self._edge[1])
         self.link.send()

@@ -119,6 +119,11 @@ def test_every_name_is_there_and_described():
     assert dir(truearm) == sorted(truearm.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         truearm.nothing  # noqa: B018
+    assert len(truearm.__all__) > 40
+    for name in truearm.__all__:
+        assert getattr(truearm, name) is not None
+    stub = Path(truearm.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    assert stub.count("\nfrom truearm.") == len(truearm.__all__) - 1  # and __version__
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if inspect.isfunction(getattr(truearm, name))])
@@ -354,14 +359,6 @@ def test_without_pandas_the_message_says_so(table, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match="pip install 'pandas'"):
         table.to_pandas()
-
-
-def test_names_of_the_stub_can_be_imported():
-    assert len(truearm.__all__) > 40
-    for name in truearm.__all__:
-        assert getattr(truearm, name) is not None
-    stub = Path(truearm.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-    assert stub.count("\nfrom truearm.") == len(truearm.__all__) - 1  # and __version__
 
 
 # what a call is refused for, by the error and a part of its text; the next table has further arguments

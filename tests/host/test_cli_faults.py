@@ -115,7 +115,7 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
     assert findings["fault"].text() in text
 
 
-def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
+def test_rows_left_out_and_fits_that_did_not_converge(run, slip):
     folder, *_ = slip
     arguments = ["identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--json"]
     result = json.loads(
@@ -124,6 +124,11 @@ def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
     (rows,) = result["observations"]
     assert rows["fitted"] + rows["held_out"] == 360 - 21
     assert result["held_out"]["n"] == rows["held_out"]
+    folder, *_ = slip
+    files = [folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml"]
+    outcome = run("identify", *files, "--max-iterations", "1", "--json")
+    assert outcome.code == 3
+    assert json.loads(outcome.out)["faults"] == []
 
 
 @pytest.mark.parametrize(
@@ -157,14 +162,6 @@ def test_a_validation_names_what_is_off_and_no_option_that_it_does_not_have(run:
     assert findings["fault"]["what"] == f"chuck.{chuck} has moved"
     assert "faults-here" in findings
     assert "apply" not in run(*given).out
-
-
-def test_a_fit_that_did_not_converge_is_not_tested(run: Run, slip) -> None:
-    folder, *_ = slip
-    files = [folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml"]
-    outcome = run("identify", *files, "--max-iterations", "1", "--json")
-    assert outcome.code == 3
-    assert json.loads(outcome.out)["faults"] == []
 
 
 def test_a_slip_in_a_table_that_is_sorted_by_a_joint_is_named_by_its_times(run: Run, tmp_path) -> None:

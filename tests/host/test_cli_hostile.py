@@ -1,6 +1,7 @@
-"""Hostile input to plan, correct, map, export and validate: one clear line, exit code 2, nothing written or changed."""
+"""Hostile and odd input to all commands: one clear line, exit code 2, nothing written or changed."""
 
 import json
+import os
 import shutil
 
 import pytest
@@ -290,6 +291,92 @@ OPTIONS = {
 }
 
 
+LONG = "a" * 300  # a name that no file system takes
+IDENTIFY = "identify t.csv --model puma560"
+# of a folder of odd files
+ODD = {
+    "identify circle t.csv --model puma560": "cannot be read: Too many",
+    f"{IDENTIFY} --out circle": "symbolic link loop",
+    f"{IDENTIFY} --report circle": "symbolic link loop",
+    f"identify {LONG} --model puma560": "cannot be read: File name too long",
+    f"{IDENTIFY} --out {LONG}": f"{LONG}: cannot be written: File name too long",
+    f"{IDENTIFY} --table-out {LONG}": "cannot be written: File name too long",
+    f"inspect {LONG}.mcap": "cannot be read: File name too long",
+    "identify - --model puma560": "truearm: - is not a file; give its path",
+    f"{IDENTIFY} --out -": "truearm: --out - is not a file; give its path",
+    "simulate --out - --fast": "--out - is not a file; give its path",
+    ("identify", "", "--model", "puma560"): "unreadable-file",
+    (*IDENTIFY.split(), "--report", ""): "unreadable-file",
+    f"{IDENTIFY} --out r.csv": "wrong-suffix",
+    f"{IDENTIFY} --report r.pdf": "wrong-suffix",
+    f"{IDENTIFY} --table-out t.xls": "wrong-suffix",
+    "record --box x --out s.bag": "wrong-suffix",
+    "plan ballbar --model puma560 --rig r.toml --poses 9 --out plan.txt": "wrong-suffix",
+    "export r.json --format urdf --out e.toml": "wrong-suffix",
+    "identify pipe.csv --model puma560": "unreadable-file",
+    "inspect pipe.mcap": "unreadable-file",
+    "identify empty --model puma560": "no-rows",
+    "identify latin.csv --model puma560": "not-text",
+    "identify empty.mcap --model puma560": "not-a-session",
+    "identify folder.mcap --model puma560": "unreadable-file",
+    "inspect text.mcap": "not-a-session",
+    "inspect claims.mcap": "session-incomplete",
+    ("identify", "\udcff", "--model", "puma560"): "missing-file",
+    ("identify", "t.csv", "--model", "a\x00b"): "wrong-value",
+    "identify t.csv --model t.csv": "t.csv:",
+    f"{IDENTIFY} --rig =x": "missing-file",
+    f"{IDENTIFY} --rig a=": "unreadable-file",
+    f"{IDENTIFY} --also-free ,": "matches no parameter",
+    f"{IDENTIFY} --free [": "matches no parameter",
+    f"{IDENTIFY} --hold-out 1e-300": "less than one row",
+    ("demo", "--out", ""): "file-exists",
+    "demo --out t.csv": "cannot be used as",
+    "demo --out .": "file-exists",
+    "demo --rate nan --out new": "--rate must be",
+    "record --box socket:// --out s.mcap": "wrong-value",
+    "record --box x --out s.mcap --duration-s inf": "finite number",
+    "simulate --port 99999": "65535",
+    "simulate --rate 300 --out new": "needs-option",
+    "simulate --fast --level abc --out new": "not one of",
+    f"{IDENTIFY} --seed 3": "needs-option",
+    f"{IDENTIFY} --seed 3 --hold-out bar=b": "needs-option",
+    f"{IDENTIFY} --line-points 9": "no-effect",
+    "simulate --fast --stage --out new": "in real time: leave out --fast",
+    ("",): "No such command",
+}
+
+
+def odd_files(folder):
+    """Make a table, links in a circle, pipes, folders and files that are not what their names say."""
+    seats = "".join(f"seat,0,0,0,0,0,{i},a,0\n" for i in range(4))
+    contents = {"empty": b"", "empty.mcap": b"", "text.mcap": b"hello", "latin.csv": "kind,é".encode("latin-1")}
+    contents |= {
+        "t.csv": f"kind,{JOINTS},place,socket\n{seats}".encode(),
+        "claims.mcap": b"\x89MCAP0\r\n\x06" + (2**62).to_bytes(8, "little"),  # a record of 2^62 bytes
+    }
+    for name, content in contents.items():
+        (folder / name).write_bytes(content)
+    for name in ("folder", "folder.mcap"):
+        (folder / name).mkdir()
+    (folder / "circle").symlink_to("circle")
+    for name in ("pipe.csv", "pipe.mcap"):
+        os.mkfifo(folder / name)
+
+
+def files(folder):
+    """Return the names in a folder, with the bytes of its files."""
+    return {path.name: path.read_bytes() if path.is_file() else None for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize(("command", "says"), ODD.items(), ids=[str(command)[-60:] for command in ODD])
+def test_odd_input_is_one_line(tmp_path, monkeypatch, run, command, says):
+    odd_files(tmp_path)
+    before = files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    told(run(*(command.split() if isinstance(command, str) else command)), says)
+    assert files(tmp_path) == before
+
+
 def cases():
     """(id, command, what stands in the file `bad` + suffix, suffix, what is said)."""
     for name, (content, says) in RESULTS.items():
@@ -345,7 +432,7 @@ def test_what_strangers_give(origin, tmp_path, monkeypatch, run, command, conten
     if content is not None:
         made = content(tmp_path) if callable(content) else content
         (tmp_path / f"bad{suffix}").write_bytes(made if isinstance(made, bytes) else made.encode())
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    before = files(tmp_path)
     monkeypatch.chdir(tmp_path)
     done = run(*command.split())
     lines = done.err.splitlines(keepends=True)
@@ -354,4 +441,4 @@ def test_what_strangers_give(origin, tmp_path, monkeypatch, run, command, conten
     last = done._replace(err="".join(lines))
     last.finding = done.finding
     told(last, says)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert files(tmp_path) == before

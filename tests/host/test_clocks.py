@@ -63,14 +63,11 @@ def test_a_step_and_wrong_stamps():
     assert np.sum(np.abs(time - truth) > bound) == 3  # the wrong ones
 
 
-def test_arrivals_alone_are_late_by_the_shortest_latency():
+def test_arrivals_and_rows_that_are_none():
     stamps, latest, _, truth = world()
     time, bound = fit(stamps, latest).to_time(stamps)
     assert np.all(np.isinf(bound))
     assert np.median(time - truth) == pytest.approx(1e5, abs=1e4)
-
-
-def test_rows_that_are_none():
     stamps, latest, earliest, _ = world()
     assert fit(stamps[:0], latest[:0]) is None
     assert fit(stamps, earliest, latest) is None  # answered before it was asked

@@ -72,7 +72,7 @@ def test_rows_that_differ_in_anything_are_no_copies(field):
     assert (copied_rows(CHAIN, RIG, both) < 0).all()
 
 
-def test_a_seat_with_the_same_joints_is_a_copy():
+def test_seats_and_points_of_a_tracker_are_one_reading():
     q = np.random.default_rng(3).uniform(-1.0, 1.0, (6, 6))
     rows = np.array([0, 1, 2, 1, 3, 1])
     table = ObservationTable(
@@ -83,9 +83,6 @@ def test_a_seat_with_the_same_joints_is_a_copy():
         source=np.array(list("123456")),
     )
     assert copied_rows(CHAIN, Rig(), table).tolist() == [-1, -1, -1, 1, -1, -1]
-
-
-def test_three_coordinates_of_a_tracker_are_one_reading():
     rng = np.random.default_rng(4)
     q = rng.uniform(-1.0, 1.0, (8, 6))
     xyz = np.round(rng.normal(size=(8, 3)), 5)

@@ -54,13 +54,10 @@ def test_bad_joint_readings():
         build_problem(CHAIN, RIG, replace(TABLE, q=q))
 
 
-def test_an_empty_name_means_the_only_one():
+def test_only_names_and_their_own_sigmas_count():
     one = Rig(CHUCKS, SPHERES, {"b": BARS["short"]})
     problem = build_problem(CHAIN, one, replace(TABLE, bar=np.full(18, "")))
     np.testing.assert_allclose(problem.groups[0].sensor_cov, BARS["short"].sigma ** 2, rtol=1e-15)
-
-
-def test_sigma_of_the_row_comes_before_the_bars():
     problem = build_problem(CHAIN, RIG, with_cell("sigma", 3, 2e-3))
     assert problem.groups[0].sensor_cov[3, 0] == 2e-3**2
     assert problem.groups[0].sensor_cov[4, 0] == BARS["short"].sigma ** 2

@@ -85,12 +85,9 @@ def test_a_place_that_is_centimetres_off_is_named_as_a_whole(shift, turn):
     assert after.chi2_reduced < after.chi2_band[1]
 
 
-def test_nothing_is_named_if_the_places_are_right():
+def test_right_or_undetermined_places_are_not_named():
     rows, rig = session(940032)
     assert not faults(rows, rig, fitted(rows, rig))
-
-
-def test_places_that_only_their_seats_determine_are_none_that_can_be_off():
     rows, rig = session(940033)
     unknown = {at: Point(point.name, point.xyz, None) for at, point in rig.sockets.items() if at[0] != "left"}
     causes = {cause.name for cause in build_problem(CHAIN, Rig(rig.chucks, rig.spheres, sockets=unknown), rows).causes}

@@ -11,7 +11,7 @@ from truearm.errors import InputError, WriteError
 from truearm.exit_codes import ExitCode
 
 
-def test_an_input_is_never_an_output(tmp_path):
+def test_inputs_and_files_of_others_are_never_outputs(tmp_path):
     data = tmp_path / "data.csv"
     data.write_text("x")
     (tmp_path / "link.csv").symlink_to(data)
@@ -21,9 +21,6 @@ def test_an_input_is_never_an_output(tmp_path):
             check_writable(tmp_path / name, inputs=[data])
     assert same_file(tmp_path / "new.csv", tmp_path / "." / "new.csv"), "neither exists, both would be one file"
     check_writable(tmp_path / "other.csv", inputs=[data])
-
-
-def test_only_what_we_wrote_is_replaced(tmp_path):
     (tmp_path / "theirs").write_text('[[bar]]\nname = "b46"')
     (tmp_path / "ours").write_text("pose,shell")
     (tmp_path / "empty").write_text("\n")
@@ -31,6 +28,8 @@ def test_only_what_we_wrote_is_replaced(tmp_path):
         check_writable(tmp_path / "theirs", kind="plan")
     for name in ("ours", "empty", "new"):
         check_writable(tmp_path / name, kind="plan")
+    with pytest.raises(InputError, match="cannot be written: File name too long"):
+        check_writable(tmp_path / ("a" * 300))
 
 
 def test_devices_and_links_stay_what_they_are(tmp_path):
@@ -56,11 +55,6 @@ def test_a_folder_of_others_is_not_written_into(tmp_path):
     own_folder(tmp_path / "a" / "new", ".mark")
     (tmp_path / "a" / "new" / "report.html").write_text("first run")
     own_folder(tmp_path / "a" / "new", ".mark")
-
-
-def test_a_name_that_is_too_long_is_told(tmp_path):
-    with pytest.raises(InputError, match="cannot be written: File name too long"):
-        check_writable(tmp_path / ("a" * 300))
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])

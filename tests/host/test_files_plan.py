@@ -10,7 +10,7 @@ from tests.refusals import refused
 from truearm.api import load_robot
 from truearm.errors import PlanError
 from truearm.file_kind import kind_of
-from truearm.plan.plan_file import check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
+from truearm.plan.plan_file import check_against_rig, concatenate, format_plan, parse_plan, read_plan
 from truearm.types import Device, Plan, Point, Rig
 from truearm.workflows.export import _poses_of
 
@@ -69,12 +69,6 @@ def test_every_bit_of_a_plan_comes_back(q):
     assert_same(parse_plan(format_plan(plan_of(q)), "plan.csv"), plan_of(q))
 
 
-def test_a_plan_through_a_file(tmp_path):
-    plan = plan_of(np.random.default_rng(1).normal(size=(4, 6)))
-    write_plan(tmp_path / "plan.csv", plan)
-    assert_same(read_plan(tmp_path / "plan.csv"), plan)
-
-
 def test_a_plan_with_via_points_and_lines():
     plan = parse_plan(MOVING, "plan.csv")
     assert plan.move.tolist() == ["dwell", "via", "via", "line", "line"]
@@ -123,31 +117,24 @@ def test_bad_moves_are_named(old, new, says):
     assert caught.value.finding.code in ("malformed-file", "wrong-value")
 
 
-def test_a_plan_that_measures_nothing():
+def test_a_plan_that_measures_nothing_or_has_no_rows_or_no_file(tmp_path):
     text = "\n".join([MOVING.splitlines()[0], "0,,,,,via,,,,0.1,0.2"])
     with pytest.raises(PlanError, match="nothing to measure"):
         parse_plan(text, "plan.csv")
+    with refused("no-rows"):
+        parse_plan(GOOD.splitlines()[0], "plan.csv")
+    with refused("missing-file", place=tmp_path / "plan.csv"):
+        read_plan(tmp_path / "plan.csv")
 
 
-def test_lines_and_targets_against_the_rig():
-    plan = parse_plan(MOVING, "plan.csv").select(np.array([False, False, True, True, True]))
-    ball, tip = Point("ball", (0.0, 0.0, 0.1)), Point("tip", (0.0, 0.0, 0.2))
-    check_against_rig(plan, Rig(targets={"ball": ball}), "plan.csv")  # lists no lines, so takes any
-    with refused("not-in-rig", place="pose 1", what="target", name="ball", names=["tip"]):
-        check_against_rig(plan, Rig(targets={"tip": tip}), "plan.csv")
-    with refused("not-in-rig", place="pose 2", what="target", name=""):
-        check_against_rig(plan, Rig(targets={"ball": ball, "tip": tip}), "plan.csv")
-    other = Device("right", ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-    with refused("not-in-rig", what="line", name="left"):
-        check_against_rig(plan, Rig(targets={"ball": ball}, lines={"right": other}), "plan.csv")
-
-
-def test_concatenate_and_select():
+def test_plans_of_several_joints_or_shapes_are_refused():
     plan = plan_of(np.arange(6.0).reshape(3, 2))
     both = concatenate(plan, plan)
     assert_same(both.select(np.arange(6) >= 3), plan)
     with pytest.raises(PlanError, match=r"2 and 3 joints"):
         concatenate(plan, plan_of(np.zeros((1, 3))))
+    with pytest.raises(PlanError, match=r"\(2, 6\)"):
+        Plan(np.zeros((2, 6)), *(np.array(["a"]) for _ in range(4)))
 
 
 @pytest.mark.parametrize(
@@ -174,18 +161,16 @@ def test_bad_plans_are_named(old, new, says):
     assert caught.value.finding.code in codes
 
 
-def test_a_header_alone_and_a_missing_file(tmp_path):
-    with refused("no-rows"):
-        parse_plan(GOOD.splitlines()[0], "plan.csv")
-    with refused("missing-file", place=tmp_path / "plan.csv"):
-        read_plan(tmp_path / "plan.csv")
-
-
-def test_shapes_that_disagree():
-    with pytest.raises(PlanError, match=r"\(2, 6\)"):
-        Plan(np.zeros((2, 6)), *(np.array(["a"]) for _ in range(4)))
-
-
-def test_names_that_the_rig_does_not_have():
+def test_what_the_rig_does_not_have():
     with refused("not-in-rig", place="plan.csv pose 0", what="bar", name="bar46"):
         check_against_rig(parse_plan(GOOD, "plan.csv"), Rig(), "plan.csv")
+    plan = parse_plan(MOVING, "plan.csv").select(np.array([False, False, True, True, True]))
+    ball, tip = Point("ball", (0.0, 0.0, 0.1)), Point("tip", (0.0, 0.0, 0.2))
+    check_against_rig(plan, Rig(targets={"ball": ball}), "plan.csv")  # lists no lines, so takes any
+    with refused("not-in-rig", place="pose 1", what="target", name="ball", names=["tip"]):
+        check_against_rig(plan, Rig(targets={"tip": tip}), "plan.csv")
+    with refused("not-in-rig", place="pose 2", what="target", name=""):
+        check_against_rig(plan, Rig(targets={"ball": ball, "tip": tip}), "plan.csv")
+    other = Device("right", ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    with refused("not-in-rig", what="line", name="left"):
+        check_against_rig(plan, Rig(targets={"ball": ball}, lines={"right": other}), "plan.csv")

@@ -312,16 +312,13 @@ def test_results_of_earlier_versions_are_read_and_written_anew(version: int, tmp
     assert json.loads((tmp_path / "r.json").read_text())["format_version"] == 4
 
 
-def test_earlier_results_say_only_whether_they_converged_and_call_a_prior_default() -> None:
+def test_earlier_results_are_read_in_todays_words():
     earlier = json.loads((RESULTS / "version2.json").read_text())
     assert parse_result(json.dumps(earlier), "r.json").unusable_because is None
     earlier |= {"status": "stalled", "prior": "default", "made_with": {"prior": "default"}}
     found = parse_result(json.dumps(earlier), "r.json")
     assert (found.usable, found.unusable_because) == (False, Unusable.NOT_CONVERGED)
     assert (found.prior, found.made_with) == ("where-needed", {"prior": "where-needed"})
-
-
-def test_errors_of_poses_of_earlier_results_have_todays_names() -> None:
     earlier = json.loads((RESULTS / "version2.json").read_text())
     earlier["pose_error"] = {"sigma_mm": 0.1, "row_variance": 1.5, "n": 40}
     found = parse_result(json.dumps(earlier), "r.json")

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import RigError
-from truearm.kinds.rig_file import format_rig, parse_rig, read_rig, write_rig
+from truearm.kinds.rig_file import format_rig, parse_rig
 from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
 
 FULL = """
@@ -80,7 +80,7 @@ xyz_m = [0.5, 0, 0]
 """
 
 
-def test_every_entry_is_read_in_si() -> None:
+def test_every_entry_is_read_in_si():
     rig = parse_rig(FULL, "rig.toml")
     assert rig.seat_sigma == pytest.approx(5e-5, rel=1e-15)
     assert rig.chucks["c1"].xyz == pytest.approx((0.1, -0.2005, 0.0), rel=1e-15)
@@ -94,9 +94,6 @@ def test_every_entry_is_read_in_si() -> None:
     assert rig.sockets["front", "0"].xyz == pytest.approx((0.4, 0.0, 0.05), rel=1e-15)
     assert rig.sockets["front", "0"].sigma == pytest.approx(2e-5, rel=1e-15)
     assert rig.socket_distances[0].distance == pytest.approx(0.05, rel=1e-15)
-
-
-def test_devices_are_read_in_si() -> None:
     rig = parse_rig(FULL, "rig.toml")
     assert rig.targets["ball"].xyz == pytest.approx((0.0, 0.0, 0.12), rel=1e-15)
     assert rig.line_sigma == pytest.approx((6e-5, 1e-4, 7e-5), rel=1e-15)
@@ -115,7 +112,7 @@ def test_devices_are_read_in_si() -> None:
     assert (flat.normal, flat.offset_sigma, flat.tilt_sigma) == ((0.0, 0.0, 1.0), None, math.radians(1))
 
 
-def test_the_rig_of_the_document_is_one() -> None:
+def test_the_rig_of_the_document_and_an_empty_one():
     text = (Path(__file__).parents[2] / "docs" / "reference" / "table-format.md").read_text(encoding="utf-8")
     rig = parse_rig(re.findall(r"```toml\n(.*?)```", text, re.DOTALL)[0], "table-format.md")
     for name in (
@@ -131,9 +128,6 @@ def test_the_rig_of_the_document_is_one() -> None:
         "joint_cov",
     ):
         assert getattr(rig, name), f"{name} is missing in the example"
-
-
-def test_an_empty_rig_is_the_default_rig() -> None:
     assert parse_rig("", "rig.toml") == Rig()
 
 
@@ -185,12 +179,6 @@ rigs = st.builds(
 @given(rigs)
 def test_a_written_rig_comes_back_bit_for_bit(rig: Rig) -> None:
     assert parse_rig(format_rig(rig), "rig.toml") == rig
-
-
-def test_write_and_read(tmp_path: Path) -> None:
-    rig = parse_rig(FULL, "rig.toml")
-    write_rig(tmp_path / "rig.toml", rig)
-    assert read_rig(tmp_path / "rig.toml") == rig
 
 
 BAR = '[[bar]]\nname="b"\nzero_m=0.4\ntravel_m=0.1\nsigma_m=1e-4\n'

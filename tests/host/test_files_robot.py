@@ -11,10 +11,15 @@ from truearm.model.robot_file import load_robot, robot_file
 PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
 
 
-def test_a_built_in_robot_has_no_file() -> None:
+def test_built_in_robots_and_robot_files_are_read(tmp_path):
     robot = load_robot("puma560")
     assert robot_file("puma560") is None
     assert robot.chain.joint_units == ("rad",) * 6
+    from importlib import resources
+
+    text = resources.files("truearm.model").joinpath("robots", "puma560.toml").read_text("utf-8")
+    (tmp_path / "mine.toml").write_text(text, "utf-8")
+    assert load_robot(str(tmp_path / "mine.toml")).chain == load_robot("puma560").chain
 
 
 def test_a_urdf_is_the_chain_to_its_tip() -> None:
@@ -24,14 +29,6 @@ def test_a_urdf_is_the_chain_to_its_tip() -> None:
     held = [name for name, free in zip(robot.chain.parameter_names, robot.free, strict=True) if not free]
     assert held == [f"panda_joint{i}.gain" for i in range(1, 8)]  # all else is free
     assert load_robot(str(PANDA), tip="panda_leftfinger").chain.joint_units == (*("rad",) * 7, "m")
-
-
-def test_a_robot_file_is_read(tmp_path: Path) -> None:
-    from importlib import resources
-
-    text = resources.files("truearm.model").joinpath("robots", "puma560.toml").read_text("utf-8")
-    (tmp_path / "mine.toml").write_text(text, "utf-8")
-    assert load_robot(str(tmp_path / "mine.toml")).chain == load_robot("puma560").chain
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ from truearm.kinds.table_file import (
     format_table,
     parse_table,
     read_table,
-    write_table,
 )
 from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
 
@@ -37,14 +36,11 @@ def test_units_are_converted_to_si() -> None:
     assert (table.bar[0], table.shell[0], table.place[0], table.source[0]) == ("b46", "low", "", "t.csv row 2")
 
 
-def test_seat_rows_have_no_length_and_prismatic_joints_are_in_metres() -> None:
+def test_rows_without_a_length_and_prismatic_joints():
     table = parse_table("kind,q1_mm,place,socket\nseat,250,front,0\n", "t.csv", ("m",))
     assert table.q[0, 0] == pytest.approx(0.25, rel=1e-15)
     assert math.isnan(table.value[0])
     assert math.isnan(table.sigma[0])
-
-
-def test_a_line_row_has_a_point_and_maybe_velocities() -> None:
     table = parse_table(LINE + "line,0.5,,left,0.1,250.5,-2\n", "t.csv", ("rad",))
     np.testing.assert_allclose(table.xyz, [[1e-4, 0.2505, -2e-3]] * 2, rtol=1e-15)
     np.testing.assert_allclose(table.q_rate, [[math.radians(10.0)], [math.nan]], rtol=1e-15)
@@ -163,14 +159,11 @@ def test_only_x_in_metres_is_a_measurement_and_others_are_kept_to_hold_out_by() 
     assert ObservationTable.joined([table, parse_table(SEAT, "u.csv")]).x_cm.tolist() == ["warm", ""]
 
 
-def test_blank_lines_do_not_count_as_rows() -> None:
+def test_blank_lines_and_empty_rows_and_columns_are_passed_over():
     # Every row after them is still there, and numbered as an editor numbers it.
     table = parse_table(SEAT + "\n" * 250_000 + "seat,0.7,front,1\n", "t.csv")
     assert table.q[:, 0].tolist() == [0.5, 0.7]
     assert table.source[1] == "t.csv row 250003"
-
-
-def test_empty_rows_and_columns_of_a_spreadsheet_are_passed_over() -> None:
     text = "kind,q1_rad,place,socket,,\n,,,,,\nseat,0.5,front,0,,\n , ,,,,\nseat,0.7,front,1,,\n,,,,,\n"
     table = parse_table(text, "t.csv")
     assert table.q[:, 0].tolist() == [0.5, 0.7]
@@ -240,13 +233,6 @@ def test_a_written_table_comes_back_bit_for_bit(table: ObservationTable) -> None
     back = parse_table(format_table(table, units), "t.csv", units)
     for name in table.columns:
         np.testing.assert_array_equal(back[name], table[name], err_msg=name)
-
-
-def test_write_table_leaves_no_other_file(tmp_path: Path) -> None:
-    table = parse_table(GOOD, "t.csv")
-    write_table(tmp_path / "t.csv", table, ("rad", "rad"))
-    assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
-    np.testing.assert_array_equal(read_table(tmp_path / "t.csv").q, table.q)
 
 
 WRONG = {
@@ -324,14 +310,11 @@ def test_wrong_tables_are_told_in_one_line(text: str, message: str) -> None:
     assert len(str(caught.value)) < 250
 
 
-def test_joints_must_be_the_robots() -> None:
+def test_joints_must_be_the_robots_and_alike():
     with refused("other-robot", joints=2, expected=6):
         parse_table(GOOD, "t.csv", ("rad",) * 6)
     with pytest.raises(TableError, match="column q2_deg:"):
         parse_table(GOOD, "t.csv", ("rad", "m"))
-
-
-def test_tables_are_concatenated_only_with_equal_joints() -> None:
     table = parse_table(GOOD, "a.csv")
     both = concatenate([table, parse_table(GOOD, "b.csv")])
     assert both.source.tolist() == ["a.csv row 2", "b.csv row 2"]

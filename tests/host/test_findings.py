@@ -86,12 +86,7 @@ def test_the_short_form_begins_with_the_verdict_and_fits_fifteen_lines(run, good
     assert len(lines) <= 15
 
 
-def test_an_unknown_code_is_no_finding():
-    with pytest.raises(KeyError):
-        Finding("no such code").text()
-
-
-def test_an_error_has_the_code_and_the_values_of_its_cause():
+def test_errors_have_codes_values_and_places():
     error = TableError("a.csv row 3 column q1_rad: 'x' is not a number; write digits: -1.5")
     reason = "'x' is not a number; write digits: -1.5"
     assert error.finding == Finding("malformed-file", {"place": "a.csv row 3 column q1_rad", "reason": reason})
@@ -100,6 +95,12 @@ def test_an_error_has_the_code_and_the_values_of_its_cause():
     assert error.text("--{}".format) == "--rate 7 Hz is too much; give --force"
     assert ProblemError("no rows").finding == Finding("unsolvable", {"place": "", "reason": "no rows"})
     assert PlanError("no pose is within reach; move the chucks").finding.code == "no-plan"  # of no file
+    error = TableError("too-large", most=3).within("a.csv")
+    assert error.finding == Finding("too-large", {"place": "a.csv", "most": 3})
+    assert str(error.within("b.zip")).startswith("b.zip: a.csv: ")
+    assert RobotError("no ", Argument("tip")).within("a.urdf").text("--{}".format) == "a.urdf: no --tip"
+    with pytest.raises(KeyError):
+        Finding("no such code").text()
 
 
 @pytest.mark.parametrize(
@@ -114,13 +115,6 @@ def test_an_error_has_the_code_and_the_values_of_its_cause():
 def test_a_sentence_before_a_colon_is_no_place(error, code, place):
     assert (error.finding.code, error.finding.values["place"]) == (code, place)
     assert error.finding.text() == str(error)
-
-
-def test_an_error_keeps_its_code_within_a_file():
-    error = TableError("too-large", most=3).within("a.csv")
-    assert error.finding == Finding("too-large", {"place": "a.csv", "most": 3})
-    assert str(error.within("b.zip")).startswith("b.zip: a.csv: ")
-    assert RobotError("no ", Argument("tip")).within("a.urdf").text("--{}".format) == "a.urdf: no --tip"
 
 
 @pytest.mark.parametrize("values", [{"names": ["a"]}, {"form": "two numbers"}])

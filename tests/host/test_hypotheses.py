@@ -319,9 +319,6 @@ def test_noise_of_neighbours_is_learned_and_names_nothing():
     result, _, _ = judged(worlds.world("puma560", "slow noise", 0))
     assert result.claim.noise == "order"
     assert not result.faults
-
-
-def test_parameters_that_no_row_shows_do_not_change_the_noise():
     fit, _ = fitted(worlds.world("puma560", "slow noise", 0))
     k = fit.jac.shape[1]
     prior = np.insert(fit.wide_prior, k, 0.0, axis=1)

@@ -169,23 +169,17 @@ def test_the_time_offset_needs_the_line_driven_there_and_back(there_and_back):
     assert (singular[-1] / singular[0] < 1e-12) != there_and_back
 
 
-def test_a_device_is_placed_where_it_stands():
+def test_devices_are_placed_by_a_rotation():
     rng = np.random.default_rng(9)
     xyz, vector = random_pose(rng)
     p = rng.normal(size=(4, 3))
     at, rot = place(in_device(p, xyz, vector), p, np.eye(3))
     np.testing.assert_allclose(at, xyz, atol=2e-14)
     np.testing.assert_allclose(rot, rotation(vector), atol=2e-14)
-
-
-def test_a_mirrored_device_is_still_placed_by_a_rotation():
     p = np.random.default_rng(10).normal(size=(6, 3))
     _, rot = place(p * [1.0, 1.0, -1.0], p, np.eye(3))
     np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-14)
     assert np.linalg.det(rot) == pytest.approx(1.0, abs=1e-14)
-
-
-def test_a_device_declared_back_to_front_is_turned_round():
     p_device = np.outer([-0.2, 0.1, 0.3], [0.0, 1.0, 0.0])
     _, rot = place(p_device, -p_device, np.eye(3))
     np.testing.assert_allclose(rot @ [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], atol=1e-15)

@@ -169,10 +169,14 @@ def test_batches_of_any_shape():
         np.testing.assert_allclose(batched[1, 3], single, atol=1e-15)
 
 
-def test_a_scara_by_hand():
+def test_a_scara_and_its_joint_frames_by_hand():
     pose = forward(scara(), scara().params_nominal, np.array([np.pi / 2, -np.pi / 2, 0.05]))
     np.testing.assert_allclose(pose[:3, 3], [0.3, 0.4, -0.15], atol=1e-15)
     np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=1e-15)
+    chain = scara()
+    frames = joint_frames(chain, chain.params_nominal, np.array([np.pi / 2, 0.0, 0.0]))
+    np.testing.assert_allclose(frames[1, :3, 3], [0.0, 0.4, 0.0], atol=1e-15)
+    np.testing.assert_allclose(frames[2, :3, 3], [0.0, 0.7, -0.1], atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ["scara", "ur5e", "panda"])
@@ -190,20 +194,10 @@ def test_end_and_jacobian_are_both_at_once(name):
     np.testing.assert_array_equal(joint_jacobian(chain, params, q), jac)
 
 
-def test_joint_frames_lie_on_the_way_to_the_end():
-    chain = scara()
-    frames = joint_frames(chain, chain.params_nominal, np.array([np.pi / 2, 0.0, 0.0]))
-    np.testing.assert_allclose(frames[1, :3, 3], [0.0, 0.4, 0.0], atol=1e-15)
-    np.testing.assert_allclose(frames[2, :3, 3], [0.0, 0.7, -0.1], atol=1e-15)
-
-
-def test_two_parameters_of_one_name_are_refused():
+def test_equal_names_and_wrong_shapes_are_refused():
     elements = (Element("tx", parameter=0), Element("tx", parameter=1), Element("rz", joint=0))
     with pytest.raises(RobotError, match="same name"):
         Chain("bad", elements, 2 * (Parameter("x", "m", 0.0),), (Joint("a", "revolute", -1, 1),))
-
-
-def test_wrong_shapes_are_refused():
     chain = scara()
     with pytest.raises(RobotError, match="3 joints"):
         forward(chain, chain.params_nominal, np.zeros(4))

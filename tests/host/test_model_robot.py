@@ -246,13 +246,10 @@ def test_a_joint_that_turns_needs_no_limits_or_both():
         parse_robot(ARM.replace(limits, limits.splitlines()[0] + "\n"))
 
 
-def test_a_robot_file_need_not_say_how_to_plan():
+def test_a_robot_file_need_not_say_how_to_plan_and_those_that_do_are_listed():
     robot = parse_robot(ARM.split("# Branch", 1)[0])
     assert robot.branch is None
     assert robot.capsules is None
     assert parse_robot(TINY).branch is None
-
-
-def test_the_robots_that_can_be_planned_for_are_listed():
     assert names_with_branch() == tuple(name for name in builtin_names() if builtin_robot(name).branch is not None)
     assert {"irb120", "puma560", "ur5e"} <= set(names_with_branch())

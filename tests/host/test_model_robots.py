@@ -220,18 +220,14 @@ def test_limits(name, lower_deg, upper_deg):
 
 
 @pytest.mark.parametrize("name", builtin_names())
-def test_a_full_pose_sees_n_parameters(name):
-    """N = 5·n_r + 3·n_p + 6 (Goswami et al., (1)) with every offset, gain, base and tool constant free."""
+def test_what_a_full_pose_sees_is_free_by_default_and_the_source_is_named(name):
+    # N = 5·n_r + 3·n_p + 6 (Goswami et al., (1)) with every offset, gain, base and tool constant free.
     chain = builtin_robot(name).chain
     q = random_joints(chain, 60, np.random.default_rng(13))
     rank, gap = rank_and_gap(sensitivity(chain, chain.params_nominal, q))
     assert all(joint.kind == "revolute" for joint in chain.joints)
     assert rank == 5 * len(chain.joints) + 6
     assert gap > 1e10
-
-
-@pytest.mark.parametrize("name", builtin_names())
-def test_the_default_free_set_is_seen_and_complete(name):
     robot = builtin_robot(name)
     gains = np.array([p.unit == "1" for p in robot.chain.parameters])
     assert (robot.free & gains).sum() == (6 if name == "puma560" else 0)  # Table II identifies the PUMA's
@@ -240,14 +236,6 @@ def test_the_default_free_set_is_seen_and_complete(name):
     singular = np.linalg.svd(sensitivity(robot.chain, robot.chain.params_nominal, q)[:, complete], compute_uv=False)
     assert complete.sum() == 5 * len(robot.chain.joints) + 6
     assert singular[-1] > 1e-2 * singular[0]  # as well conditioned as a choice among equals can be: 5 to 25 measured
-
-
-CHUCKS = [(0.5, 0.0, 0.2), (0.35, 0.1, 0.2), (0.35, -0.1, 0.2)]  # m
-SPHERES = [(0.06, 0.0, 0.05), (-0.03, 0.05, 0.05), (-0.03, -0.05, 0.05)]  # m
-
-
-@pytest.mark.parametrize("name", builtin_names())
-def test_every_robot_says_where_it_is_from(name):
     robot = builtin_robot(name)
     assert robot.chain.name == name
     assert len(robot.source) > 20

@@ -25,14 +25,11 @@ def test_exponential_and_logarithm(angle):
     np.testing.assert_allclose(rotation_vector(rot), v, atol=4e-15)
 
 
-def test_a_quarter_turn_about_z():
+def test_a_quarter_turn_and_the_cross_product():
     np.testing.assert_allclose(
         rotation(np.array([0.0, 0.0, np.pi / 2])), [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=2e-16
     )
     np.testing.assert_allclose(rotation_vector(np.diag([1.0, -1.0, -1.0])), [np.pi, 0.0, 0.0], atol=1e-15)
-
-
-def test_skew_is_the_cross_product():
     v, w = np.random.default_rng(1).normal(size=(2, 5, 3))
     np.testing.assert_allclose((skew(v) @ w[..., None])[..., 0], np.cross(v, w), atol=1e-15)
 

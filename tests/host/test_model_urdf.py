@@ -134,21 +134,15 @@ def test_bad_text_is_one_clear_line(text, says):
     assert "\n" not in str(caught.value)
 
 
-def test_a_base_fixed_beside_the_path_is_named_with_its_parent():
-    """Universal Robots' base hangs on base_link, as the arm does."""
-    text = robot(joint("j1", "revolute", "a", "b"), joint("beside", "fixed", "a", "d", more=""))
-    with pytest.raises(RobotError, match=r"base 'a', .*'d'"):
-        chain_from_urdf(text, base="d", tip="b")
-
-
-def test_unknown_base_and_tip():
+def test_bases_and_tips_that_are_none():
     with pytest.raises(RobotError, match=r"no link 'flange'.* a, b"):
         chain_from_urdf(robot(HOP, links="ab"), tip="flange")
     with pytest.raises(RobotError, match="no link 'world'"):
         chain_from_urdf(robot(HOP, links="ab"), base="world")
-
-
-def test_deep_nesting_does_no_harm():
+    # Universal Robots' base hangs on base_link, as the arm does.
+    text = robot(joint("j1", "revolute", "a", "b"), joint("beside", "fixed", "a", "d", more=""))
+    with pytest.raises(RobotError, match=r"base 'a', .*'d'"):
+        chain_from_urdf(text, base="d", tip="b")
     with pytest.raises(RobotError, match="no links"):
         chain_from_urdf("<robot>" + "<a>" * 200_000 + "</a>" * 200_000 + "</robot>")
 

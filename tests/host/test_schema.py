@@ -190,12 +190,9 @@ def test_what_is_wrong_is_refused_in_one_line(text: str, message: str) -> None:
     assert len(str(refused.value)) < 250
 
 
-def test_the_error_is_the_callers() -> None:
+def test_errors_are_the_callers_and_entries_bounded():
     with pytest.raises(RobotError, match=r"r\.toml: unknown key 'x'"):
         read(DOCUMENT, {"x": 1}, "r.toml", RobotError)
-
-
-def test_the_number_of_entries_is_bounded() -> None:
     with pytest.raises(RigError, match=f"{MAX_ENTRIES + 1} .*{MAX_ENTRIES}"):
         read(DOCUMENT, {"pair": [{}] * (MAX_ENTRIES + 1)}, "d.toml", RigError)
 

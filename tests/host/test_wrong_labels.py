@@ -67,8 +67,8 @@ def test_right_labels_gain_nothing_on_average(d):
     assert np.exp(likelihood(np.array(APART**2), 1.0) - own).mean() == pytest.approx(0.035, abs=0.01)
 
 
-def test_a_run_is_relabelled_if_chance_hardly_gives_it():
-    """Two labels and none, 100 rows: log(300 / LEVEL) = 12.6 nats."""
+def test_runs_are_relabelled_if_chance_hardly_gives_them():
+    # Two labels and none, 100 rows: log(300 / LEVEL) = 12.6 nats.
     score = np.zeros((3, 100))
     score[2] = -50.0
     for gain, runs in ((0.99, []), (1.01, [(40, 44, 1)])):
@@ -77,6 +77,14 @@ def test_a_run_is_relabelled_if_chance_hardly_gives_it():
         labels, changed = best_labels(score)
         assert [run[:3] for run in changed] == runs
         assert np.flatnonzero(labels).tolist() == [row for first, last, _ in runs for row in range(first, last)]
+    # A run that is relabelled as a whole, and then in part given back, is two.
+    score = np.zeros((3, 60))
+    score[2], score[1], score[1, 20:22] = -100.0, -9.0, -12.0
+    score[1, 5:20] = score[1, 22:40] = 5.0
+    labels, runs = best_labels(score)
+    assert [run[:3] for run in runs] == [(5, 20, 1), (22, 40, 1)]
+    assert np.flatnonzero(labels).tolist() == [*range(5, 20), *range(22, 40)]
+    assert [run[3] for run in runs] == pytest.approx([15 * (5.0 - PRICE), 18 * (5.0 - PRICE)])
 
 
 CASES = {
@@ -85,17 +93,6 @@ CASES = {
     "another sphere": {"sphere": [(("c2", "s0"), "s1")]},
     "two spheres exchanged": {"sphere": [(("c0", "s1"), "s2"), (("c0", "s2"), "s1")]},
 }
-
-
-def test_runs_are_what_changed_in_the_end():
-    """A run that is relabelled as a whole, and then in part given back, is two."""
-    score = np.zeros((3, 60))
-    score[2], score[1], score[1, 20:22] = -100.0, -9.0, -12.0
-    score[1, 5:20] = score[1, 22:40] = 5.0
-    labels, runs = best_labels(score)
-    assert [run[:3] for run in runs] == [(5, 20, 1), (22, 40, 1)]
-    assert np.flatnonzero(labels).tolist() == [*range(5, 20), *range(22, 40)]
-    assert [run[3] for run in runs] == pytest.approx([15 * (5.0 - PRICE), 18 * (5.0 - PRICE)])
 
 
 @pytest.mark.parametrize("case", ["a chuck", *(pytest.param(one, marks=pytest.mark.soak) for one in list(CASES)[1:])])
