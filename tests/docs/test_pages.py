@@ -207,8 +207,5 @@ def test_examples_import_the_public_interface_alone():
     internal = {name: set().union(*map(internal_names, filter(is_python, code))) for name, code in examples().items()}
     assert {name: names for name, names in internal.items() if names} == {}
     assert len([name for name, code in examples().items() if "truearm.extend" in "".join(code)]) == 3
-
-
-def test_the_check_of_imports_finds_internal_ones():
     code = "import truearm, truearm.cli\nfrom truearm import Rig, kinds\nfrom truearm.extend import Kind, kinds\nfrom truearm.kinds.kind import Kind"
     assert internal_names(code) == {"truearm.cli", "truearm.kinds", "truearm.extend.kinds", "truearm.kinds.kind.Kind"}

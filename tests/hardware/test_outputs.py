@@ -12,13 +12,13 @@ from hardware.sheet import netlist, wires
 ROOT = outputs.ROOT
 
 
-def test_committed_files_are_what_the_sources_make():
+def test_committed_files_are_what_the_sources_make_and_no_others():
     assert [str(path.relative_to(ROOT)) for path in outputs.stale()] == [], "run: make hardware"
-
-
-def test_nothing_else_lies_among_the_committed_files():
     made = set(outputs.committed())
     assert {path for folder in (outputs.OUT, outputs.DRAWINGS) for path in folder.iterdir()} <= made
+    for path, text in outputs.committed().items():
+        if path.parent == outputs.OUT:
+            assert not re.search(r"20\d\d-\d\d-\d\d|/tmp/|/home/", text), path
 
 
 def test_a_note_of_a_drawing_is_within_it():
@@ -29,12 +29,6 @@ def test_a_note_of_a_drawing_is_within_it():
             assert float(x) + 6.0 * len(html.unescape(note)) <= x0 + width, (
                 sheet.name
             )  # an 11 px sans-serif is narrower
-
-
-def test_no_date_and_no_path_is_in_them():
-    for path, text in outputs.committed().items():
-        if path.parent == outputs.OUT:
-            assert not re.search(r"20\d\d-\d\d-\d\d|/tmp/|/home/", text), path
 
 
 def test_the_netlist_survives_its_text_form_and_the_parts_list_has_every_part():

@@ -75,15 +75,13 @@ class TestSplitter:
         assert [item for is_frame, item in items if is_frame] == [payload for payload, _, _ in parts]
         assert b"".join(item for is_frame, item in items if not is_frame) == b"".join(text for _, text, _ in parts)
 
-    def test_memory_is_bounded_without_delimiters(self):
+    def test_memory_is_bounded_and_the_tail_of_an_overlong_run_is_no_frame(self):
         runs = Runs(b"\0", MAX_RUN)
         n_out = 0
         for _ in range(1000):
             n_out += sum(len(piece) for _, piece in runs.push(b"x" * 1000))
         assert n_out + len(runs.flush()) == 1_000_000
         assert 1_000_000 - n_out <= MAX_RUN
-
-    def test_the_tail_of_an_overlong_run_is_no_frame(self):
         run = run_of(data(1, 0, 0))
         stream = b"x" * MAX_RUN + run + b"\0"
         for pieces in ([stream], [stream[:-1], b"\0"]):

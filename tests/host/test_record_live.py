@@ -37,44 +37,36 @@ class TestDwells:
             session.dwell(1.4)
         assert len(session.events("dwell")) == 4
 
-    def test_too_short_is_none(self):
+    def test_when_a_dwell_is_too_short_or_ended(self):
         session = Session()
         for _ in range(3):
             session.dwell(1.0)
         assert session.events("dwell") == []
-
-    def test_a_creep_of_the_sensor_is_not_settled(self):
-        """The joints stand, the bar goes on by 2 µm a second, where noise allows a fraction of one."""
+        # The joints stand, the bar goes on by 2 µm a second, where noise allows a fraction of one.
         session = Session()
         session.run(0.5, q_speed=1.0)
         session.run(2.5, speed=2e-6)
         assert [event["settled"] for event in session.events("dwell")] == [False]
         assert session.said[-1].endswith("NOT settled")
-
-    def test_a_saturated_sensor_is_said_while_the_arm_stands(self):
-        session = Session()
-        session.position = 10.0  # beyond the converter's range
-        session.dwell()
-        assert session.said[-1] == "dwell 1: the LVDT gives no values: is the bar on, or a wire broken?"
-        assert "mean_m" not in session.events("dwell")[0]
-
-    def test_a_gap_ends_it(self):
         session = Session()
         session.dwell(1.0)
         session.t += 5 * S
         session.run(1.0)
         assert session.events("dwell") == []
 
-    def test_a_robot_that_says_nothing_is_not_known_to_stand(self):
-        """Its readings ended one second after it stopped: the bar goes on to be read, and the pose is not taken."""
+    def test_saturated_sensors_and_silent_robots_and_boxes(self):
+        session = Session()
+        session.position = 10.0  # beyond the converter's range
+        session.dwell()
+        assert session.said[-1] == "dwell 1: the LVDT gives no values: is the bar on, or a wire broken?"
+        assert "mean_m" not in session.events("dwell")[0]
+        # Its readings ended one second after it stopped: the bar goes on to be read, and the pose is not taken.
         session = Session(plan(*PAIRS))
         session.run(1.0)
         session.robot = False
         session.run(6.0)
         assert session.row("taken").text.startswith("0 of 4 dwells")
         assert not session.events("dwell")
-
-    def test_a_box_that_says_nothing_tells_no_dwell(self):
         session = Session(mounted={"bar": "b46"}, robot=False)
         session.run(1.0)
         session.look(box_ok=False)
@@ -91,8 +83,6 @@ class TestThePlan:
         session.run(2.5)
         assert session.state.progress.done == {0, 1}
         assert session.row("taken").text.startswith("2 of 4 dwells, standing")
-
-    def test_that_all_of_it_is_taken_is_said_once_while_the_robot_stands(self):
         session = Session(plan(*PAIRS[:2]))
         session.run(2.5)
         said = "; the plan is complete; type q and Enter to end the recording"
@@ -101,8 +91,6 @@ class TestThePlan:
         assert session.said[-1].endswith(said)
         session.dwell()
         assert sum(said in text for text in session.said) == 1
-
-    def test_what_is_not_in_the_plan(self):
         session = Session(plan(*PAIRS))
         session.q = np.array([3.0, -3.0])
         session.run(2.5)
@@ -125,7 +113,7 @@ class TestThePlan:
         assert not session.row("mounted").alarm
         assert session.said[-1] == "mounted: bar b61, chuck c1, sphere s1"
 
-    def test_gone_on_without_a_confirmation(self):
+    def test_with_and_without_a_confirmation(self):
         session = Session(plan(*PAIRS))
         session.type("bar=b46")
         session.run(2.5)
@@ -133,17 +121,13 @@ class TestThePlan:
             session.dwell()
         (warning,) = (text for text in session.said if text.startswith("contradiction"))
         assert warning.startswith("contradiction: pose 2 needs bar b61, but bar b46, chuck c1, sphere s1 was confirmed")
-
-    def test_where_nobody_confirms_anything_nothing_is_contradicted(self):
-        """The plan alone says what is mounted, and ``identify`` takes it; the view goes on asking."""
+        # The plan alone says what is mounted, and ``identify`` takes it; the view goes on asking.
         session = Session(plan(*PAIRS))
         session.run(2.5)
         for _ in range(2):
             session.dwell()
         assert not [text for text in session.said if text.startswith("contradiction")]
         assert session.row("mounted").alarm
-
-    def test_without_a_robot_they_come_in_order(self):
         session = Session(plan(*PAIRS), robot=False)
         session.run(2.5)
         session.dwell()

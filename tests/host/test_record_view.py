@@ -131,7 +131,7 @@ class TestCheck:
         assert says in verdict.refused[0]
         assert not check_box(box(**lvdt), Purpose(), TODAY).refused
 
-    def test_warned(self):
+    def test_what_is_warned_of(self):
         old = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2024-11-22"}}
         verdict = check_box(box(**old), Purpose(ball_bar=True, osr=128), TODAY)
         assert verdict.warned == (
@@ -141,8 +141,6 @@ class TestCheck:
         soon = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2030-01-01"}}
         assert "which is in the future" in check_box(box(**soon), Purpose(ball_bar=True), TODAY).warned[0]
         assert "no channel of the box" in check_box(box(calibration={}), Purpose(), TODAY).warned[0]
-
-    def test_a_line_needs_its_sensors(self):
         refused = check_box(box(), Purpose(line=True), TODAY).refused
         assert ["magnetostrictive" in text for text in refused] == [True, False, False]
         assert "transverse_b" in refused[2]
@@ -165,7 +163,7 @@ class TestState:
             "0.1 s ago",
         ]
 
-    def test_a_robot_that_ends_its_program_is_not_lost(self):
+    def test_the_end_of_a_robots_program(self):
         session = Session()
         for ok, closed in ((True, False), (False, True), (True, False), (False, False)):
             session.look(robot_ok=ok, robot_closed=closed)
@@ -173,27 +171,29 @@ class TestState:
             assert bool(row.alarm) == (not ok and not closed)
         (text,) = session.said
         assert text.endswith("lost; trying to reach it again")
-
-    def test_a_robot_that_stops_sending_after_the_plan_is_no_warning(self):
         session = Session(plan(*PAIRS[:1]))
         session.state.progress.visit(np.zeros(2))
         for age_s, ok in ((0.1, True), (5.0, True), (6.0, False)):
             session.look(robot_age_s=age_s, robot_ok=ok)
         assert [text.partition(":")[0] for text in session.said] == ["taken"]
 
-    def test_each_kind_of_loss_is_said_once_and_counted(self):
+    def test_losses_silence_and_refusals(self):
         session = Session()
         for lost, restarts in ((0, 0), (3, 0), (4, 0), (5, 1)):
             session.look(counters=Counters(lost_frames=lost, restarts=restarts, samples=7))
         assert session.said == ["frames lost on the link: 3; so far", "restarts of the box: 1; so far"]
-
-    def test_a_box_that_is_silent_and_a_file_that_is_gone(self):
         session = Session()
         session.look(box_ok=False)
         session.look(file_losses=("s.mcap: was deleted",))
         assert [text.partition(":")[0] for text in session.said] == ["box", "box", "file"]
         assert session.said[0].endswith("; silent for 3 s; is it stuck?")
         assert session.said[2] == "file: s.mcap: was deleted"
+        view = state(purpose=Purpose(ball_bar=True))
+        with pytest.raises(InputError, match=r"length.* Nothing was started"):
+            view.approve(box(calibration={}))
+        all_the_same = state(purpose=Purpose(ball_bar=True), unchecked=True)
+        all_the_same.approve(box(calibration={}))
+        assert "calibrated" in all_the_same.messages[0]
 
     def test_an_error_ends_the_view_alone(self):
         broken = state()
@@ -202,14 +202,6 @@ class TestState:
         assert broken.trouble.startswith("the live view failed (AttributeError")
         broken.reading(1, JointLine(0.0, [0.0]))
         assert broken.wishes() == []
-
-    def test_a_box_that_is_refused(self):
-        view = state(purpose=Purpose(ball_bar=True))
-        with pytest.raises(InputError, match=r"length.* Nothing was started"):
-            view.approve(box(calibration={}))
-        all_the_same = state(purpose=Purpose(ball_bar=True), unchecked=True)
-        all_the_same.approve(box(calibration={}))
-        assert "calibrated" in all_the_same.messages[0]
 
     def test_a_box_far_from_its_calibrations_temperature_is_said_once_with_the_size(self):
         """5 K: 11.5 ppm/K of a bar of 0.5 m and 100 ppm/K of half a travel of 75 mm are 48 µm."""

@@ -48,7 +48,7 @@ class TestJson:
     def test_what_needs_no_change_stays_as_it_is(self, line):
         assert LineDialect({}).line(line) == line
 
-    def test_names_and_units_of_the_address(self):
+    def test_addresses_and_declarations(self):
         dialect = LineDialect({"unit": "deg", "t_unit": "ms", "t": "stamp", "q": "pos", "q_cmd": "cmd", "qd": "vel"})
         line = b'{"stamp": 2500, "pos": [90, 180.0], "cmd": [91, 181], "vel": [1, 2], "seq": 4, "inputs": 3}'
         (row,) = rows(dialect, line)
@@ -61,12 +61,8 @@ class TestJson:
             "inputs": 3,
             "line": line.decode(),
         }
-
-    def test_a_key_for_each_joint_and_a_unit_too(self):
         (row,) = rows(LineDialect({"q": "j1,j2,j3", "unit": "deg,rad,mm"}), b'{"t": 1, "j2": 0.5, "j1": 90, "j3": 250}')
         assert row["q"] == [90 * DEG, 0.5, 0.25]
-
-    def test_a_declaration_among_the_lines(self):
         declaration = b'{"names": {"q": ["a", "b"], "t": "time"}, "unit": "deg", "t_unit": "ns"}'
         same, row, rest = rows(
             LineDialect({}), declaration, b'{"time": 1764000000123456789, "a": 90, "b": 0}', b'{"t": 1, "q": [1]}'
@@ -140,13 +136,11 @@ class TestCsv:
         }
         assert last["t"] == 1.502
 
-    def test_columns_in_any_order_are_read_to_the_same_bytes(self):
+    def test_columns_in_any_order_or_in_the_address(self):
         row = ["x", "9", "3", "20", "2e9", "-5", "7", "1.5"]
         columns = read_columns(["note", "inputs", "q2_mm", "q1_deg", "qd1_rad_s", "qd2_mm_s", "seq", "t_ms"])
         line = f'{{"t":0.0015,"seq":7,"q":[{20 * DEG},0.003],"inputs":9,"x":1}}'.encode()
         assert columns.line(row, x=1) == line, "velocities beyond the limits of a session are left out"
-
-    def test_columns_of_the_address(self):
         (row,) = rows(LineDialect({"columns": "t_s,q2_rad,q1_rad"}), b"1,2,3")
         assert row == {"t": 1.0, "q": [3.0, 2.0], "line": "1,2,3"}
 

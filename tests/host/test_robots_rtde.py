@@ -67,14 +67,12 @@ ALL_TYPES = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,UINT64,INT32,UINT32"
 
 
 class TestBytes:
-    def test_requests(self):
+    def test_requests_answers_and_vectors(self):
         assert rtde.request_version() == VERSION_2
         assert rtde.package(rtde.CONTROLLER) == CONTROLLER
         assert rtde.request_outputs(["actual_q", "actual_qd"], 500.0) == SETUP_500
         assert rtde.package(rtde.START) == START
         assert rtde.package(rtde.PAUSE) == PAUSE
-
-    def test_answers(self):
         stream = VERSION_ACCEPTED + CONTROLLER_5_8 + SETUP_TYPES + STARTED + DATA
         kinds, payloads = zip(*rtde.Packages().push(stream), strict=True)
         assert bytes(kinds) == b"VvOSU"
@@ -85,8 +83,6 @@ class TestBytes:
             "timestamp": pytest.approx(16412.206, abs=5e-4),
             "target_speed_fraction": 1.0,
         }
-
-    def test_vectors(self):
         ((_, payload),) = rtde.Packages().push(DATA_Q)
         recipe = rtde.recipe_of(["timestamp", "actual_q"], SETUP_TYPES[3:])
         assert recipe.values(payload) == {"timestamp": 100000.0, "actual_q": [1.0, -1.0, 2.0, -2.0, 0.5, 0.0]}
@@ -219,10 +215,13 @@ class TestClient:
         assert (second["t"], second["seq"]) == (12.002, 1)
         assert all(parse_line(line) for line in lines)
 
-    def test_what_the_controller_left_out_is_a_gap_in_seq(self):
+    def test_gaps_and_rates(self):
         ticks = [0, 1, 2, 5, 6]
         lines = readings(WHOLE, b"".join(data(2047.786 + 0.002 * k) for k in ticks), 5)
         assert [json.loads(line)["seq"] for line in lines] == ticks
+        script = [*GREETING, (setup(NAMES, 100.0), answer(1, ALL_TYPES)), (START, STARTED)]
+        lines = readings(script, data(1.0) + data(1.01), 2, "?hz=100")
+        assert [json.loads(line)["seq"] for line in lines] == [0, 1]
 
     def test_who_talks_without_being_asked_is_none(self):
         """Packages that are right and that nobody wants: they are not gathered for seconds."""
@@ -256,11 +255,6 @@ class TestClient:
         assert set(first) == {"t", "seq", "q", "q_cmd", "qd", "current", "robot_mode"}
         assert (first["seq"], second["seq"]) == (0, 1)
 
-    def test_a_rate_of_ones_own(self):
-        script = [*GREETING, (setup(NAMES, 100.0), answer(1, ALL_TYPES)), (START, STARTED)]
-        lines = readings(script, data(1.0) + data(1.01), 2, "?hz=100")
-        assert [json.loads(line)["seq"] for line in lines] == [0, 1]
-
     @pytest.mark.parametrize(("controller", "hz", "full"), [(CONTROLLER_5_8, 200, 500), (CONTROLLER_3_15, 500, 125)])
     def test_a_rate_that_does_not_divide_the_full_one(self, controller, hz, full):
         player = Controller([(VERSION_2, VERSION_ACCEPTED), (CONTROLLER, controller)])
@@ -281,8 +275,6 @@ class TestClient:
         assert [row["rtde"] for row in strangers] == [2, 85, 85]
         assert reading["t"] == 5.0
         assert not any(parse_line(line) for line in lines[:-1])
-
-    def test_what_comes_with_the_answers_is_not_lost(self):
         script = [*WHOLE[:-1], (START, TEXT + STARTED + data(1.0))]
         lines = readings([(script[0][0], TEXT + script[0][1]), *script[1:]], data(1.002), 4)
         assert [sorted(json.loads(line))[0] for line in lines] == ["level", "level", "current", "current"]

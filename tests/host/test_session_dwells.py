@@ -59,30 +59,21 @@ def test_nothing_of_the_settling_enters_the_mean():
     assert last.q[0] == pytest.approx(1.0005, abs=1e-6)
 
 
-def test_a_creep_is_no_dwell():
-    """1e-5 rad in each window of 0.2 s passes the window's threshold of 7e-5, 1.4e-4 rad over the dwell does not."""
+def test_what_moves_or_is_missing_is_no_dwell():
+    # 1e-5 rad in each window of 0.2 s passes the window's threshold of 7e-5, 1.4e-4 rad over the dwell does not.
     creep = [(0, 0.0), (3, 0.0), (4, 1.0), (10, 1.0003)]
     assert [dwell.reason for dwell in dwells_of(creep, noise=5e-6)] == ["", "still moving"]
-
-
-def test_missing_readings_end_a_dwell():
     dwells = dwells_of([(0, 0.0), (6, 0.0)], drop=[(2.5, 3.1)])
     assert [dwell.reason for dwell in dwells] == ["", ""]
     assert dwells[0].end_s <= 2.5
     assert dwells[1].start_s >= 3.1 + 0.2
     assert len(dwells_of([(0, 0.0), (6, 0.0)], drop=[(2.5, 2.6)])) == 1
-
-
-def test_a_robot_that_never_rests_has_no_dwell():
     assert [dwell.reason for dwell in dwells_of([(0, 0.0), (20, 3.0)], noise=1e-6) if not dwell.reason] == []
 
 
-def test_a_long_stop_is_used_in_part():
+def test_a_long_stop_and_quantised_readings():
     (dwell,) = dwells_of([(0, 0.0), (90, 0.0)])
     assert 59.0 < dwell.end_s - dwell.start_s < 60.0
-
-
-def test_quantisation_is_part_of_the_covariance():
     dwell = dwells_of(TWO_STOPS, step=1e-4)[0]
     assert dwell.q_var[0] == pytest.approx(1e-8 / 12, rel=1e-6)
 
@@ -124,9 +115,6 @@ def test_drift_is_seen_against_its_own_noise():
     drifting = mean_of(ar1(rng, 1400, 0.6) + 3.0 * line)
     assert drifting.drift == pytest.approx(3.0, abs=5 * drifting.drift_sigma)
     assert drifting.noise == pytest.approx(1.0, rel=0.15)  # the drift is not taken for noise
-
-
-def test_constant_samples_have_no_variance():
     r = mean_of(np.full(100, 0.46))
     assert r.value == pytest.approx(0.46, abs=1e-15)
     assert r.value_var < 1e-30
@@ -168,27 +156,18 @@ def test_how_far_a_dwell_is_from_the_plan():
     plan = plan_of([[0.0, 0.0], [1.0, 0.0]])
     assert distances(np.array([0.9, 0.2]), plan) == pytest.approx([0.9, 0.2])
     assert np.isinf(distances(np.array([0.9]), plan)).all()
-
-
-def test_of_equal_chains_the_nearer_wins():
     assert matched([0.005], plan_of([0.0, 0.006, 0.001])) == [1]
     assert matched([0.004, 0.0041], plan_of([0.0, 0.004])) == [0, 1]
-
-
-def test_each_joint_keeps_the_tolerance():
     plan = plan_of([[0.0, 0.0]])
     assert matched([[0.016, -0.016]], plan) == [0]
     assert matched([[0.0, 0.018]], plan) == [None]
     assert matched([[0.0, 0.0, 0.0]], plan) == [None]  # another number of joints
 
 
-def test_what_was_mounted_may_not_contradict():
+def test_what_was_said_to_be_mounted_decides():
     plan = PlannedPoses(np.zeros((2, 1)), ({"bar": "b46", "chuck": "c1"}, {"bar": "b46", "chuck": "c2"}))
     assert matched([0.0], plan, said=[{"chuck": "c2"}]) == [1]
     assert matched([0.0], plan, said=[{"chuck": "c3"}]) == [None]
-
-
-def test_what_was_said_to_be_mounted_decides():
     plan = PlannedPoses(np.zeros((2, 1)), tuple({"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61")))
     assert set(match_plan(np.zeros((1, 1)), plan, [{}]).ambiguous) == {0}
     found = match_plan(np.zeros((1, 1)), plan, [{"bar": "b61"}])

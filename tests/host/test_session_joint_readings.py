@@ -66,14 +66,11 @@ def test_readings_without_numbers_are_as_good(stranger):
     assert plain.malformed == len(stranger)
 
 
-def test_numbers_that_come_and_go_leave_losses_unknown():
+def test_no_readings_and_numbers_that_come_and_go():
     lines = still()
     lines[100:200] = unnumbered(lines[100:200])
     stream = read(lines)
     assert (stream.readings, stream.lost) == (500, None)
-
-
-def test_no_readings():
     stream = read([])
     assert len(stream.bins.n) == 0
     assert find_dwells(stream) == []
@@ -118,10 +115,7 @@ def test_losses_of_the_robot_are_counted_apart():
     stream = read(arrived(lines))
     assert (stream.late, stream.duplicated, stream.lost, stream.malformed) == (1, 1, 4, 2)
     assert stream.readings == 496
-
-
-def test_a_late_reading_is_lost_too():
-    """It is not used. Time steps back by half a second; seq runs on."""
+    # It is not used. Time steps back by half a second; seq runs on.
     lines = still()
     lines[100] = message(10.0 + 100 / 125.0 - 0.5, 100, (0.1, -0.2))
     stream = read(arrived(lines))

@@ -46,11 +46,18 @@ def test_each_note_is_of_the_rest_in_which_it_was_taken(recorded):
     )  # of the 4068 samples of a rest, not of the note's moment
 
 
-def test_notes_taken_on_the_way_are_of_no_rest(recorded):
+def test_notes_on_the_way_alone_or_without_a_sensor(recorded):
     messages, truth = recorded
     result = synced(messages, noted(truth, 1.0, shift=0.35)[:9])  # after the last rest nothing moves
     assert result.reasons == {"still moving": 9}
     assert "the bar did not rest" in result.dwells[0].detail
+    messages, truth = recorded
+    assert len(synced(messages, noted(truth, 0.5)[4:5]).table) == 1
+    messages, truth = recorded
+    without = [m for m in messages if m.topic != "/box/adc"]
+    assert synced(without, noted(truth, 0.5)).reasons == {"still moving": 10}
+    unclocked = [m for m in messages if m.topic not in ("/sync", "/box/sync")]
+    assert len(synced(unclocked, noted(truth, 0.5)).table) == 0
 
 
 def test_two_poses_in_one_rest_are_ambiguous_the_same_twice_is_one(recorded):
@@ -63,16 +70,3 @@ def test_two_poses_in_one_rest_are_ambiguous_the_same_twice_is_one(recorded):
     result = synced(messages, [moved], noted(truth, 0.6))
     assert result.reasons == {"ambiguous": 2}
     assert len(result.table) == 9
-
-
-def test_a_single_note(recorded):
-    messages, truth = recorded
-    assert len(synced(messages, noted(truth, 0.5)[4:5]).table) == 1
-
-
-def test_notes_without_a_sensor_or_a_clock_give_nothing(recorded):
-    messages, truth = recorded
-    without = [m for m in messages if m.topic != "/box/adc"]
-    assert synced(without, noted(truth, 0.5)).reasons == {"still moving": 10}
-    unclocked = [m for m in messages if m.topic not in ("/sync", "/box/sync")]
-    assert len(synced(unclocked, noted(truth, 0.5)).table) == 0

@@ -64,7 +64,7 @@ def test_every_row_has_its_time_and_the_boxs_temperature():
     assert np.isnan(silent.temperature).all()
 
 
-def test_a_short_gap_leaves_the_longest_whole_piece(clean):
+def test_a_gap_leaves_the_longest_whole_piece_if_long_enough(clean):
     messages, truth = clean
     lost = blocks_between(messages, truth.start_ns[3] + 6.3e8, truth.end_ns[3] - 1.3e9)[:2]
     result = synced([m for i, m in enumerate(messages) if i not in lost])
@@ -77,9 +77,6 @@ def test_a_short_gap_leaves_the_longest_whole_piece(clean):
     assert [d.n_samples for i, d in enumerate(result.dwells) if i != 3] == [
         d.n_samples for i, d in enumerate(whole.dwells) if i != 3
     ]
-
-
-def test_a_dwell_cut_in_two_short_pieces_is_rejected(clean):
     messages, truth = clean
     lost = blocks_between(messages, truth.start_ns[3] + 1.2e9, truth.start_ns[3] + 1.25e9)
     result = synced([m for i, m in enumerate(messages) if i not in lost])
@@ -238,28 +235,19 @@ def test_a_rig_that_lacks_what_the_plan_names(clean, key):
         synced(clean[0], replace(RIG, **{key: {}}))
 
 
-def test_no_exchange_is_no_clock(clean):
+def test_without_exchanges_samples_channel_or_ident(clean):
     result = synced([m for m in clean[0] if m.topic not in ("/sync", "/box/sync")])
     assert result.reasons == {"no clock": 10}
     assert len(result.table) == 0
     assert result.table.q.shape == (0, 6)
-
-
-def test_no_samples_and_no_robot(clean):
     messages, _ = clean
     assert synced([m for m in messages if m.topic != "/box/adc"]).reasons == {"no samples": 10}
     nothing = synced([m for m in messages if m.topic != "/robot/joints"])
     assert (nothing.dwells, len(nothing.table)) == ((), 0)
     assert len(synced([]).table) == 0
-
-
-def test_a_channel_that_the_box_has_not(clean):
     named = [m._replace(data=m.data.replace(b"lvdt", b"gage")) if m.topic == "/box/ident" else m for m in clean[0]]
     with pytest.raises(SessionError, match="no channel 'lvdt'; it has gage"):
         synced(named)
-
-
-def test_ident_from_elsewhere_serves_where_the_session_has_none(clean):
     messages = [m for m in clean[0] if m.topic != "/box/ident"]
     assert synced(messages).reasons == {"no samples": 10}
     assert len(synced(messages, ident=parse_ident(ident_document())).table) == 10

@@ -47,16 +47,13 @@ def test_the_extension_is_that_of_the_ratio_whatever_drives_the_sensor(gains):
     assert found[0].unit == "V/V"
 
 
-def test_a_silent_primary_and_rails_are_saturated():
+def test_saturation_and_signs():
     counts = sampled([0.1, 0.1, 0.1, 0.1], [0.14, 0.0, 0.14, -0.14])
     counts[2, 0] = RAIL_LOW
     counts[0, 3] = RAIL_HIGH
     np.testing.assert_array_equal(railed(with_ratios(counts, channels())[:, 0]), [True, True, True, False])
     # a ratio that its steps cannot hold, here above 8
     assert railed(with_ratios(sampled([1.0], [0.1]), channels())[:, 0]).all()
-
-
-def test_the_sign_of_both_counts():
     ratio = with_ratios(sampled([0.1, -0.1, 0.1, -0.1], [0.1, 0.1, -0.1, -0.1]), channels())[:, 0] * RATIO_STEP
     np.testing.assert_allclose(ratio, [1, -1, -1, 1], atol=1e-5)
 

@@ -99,8 +99,8 @@ def test_bytes_that_are_missing(path, made):
     assert damage.lost_s == pytest.approx(lost_s, abs=2 * STEP_S + 1e-6)
 
 
-def test_damaged_and_cut_off(path, made):
-    """A killed recorder's file has no CRC over all: the damage in its middle is found, and told from its end."""
+def test_files_that_are_cut_off_or_whole(path, made):
+    # A killed recorder's file has no CRC over all: the damage in its middle is found, and told from its end.
     messages, whole, chunks = made
     end = chunks[4].chunk_start_offset
     path.write_bytes(flipped(whole[: end + 40], chunks[2].chunk_start_offset + 100))
@@ -108,15 +108,15 @@ def test_damaged_and_cut_off(path, made):
     assert session.truncated
     assert [damage.at for damage in session.damage] == [chunks[2].chunk_start_offset]
     assert list(session.messages()) == outside(messages, chunks[2], *chunks[4:])
-
-
-def test_cut_off_and_without_the_first_chunk(path, made):
-    """There MCAP says which channel is which topic, and a file that is cut off does not say it again."""
+    # There MCAP says which channel is which topic, and a file that is cut off does not say it again.
     messages, whole, chunks = made
     path.write_bytes(flipped(whole[: chunks[-1].chunk_start_offset], chunks[0].chunk_start_offset + 100))
     session = open_session(path, allow_damaged=True)
     assert list(session.messages()) == outside(messages, chunks[0], chunks[-1])
     assert [damage.at for damage in session.damage] == [chunks[0].chunk_start_offset]
+    messages, _, _ = made
+    session = open_session(path, allow_damaged=True)
+    assert (session.damage, list(session.messages())) == ((), messages)
 
 
 def test_metadata_that_are_damaged_are_left_out(path, made):
@@ -134,8 +134,8 @@ def test_metadata_that_are_damaged_are_left_out(path, made):
     assert len(session.damage) == 2
 
 
-def test_names_that_are_damaged_name_nothing(path, made):
-    """Cut off and without the chunk that declares the topics: what repeats their names is believed where it is whole."""
+def test_names_headers_and_starts_that_are_damaged(path, made):
+    # Cut off and without the chunk that declares the topics: what repeats their names is believed where it is whole.
     messages, whole, chunks = made
     start, end = chunks[0].chunk_start_offset, chunks[-1].chunk_start_offset
     head = whole[:start].replace(b"/box/adc", b"/box/adk", 1)
@@ -143,25 +143,13 @@ def test_names_that_are_damaged_name_nothing(path, made):
     assert list(open_session(path, allow_damaged=True).messages()) == outside(messages, chunks[0], chunks[-1])
     path.write_bytes(flipped(whole[:start].replace(b"/box/adc", b"/box/adk") + whole[start:end], start + 100))
     assert list(open_session(path, allow_damaged=True).messages()) == []
-
-
-def test_a_header_that_only_the_whole_crc_tells(path, made):
     messages, whole, _ = made
     path.write_bytes(whole.replace(b"truearm 0", b"truearm 9", 1))
     session = open_session(path, allow_damaged=True)
     assert list(session.messages()) == messages
     (damage,) = session.damage
     assert damage.at is None  # the CRC of the whole file does not match; those of all its parts do
-
-
-def test_a_good_file_has_no_damage(path, made):
-    messages, _, _ = made
-    session = open_session(path, allow_damaged=True)
-    assert (session.damage, list(session.messages())) == ((), messages)
-
-
-def test_false_starts_are_given_up(path, made):
-    """Records that claim to be chunks and are none, one after the other."""
+    # Records that claim to be chunks and are none, one after the other.
     _, whole, chunks = made
     false = b"\x06" + (40).to_bytes(8, "little") + bytes(16) + b"\1" + bytes(23)
     path.write_bytes(whole[: chunks[0].chunk_start_offset] + false * (MAX_BAD + 1))

@@ -15,7 +15,7 @@ from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
 
 
-def test_a_clean_stream_has_no_losses():
+def test_a_clean_stream_a_traceback_and_a_short_write_lose_nothing():
     box = box_with()
     blocks, reader = read(box.messages)
     assert account(box.messages) == {}
@@ -29,29 +29,11 @@ def test_a_clean_stream_has_no_losses():
     assert (stream.name, stream.samples, stream.pieces, stream.period_ns) == ("adc", 260, 1, PERIOD_NS)
     # 19 blocks between stamps that are cut to 1 µs each
     assert stream.measured_ns == pytest.approx(PERIOD_NS, abs=1000.0 / (19 * 13))
-
-
-def test_traceback_in_the_stream_loses_nothing():
     box = box_with()
     text = b'Traceback (most recent call last):\r\n  File "main.py", line 3, in <module>\r\nMemoryError: \xc2\xb5\r\n'
     box.messages.insert(9, Message("/box/console", 5, text))
     expected = {"console_runs": 1, "console_text_runs": 1, "console_bytes": len(text)}
     assert account(box.messages) == expected
-
-
-def test_what_a_box_lost_before_it_was_started_is_not_the_sessions():
-    """A killed recorder left it streaming: old blocks of its ring, a jump to those of now, the new start, and a loss behind that."""
-    track = StreamTrack()
-    for t0_us, n0 in enumerate((5000, 5013, 10_200, 10_213, 0, 13, 39)):
-        track.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
-    assert [track.counted[name] for name in ("samples_overrun", "starts", "pieces")] == [13, 1, 2]
-    joined = StreamTrack()
-    for t0_us, n0 in enumerate((5000, 5026)):  # never started: what is missing is missing
-        joined.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
-    assert (joined.counted["samples_overrun"], joined.counted["pieces"]) == (13, 2)
-
-
-def test_short_write_is_the_boxs_own_count():
     box = box_with()
     box.heartbeat(10**9, short_writes=1, sent=99, overruns=4, dropped=2, bad_frames=3, loop_max_us=700, heap_free=9000)
     box.heartbeat(
@@ -62,6 +44,40 @@ def test_short_write_is_the_boxs_own_count():
     assert (counters["overruns"], counters["dropped"], counters["bad_frames"]) == (4, 2, 3)
     assert (counters["loop_max_us"], counters["heap_free_min"]) == (700, 0)
     assert account(box.messages) == {}
+
+
+def test_a_box_is_charged_from_its_boot_in_the_session():
+    # A killed recorder left it streaming: old blocks of its ring, a jump to those of now, the new start, and a loss
+    # behind that.
+    track = StreamTrack()
+    for t0_us, n0 in enumerate((5000, 5013, 10_200, 10_213, 0, 13, 39)):
+        track.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
+    assert [track.counted[name] for name in ("samples_overrun", "starts", "pieces")] == [13, 1, 2]
+    joined = StreamTrack()
+    for t0_us, n0 in enumerate((5000, 5026)):  # never started: what is missing is missing
+        joined.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
+    assert (joined.counted["samples_overrun"], joined.counted["pieces"]) == (13, 2)
+    box = Box(seq=5000)
+    for k, overruns in enumerate((61_000, 61_000, 61_007)):
+        box.heartbeat((2 + k) * 10**9, overruns=overruns, short_writes=12, bad_frames=3, sent=5000 + 80 * k)
+    counters = read(box.messages)[1].losses().box
+    assert (counters["heartbeats"], counters["sent"]) == (3, 160)
+    assert (counters["overruns"], counters["short_writes"], counters["bad_frames"]) == (7, 0, 0)
+    # Asked for, ident carries the command's req_id.
+    box = Box(seq=5000)
+    for page, pages, data in wire.pages(cbor2.dumps(ident_document())):
+        box.frame("ident", 10**9, wire.IDENT, 4, page, pages, data)
+    box.heartbeat(2 * 10**9, overruns=9)
+    assert read(box.messages)[1].losses().box["overruns"] == 0
+    box = Box()
+    box.ident(10**9)
+    box.heartbeat(2 * 10**9, overruns=9)
+    assert read(box.messages)[1].losses().box["overruns"] == 9
+    joined = box.messages[-1:]
+    box.reboot(3 * 10**9)
+    box.heartbeat(4 * 10**9, overruns=5)  # its ident was lost
+    reader = read([*joined, box.messages[-1]])[1]
+    assert (reader.losses().restarts, reader.losses().box["overruns"]) == (1, 5)
 
 
 def test_blocks_of_two_streams_are_accounted_for_apart():
@@ -111,53 +127,17 @@ def test_a_heartbeat_of_version_1_0_is_whole():
     )
 
 
-def test_a_running_box_is_not_charged_with_what_was_before():
-    box = Box(seq=5000)
-    for k, overruns in enumerate((61_000, 61_000, 61_007)):
-        box.heartbeat((2 + k) * 10**9, overruns=overruns, short_writes=12, bad_frames=3, sent=5000 + 80 * k)
-    counters = read(box.messages)[1].losses().box
-    assert (counters["heartbeats"], counters["sent"]) == (3, 160)
-    assert (counters["overruns"], counters["short_writes"], counters["bad_frames"]) == (7, 0, 0)
-
-
-def test_identify_is_no_boot():
-    """Asked for, ident carries the command's req_id."""
-    box = Box(seq=5000)
-    for page, pages, data in wire.pages(cbor2.dumps(ident_document())):
-        box.frame("ident", 10**9, wire.IDENT, 4, page, pages, data)
-    box.heartbeat(2 * 10**9, overruns=9)
-    assert read(box.messages)[1].losses().box["overruns"] == 0
-
-
-def test_a_boot_in_the_session_is_charged_from_its_beginning():
-    box = Box()
-    box.ident(10**9)
-    box.heartbeat(2 * 10**9, overruns=9)
-    assert read(box.messages)[1].losses().box["overruns"] == 9
-    joined = box.messages[-1:]
-    box.reboot(3 * 10**9)
-    box.heartbeat(4 * 10**9, overruns=5)  # its ident was lost
-    reader = read([*joined, box.messages[-1]])[1]
-    assert (reader.losses().restarts, reader.losses().box["overruns"]) == (1, 5)
-
-
-def test_counters_wrap():
+def test_runs_begun_joined_and_wrapped():
     box = Box(seq=5000)
     box.heartbeat(10**9, sent=2**30 - 50)
     box.heartbeat(2 * 10**9, sent=30)
     assert read(box.messages)[1].losses().box["sent"] == 80
-
-
-def test_start_begins_a_run_in_the_same_segment():
     box = box_with(blocks=4)
     box.n0 = 0
     box.data(10 * BLOCK_NS, COUNTS)
     blocks, _ = read(box.messages)
     assert account(box.messages) == {"starts": 1}
     assert (blocks[-1].segment, blocks[-1].run, blocks[-1].gap) == (0, 1, True)
-
-
-def test_joined_in_mid_stream_counts_nothing_as_lost():
     box = box_with()
     ident = parse_ident(ident_document())
     messages = box.messages[data_places(box)[4] :]
@@ -167,25 +147,19 @@ def test_joined_in_mid_stream_counts_nothing_as_lost():
         box=reader.losses().box,
     )  # fmt: skip
     assert blocks[0].gap
-
-
-def test_unanswered_clock_requests():
     nothing = {"id": 1, "t0_ns": 5, "t1_us": None, "t2_us": None, "t3_ns": None}
     box = box_with()
     box.messages += [Message("/sync", 9, json.dumps(nothing).encode()), Message("/sync", 9, b"{")]
     assert account(box.messages) == {"sync_unanswered": 2}
 
 
-def test_data_without_ident_is_counted_not_guessed():
+def test_data_without_an_ident_or_with_a_wrong_one():
     box = box_with()
     messages = [m for m in box.messages if m.topic != "/box/ident"]
     blocks, reader = read(messages)
     assert blocks == []
     assert reader.losses().blocks_without_ident == 20
     assert reader.losses().frames_lost == 0
-
-
-def test_a_wrong_ident_is_malformed_and_a_later_one_is_taken():
     box = Box()
     wrong = cbor2.dumps({**ident_document(), "streams": 5})
     for page, pages, data in wire.pages(wrong):

@@ -38,9 +38,6 @@ def test_counts_to_metres_by_the_ident():
     assert np.allclose(extension(counts, stream.channels[0]), metres_of(counts), rtol=0, atol=1e-17)
     assert volts(counts, stream.channels[0])[1, 1] == pytest.approx(1.144, abs=1e-15)
     assert find_channels(parse_ident(ident_document()), "other") is None
-
-
-def test_millimetres_at_the_border():
     channel = Channel("lvdt", "V", 1e-6, "mm", (1.0, 30.0))
     assert extension(np.array([1_000_000]), channel)[0] == pytest.approx(0.031, abs=1e-17)
     assert shown(channel, 1_000_000) == (f"{channel.name}_m", pytest.approx(0.031, abs=1e-17))

@@ -56,18 +56,16 @@ def test_a_swing_is_left_out_until_it_drowns_in_the_noise(amplitude):
         assert begin < 0.1 * np.log(amplitude) + 0.3
 
 
-def test_a_creep_that_no_single_block_shows_is_left_out():
-    """Three and a half of a block's sigmas to begin with, where one block may stray by 5.3: stretches of many blocks see it."""
+def test_creeps_are_left_out_and_floors_not_waited_for():
+    # Three and a half of a block's sigmas to begin with, where one block may stray by 5.3: stretches of many blocks see
+    # it.
     rng = np.random.default_rng(4)
     creep = 0.7 * np.exp(-T / 0.3)
     assert found(creep).first == 0 or found(creep).bound > 0.7
     firsts = np.array([found(noise_of(rng, 0.0) + creep).first for _ in range(50)])
     assert np.mean(firsts > 0) > 0.9
     assert firsts.max() < 36
-
-
-def test_a_floor_is_not_waited_for():
-    """To 1 %, by stretches as well as by single blocks, of a level that is itself off by the half's mean, 0.0025."""
+    # To 1 %, by stretches as well as by single blocks, of a level that is itself off by the half's mean, 0.0025.
     creep = np.exp(-T / 0.2)
     assert found(creep, floor=0.01, variance=0.0).first * BLOCK / HZ == pytest.approx(
         0.2 * np.log(1.0 / 0.0125), abs=0.03
@@ -75,7 +73,7 @@ def test_a_floor_is_not_waited_for():
     assert found(creep, floor=2.0).first == 0
 
 
-def test_what_never_rests_is_told_apart():
+def test_what_never_rests_and_what_always_does():
     rng = np.random.default_rng(5)
     blocks = len(T) // BLOCK
     swing = found(noise_of(rng, 0.0) + 20.0 * np.cos(2.0 * np.pi * 1.7 * T) * (T < 1.4))
@@ -83,9 +81,6 @@ def test_what_never_rests_is_told_apart():
     assert swing.first > 0.7 * blocks
     assert drift.first > 0.7 * blocks
     assert (rings(swing), rings(drift)) == (True, False)
-
-
-def test_constant_signals_rest_at_once():
     settled = found(np.full(T.size, 0.46), floor=1e-12, variance=0.0)
     assert (settled.first, settled.level) == (0, pytest.approx(0.46))
 

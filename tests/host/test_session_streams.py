@@ -84,16 +84,13 @@ def test_a_hole_over_a_restart_is_charged_to_the_new_boot_alone(before, gone, do
     assert boots_and(messages) == (2, {"restarts": 1, "frames_lost": gone})
 
 
-def test_frames_of_a_new_boot_that_fit_behind_the_old_ones_belong_to_the_new_boot():
-    """The first of them are behind the old count, the others continue it: in number, and nearly in time."""
+def test_frames_and_losses_around_a_restart():
+    # The first of them are behind the old count, the others continue it: in number, and nearly in time.
     messages, at = restarted(60, 300, down_s=0.001)
     first = len(long_box(60).messages) - 20
     del messages[at : at + first]
     assert boots_and(messages) == (2, {"restarts": 1, "frames_lost": first})
     assert in_batches(messages, [at + 20]) == in_batches(messages, [])
-
-
-def test_losses_before_a_restart_are_those_of_the_old_boot():
     messages, at = restarted(200, 300)
     del messages[at - 20 : at - 10]
     assert boots_and(messages) == (2, {"restarts": 1, "frames_lost": 10})

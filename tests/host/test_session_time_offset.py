@@ -78,7 +78,7 @@ def test_without_it_the_residual_is_several_times_larger():
     assert without.chi2_reduced > 2.0 * without.chi2_band[1]
 
 
-def test_one_way_it_is_not_seen():
+def test_one_way_it_is_not_seen_and_a_declared_prior_is_kept():
     rig, table = observed(there_and_back=False)
     found = identified(rig, table)
     at = found.parameter_names.index("time_offset")
@@ -87,9 +87,6 @@ def test_one_way_it_is_not_seen():
     assert any(direction.names == ("time_offset",) for direction in found.hardly_seen)
     # It harms nothing else: the residual is what the noise leaves.
     assert found.rms_after["m"] < 3e-5
-
-
-def test_a_prior_that_the_user_declares_is_kept():
     rig, table = observed(there_and_back=False)
     found = identified(replace(rig, time_offset=8.4e-3, time_offset_sigma=0.1e-3), table)
     at = found.parameter_names.index("time_offset")

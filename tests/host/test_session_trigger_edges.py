@@ -142,8 +142,8 @@ def pairing(edges, readings, level, late_s=0.004):
     return match(edges + late_s, np.arange(edges.size) % 2 == 0, track.changes(0)), track.changes(0)
 
 
-def test_a_bounce_is_left_out():
-    """A relay's contact opens once more 3 ms after an edge: three changes where one edge was."""
+def test_bounces_missing_readings_and_changes_that_nobody_made():
+    # A relay's contact opens once more 3 ms after an edge: three changes where one edge was.
     rng = np.random.default_rng(2)
     edges, readings = edges_at(rng, 60), np.arange(0.0, 60.0, CYCLE_S)
     level = level_at(readings, edges)
@@ -153,10 +153,7 @@ def test_a_bounce_is_left_out():
     assert np.sum(found.change >= 0) == 59
     assert found.unclear == 4  # the edge and three changes
     assert (found.unseen, found.stray) == (0, 0)
-
-
-def test_readings_that_are_missing_leave_out_what_they_hide():
-    """Two edges in a gap: nothing changed. One: its bounds are wide, and true. Three: one change, which could be either."""
+    # Two edges in a gap: nothing changed. One: its bounds are wide, and true. Three: one change, which could be either.
     rng = np.random.default_rng(3)
     edges, readings = edges_at(rng, 60), np.arange(0.0, 60.0, CYCLE_S)
     keep = np.ones(readings.size, bool)
@@ -168,9 +165,6 @@ def test_readings_that_are_missing_leave_out_what_they_hide():
     assert found.unclear == 4
     wide = found.change[20]
     assert changes.before_s[wide] <= edges[20] <= changes.after_s[wide]
-
-
-def test_a_change_that_nobody_made_is_counted():
     rng = np.random.default_rng(4)
     edges, readings = edges_at(rng, 60, least=0.8), np.arange(0.0, 70.0, CYCLE_S)
     level = level_at(readings, edges)
@@ -233,14 +227,11 @@ def check(joints, controller, t):
     return joints.reports[0].edges
 
 
-def test_the_input_that_follows_is_found():
+def test_the_input_that_follows_is_found_and_contradictions_rejected():
     report = check(*session(5, number=7, noisy=2))
     assert (report.input, report.used, report.edges) == (7, 100, 100)
     assert report.shortest_latency_ns == pytest.approx(1e9 * LATENCY_S, abs=report.bound_ns)
-
-
-def test_an_edge_that_contradicts_the_others_is_rejected():
-    """A stamp that is 30 ms off is within what arrivals leave open, and beyond every bound."""
+    # A stamp that is 30 ms off is within what arrivals leave open, and beyond every bound.
     report = check(*session(6, wrong={50: 30_000}))
     assert (report.used, report.rejected) == (99, 1)
 
