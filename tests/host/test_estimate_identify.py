@@ -173,7 +173,8 @@ def test_before_is_the_robot_as_described_with_the_rig_fitted_to_it():
     assert far.held_out_before.figures["m"].rms == pytest.approx(near.held_out_before.figures["m"].rms, rel=1e-5)
     # The same as an identification of nothing but the rig, and of how base and tool are mounted.
     nothing = identify(CHAIN, rig, t, free=np.zeros(54, bool), hold_out=held)
-    assert nothing.rms_after["m"] == nothing.rms_before["m"] == nothing.rms_raw["m"] == far.rms_raw["m"]
+    assert nothing.rms_before["m"] == nothing.rms_raw["m"] == far.rms_raw["m"]
+    assert nothing.rms_after["m"] == pytest.approx(nothing.rms_before["m"], rel=0.5e-8)  # 1e-8 of χ² may be left there
     placed = identify(CHAIN, rig, t, free=FREE & mounting(CHAIN, DESIGN).either, hold_out=held)
     assert placed.rms_after["m"] == pytest.approx(far.rms_before["m"], rel=1e-6)
     assert placed.held_out.figures["m"].rms == pytest.approx(far.held_out_before.figures["m"].rms, rel=1e-4)

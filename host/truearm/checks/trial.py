@@ -20,7 +20,7 @@ from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.information import observe
-from truearm.estimate.levenberg_marquardt import DAMPING_START, Damping, idle
+from truearm.estimate.levenberg_marquardt import DAMPING_START, Damping, Ends
 from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, build_problem, modelled_of
 from truearm.estimate.solution import Options, goodness_of
@@ -193,7 +193,7 @@ def _trial(
 
 def idle_options(steps: int, damping: float = DAMPING_START) -> Options:
     """Return the options of a fit that only distinguishes right from wrong inputs."""
-    return Options(max_iterations=steps, damping=Damping(damping, correctors=0), ends=idle(WORTH))
+    return Options(max_iterations=steps, damping=Damping(damping, correctors=0), ends=Ends(WORTH, predicted=WORTH))
 
 
 def misfit(chain: Chain, rig: Rigs, table: ObservationTable, parameters: Mapping[str, float]) -> Floats:

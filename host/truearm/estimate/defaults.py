@@ -31,8 +31,8 @@ from truearm.estimate.identifiability import (
     suggested_free,
     weakly_identifiable,
 )
-from truearm.estimate.information import RANK_TOLERANCE, of_rows
-from truearm.estimate.levenberg_marquardt import Damping, idle
+from truearm.estimate.information import RANK_TOLERANCE, Information, of_rows
+from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
@@ -53,7 +53,7 @@ PRELIMINARY = 20  # iterations
 LEAST_POSES = 300  # random ones; three times the number of parameters of any robot
 INVARIANT = 1e-6  # of the gradient: in a null direction in which χ² is the same
 MOTION = 0.5  # rad, m: assumed motion of a still joint
-MANY = 20_000  # rows: of more, so many stand for all, unless some unknown is seen by others only
+MANY = 10_000  # rows: of more, so many stand for all, unless some unknown is seen by others only
 
 
 def choose_defaults(
@@ -146,31 +146,37 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
     columns = problem.columns(free)
     wide = replace(problem, prior_sigma=everywhere)
     _, x = gross_rows(
-        wide, columns, fit(wide, columns, x, Options(PRELIMINARY, damping=Damping(correctors=0), ends=idle(steps=1))).x
+        wide,
+        columns,
+        fit(
+            wide, columns, x, Options(PRELIMINARY, damping=Damping(correctors=0), ends=Ends(steps=1, predicted=1e-4))
+        ).x,
     )
     misfit, rms = _misfit(problem, x, columns)
     if rms > HEAVY * misfit:  # many bad rows bend the fit, so that the others err too
         x = fit(wide, columns, x, Options(loss=Loss.CAUCHY)).x
         misfit, _ = _misfit(problem, x, columns)
-    root = _root(problem, x, free) / misfit
-    needed = spread(weakly_identifiable(root, n, unit[free], least=RANK_TOLERANCE), free) | _shrinking(problem, x, free)
+    data = of_rows(problem, x, columns)
+    root = data.root if settled(problem, x) is problem else _root(problem, x, free)
+    weak = weakly_identifiable(root / misfit, n, unit[free], least=RANK_TOLERANCE)
+    needed = spread(weak, free) | _shrinking(problem.chain, data, root, free)
     return np.where(needed & ~mounted, unit / misfit, np.inf)
 
 
-def _shrinking(problem: Problem, x: Floats, free: Mask) -> Mask:
+def _shrinking(chain: Chain, data: Information, root: Floats, free: Mask) -> Mask:
     """Return the parameters (p,) of null directions along which χ² falls although no prediction depends on them.
 
     They change the robot's size if nothing measures a length, such as seats in sockets of unknown places and distances:
-    the residuals are in proportion to the robot, so the best fit to noise is a robot without extent.
+    the residuals are in proportion to the robot, so the best fit to noise is a robot without extent. ``root`` is that of
+    the settled rows.
     """
-    given = of_rows(problem, x, problem.columns(free))
-    scaled, scale = rank_columns(_root(problem, x, free))
+    scaled, scale = rank_columns(root)
     _, unseen = null_basis(scaled)
-    gradient = (given.root.T @ given.rhs) / scale
+    gradient = (data.root.T @ data.rhs) / scale
     along = unseen @ (unseen.T @ gradient)
     if np.linalg.norm(along) <= INVARIANT * np.linalg.norm(gradient):
         return np.zeros(free.size, dtype=bool)
-    step = np.abs(along / scale)[: int(free.sum())] / weak_prior(problem.chain)[free]
+    step = np.abs(along / scale)[: int(free.sum())] / weak_prior(chain)[free]
     return spread(step > SMALL_PART * step.max(), free)
 
 

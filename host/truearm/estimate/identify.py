@@ -27,7 +27,7 @@ from truearm.estimate.identifiability import (
     suggested_free,
 )
 from truearm.estimate.information import observe, of_rows, with_prior
-from truearm.estimate.levenberg_marquardt import Damping, idle
+from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.outliers import (
@@ -287,7 +287,7 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
     problem, of_rig = task.problem, task.problem.of_rig
     x = problem.start
     if of_rig.any():
-        placed = fit(problem, of_rig, x, Options(options.max_iterations, ends=idle()))
+        placed = fit(problem, of_rig, x, Options(options.max_iterations, ends=Ends()))
         x, raw = placed.x, placed.information.residual
     else:
         raw = observe(problem, x, of_rig).residual
@@ -305,7 +305,7 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
         prior = (problem.start - x)[mounts], problem.prior_sigma[mounts]
         root = with_prior(observe(problem, x, mounts), *prior).half
         return _Nominal(x, raw, x, raw, mounts, root, gross)
-    placed = fit(only(problem, ~gross), mounts, x, Options(ends=idle()))
+    placed = fit(only(problem, ~gross), mounts, x, Options(ends=Ends()))
     residual = observe(problem, placed.x, of_rig).residual if gross.any() else placed.information.residual
     return _Nominal(x, raw, placed.x, residual, mounts, placed.information.half, gross)
 

@@ -36,16 +36,21 @@ STEP_END = 1e-14
 ROUNDING_END = 1e-3  # σ; far below the precision of any estimate, above what the rounding of χ² can hide
 
 
-Ends = Callable[[Sequence[float]], bool]  # χ² at the start and after each step, to whether further steps are of no use
+class Ends(NamedTuple):
+    """Where an iteration may end before the minimum, with the status "max_iterations": a start needs no more.
 
+    It ends where the next step is predicted to reduce χ² by less than the part ``predicted``, or where its last
+    ``steps`` together reduced it by less than ``worth``.
+    """
 
-IDLE = 3  # steps
-WORTH = 1e-4  # of χ², by all of these: a figure of the nominal robot, and a start, need no more
+    worth: float = 1e-4
+    steps: int = 3
+    predicted: float = 1e-8  # an RMS in all its printed digits
 
-
-def idle(worth: float = WORTH, steps: int = IDLE) -> Ends:
-    """Return the end of an iteration whose last ``steps`` together reduced χ² by less than the part ``worth``."""
-    return lambda chi2: len(chi2) > steps and chi2[-1] > (1.0 - worth) * chi2[-1 - steps]
+    def reached(self, chi2: Sequence[float], reduction: float) -> bool:
+        """Return whether further steps are of no use, from χ² at the start and after each step, and the next reduction."""
+        least = (1.0 - self.worth) * chi2[-1 - self.steps] if len(chi2) > self.steps else np.inf
+        return reduction < self.predicted * chi2[-1] or chi2[-1] > least
 
 
 class Damping(NamedTuple):
@@ -89,8 +94,7 @@ def minimise(
 
     ``linearise`` returns root, Qᵀf and χ² at an x; ``on_step`` is called after each step. ``cost(there,
     here)`` is χ² at ``there`` with what J takes as constant, such as weights, as at ``here``; needed only if it depends
-    on x. ``move(x, Δ)`` is the point that a step leads to. ``ends`` may end the iteration before it converges, with the
-    status "max_iterations". An iteration is an accepted step. Failure to converge is a status, not an exception.
+    on x. ``move(x, Δ)`` is the point that a step leads to. ``ends`` may end the iteration before it converges. An iteration is an accepted step. Failure to converge is a status, not an exception.
     """
     lam, plain, correctors = damping
     here = linearise(x)
@@ -104,6 +108,8 @@ def minimise(
             return Minimum(
                 x, "converged", "the linearised problem predicts no further reduction of the residuals", iteration, here
             )
+        if ends is not None and ends.reached(so_far, float(promised @ promised)):
+            return Minimum(x, "max_iterations", "further iterations are of no use", iteration, here)
         delta, _ = step(parts, promised, 0.0)
         if np.linalg.norm(parts.scale * delta) <= STEP_END * np.linalg.norm(parts.scale * x):
             return Minimum(x, "converged", "the step is below rounding", iteration, here)
@@ -141,8 +147,6 @@ def minimise(
         if on_step is not None:
             on_step(iteration + 1, here)
         so_far.append(here.chi2)
-        if ends is not None and ends(so_far):
-            return Minimum(x, "max_iterations", "further iterations are of no use", iteration + 1, here)
     return Minimum(x, "max_iterations", _too_few(max_iterations), max_iterations, here)
 
 
