@@ -216,14 +216,11 @@ def test_identify_is_what_the_command_does(run, folder, robot, table, rig):
     assert found.document["held_out"] == command.document["held_out"]
 
 
-def test_rows_are_held_out_by_name_fraction_and_mask(robot, table, rig):
+def test_rows_are_held_out_and_rigs_named(robot, table, rig):
     outer = table.shell == "outer"
     for hold_out in ("shell=outer", ["shell=outer"], outer):
         assert (truearm.identify(robot, table, rig, hold_out=hold_out).estimate.fitted == ~outer).all()
     assert truearm.identify(robot, table, rig, hold_out=0.2).estimate.fitted.sum() == 72
-
-
-def test_a_mapping_of_rigs_serves_the_column_rig(robot, table, rig):
     named = replace(table, rig=np.full(len(table), "monday"))
     found = truearm.identify(robot, named, {"monday": rig})
     assert found.estimate.rank == 36
@@ -585,7 +582,7 @@ def test_files_that_are_not_there(folder, tmp_path, result):
         truearm.write_result("x" * 300, result)
 
 
-def test_wrong_rows_and_tables_are_named(table):
+def test_wrong_rows_tables_and_rows_in_memory_are_named(table, robot, rig, tmp_path):
     for rows in ("x", [0.5], np.ones(3, bool), len(table), [[0, 1]]):
         with pytest.raises(InputError, match=r"^rows: must be"):
             table.select(rows)
@@ -597,18 +594,18 @@ def test_wrong_rows_and_tables_are_named(table):
     every = np.arange(len(table))
     assert table.select(every >= 0) is table
     np.testing.assert_array_equal(table.select(every[::-1]).q, table.q[::-1])
-
-
-def test_a_row_of_a_table_in_memory_is_named(robot, table, rig):
     q = table.q.copy()
     q[3, 2] = np.nan
     bare = table.replace(q=q, source=None)
     with pytest.raises(truearm.TableError, match=r"^table: table\[3\]: q\[2\]"):
         truearm.identify(robot, bare, rig)
+    # Messages name arguments as Python has them; two dashes in a name stay.
+    with pytest.raises(InputError, match=r"runs--monday\.csv"):
+        truearm.read_table(tmp_path / "runs--monday.csv", truearm.load_robot("puma560"))
 
 
-def test_arrays_of_other_programs_become_float64_and_text(table):
-    """As data frames and binary files have them; a NumPy solver takes no float128, and float16 would round a length."""
+def test_arrays_numbers_and_masks_of_numpy_are_taken_or_refused(table, result):
+    # As data frames and binary files have them; a NumPy solver takes no float128, and float16 would round a length.
     for dtype in (np.float16, np.float32, np.longdouble, ">f8"):
         assert replace(table, q=table.q.astype(dtype)).q.dtype == np.float64
     for dtype in (object, np.dtypes.StringDType() if hasattr(np.dtypes, "StringDType") else object):
@@ -617,18 +614,12 @@ def test_arrays_of_other_programs_become_float64_and_text(table):
         assert given.chuck.tolist() == table.chuck.tolist()
     with pytest.raises(TypeError, match="chuck: must be an array"):
         replace(table, chuck=np.where(table.chuck == "c0", table.chuck.astype(object), np.nan))
-
-
-def test_masked_values_are_not_taken_for_values(table, result):
     hidden = np.ma.masked_array(table.value, mask=np.arange(len(table)) == 3)
     with pytest.raises(TypeError, match="NaN, or leave out their rows"):
         replace(table, value=hidden)
     np.testing.assert_array_equal(replace(table, value=np.ma.masked_array(table.value)).value, table.value)
     with pytest.raises(TypeError, match=r"home: .*masked values"):
         truearm.correct_poses(result, np.eye(4), home=np.ma.masked_array(np.zeros(6), mask=np.arange(6) == 3))
-
-
-def test_numpy_numbers_and_lists_are_taken():
     chosen = truearm.IdentifyOptions(free=["*.offset"], max_iterations=np.int64(3))
     assert (list(chosen.free), chosen.max_iterations) == (["*.offset"], 3)
     assert truearm.BallBarOptions(dwell=np.float32(2.0), spread=0, candidates=np.int32(60)).dwell == 2.0
@@ -646,12 +637,6 @@ def test_lists_and_arrays_of_a_rig_become_tuples(robot, table, rig):
     assert truearm.Device("t", cov[:3, :3]).sensor_cov[0] == (1e-10, 0.0, 0.0)
     assert truearm.Point("c", np.zeros(3)).xyz == (0.0, 0.0, 0.0)
     assert truearm.identify(robot, table, lists).estimate.status == "converged"
-
-
-def test_a_files_name_is_no_option(tmp_path):
-    """Messages name arguments as Python has them; two dashes in a name stay."""
-    with pytest.raises(InputError, match=r"runs--monday\.csv"):
-        truearm.read_table(tmp_path / "runs--monday.csv", truearm.load_robot("puma560"))
 
 
 def test_what_holds_arrays_is_compared_by_identity(folder, robot, table, result):

@@ -63,7 +63,7 @@ def test_a_file_that_is_put_back_changes_nothing(config):
     assert firmware.check(back) is back
 
 
-def test_a_calibration_that_is_changed_by_hand_names_no_reference():
+def test_calibrations_are_replaced_as_a_whole_or_name_no_reference():
     config = full()
     config["magnetostrictive"] |= {"reference": "scale 17", "reference_sigma": [4, -6]}
     typed = with_assignment(config, "magnetostrictive.us_per_inch=9.017")
@@ -72,18 +72,11 @@ def test_a_calibration_that_is_changed_by_hand_names_no_reference():
         assert not {"reference", "reference_sigma"} & changed["magnetostrictive"].keys()
     same = with_assignment(config, "magnetostrictive.serial=S-2")
     assert same["magnetostrictive"]["reference"] == "scale 17"
-
-
-def test_what_this_truearm_does_not_know_is_kept():
     config = full()
-    text = format_config(config)
-    assert "# colour: " in text
-    assert "# mode: " in text
-    back = with_file(config, text.replace("watchdog_ms = 2000", "watchdog_ms = 500"), "box.toml")
-    assert back["colour"] == "blue"
-    assert back["magnetostrictive"]["mode"] == 3
-    assert back["watchdog_ms"] == 500
-    assert config["watchdog_ms"] == 2000  # the one that was given is not touched
+    head = '[[channel]]\nname = "lvdt"\n'
+    new = with_file(config, head + '[channel.calibration]\nunit = "mm"\npoly = [0, 38]\nserial = ""\ndate = ""\n', "x")
+    assert new["channels"][0]["calibration"] == {"unit": "mm", "poly": [[0, 0], [38, 0]], "serial": "", "date": ""}
+    assert "calibration" not in with_file(config, head + "calibration = {}\n", "x")["channels"][0]
 
 
 def test_units_are_those_of_people():
@@ -105,20 +98,18 @@ def test_a_part_of_a_file_changes_that_part():
         ("channel.transverse_b.gain", "", "8"),
     }
     assert new["magnetostrictive"]["blanking_ns"] == 5008
-
-
-def test_channels_are_renamed_by_their_order():
     config = default()
     text = "\n".join(f'[[channel]]\nname = "c{k}"' for k in range(4))
     assert channel_names(with_file(config, text, "x")) == ["c0", "c1", "c2", "c3"]
-
-
-def test_a_calibration_is_replaced_as_a_whole_or_removed():
     config = full()
-    head = '[[channel]]\nname = "lvdt"\n'
-    new = with_file(config, head + '[channel.calibration]\nunit = "mm"\npoly = [0, 38]\nserial = ""\ndate = ""\n', "x")
-    assert new["channels"][0]["calibration"] == {"unit": "mm", "poly": [[0, 0], [38, 0]], "serial": "", "date": ""}
-    assert "calibration" not in with_file(config, head + "calibration = {}\n", "x")["channels"][0]
+    text = format_config(config)
+    assert "# colour: " in text
+    assert "# mode: " in text
+    back = with_file(config, text.replace("watchdog_ms = 2000", "watchdog_ms = 500"), "box.toml")
+    assert back["colour"] == "blue"
+    assert back["magnetostrictive"]["mode"] == 3
+    assert back["watchdog_ms"] == 500
+    assert config["watchdog_ms"] == 2000  # the one that was given is not touched
 
 
 @pytest.mark.parametrize("over", ["lvdt", "nosuch"])

@@ -20,15 +20,12 @@ def beaten(watch, mdegc=26_000):
     return dict(rows_of(watch, 1.0, LINK))
 
 
-def test_thermometers_are_shown_by_their_names():
+def test_thermometers_are_shown_by_their_names_or_missed():
     watch = Watch(dataclasses.replace(box(calibration=CALIBRATED), thermometers=("bar", "sensor")))
     watch.take(Sent(0, TEMPERATURE, None, {"thermometer": 1, "temperature_mdegc": 24_062}))
     rows = beaten(watch)
     assert rows["thermometers"] == "bar not read yet, sensor 24.06 °C"
     assert "temperature" not in rows  # lengths are corrected
-
-
-def test_a_box_far_from_its_calibration_is_said_where_no_thermometer_is_on_the_bar():
     rows = beaten(Watch(box(calibration=CALIBRATED)))
     assert rows["temperature"].startswith("the box is 5.0 °C warmer")
     assert "thermometers" not in rows

@@ -30,20 +30,14 @@ def image(pages=4, mark=b"truearm_box"):
     return b"".join(block(k, pages, page) for k, page in enumerate(data))
 
 
-def test_a_good_image():
+def test_a_good_image_tells_its_firmwares_version():
     found = parse_uf2(image(), "x.uf2")
     assert (found.chip, found.blocks, found.size, found.is_box) == (CHIPS[RP2040], 4, 1024, True)
     assert found.data == image()
     assert not parse_uf2(image(mark=b"MicroPython"), "x.uf2").is_box
-
-
-def test_an_image_tells_its_firmwares_version():
     assert parse_uf2(image(mark=b"truearm_box 0.12.3"), "x.uf2").version == "0.12.3"
     assert parse_uf2(image(), "x.uf2").version == ""
     assert parse_uf2(image(mark=b"truearm_box 12345.1.1"), "x.uf2").version == ""
-
-
-def test_the_boot_checksum_is_crc_32_mpeg_2():
     assert boot_checksum(b"123456789") == 0x0376E6E7  # its check value in every catalogue of CRCs
 
 
@@ -81,14 +75,11 @@ def test_what_is_wrong_is_named(data, says):
         parse_uf2(data, "x.uf2")
 
 
-def test_a_boot_stage_that_would_not_start():
+def test_files_that_are_none_or_would_not_start(tmp_path):
     data = bytearray(image())
     data[40] ^= 1
     with pytest.raises(ImageError, match="checksum"):
         parse_uf2(bytes(data), "x.uf2")
-
-
-def test_files_that_are_none(tmp_path):
     with refused("missing-file"):
         read_uf2(tmp_path / "gone.uf2")
     with refused("unreadable-file"):

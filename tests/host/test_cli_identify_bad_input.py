@@ -32,13 +32,10 @@ def test_bad_arguments(run: Run, good: list[object], arguments: list[str], messa
     told(run(*good, *arguments), message)
 
 
-def test_a_rig_that_is_not_there(run: Run, good: list[object]) -> None:
+def test_a_rig_that_is_not_there_and_bad_input_as_the_shell_sees_it(run, good, tmp_path):
     told(run(*good[:4], "--rig", "none.toml"), "none.toml: no such file")
     told(run(*good[:4], "--rig", "mon=none.toml"), "none.toml: no such file")
     told(run(*good[:4], "--rig", "a\nb\x1b[31m.toml"), "a b\\x1b[31m.toml")
-
-
-def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> None:
     told(process("identify"), "Missing argument")
     (tmp_path / "t.csv").write_bytes(b"\x89MCAP0\r\n\0\0")
     told(process("identify", tmp_path / "t.csv", *good[2:]), "its name must end in .mcap")
@@ -52,17 +49,11 @@ def test_a_file_of_another_kind_as_observations(run: Run, good: list[object], tm
     told(run("identify", tmp_path / name, *good[2:]), f"{name}: ")
 
 
-def test_version_and_no_command_are_no_errors(run: Run) -> None:
+def test_version_help_and_no_command(run):
     assert run().code == 0
     assert run("--version").out.startswith("truearm ")
-
-
-def test_help_names_what_there_is(run: Run) -> None:
     words = set(re.findall(r"[\w-]+", run("identify", "--help").out))
     assert {*builtin_names(), *SOLVERS, *Loss} <= words
-
-
-def test_help_imports_nothing_slow() -> None:
     code = "import sys, truearm.cli.main as cli; cli.main(['--help']); print({'numpy', 'scipy'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.splitlines()[-1] == "set()"

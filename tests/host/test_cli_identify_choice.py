@@ -123,12 +123,9 @@ def test_a_misspelt_parameter_is_answered_with_near_names(pattern: str, near: st
         free_parameters(NAMES, np.ones(4, dtype=bool), [], [], [pattern])
 
 
-def test_a_robot_whose_file_has_no_gains_is_told_how_to_give_them() -> None:
+def test_patterns_and_gains_that_are_not_there_are_told():
     with pytest.raises(InputError, match=r"also_free \*\.gain: .* gain = \{ design"):
         free_parameters(["joint1.offset", "joint1.a"], np.ones(2, dtype=bool), [], [], ["*.gain"])
-
-
-def test_patterns_that_match_nothing_or_leave_nothing_are_told() -> None:
     default = np.ones(4, dtype=bool)
     with pytest.raises(InputError, match=r"free joint1\.ofset: .* like joint1\.offset"):
         free_parameters(NAMES, default, ["joint1.ofset"], [])

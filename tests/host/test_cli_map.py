@@ -106,7 +106,7 @@ def test_the_uncertainty_is_that_of_the_covariance(estimate):
     assert np.mean(found.sigma[reached] / sigma) == pytest.approx(1.0, abs=0.06)
 
 
-def test_unseen_directions_leave_no_uncertainty_to_tell(result):
+def test_what_is_unseen_or_unmeasured_is_said(result, tmp_path, run):
     pair = ModelPair(CHAIN, DESIGN, TRUTH)
     moving = np.array([[float(name == "link4.x")] for name in CHAIN.parameter_names])
     found = error_map(pair, np.zeros(6), (1, 2), 0.2, np.eye(P), moving)
@@ -116,10 +116,7 @@ def test_unseen_directions_leave_no_uncertainty_to_tell(result):
     assert Finding("map-sigma-unknown", {"n": cells, "cells": cells}) in map_findings(
         read_calibration(result), Section(cell=0.2), found
     )
-
-
-def test_a_map_ends_where_the_measured_readings_end(result, tmp_path, run):
-    """Without --at, the other joints are in the middle of the readings, and the elbow is as there."""
+    # Without --at, the other joints are in the middle of the readings, and the elbow is as there.
     assert run("map", result, "--cell-mm", 40, "--out", tmp_path / "map.csv").code == 0
     rows = list(csv.DictReader((tmp_path / "map.csv").open()))
     q = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, 7)] for row in rows])

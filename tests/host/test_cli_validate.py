@@ -148,16 +148,13 @@ def test_a_robot_without_errors_of_its_own_is_not_helped_by_where_it_was_bolted(
     assert verdict_of(found) == "validation-no-help"
 
 
-def test_few_rows_place_nothing(folder, run):
-    """Six lengths fit the six numbers of a base whatever they are: the robot stays where the rig says."""
+def test_few_rows_place_nothing_and_a_robot_that_changed_is_found_out(folder, run):
+    # Six lengths fit the six numbers of a base whatever they are: the robot stays where the rig says.
     found = judged(run, folder, measured(folder / "few.csv", TRUTH, n=6))
     assert found["rows"] == 6
     assert not found["placed"]
     assert found["rms_before_mm"] == pytest.approx(found["rms_raw_mm"])
-
-
-def test_a_robot_that_changed_since_is_found_out(folder, run):
-    """A joint's zero has moved by 2 mrad, as after a collision."""
+    # A joint's zero has moved by 2 mrad, as after a collision.
     changed = TRUTH + 2e-3 * np.array([name == "joint3.offset" for name in CHAIN.parameter_names])
     found = judged(run, folder, measured(folder / "changed.csv", changed))
     assert found["rms_after_mm"] > 3 * found["reference_mm"]

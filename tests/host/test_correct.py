@@ -322,7 +322,7 @@ def test_mountings_are_exactly_what_first_and_last_link_hold(q):
     )
 
 
-def test_poses_and_differences():
+def test_poses_differences_and_rotation_vectors():
     rng = np.random.default_rng(1)
     a, b = (pose_of(rng.normal(size=(20, 3)), rng.normal(size=(20, 3))) for _ in range(2))
     np.testing.assert_allclose(moved(a, apart(b, a)), b, atol=1e-14)
@@ -332,9 +332,6 @@ def test_poses_and_differences():
         again = elementary("rz", alpha) @ elementary("ry", beta) @ elementary("rx", gamma)
         np.testing.assert_allclose(again[:3, :3], pose[:3, :3], atol=1e-9)
         np.testing.assert_array_equal(pose[:3, 3], (x, y, z))
-
-
-def test_rotation_vectors_are_in_base_axes():
     start = pose_of(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
     there = moved(start, np.array([[0.0, 0.0, 0.0, 0.3, 0.0, 0.0]]))
     expected = Rotation.from_rotvec([0.3, 0.0, 0.0]) * Rotation.from_rotvec([0.0, 0.0, 1.0])

@@ -57,15 +57,12 @@ def test_derivatives_of_all_that_can_be_off_are_those_of_the_world():
     assert columns["bar.short.zero"] == pytest.approx(np.full(5, -1.0), abs=1e-12)
 
 
-def test_rows_without_the_item_of_an_effect_can_judge():
+def test_rows_are_judged_with_the_effects_of_the_fit():
     rows = random_table(120, np.random.default_rng(11), SIGMA)
     options = SolverOptions(effects=(Effect("chuck.c0", 60),))
     estimate = identify(CHAIN, RIG, rows, free=FREE, hold_out=rows.chuck == "c2", options=options)
     assert estimate.held_out.n == (rows.chuck == "c2").sum()
-
-
-def test_rows_are_judged_again_with_the_effects_of_the_fit():
-    """Rows 61 to 120 of a chuck that moved, some of them held out: without the effect they would err by its motion."""
+    # Rows 61 to 120 of a chuck that moved, some of them held out: without the effect they would err by its motion.
     rows = random_table(120, np.random.default_rng(12), SIGMA)
     rows.value[60:] += 2e-3 * (rows.chuck[60:] == "c0")
     effects = (Effect("chuck.c0", 60),)
@@ -165,10 +162,7 @@ def test_only_things_that_are_there_can_be_off():
         identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(Effect("chuck.c9"),)))
     with pytest.raises(Exception, match="rows 1 to 100"):
         identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(Effect("chuck.c0", 100),)))
-
-
-def test_a_joint_may_have_an_at_sign_in_its_name():
-    """Its steps and backlash are parameters of the fit, the drift of its constants is not."""
+    # Its steps and backlash are parameters of the fit, the drift of its constants is not.
     chain = replace(CHAIN, joints=(replace(CHAIN.joints[0], name="base@1"), *CHAIN.joints[1:]))
     names = ("base@1@41:80", "base@1.backlash", "base@1.offset.drift")
     effects, causes = split_causes(chain, RIG, random_table(100, np.random.default_rng(7), SIGMA), names)
@@ -184,28 +178,19 @@ TURNS = [[0.0, 0.0], [0.5, 0.0], [0.5, 0.0], [0.2, 0.1], [0.3, 0.1], [0.1, 0.1]]
 ROWS = [f"a.csv row {i}" for i in range(2, 6)] + ["b.csv row 2", "b.csv row 3"]
 
 
-def test_moves_are_those_since_the_pose_before_in_the_same_file():
-    """Rows of one pose have one move; the first pose of a file has none that is known."""
+def test_directions_of_moves_and_known_sides():
+    # Rows of one pose have one move; the first pose of a file has none that is known.
     np.testing.assert_allclose(
         last_motions(visits(TURNS, ROWS))[1], [[0.0, 0.0], [0.5, 0.0], [0.5, 0.0], [-0.3, 0.1], [0.0, 0.0], [-0.2, 0.0]]
     )
-
-
-def test_a_joint_that_stays_keeps_its_direction():
     np.testing.assert_array_equal(
         last_motions(visits(TURNS, ROWS))[0], [[0, 0], [1, 0], [1, 0], [-1, 1], [0, 0], [-1, 0]]
     )
     still = visits([[0.0], [0.5], [0.5 + 5e-4], [0.5]], [f"a.csv row {i}" for i in range(2, 6)])
     np.testing.assert_array_equal(last_motions(still)[0][:, 0], [0, 1, 1, 1])
-
-
-def test_known_sides_come_first():
     side = np.array([[1.0, -1.0], [np.nan, 1.0]])
     known = visits([[0.0, 0.0], [0.5, 0.5]], ["s.mcap dwell 1", "s.mcap dwell 2"], side=side)
     np.testing.assert_array_equal(last_motions(known)[0], [[1, -1], [0, 1]])
-
-
-def test_without_moves_in_both_directions_nothing_can_be_estimated():
     rows = worlds.clean(worlds.plan(), np.random.default_rng(0))
     sorted_rows = rows.select(np.argsort(rows.q[:, 0]))
     with pytest.raises(InputError, match=r"joint1.backlash: rows 1 to 360 have no direction, or it does"):

@@ -32,9 +32,6 @@ def test_they_stand_in_result_terminal_and_report(tmp_path):
     assert share.values["rest"] == "is unexplained"
     write_page(tmp_path / "page.html", found)
     assert share.text() in (tmp_path / "page.html").read_text()
-
-
-def test_what_noise_alone_may_leave_is_not_called_unexplained():
     found = truearm.identify(ROBOT, random_table(N, np.random.default_rng(0), 1.05 * SIGMA), RIG)
     assert found.document["chi2_reduced"] <= found.document["chi2_band"][1]
     assert found.document["rms_unexplained_mm"] > 0.0

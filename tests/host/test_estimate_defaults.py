@@ -54,14 +54,11 @@ def test_mountings_are_what_moves_base_or_tool_as_one_body():
     assert "joint6.offset" in NAMES[found.tool]
 
 
-def test_known_fixtures_leave_no_choice():
+def test_known_fixtures_leave_no_choice_and_unknown_ones_are_placed():
     free, sigma, why = chosen(random_table(100, np.random.default_rng(1), SIGMA))
     assert why == Defaults()
     np.testing.assert_array_equal(free, FREE)
     assert np.isinf(sigma).all()
-
-
-def test_unknown_fixtures_are_placed_instead_of_the_base():
     rig = replace(RIG, chucks={name: replace(chuck, sigma=None) for name, chuck in CHUCKS.items()})
     free, _, why = chosen(random_table(200, np.random.default_rng(3), SIGMA), rig)
     assert len(why.base) == 6
@@ -71,9 +68,6 @@ def test_unknown_fixtures_are_placed_instead_of_the_base():
     )
     assert without.null_space == ()
     assert without.chi2_reduced == pytest.approx(whole.chi2_reduced, rel=1e-3)
-
-
-def test_what_is_named_is_not_held():
     named = NAMES == "link1.alpha"
     free, _, why = chosen(one_pairing(120), named=named, prior=False)
     assert free[named].all()

@@ -26,7 +26,7 @@ def test_a_difference_that_nobody_sees_and_a_column_of_zeros():
 
 
 def test_what_the_rig_explains_is_not_seen_of_the_robot():
-    """Robot a, b; rig c: the column of a is that of c, so only b is left. Without the rig both are seen."""
+    # Robot a, b; rig c: the column of a is that of c, so only b is left. Without the rig both are seen.
     rng = np.random.default_rng(1)
     c, b = rng.normal(size=(2, 30))
     root = np.linalg.qr(np.column_stack([2.0 * c, b, c]), mode="r")
@@ -36,9 +36,6 @@ def test_what_the_rig_explains_is_not_seen_of_the_robot():
     assert dict(zip(direction.names, direction.weights, strict=True)) == pytest.approx({"a": -0.5, "c": 1.0})
     assert seen.identifiable.tolist() == [False, True, False]
     assert identifiability(root[:2, :2], 2, ["a", "b"]).rank == 2
-
-
-def test_an_unknown_of_the_rig_alone():
     root = np.diag([1.0, 1.0, 0.0])
     seen = identifiability(root, 1, ["robot", "seen", "unseen"])
     assert seen.rank == 1
@@ -55,16 +52,13 @@ def test_a_column_of_rounding_is_no_information():
     assert seen(spectrum(root)).sum() == 2
 
 
-def test_observability_by_hand():
-    """Columns of length 6, 2 and 3 in units of 1, 2 and 1/3: singular values 6, 4, 1."""
+def test_observability_by_hand_and_without_what_the_rig_explains():
+    # Columns of length 6, 2 and 3 in units of 1, 2 and 1/3: singular values 6, 4, 1.
     found = observability(np.diag([6.0, 2.0, 3.0]), 3, np.ones(3, bool), np.array([1.0, 2.0, 1.0 / 3.0]), 4)
     assert found == pytest.approx((24.0 ** (1 / 3) / 2.0, 1.0 / 6.0, 1.0, 1.0 / 6.0))
     blind = np.array([[1.0, 1.0], [0.0, 0.0]])
     assert observability(blind, 2, np.ones(2, bool), np.ones(2), 4) == (0.0, 0.0, 0.0, 0.0)
     assert observability(blind, 2, np.array([True, False]), np.ones(2), 4)[1] == 1.0
     assert np.isnan(observability(np.zeros((0, 0)), 0, np.zeros(0, bool), np.zeros(0), 0)).all()
-
-
-def test_what_the_rig_explains_counts_nothing_for_observability():
     root = np.linalg.qr(np.array([[3.0, 3.0], [4.0, 0.0]]), mode="r")  # the robot's column, then the rig's
     assert observability(root, 1, np.ones(1, bool), np.ones(1), 2)[2] == pytest.approx(4.0)

@@ -66,15 +66,12 @@ def test_scaling_of_the_unknowns_changes_nothing():
     np.testing.assert_allclose(plain.x, scaled.x * [1.0, 1e6], rtol=1e-9)
 
 
-def test_redundant_unknowns_do_not_move():
-    """x0 + x1 is all that is seen: the step shares it evenly, by the columns' scale, and leaves x2 alone."""
+def test_the_ways_to_end():
+    # x0 + x1 is all that is seen: the step shares it evenly, by the columns' scale, and leaves x2 alone.
     a = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]])
     found = minimise(linearised(lambda x: np.array([1.0, 2.0]) - a @ x, lambda x: a), np.array([0.0, 0.4, 7.0]), 20)
     assert found.status == "converged"
     np.testing.assert_allclose(found.x, [0.3, 0.7, 7.0], atol=1e-9)
-
-
-def test_the_ways_to_end():
     hard = linearised(lambda x: -np.array([np.exp(x[0]) - 2.0]), lambda x: np.array([[np.exp(x[0])]]))
     found = minimise(hard, np.array([5.0]), 2)
     assert (found.status, found.iterations) == ("max_iterations", 2)
@@ -82,6 +79,9 @@ def test_the_ways_to_end():
     lying = linearised(lambda x: np.array([1.0 + x[0] ** 2]), lambda x: np.array([[1.0]]))
     assert minimise(lying, np.array([0.0]), 50).status == "stalled"
     assert minimise(hard, np.log([2.0]), 50).iterations == 0
+    # What was predicted may be lost in rounding; the damping is then that of a step that came as predicted.
+    for refused in (False, True):
+        assert after_step(1e-3, 1e200, refused) == after_step(1e-3, 1.0, refused) > 0.0
 
 
 def test_a_gain_below_the_rounding_of_chi2_is_the_minimum():
@@ -98,12 +98,6 @@ def test_a_gain_below_the_rounding_of_chi2_is_the_minimum():
     found = minimise(at, np.array([1.0 + 2e-4]), 50)
     assert found.status == "converged"
     assert len(calls) < 40  # one a refusal: λ from 1e-4 to 1e10 in factors of 4 is 24
-
-
-def test_a_step_that_brings_far_more_than_was_foretold_is_no_overflow():
-    """What was predicted may be lost in rounding; the damping is then that of a step that came as predicted."""
-    for refused in (False, True):
-        assert after_step(1e-3, 1e200, refused) == after_step(1e-3, 1.0, refused) > 0.0
 
 
 def test_a_narrow_valley_that_bends_is_followed_in_a_few_steps():

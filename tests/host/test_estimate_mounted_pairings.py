@@ -114,17 +114,15 @@ def test_a_fit_that_predicts_the_dwells_worse_makes_nothing_sure(plan):
     assert sure(found)[37] in (None, ("bar61", "c3", "s2"))
 
 
-def test_readings_that_cannot_tell_leave_the_word_as_it_is():
-    """The last dwell of a session, at a pose where two spheres are equally far from the chuck: the old one may have stayed on."""
+def test_without_readings_that_tell_words_count(plan):
+    # The last dwell of a session, at a pose where two spheres are equally far from the chuck: the old one may have stayed
+    # on.
     right, old = PAIRING, ("bar46", "c1", "s2")
     by_words = np.array([[0.95, 0.05, 0.0]])
     assert MountingChances((right, old), by_words, by_words).supports(0, right)
     assert not MountingChances((right, old), np.array([[0.9, 0.1, 0.0]]), by_words).supports(0, right)
     assert not MountingChances((right, old), by_words, by_words).supports(0, ("bar46", "c3", "s3"))
-
-
-def test_without_readings_words_alone_count(plan):
-    """No reading can confirm anything; the plan's pairing is the most probable."""
+    # No reading can confirm anything; the plan's pairing is the most probable.
     q = plan.q[:6]
     words = Words([(pairing_at(plan, i),) for i in range(6)], [()] * 6)
     found = mountings(ROBOT.chain, RIG, Readings(q, np.full(6, np.nan), np.zeros(6, dtype=bool)), words, ROBOT.free)

@@ -66,15 +66,12 @@ def test_a_gross_row_is_named_alone(length):
     assert e.with_outliers.rms_after["m"] > 1e-3
 
 
-def test_more_gross_rows_than_single_ones_are_no_bad_rows():
-    """Four that follow each other are a fault of the session, not of rows: none is left out."""
+def test_clean_rows_stay_and_many_gross_ones_are_no_bad_rows():
+    # Four that follow each other are a fault of the session, not of rows: none is left out.
     t = random_table(N, np.random.default_rng(8), SIGMA)
     t.value[200:204] += 0.5
     e = identify(CHAIN, RIG, t, free=FREE, options=REJECT)
     assert (e.weight == 1.0).all()
-
-
-def test_clean_rows_stay():
     t = random_table(N, np.random.default_rng(0), SIGMA)
     e, plain = (identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(reject=reject)) for reject in (True, False))
     assert e.with_outliers is None

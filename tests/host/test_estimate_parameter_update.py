@@ -36,14 +36,11 @@ def moved(problem, columns, x, delta):
     return out
 
 
-def test_a_base_that_is_held_in_part_is_added_to(problem, columns):
+def test_bases_held_in_part_and_chucks_that_move_with_the_base(problem, columns):
     held = columns.copy()
     held[base_parameters()[0]] = False
     x, delta = problem.start, 0.02 * np.random.default_rng(5).normal(size=columns.size)
     assert np.array_equal(moved(problem, held, x, delta)[held], (x + delta)[held])
-
-
-def test_chucks_move_with_the_base_under_a_payload_too(problem, columns):
     payloads = [Payload(2.0 * (i % 2), (0.0, 0.0, 0.1)) for i in range(60)]
     loaded = replace(problem, groups=with_payloads(problem.groups, payloads))
     delta = np.where(columns, 0.02 * np.random.default_rng(5).normal(size=columns.size), 0.0)

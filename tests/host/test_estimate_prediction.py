@@ -151,15 +151,12 @@ def aligned(a, b):
     return (a - a.mean(0)) @ turn.T + b.mean(0)
 
 
-def test_a_large_table_is_thinned():
+def test_large_tables_orientations_and_rows_without(bars):
     table = shell_table(27, 0.46, np.random.default_rng(2), SIGMA)
     many = table.select(np.arange(2000) % 27)
     estimate = identify(CHAIN, RIG, many, free=np.array([name == "link2.x" for name in CHAIN.parameter_names]))
     assert predicted_point_error(CHAIN, RIG, many, estimate).n == MOST_POSES
-
-
-def test_orientations_of_poses_are_angles():
-    """Noise of σ about each of three axes: an angle of σ√3 in the root mean square, less what the fit takes up."""
+    # Noise of σ about each of three axes: an angle of σ√3 in the root mean square, less what the fit takes up.
     rng = np.random.default_rng(3)
     n = 150
     true = tracked("pose", n, np.array([1.5, 0.2, 0.5, 0.1, 0.2, 0.3]), rng)
@@ -173,9 +170,6 @@ def test_orientations_of_poses_are_angles():
     freedom = 1.0 - (36 + 6) / (6 * n)
     # χ² of 3n angles: standard deviation of the root 1/sqrt(6n) = 3.3 %; four of these, and what the split leaves open
     assert np.sqrt(np.mean(angle**2)) == pytest.approx(TURN * np.sqrt(3 * freedom), rel=0.15)
-
-
-def test_rows_without_an_orientation_have_no_angle(bars):
     _, estimate = bars
     assert estimate.residual.keys() == estimate.rms_after.keys() == {"m"}
 
@@ -246,21 +240,16 @@ def sagging(n: int, sensor: float, declared: float, joint: float = 0.0, shared: 
     return result, rms(np.linalg.norm(points - still, axis=1))
 
 
-def test_sag_does_not_hide_the_error_of_the_tool():
-    """With sag the parameters move by milliradians. The geometry's own null space, taken before, then moves the tool by 0.2 mm."""
+def test_scatter_and_sag_count_in_the_error_of_the_tool():
+    # With sag the parameters move by milliradians. The geometry's own null space, taken before, then moves the tool by
+    # 0.2 mm.
     result, _ = sagging(40, sensor=5e-5, declared=5e-5)
     assert result.estimate.null_space
     assert result.predicted.rms == pytest.approx(3e-5, rel=0.4)
-
-
-def test_scatter_of_the_arm_counts_although_the_declared_noise_explains_it():
-    """A tracker declared at what its readings scatter by, arm included: the rows tell the two apart, χ² does not."""
+    # A tracker declared at what its readings scatter by, arm included: the rows tell the two apart, χ² does not.
     result, scatter = sagging(300, sensor=2e-5, declared=6e-5, joint=6e-5)
     assert result.estimate.covariance_explains
     assert result.predicted.scatter == pytest.approx(scatter, rel=0.25)
-
-
-def test_scatter_that_the_rows_of_a_pose_share_counts():
     result, scatter = sagging(80, sensor=2e-5, declared=6.5e-5, shared=6e-5, rows=4)
     assert result.estimate.covariance_explains
     assert result.predicted.scatter == pytest.approx(scatter, rel=0.25)

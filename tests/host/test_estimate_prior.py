@@ -29,15 +29,12 @@ def test_sigmas_by_unit():
             assert (prior(CHAIN)[unit == u] == sigma).all()
 
 
-def test_without_a_prior_map_is_lm(exact):
+def test_map_without_a_prior_with_a_wide_and_with_a_weak_one(exact):
     e, off = found(exact, options=SolverOptions(solver="map"))
     assert e.status == "converged"
     assert off < 1e-6  # the end of the search, 1e-6 of what is left
     assert e.chi2_reduced < 1e-15
-
-
-def test_the_wide_prior_holds_errors_of_millimetres(exact):
-    """An error e by a prior M moves a fit of covariance P by PMe, in P's norm at most √(eᵀMe) √λ, λ the largest of PM."""
+    # An error e by a prior M moves a fit of covariance P by PMe, in P's norm at most √(eᵀMe) √λ, λ the largest of PM.
     error, sigma = (TRUTH - DESIGN)[FREE], wide_prior(CHAIN)[FREE]
     assert ((error / sigma) ** 2).sum() < 36  # 4: what robots such as the prior believes in have
     covariance = exact[1].covariance[: FREE.size, : FREE.size][np.ix_(FREE, FREE)]
@@ -48,10 +45,7 @@ def test_the_wide_prior_holds_errors_of_millimetres(exact):
     assert off < bound < 0.2
     assert e.chi2_reduced < bound**2 / (200 - 36)
     assert off < 0.02  # as the module says
-
-
-def test_the_weak_prior_is_not_for_them(exact):
-    """410 for 36: the prior is false, and the parameters are off by a σ of the data, without any noise."""
+    # 410 for 36: the prior is false, and the parameters are off by a σ of the data, without any noise.
     assert (((TRUTH - DESIGN) / weak_prior(CHAIN))[FREE] ** 2).sum() > 400
     _, off = found(exact, options=SolverOptions(solver="map"), prior_sigma=weak_prior(CHAIN))
     assert off > 0.5

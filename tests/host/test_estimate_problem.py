@@ -115,20 +115,14 @@ def seat_rows(*labels):
     return ObservationTable(q=q, kind="seat", socket=socket, place=place, source=source)
 
 
-def test_socket_distances_go_by_place_and_socket_not_by_spelling():
+def test_sockets_and_points_go_by_their_keys():
     rig = Rig(socket_distances=(SocketDistance(("x.0", "1"), 0.05, 1e-4),))
     table = seat_rows(("p.q", "x.0"), ("p.q", "1"), ("r", "x.0"), ("", "x.0"), ("", "1"))
     distances = build_problem(CHAIN, rig, table).groups[1]
     assert len(distances.distance) == 2  # at p.q and at the place without a name
-
-
-def test_sockets_that_would_share_a_name_are_refused():
     with pytest.raises(ProblemError, match=r"two sockets would both be called socket\.a\.b\.c"):
         build_problem(CHAIN, Rig(), seat_rows(("a.b", "c"), ("a", "b.c")))
-
-
-def test_points_go_by_the_rigs_key():
-    """Two entries may carry the same name inside; the key is what a table writes."""
+    # Two entries may carry the same name inside; the key is what a table writes.
     same = {k: Point("same", p.xyz, None) for k, p in CHUCKS.items()}
     assert len(build_problem(CHAIN, Rig(same, SPHERES, BARS), TABLE).names) == 54 + 9
 
@@ -200,7 +194,7 @@ def test_devices_and_rows_that_make_no_problem(rig, kind, columns, says):
     assert "\n" not in str(caught.value)
 
 
-def test_a_device_goes_by_the_rigs_key_and_the_only_one_needs_no_name():
+def test_devices_go_by_the_rigs_key_and_rows_by_their_own_sigma():
     rig = Rig(trackers={"left": Device("same", COV), "right": Device("same", COV)})
     t = rows("position", Q, tracker="left", **POINT)
     both = build_problem(CHAIN, rig, replace(t, tracker=np.array(["left", "right"])))
@@ -208,9 +202,6 @@ def test_a_device_goes_by_the_rigs_key_and_the_only_one_needs_no_name():
     alone = build_problem(CHAIN, Rig(trackers={"left": Device("same", COV)}), replace(t, tracker=np.array(["", ""])))
     assert alone.names[54] == "tracker.left.x"
     assert build_problem(CHAIN, Rig(), rows("line", Q, **POINT)).names[54] == "line.x"
-
-
-def test_the_rows_sigma_comes_before_the_devices():
     rig = tracker(sensor_cov=((1e-8, 1e-9, 0.0), (1e-9, 1e-8, 0.0), (0.0, 0.0, 1e-8)))
     t = rows("position", Q, tracker="t", sigma=np.array([np.nan, 1e-3]), **POINT)
     (group,) = build_problem(CHAIN, rig, t).groups

@@ -77,7 +77,7 @@ def test_relinearised_it_ends_where_map_ends(ulb):
     assert recursive.rms_before["m"] > 10 * recursive.rms_after["m"]
 
 
-def test_deleted_distance_is_that_of_a_fit_without_the_row():
+def test_deleted_distances_and_the_gate():
     rng = np.random.default_rng(4)
     jac, residual = rng.normal(size=(12, 2, 5)), rng.normal(size=(12, 2))
     flat, values = jac.reshape(-1, 5), residual.ravel()
@@ -92,15 +92,9 @@ def test_deleted_distance_is_that_of_a_fit_without_the_row():
         assert found[i] == pytest.approx(expected, rel=1e-9)
         out = deleted_distance(jac[i : i + 1], nu[None], np.linalg.cholesky(rest), np.zeros(1))
         assert out[0] == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_row_that_alone_determines_an_unknown_is_never_suspected():
     jac = np.array([[[1.0, 0.0]], [[1.0, 0.0]], [[0.0, 1e-3]]])
     P = np.diag([0.5, 1e6])
     assert deleted_distance(jac, np.array([[0.5], [-0.5], [1e-9]]), np.sqrt(P), np.ones(3))[2] == 0.0
-
-
-def test_the_gate_is_the_quantile():
     assert gate(1) == pytest.approx(stats.chi2.isf(1e-6, 1))
     np.testing.assert_allclose(gate(np.array([1, 3])), stats.chi2.isf(1e-6, [1, 3]))
 
@@ -173,7 +167,7 @@ def test_gross_faults_do_not_take_their_neighbours_along(shells):
     assert "4 of 800" in e.message
 
 
-def test_not_converging_is_a_status(ulb):
+def test_fits_that_do_not_converge_or_have_nothing_free(ulb):
     e = identify(
         ULB,
         rig(ulb),
@@ -183,18 +177,12 @@ def test_not_converging_is_a_status(ulb):
         options=SolverOptions(solver="recursive", max_iterations=1),
     )
     assert (e.status, e.iterations) == ("max_iterations", 1)
-
-
-def test_numbers_beyond_reason_end_as_stalled():
     t = random_table(60, np.random.default_rng(6), SIGMA)
     t.value[3] = 1e300
     for solver in ("lm", "map", "recursive", "ls", "renders-1991"):
         with np.errstate(over="ignore"):
             e = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(solver=solver, max_iterations=3))
         assert e.status in ("stalled", "max_iterations"), solver
-
-
-def test_an_empty_set_of_free_parameters():
     t = random_table(20, np.random.default_rng(7), SIGMA)
     e = identify(CHAIN, RIG, t, free=np.zeros(54, bool), options=SolverOptions(solver="recursive"))
     assert e.rms_after["m"] == e.rms_before["m"]

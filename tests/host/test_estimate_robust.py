@@ -22,13 +22,10 @@ def test_weight_is_half_the_slope_of_the_cost_over_the_length(loss, width):
     assert (np.diff(found.weight) <= 0.0).all()
 
 
-def test_small_residuals_count_as_in_least_squares():
+def test_losses_count_small_residuals_and_keep_their_share():
     s = np.array([0.0, 1e-4])
     for loss in ("huber", "cauchy"):
         np.testing.assert_allclose(weigh(loss, s, 1).cost, s**2, rtol=1e-8)
-
-
-def test_tuning_keeps_its_share_of_clean_rows():
     assert (tuning(HUBER, 1), tuning(CAUCHY, 1)) == pytest.approx((1.345, 2.385))
     for width in (1, 3, 6):
         assert stats.chi.cdf(tuning(HUBER, width), width) == pytest.approx(2 * stats.norm.cdf(1.345) - 1)

@@ -152,12 +152,9 @@ def test_a_bar_and_a_target_at_one_pose_share_its_error():
     assert 0.92 <= np.mean(inside) <= 0.98  # 0.9545, and 0.43 if the two rows counted as two poses
 
 
-def test_one_row_a_pose_tells_nothing_of_shared_errors():
+def test_one_row_a_pose_tells_nothing_and_identify_says_shared_errors():
     table = tracked(np.random.default_rng(3), 60, 3.0 * NOISE, names="a")
     assert scatter_of(table)[3] is None
-
-
-def test_identify_says_it_and_uses_it():
     table = tracked(np.random.default_rng(4), 40, 3.0 * NOISE)
     estimate = identify(CHAIN, RIG, table, free=FREE_HERE)
     assert estimate.scatter.shared == pytest.approx(3.0 * NOISE, rel=0.3)

@@ -61,23 +61,17 @@ def test_rounding_chooses_nothing_on_any_real_arm(real_arms, name, monkeypatch):
     assert_same_choices(dict(real_arms.cases())[name](), monkeypatch, 50)
 
 
-def test_the_first_of_equal_values_is_chosen():
+def test_ties_go_to_the_first():
     assert first_within(EQUAL) == first_within(EQUAL[::-1][1:]) == 0
     assert largest_first([0.5, *EQUAL]) == [1, 2, 3, 0, 4]
     assert largest_first([-2.0, -np.inf, -1.0, -1.0 - 1e-12]) == [2, 3, 0, 1]
-
-
-def test_pivots_are_the_first_of_equal_columns():
     rng = np.random.default_rng(1)
     basis = np.linalg.qr(rng.standard_normal((6, 3)))[0]
     columns = basis[:, [0, 0, 1, 2, 1]] @ np.diag([1.0, 1.0 + 1e-13, 2.0, 1.5, 2.0 + 1e-13])
     assert pivots(columns, 1e-10) == [2, 3, 0]
     assert pivots(columns, 1e-10, most=2) == [2, 3]
     assert pivots(np.zeros((6, 3))) == pivots(np.zeros((6, 0))) == []
-
-
-def test_equivalent_parameters_are_taken_in_order():
-    """b does the same as a, and c is twice as long: the first is suggested, and the direction's first weight is 1."""
+    # b does the same as a, and c is twice as long: the first is suggested, and the direction's first weight is 1.
     a = np.random.default_rng(2).standard_normal((5, 1))
     for rounding in (-1e-13, 0.0, 1e-13):
         root = np.linalg.qr(np.hstack([a, a * (1.0 + rounding), -a]), mode="r")

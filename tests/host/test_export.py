@@ -275,14 +275,11 @@ def test_every_format_says_what_it_holds(name):
     assert bool(found.missing) == ("gain" not in form.holds)
 
 
-def test_the_docs_list_every_format():
+def test_the_docs_list_every_format_and_without_poses_nothing_is_said():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "robot-format.md").read_text()
     for name, form in FORMATS.items():
         mountings = "yes" if form.mountings else "no"
         assert f"| `{name}` | `{form.suffix}` | {', '.join(form.holds)} | {mountings} |" in page
-
-
-def test_without_poses_nothing_is_said():
     with pytest.raises(RobotError, match="no poses"):
         fit_to("urdf", CHAIN, DESIGN, TRUTH, np.ones(DESIGN.size, dtype=bool), np.zeros((0, 6)))
 
@@ -423,15 +420,12 @@ def six_pose(x, y, z, roll, pitch, yaw):
     return pose
 
 
-def test_kinematics_of_design_values_are_the_published_ones():
+def test_kinematics_files_are_the_published_ones_and_predict_the_robot():
     chain = builtin_robot("ur5e").chain
     described = link_frames(chain, chain.params_nominal, chain.params_nominal)
     found = read_kinematics(ur_yaml(source(described, described)))
     for name, six in PUBLISHED.items():
         np.testing.assert_allclose(found[name], six_pose(*six), atol=1e-12)
-
-
-def test_a_kinematics_file_predicts_the_robot_without_its_mountings():
     chain = builtin_robot("ur5e").chain
     nominal, calibrated = disturbed(chain)
     robot, described = link_frames(chain, nominal, calibrated), link_frames(chain, nominal, nominal)
@@ -443,9 +437,6 @@ def test_a_kinematics_file_predicts_the_robot_without_its_mountings():
             here = here @ found[name] @ elementary("rz", angle)
         expected = inverted(robot.base) @ forward(chain, calibrated, q) @ inverted(robot.tool)
         np.testing.assert_allclose(here @ rest, expected, atol=ROUNDING)
-
-
-def test_kinematics_files_are_of_universal_robots_alone():
     chain = builtin_robot("irb120").chain
     described = link_frames(chain, chain.params_nominal, chain.params_nominal)
     with pytest.raises(RobotError, match="irb120: its axes"):

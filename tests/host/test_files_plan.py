@@ -69,7 +69,7 @@ def test_every_bit_of_a_plan_comes_back(q):
     assert_same(parse_plan(format_plan(plan_of(q)), "plan.csv"), plan_of(q))
 
 
-def test_a_plan_with_via_points_and_lines():
+def test_a_plan_with_via_points_and_lines_and_one_of_dwells():
     plan = parse_plan(MOVING, "plan.csv")
     assert plan.move.tolist() == ["dwell", "via", "via", "line", "line"]
     assert plan.line.tolist() == ["", "", "", "left", "left"]
@@ -82,9 +82,6 @@ def test_a_plan_with_via_points_and_lines():
     assert_same(parse_plan(format_plan(plan), "plan.csv"), plan)
     both = concatenate(parse_plan(GOOD, "plan.csv"), plan)
     assert_same(parse_plan(format_plan(both), "plan.csv"), both)
-
-
-def test_a_plan_of_dwells_is_written_as_ever():
     assert format_plan(parse_plan(GOOD, "plan.csv")).splitlines()[0] == GOOD.splitlines()[0]
     plain = MOVING.splitlines()[:2]
     assert (

@@ -267,8 +267,8 @@ def test_a_covariance_has_all_variances_though_it_is_nearly_singular(n: int) -> 
     np.testing.assert_allclose(np.diag(again.matrix), np.square(root).sum(axis=1), rtol=1e-8)
 
 
-def test_a_covariance_of_curves_takes_an_eighth_of_its_numbers() -> None:
-    """Of 700 coefficients the readings determine 200; the others are as the prior has them."""
+def test_packed_covariances_of_curves_and_unknown_sigmas():
+    # Of 700 coefficients the readings determine 200; the others are as the prior has them.
     jacobian = np.random.default_rng(0).normal(size=(300, 200))
     matrix = np.eye(700)
     matrix[:200, :200] = np.linalg.inv(np.eye(200) + jacobian.T @ jacobian)
@@ -276,9 +276,6 @@ def test_a_covariance_of_curves_takes_an_eighth_of_its_numbers() -> None:
     packed = Covariance.of(names, names, matrix)
     assert len(msgspec.json.encode(packed)) < 700 * 701 // 2 * 8 // 8
     np.testing.assert_allclose(packed.matrix, matrix, rtol=0.0, atol=1e-8)
-
-
-def test_an_unknown_sigma_makes_its_row_unknown() -> None:
     packed = Covariance.of(["a", "b"], ["m", "m"], np.array([[4.0, math.nan], [math.nan, math.nan]]))
     assert packed.sigma == (2.0, None)
     np.testing.assert_array_equal(packed.matrix, [[4.0, math.nan], [math.nan, math.nan]])

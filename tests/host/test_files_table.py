@@ -159,7 +159,7 @@ def test_only_x_in_metres_is_a_measurement_and_others_are_kept_to_hold_out_by() 
     assert ObservationTable.joined([table, parse_table(SEAT, "u.csv")]).x_cm.tolist() == ["warm", ""]
 
 
-def test_blank_lines_and_empty_rows_and_columns_are_passed_over():
+def test_blank_empty_and_foreign_rows_and_line_ends_are_passed_over(tmp_path):
     # Every row after them is still there, and numbered as an editor numbers it.
     table = parse_table(SEAT + "\n" * 250_000 + "seat,0.7,front,1\n", "t.csv")
     assert table.q[:, 0].tolist() == [0.5, 0.7]
@@ -168,9 +168,6 @@ def test_blank_lines_and_empty_rows_and_columns_are_passed_over():
     table = parse_table(text, "t.csv")
     assert table.q[:, 0].tolist() == [0.5, 0.7]
     assert table.source.tolist() == ["t.csv row 3", "t.csv row 5"]
-
-
-def test_blank_lines_byte_order_mark_notes_and_windows_line_ends_are_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_bytes(b'\xef\xbb\xbf kind ,q1_rad,place,socket,note,x_temp\r\n\r\nseat, 1 ,a,0,"two\r\nlines",warm\r\n')
     table = read_table(path)
@@ -322,7 +319,7 @@ def test_joints_must_be_the_robots_and_alike():
         concatenate([table, parse_table(SEAT, "b.csv")])
 
 
-def test_rows_that_name_what_the_rig_lacks_are_told() -> None:
+def test_rows_that_do_not_fit_the_rig_are_told():
     bar = BallBar("b46", 0.4, 1.0, 0.075, 1e-4)
     rig = Rig(bars={"b46": bar}, chucks={"c1": Point("c1", (0.0, 0.0, 0.0))})
     with refused("not-in-rig", place="t.csv row 2", what="sphere", name="s1"):
@@ -330,9 +327,6 @@ def test_rows_that_name_what_the_rig_lacks_are_told() -> None:
     with refused("not-in-rig", what="chuck", name="c7", names=["c1"]):
         check_against_rig(parse_table(GOOD.replace("c1", "c7"), "t.csv"), rig)
     check_against_rig(parse_table(SEAT, "t.csv"), Rig())
-
-
-def test_devices_that_the_rig_lacks_are_told() -> None:
     lines, point = parse_table(LINE, "t.csv"), (0.0, 0.0, 0.0)
     check_against_rig(lines, Rig())  # lines come as they are, until a rig lists them
     cov = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))
@@ -347,9 +341,6 @@ def test_devices_that_the_rig_lacks_are_told() -> None:
     check_against_rig(touch, Rig(planes={"floor": Plane("floor", point, (0.0, 0.0, 1.0), 1e-5)}))
     with refused("not-in-rig", what="plane", name="floor"):
         check_against_rig(touch, Rig())
-
-
-def test_seats_that_do_not_fit_the_rig_are_told() -> None:
     seats = parse_table(SEAT + "seat,0.5,front,1\nseat,0.5,back,2\n", "t.csv")
     balls = {name: Point(name, (0.0, 0.0, 0.0)) for name in ("s1", "s2")}
     with pytest.raises(TableError, match="row 2 column sphere:"):

@@ -90,15 +90,12 @@ def changed(before, after, pose=None):
     return mean_changes({"m": np.asarray(before)}, {"m": np.asarray(after)}, pose).get("m")
 
 
-def test_an_outlier_hides_no_gain():
-    """It is 100 mm off for either robot, so that its square would outweigh everything."""
+def test_outliers_and_rows_of_a_pose_hide_no_gain():
+    # It is 100 mm off for either robot, so that its square would outweigh everything.
     before, after = np.full(20, 2e-3), np.full(20, 2e-4)
     before[3], after[3] = 0.1, 0.1015
     assert changed(before, after).gain is Gain.BETTER
-
-
-def test_rows_of_a_pose_count_once():
-    """Two poses of 50 rows: 100 independent rows would be evidence, two poses are none."""
+    # Two poses of 50 rows: 100 independent rows would be evidence, two poses are none.
     before, after = np.full(100, 1e-3), np.repeat([1.1e-3, 1.9e-3], 50)
     assert changed(before, after).gain is Gain.WORSE
     change = changed(before, after, np.repeat([0, 1], 50))

@@ -39,12 +39,9 @@ def test_the_proposal_leaves_every_pairing_in_the_fit(table, pairings):
     assert all_held_out(table, held) == []
 
 
-def test_rows_that_are_too_few_to_spare_any():
+def test_rows_that_go_together_or_are_too_few():
     assert proposed_hold_out(bars(*((f"b{i}", "c", "s", 1) for i in range(10)))) is None
     assert proposed_hold_out(bars(("b", "c", "s", 2))) is None
-
-
-def test_what_goes_with_a_bar():
     assert all_held_out(ONE_LONG_BAR, ONE_LONG_BAR.bar == "b61") == ["bar=b61", "sphere=s1"]
 
 

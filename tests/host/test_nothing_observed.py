@@ -78,15 +78,12 @@ def test_reasons_and_commands(dwells, passes, planned, said):
     assert [command in text for command in (RELABEL, INSPECT)] == [command in said for command in (RELABEL, INSPECT)]
 
 
-def test_the_session_of_another_robot(tmp_path, plan, capsys):
-    """Every reading contradicts its label, so the robot is named as the cause before the labels are."""
+def test_another_robots_session_and_nothing_at_all(tmp_path, plan, capsys):
+    # Every reading contradicts its label, so the robot is named as the cause before the labels are.
     path = tmp_path / "s.mcap"
     recorded(path, plan, right(plan))
     assert main(["identify", str(path), "--model", "irb120", "--out", str(tmp_path / "r.json")]) == 2
     assert "(40 doubtful)" in capsys.readouterr().err
-
-
-def test_nothing_at_all():
     said = nothing_observed(Path("s.mcap"), {}, {}, False)
     assert said.startswith("s.mcap: ")
     assert said.endswith(INSPECT)

@@ -44,7 +44,7 @@ def small(tmp_path_factory):
     return path
 
 
-def test_two_methods_agree(benchmark, small):
+def test_methods_agree_and_those_that_are_missing_are_said(benchmark, small, tmp_path):
     figures = [
         benchmark.run(benchmark.METHODS[name], small)
         for name in ("truearm, geometry alone", "scipy lm, analytic Jacobian")
@@ -54,9 +54,6 @@ def test_two_methods_agree(benchmark, small):
     assert errors[0] == pytest.approx(errors[1], rel=0.15)
     assert errors[1] < 2.5 * 1e3 * NOISE
     assert all(one["max_mm"] >= one["mean_mm"] and one["seconds"] > 0.0 for one in figures)
-
-
-def test_what_is_not_installed_or_fails_is_said(benchmark, small, tmp_path):
     assert benchmark.run(benchmark.Method("scipy_lm", "nowhere"), small) == {"status": "not installed"}
     assert benchmark.run(benchmark.METHODS["truearm"], tmp_path / "none.npz")["status"].startswith("failed: ")
 

@@ -41,23 +41,17 @@ def options():
     return [(name, one.opts[0], one) for name, command in commands().items() for one in command.params]
 
 
-def test_an_option_takes_the_value_that_the_page_names():
+def test_the_page_names_options_with_their_values():
     for name, word, one in options():
         if word in ROWS:
             given = "" if one.is_flag else (one.metavar or "").removeprefix("[NAME=]")
             assert given in ROWS[word], f"{name} {word} {given}"
-
-
-def test_an_option_of_several_commands_has_one_kind_of_value():
-    """Where the page does not name it: what it takes is the same anyway."""
+    # Where the page does not name it: what it takes is the same anyway.
     takes = {}
     for name, word, one in options():
         if word.startswith("--") and word not in ROWS and not one.is_flag and not name.startswith("truearm box"):
             takes.setdefault(word, {}).setdefault(str(one.metavar), []).append(name)
     assert {word for word, kinds in takes.items() if len(kinds) > 1} == {"--format", "--method"}  # each has its own
-
-
-def test_every_word_of_the_page_is_an_option():
     assert set(ROWS) <= {word for _, word, _ in options()}
 
 
@@ -134,12 +128,9 @@ def test_a_wrong_command_is_answered_by_what_it_means(typed, meant, capsys):
     assert meant in capsys.readouterr().err
 
 
-def test_every_command_that_is_named_exists():
+def test_commands_exist_in_five_tasks():
     paths = {name.removeprefix("truearm ") for name in commands()} | {"box"}
     assert {*MEANINGS, *(new for old, new in EARLIER.items() if "--" not in old)} <= paths
-
-
-def test_the_list_of_commands_has_five_tasks_and_room_for_twenty():
     assert [*TASKS] == ["Try", "Measure", "Identify", "Use", "Box"]
     assert [*command_tree().commands] == [name for names in TASKS.values() for name in names]
     assert len(command_tree().commands) <= 20

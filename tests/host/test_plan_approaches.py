@@ -38,16 +38,13 @@ def route():
     return planned()
 
 
-def test_every_way_keeps_the_bar_on_and_within_its_travel(route):
-    """Recomputed from the route alone, 12 places on every way: joints, travel with its reserve, cups, collisions."""
+def test_every_pose_is_reached_alike_often_on_ways_that_keep_the_bar_on(route):
+    # Recomputed from the route alone, 12 places on every way: joints, travel with its reserve, cups, collisions.
     site, way = route
     share = np.linspace(0.0, 1.0, 12)[:, None]
     for i in range(1, len(way.q)):
         if not way.mount[i] and not (i + 1 < len(way.q) and way.mount[i + 1]):
             assert allowed(site, way.q[i - 1] + share * (way.q[i] - way.q[i - 1]), PAIRING, Limits()).all()
-
-
-def test_every_pose_is_reached_from_each_side_alike_often(route):
     _, way = route
     poses = np.unique(way.plan.q, axis=0)
     assert len(poses) == WANTED.poses
@@ -59,9 +56,6 @@ def test_every_pose_is_reached_from_each_side_alike_often(route):
         assert counts.tolist() == [WANTED.rounds] * 8
         assert np.abs(near).min() >= LEAST
         assert (np.diff(at) == 1).sum() + 1 == WANTED.long_dwell / 2.0  # rows of the long rest
-
-
-def test_what_the_joints_do_together_stays_within_the_free_travel(route):
     site, way = route
     jac = np.abs(length_derivatives(site, way.plan.q[:1], PAIRING))[0]
     step = np.abs(way.q[np.flatnonzero(way.pose < 0)[0]] - way.plan.q[0])
@@ -69,15 +63,12 @@ def test_what_the_joints_do_together_stays_within_the_free_travel(route):
     assert jac @ step <= free_travel(bar, site.limits)
 
 
-def test_the_plan_and_the_programs_say_the_same(route):
+def test_plan_and_programs_say_the_same_and_too_many_poses_are_refused(route):
     _, way = route
     visits = way.visits
     assert np.array_equal(visits.q, way.q)
     assert [stop.move for stop in way.stops] == visits.move.tolist()
     assert set(visits.bar[visits.move == "via"]) <= {"bar46", ""}
-
-
-def test_more_poses_than_have_room_are_refused(route):
     site, _ = route
     with pytest.raises(PlanError, match="bar room"):
         plan_approaches(site, PAIRING, ApproachOptions(poses=50, candidates=20), Pace())

@@ -83,15 +83,11 @@ def test_the_plan_file_keeps_via_points_and_says_where_the_bar_is_off(name):
 
 
 @each_robot
-def test_every_point_of_every_way_is_inside_the_joints_limits(name):
+def test_every_way_is_inside_limits_and_travel(name):
     lower, upper = np.array([(j.lower, j.upper) for j in bench.known(name).chain.joints]).T
     for _, q in way_points(name):
         assert (q > lower + bench.LIMITS.joint_margin).all()
         assert (q < upper - bench.LIMITS.joint_margin).all()
-
-
-@each_robot
-def test_the_bar_keeps_its_travel_and_its_angles_on_the_whole_way(name):
     looked_at = 0
     for mounted, q in way_points(name):
         if mounted is None:
@@ -131,8 +127,8 @@ def test_nothing_is_touched_on_the_whole_way(name):
 
 
 @each_robot
-def test_nothing_goes_faster_than_the_pace(name):
-    """Along s(τ) = 10τ³ − 15τ⁴ + 6τ⁵, as controllers go that know the duration."""
+def test_nothing_goes_faster_than_the_pace_and_minutes_are_counted(name):
+    # Along s(τ) = 10τ³ − 15τ⁴ + 6τ⁵, as controllers go that know the duration.
     route, tau = bench.planned(name).route, np.linspace(0.0, 1.0, 200)
     share = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
     for i in range(1, len(route.q)):
@@ -143,10 +139,6 @@ def test_nothing_goes_faster_than_the_pace(name):
         if mounted is not None:
             ends, _ = bench.bar_of(name, q, mounted)
             assert np.linalg.norm(np.diff(ends, axis=0), axis=1).max() / step <= route.pace.bar_speed
-
-
-@each_robot
-def test_minutes_are_those_of_moves_dwells_and_mounts(name):
     route = bench.planned(name).route
     assert route.minutes == pytest.approx((route.seconds.sum() + bench.N_POSES * 2.0 + route.n_mounts * 30.0) / 60.0)
 
@@ -213,7 +205,7 @@ def test_a_region_that_is_measured_has_the_smaller_error():
     assert told.cartesian_rms < fewer.cartesian_rms
 
 
-def test_a_budget_in_minutes_is_kept():
+def test_budgets_in_minutes_are_kept():
     site, known = bench.site("irb120"), bench.known("irb120")
     wanted = Wanted(minutes=8.0, n_candidates=100, passes=0)
     pairings = all_pairings(known.rig, ["bar25"])
@@ -222,10 +214,8 @@ def test_a_budget_in_minutes_is_kept():
     assert len(found.route.plan) > 20
     with refused("no-plan", reason="mounting one pairing takes"):
         plan_ballbar(site, known, pairings, wanted._replace(minutes=0.5), Pace())
-
-
-def test_few_minutes_go_into_few_pairings():
-    """Seven minutes: 18 mounts alone would take nine. Poses of fewer pairings see all parameters, which no one pairing does."""
+    # Seven minutes: 18 mounts alone would take nine. Poses of fewer pairings see all parameters, which no one pairing
+    # does.
     site, known = bench.site("irb120"), bench.known("irb120")
     wanted = Wanted(minutes=7.0, n_candidates=150, passes=0)
     found = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace())

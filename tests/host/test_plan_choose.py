@@ -76,14 +76,11 @@ def test_a_setup_is_paid_where_it_brings_enough_and_not_again():
     assert began[0] == 1
 
 
-def test_what_is_known_is_not_measured_again():
+def test_what_is_known_or_unknown_of_rows_counts():
     rows = np.array([[[10.0, 0.0]], [[0.0, 1.0]]])
     assert choose(rows, np.eye(2), 1)[0] == 0
     assert choose(rows, np.diag([1e6, 1.0]), 1)[0] == 1
-
-
-def test_rows_with_unknowns_of_their_own_say_what_is_left():
-    """The information on k with u unknowns fitted away is the Schur complement."""
+    # The information on k with u unknowns fitted away is the Schur complement.
     rng = np.random.default_rng(1)
     jac, own = rng.normal(size=(20, 4)), rng.normal(size=(20, 3))
     left = condensed(jac, own)

@@ -165,7 +165,7 @@ def test_what_a_device_must_not_touch(start, end, free):
     assert device_is_clear(shapes, folded, np.array(start), np.array(end)) == free
 
 
-def test_the_plan_file_is_the_programs_rows(planned):
+def test_the_plan_is_the_programs_rows_where_the_error_is_large(planned):
     again = parse_plan(format_plan(planned.visits), "lines.csv")
     assert len(again) == len(planned.stops)
     np.testing.assert_array_equal(again.q, planned.visits.q)
@@ -175,6 +175,9 @@ def test_the_plan_file_is_the_programs_rows(planned):
     where = np.flatnonzero(again.lines)[::2]
     assert (again.move[where - 1] == "via").all()  # from where a line is driven
     np.testing.assert_array_equal(again.q[where - 1], again.q[where + 1])  # and back
+    site = bench.site(NAME)
+    every = a_priori(site, candidate_lines(site, WANTED, 24, POINT, PACE.joint_speed).points, POINT)
+    assert planned.error.min() >= np.median(every) - 1e-12
 
 
 def test_the_true_robot_stays_within_the_transverse_sensors(planned):
@@ -191,12 +194,6 @@ def test_the_true_robot_stays_within_the_transverse_sensors(planned):
         off = np.linalg.norm(middle - (middle @ u)[:, None] * u, axis=1).max()
         out += off > 0.0075
     assert out < 0.05 * 200
-
-
-def test_lines_lie_where_the_error_is_large(planned):
-    site = bench.site(NAME)
-    every = a_priori(site, candidate_lines(site, WANTED, 24, POINT, PACE.joint_speed).points, POINT)
-    assert planned.error.min() >= np.median(every) - 1e-12
 
 
 def test_foretold_is_what_identification_reports(known):
@@ -261,14 +258,11 @@ def test_lines_that_were_measured_keep_their_names(known, planned):
     assert more.forecast.rank >= planned.forecast.rank
 
 
-def test_points_out_of_reach_are_not_a_number():
+def test_lines_that_cannot_be_planned():
     site = bench.site(NAME)
     q = np.array([[0.1, 0.2, 0.1, 0.3, 0.8, 0.1]])
     far = driven_lines(site, q, np.array([[4.0, 0.0, 0.0]]), np.zeros((1, 3)), 5, POINT)
     assert np.isnan(far).all()
-
-
-def test_a_workspace_too_small_is_said():
     nowhere = Region(np.array([0.3, 0.0, 0.3]), np.array([0.3001, 0.0001, 0.3001]))
     with pytest.raises(PlanError, match="350 mm fit"):
         candidate_lines(bench.site(NAME), WANTED, 4, POINT, PACE.joint_speed, nowhere, fewest=4)

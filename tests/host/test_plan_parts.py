@@ -37,24 +37,18 @@ def test_segment_distance_is_that_of_the_nearest_points(points):
     assert exact >= apart - half_step - 1e-9
 
 
-def test_a_way_comes_back_onto_the_shell():
+def test_ways_are_found_or_none_is():
     site, pairing = bench.site("puma560"), Pairing("bar46", "c1", "s1")
     q = candidates(site, [pairing], 12).q
     middle = onto_shell(site, 0.5 * (q[:1] + q[-1:]), pairing)
     bar, mounted = pairing.of(site.rig)
     assert abs(np.linalg.norm(bar_vectors(site, middle, mounted)[0]) - bar.zero) < 1e-9
     assert ways_with_bar(site, q[:1], q[:1], pairing)[0].shape == (0, 6)
-
-
-def test_no_way_is_none_and_never_a_bad_one():
-    """A pose on the other side of the wrist's singularity cannot be gone to with the bar on."""
+    # A pose on the other side of the wrist's singularity cannot be gone to with the bar on.
     site, pairing = bench.site("puma560"), Pairing("bar46", "c1", "s1")
     q = candidates(site, [pairing], 12).q[0]
     flipped = q + np.array([0, 0, 0, -np.pi, -2.0 * q[4], np.pi])
     assert ways_with_bar(site, q[None], flipped[None], pairing) == [None]
-
-
-def test_a_move_without_a_bar_goes_round_what_is_in_its_way():
     site = bench.site("irb120")
     q = candidates(site, all_pairings(site.rig, ["bar25"]), 27).q
     low = [q[i] for i in np.argsort(q[:, 0])[[0, -1]]]

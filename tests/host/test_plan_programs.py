@@ -118,17 +118,14 @@ def test_a_module_is_rapid_to_a_checker_that_others_wrote():
     assert check_format(text.replace("fine, tool0", "fine tool0"))
 
 
-def test_a_csv_program_has_every_stop_to_the_last_bit():
+def test_programs_have_every_stop_and_nothing_else():
     rows = list(csv.reader(program(STOPS, ".csv", Task("x", 2.0)).splitlines()))
     assert rows[0][:7] == ["pose", "move", "before", "there", "move_s", "dwell_s", "speed_mm_s"]
     assert [row[0] for row in rows[1:]] == ["0", "1", "2"]
     assert [row[1] for row in rows[1:]] == ["dwell", "via", "dwell"]
     assert [row[5] for row in rows[1:]] == ["2", "0", "2"]
     np.testing.assert_array_equal([[float(v) for v in row[7:]] for row in rows[1:]], [stop.q for stop in STOPS])
-
-
-def test_a_ur_program_is_nothing_but_its_function():
-    """Text after the last ``end`` would be another program, which stops this one."""
+    # Text after the last ``end`` would be another program, which stops this one.
     text = program(STOPS, ".script", Task("plan"))
     assert text.startswith("def truearm_plan():\n")
     assert text.endswith("\nend\n")

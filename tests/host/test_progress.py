@@ -30,22 +30,16 @@ class Heard(list):
         self.append("end")
 
 
-def test_nobody_listens():
+def test_listeners_hear_of_steps_shares_and_failures():
     with step("fitting") as advance:
         advance(0.5)
     assert list(steps_of("ab", "reading")) == ["a", "b"]
-
-
-def test_a_listener_hears_of_steps_and_shares():
     heard = Heard()
     with listening(heard), step("outer"):
         assert list(steps_of([1, 2, 3, 4], "inner")) == [1, 2, 3, 4]
     assert heard == ["outer", "inner", 0.0, 0.25, 0.5, 0.75, "end", "end"]
     assert list(steps_of([1], "nobody hears this")) == [1]
     assert len(heard) == 8
-
-
-def test_a_step_that_fails_ends():
     heard = Heard()
     with pytest.raises(ZeroDivisionError), listening(heard), step("dividing"):
         _ = 1 // 0

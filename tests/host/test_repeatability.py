@@ -54,15 +54,12 @@ def runs():
     return [repeatability(visited(rng)) for _ in range(RUNS)]
 
 
-def test_backlash_is_found_with_its_interval(runs):
+def test_backlash_and_spreads_are_found_with_their_intervals(runs):
     for joint, truth in enumerate(BACKLASH):
         ours = [one.backlash_si[joint] for one in runs]
         assert covers(coverage(ours, truth))
         values = np.array([one.value for one in ours])
         assert abs(np.mean(values) - truth) < 4.0 * np.std(values) / np.sqrt(RUNS)
-
-
-def test_spreads_are_found_with_their_intervals(runs):
     assert covers(coverage([one.unexplained_m for one in runs], np.hypot(SIGMA, SAMPLES)))
     assert covers(coverage([one.bar_sigma_m for one in runs], SIGMA))
     for joint in range(JOINTS):
@@ -71,15 +68,9 @@ def test_spreads_are_found_with_their_intervals(runs):
     # With what the servo strays by: √(σ² + Σ J² servo²), of all poses together.
     along = np.sqrt(SIGMA**2 + SAMPLES**2 + SERVO**2 * np.mean(np.sum(JAC**2, axis=1)))
     assert covers(coverage([one.along_m for one in runs], along))
-
-
-def test_the_joints_sigma_is_half_the_backlash(runs):
     for joint in np.flatnonzero(BACKLASH):
         assert coverage([one.joint_sigma_si[joint] for one in runs], 0.5 * BACKLASH[joint]) > 0.9
     assert np.median([one.joint_sigma_si[4].value for one in runs]) < 1e-4  # no backlash, so next to nothing
-
-
-def test_a_backlash_that_changes_with_the_pose_is_told(runs):
     p = np.array([one.misfit_probability for one in runs])
     assert stats.kstest(p, "uniform").pvalue > 1e-3
     rng = np.random.default_rng(6)
@@ -88,7 +79,7 @@ def test_a_backlash_that_changes_with_the_pose_is_told(runs):
     assert min(one.bar_sigma_m.value for one in bent) > SIGMA  # what is left over is counted as the bar's
 
 
-def test_too_few_visits_are_refused():
+def test_visits_that_are_few_sorted_or_show_nothing():
     once = visited(np.random.default_rng(1))
     rows = np.arange(8)
     few = Visits(**{name: getattr(once, name)[rows] for name in Visits.__dataclass_fields__})
@@ -97,16 +88,10 @@ def test_too_few_visits_are_refused():
     together = Visits(**{**vars(once), "side": np.repeat(once.side[:, :1], JOINTS, axis=1)})
     with pytest.raises(ProblemError, match="always change together"):
         repeatability(together)
-
-
-def test_a_joint_that_the_bar_does_not_show():
     jac = visited(np.random.default_rng(2)).jac * (np.arange(JOINTS) != 5)
     told = repeatability(Visits(**{**vars(visited(np.random.default_rng(2))), "jac": jac}))
     assert np.isnan(told.backlash_si[5].value)
     assert told.joint_sigma_si[5].high == np.inf
-
-
-def test_visits_are_sorted_into_poses():
     q = np.array([[0.0, 0.0], [0.5, 0.0], [0.001, 0.0], [0.5, 0.0015], [0.5, 0.01]])
     assert poses_of(q).tolist() == [0, 1, 0, 1, 2]
 

@@ -118,15 +118,18 @@ def test_the_verdict_is_the_headline_then_doubts_and_advice_then_notes():
     assert places == sorted(places)
 
 
-def test_a_fit_of_few_degrees_of_freedom_has_no_error_after():
+def test_heads_tiles_and_fits_of_few_degrees_of_freedom():
     page = make_page(20)
     few = replace(page, estimate=replace(page.estimate, chi2_freedom=4.0, rank=36, held_out=None))
     assert "RMS after</p>" not in render(few)
-
-
-def test_a_page_is_known_by_its_head():
     assert KINDS["page"].fits(render(make_page(20)).encode()[:1024])
     assert not KINDS["page"].fits(b"<!DOCTYPE html><html><body>diary")
+    page = make_page()
+    held_out = HeldOut({"m": Figures(9.19e-5, 7.3e-5, 3.39e-4, 800)}, 800)
+    estimate = replace(page.estimate, rms_before={"m": 1.06463e-2}, rms_after={"m": 8.018e-5}, held_out=held_out)
+    page = replace(page, estimate=estimate)
+    tiles = re.findall(r'<p class="figure">(.*?)<span>', render(page))
+    assert tiles == ["10.6", "0.0802", "0.0919"]
 
 
 def test_parameters_are_in_the_units_of_the_border():
@@ -157,12 +160,3 @@ def test_what_is_not_seen_is_marked_and_said():
     assert text.count("<td>unidentifiable</td>") == 1
     assert "determine 35 of 36 combinations" in text
     assert f"<li>1.00 {name}</li>" in text
-
-
-def test_tiles_are_of_this_estimate():
-    page = make_page()
-    held_out = HeldOut({"m": Figures(9.19e-5, 7.3e-5, 3.39e-4, 800)}, 800)
-    estimate = replace(page.estimate, rms_before={"m": 1.06463e-2}, rms_after={"m": 8.018e-5}, held_out=held_out)
-    page = replace(page, estimate=estimate)
-    tiles = re.findall(r'<p class="figure">(.*?)<span>', render(page))
-    assert tiles == ["10.6", "0.0802", "0.0919"]

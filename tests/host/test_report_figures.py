@@ -21,12 +21,9 @@ from truearm.report.residual_rows import Law, law_of, rows_by_kind
 # --- numbers and words
 
 
-def test_an_absent_number_has_no_unit():
+def test_numbers_units_and_escapes():
     assert (size(math.nan, "m"), size(2e-3, "m")) == ("–", "2.00 mm")
     assert "mm" not in tiles([("fit", "expected error", [("–", "mm")], "")])
-
-
-def test_numbers():
     assert [figures(v) for v in (10.2345, 0.08213, 1234.5, 0.0, 2.84e12, 3e-7, math.nan)] == [
         "10.2",
         "0.0821",
@@ -39,9 +36,6 @@ def test_numbers():
     assert number(-0.25, 1) == "−0.2"  # a true minus; half to even
     assert number(-1e-9, 4, sign=True) == "0.0000"  # no sign before zero
     assert number(0.5, 2, sign=True) == "+0.50"
-
-
-def test_escape_leaves_nothing_active():
     assert escape(HOSTILE) == "&lt;script&gt;alert(1)&lt;/script&gt;&quot;&#x27;&amp;"
     assert escape("a\x00b\u202ec\ud800d\te") == "a\ufffdb\ufffdc\ufffdd e"  # NUL, right-to-left mark, lone surrogate
     assert len(escape("x" * 10_000)) == 200

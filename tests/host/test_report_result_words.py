@@ -35,11 +35,8 @@ def test_the_largest_is_the_one_to_expect(tool, code):
     assert "0.090 mm (95 %: 0.0700 to 0.1100)" in finding.text()
 
 
-def test_poses_left_out_in_turn_are_not_called_held_out():
+def test_words_of_held_out_poses_and_bad_rows():
     assert error_of(shown={**SHOWN, "by": "cross-validation"}).values["by"] == "left out in turn"
-
-
-def test_bad_rows_in_the_fit_come_first_whatever_the_rows_show():
     finding = error_of(tool=(0.2, 50), without_bad=0.05)
     assert (finding.code, finding.values["moves"]) == ("tool-error-bad-rows", {"mm": 0.05})
 
@@ -57,15 +54,12 @@ def seen_by_a_tracker(turned=(0.0,) * 6, mirrored=1.0):
     return truearm.identify(robot, rows, rig, options=truearm.IdentifyOptions(joint_laws="none")).document
 
 
-def test_a_joint_that_counts_from_another_zero_is_named():
-    """The first and the last joint's zeros are those of base and tool, which may be anywhere."""
+def test_other_zeros_and_left_handed_axes_are_named():
+    # The first and the last joint's zeros are those of base and tool, which may be anywhere.
     assert joint_zeros(seen_by_a_tracker()) == []
     assert joint_zeros(seen_by_a_tracker((1.5, 0.0, 2.0 * np.pi, 0.0, 0.0, 1.5))) == []
     (said,) = joint_zeros(seen_by_a_tracker((0.0, np.pi / 2.0, 0.0, 0.0, 0.0, 0.0)))
     assert (said.code, said.values["joints"]) == ("joint-zeros", ["joint2.offset by -90.0 deg"])
-
-
-def test_left_handed_axes_that_a_mirrored_arm_explains_are_not_silent():
-    """A robot with its lengths and zeros reversed is the mirrored one; no residual is left."""
+    # A robot with its lengths and zeros reversed is the mirrored one; no residual is left.
     document = seen_by_a_tracker(mirrored=-1.0)
     assert not document["usable"] or joint_zeros(document)

@@ -100,8 +100,10 @@ def test_bytes_that_are_missing(path, made):
 
 
 def test_files_that_are_cut_off_or_whole(path, made):
-    # A killed recorder's file has no CRC over all: the damage in its middle is found, and told from its end.
     messages, whole, chunks = made
+    session = open_session(path, allow_damaged=True)
+    assert (session.damage, list(session.messages())) == ((), messages)
+    # A killed recorder's file has no CRC over all: the damage in its middle is found, and told from its end.
     end = chunks[4].chunk_start_offset
     path.write_bytes(flipped(whole[: end + 40], chunks[2].chunk_start_offset + 100))
     session = open_session(path, allow_damaged=True)
@@ -109,14 +111,10 @@ def test_files_that_are_cut_off_or_whole(path, made):
     assert [damage.at for damage in session.damage] == [chunks[2].chunk_start_offset]
     assert list(session.messages()) == outside(messages, chunks[2], *chunks[4:])
     # There MCAP says which channel is which topic, and a file that is cut off does not say it again.
-    messages, whole, chunks = made
     path.write_bytes(flipped(whole[: chunks[-1].chunk_start_offset], chunks[0].chunk_start_offset + 100))
     session = open_session(path, allow_damaged=True)
     assert list(session.messages()) == outside(messages, chunks[0], chunks[-1])
     assert [damage.at for damage in session.damage] == [chunks[0].chunk_start_offset]
-    messages, _, _ = made
-    session = open_session(path, allow_damaged=True)
-    assert (session.damage, list(session.messages())) == ((), messages)
 
 
 def test_metadata_that_are_damaged_are_left_out(path, made):

@@ -29,11 +29,8 @@ def test_a_unit_is_shown_in_a_scale_of_its_own(si):
     assert units.SUFFIXES[next(iter(units.suffixes(si)))].scale == 1.0  # SI's own comes first
 
 
-def test_every_scale_belongs_to_a_unit():
+def test_scales_symbols_and_suffixes_belong_to_units():
     assert {one.suffix: one for one in vars(units).values() if isinstance(one, units.Scale)} == units.SUFFIXES
-
-
-def test_symbols_and_suffixes_name_one_scale_each():
     scales = units.SUFFIXES.values()
     assert len({s.symbol for s in scales}) == len({s.suffix for s in scales}) == len(scales)
 
@@ -53,7 +50,7 @@ def test_powers_of_ten_are_exact_both_ways(name):
     assert scale.of(1.0) == scale.factor
 
 
-def test_texts():
+def test_texts_suffixes_and_lengths():
     assert units.number(85.5e-6, "m") == "0.0855"
     assert units.number(math.pi, "rad", 1) == "180.0"
     assert units.number(0.5, "1", 2) == "0.50"
@@ -64,15 +61,9 @@ def test_texts():
     assert units.ONE.text(0.5) == "0.5"
     assert [units.title("error", si) for si in ("m", "rad", "1")] == ["error [mm]", "error [deg]", "error"]
     assert [units.key("rms", si) for si in ("m", "rad", "1", "rad/s")] == ["rms_mm", "rms_deg", "rms", "rms_deg_s"]
-
-
-def test_suffixes_of_a_unit_begin_with_si():
     assert units.suffixes("m") == {"m": 1.0, "mm": 1e-3}
     assert units.suffixes("rad") == {"rad": 1.0, "deg": math.pi / 180.0}
     assert units.suffixes("m", ("mm", "um", "deg")) == {"mm": 1e-3, "um": 1e-6}
-
-
-def test_lengths_are_found_by_suffix_and_by_symbol():
     assert units.length("um") is units.length("µm") is units.UM
     assert units.length("mm") is units.MM
     assert units.length("deg") is units.length("") is units.length("V") is None
@@ -124,9 +115,6 @@ def test_units_are_converted_here_alone():
     del found["units.py"]
     assert {name: own for name, own in found.items() if own and name not in PHYSICAL} == {}
     assert all(found[name] for name in PHYSICAL)
-
-
-def test_the_check_finds_what_it_looks_for():
     source = 'A = {"m": 1.0, "mm": 1e-3}\nb = f"{1e3 * x:.3f} mm"\nc = math.degrees(x)\nd = x / 1e6\n'
     assert {line.split(":")[0] for line in own_units(ast.parse(source))} == {"line 1", "line 2", "line 3", "line 4"}
     assert not own_units(ast.parse('A = {"m": "position", "rad": "rotation"}\nb = np.deg2rad(2.0)\nc = 2.0 * x\n'))

@@ -158,19 +158,13 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_ten_lines_calibrate_a_robot(environment, folder):
+def test_lines_of_python_and_the_command_work(environment, folder):
     said = output(environment, "-I", "-c", TEN_LINES, folder=folder)
     assert "link2.x" in said
     assert "The calibration holds" in said
     assert Path(said.splitlines()[-1]).is_relative_to(environment.parents[1])
     assert "<robot" in (folder / "calibrated.urdf").read_text()
-
-
-def test_three_lines_make_observations_of_a_session(environment, folder):
     assert output(environment, "-I", "-c", THREE_LINES, folder=folder) == "5\n"
-
-
-def test_the_command_is_installed(environment, folder):
     assert output(environment.parent / "truearm", "--version", folder=folder) == f"truearm {truearm.__version__}\n"
 
 

@@ -492,14 +492,11 @@ def other_units(table):
     return [one.alternative.values for one in explaining(fitted(given), list(units(given)), 20)]
 
 
-def test_an_arm_that_sags_on_its_way_along_a_table_was_not_read_in_millimetres():
-    """By a thousandth of the readings the arm would be as described; so would any arm that was to stay on a plane."""
+def test_sag_and_units_of_heights_above_a_table():
+    # By a thousandth of the readings the arm would be as described; so would any arm that was to stay on a plane.
     touches = probed(heights=0.0, give=1e-3)
     assert 2e-3 < np.ptp(touches.value) < 2e-2
     assert other_units(touches) == []
-
-
-def test_heights_above_a_table_in_another_unit_are_named():
     heights = probed(heights=0.05)
     read = replace(heights, value=1e3 * heights.value)
     values = {"what": "the readings of length", "are": "millimetres", "called": "metres"}
