@@ -60,18 +60,18 @@ def other_interpretations(inputs: Alternative, robots: Robots, allowed: Collecti
 def units(inputs: Alternative) -> Iterator[Alternative]:
     """Return joint readings, measured quantities and points of the rig in another unit."""
     table, joint_units = inputs.table, np.array(inputs.chain.joint_units)
-    used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
+    row_kinds = [kinds()[str(kind)] for kind in np.unique(table.kind)]
     # If nothing is measured except that the end returns, less motion gives smaller residuals, whatever the unit.
-    returns = not all(any(isinstance(column, Quantity) for column in kind.needs) for kind in used)
+    returns = not all(any(isinstance(column, Quantity) for column in kind.needs) for kind in row_kinds)
     numbers = np.arange(joint_units.size)
     groups = [(f"the readings of {joint.name}", numbers == j) for j, joint in enumerate(inputs.chain.joints)]
     groups += [("the joint readings", joint_units == unit) for unit in RATIOS if (joint_units == unit).any()]
-    for what, columns in groups:
+    for noun, columns in groups:
         for factor, are, called in RATIOS[joint_units[columns][0]]:
             if factor > 1.0 or not returns or columns.sum() == 1:
-                values = {"what": what, "are": are, "called": called}
+                values = {"what": noun, "are": are, "called": called}
                 yield with_joints(inputs, np.where(columns, factor, 1.0), numbers, "wrong-unit", values)
-    for quantity in dict.fromkeys(quantity for kind in used for quantity in kind.quantities):
+    for quantity in dict.fromkeys(quantity for kind in row_kinds for quantity in kind.quantities):
         if quantity.most > LARGEST_NOISE and quantity.unit in RATIOS:
             for factor, are, called in (*RATIOS[quantity.unit], *[INCHES] * (quantity.unit == "m")):
                 values = {"what": f"the readings of {quantity.words}", "are": are, "called": called}
@@ -122,10 +122,10 @@ def rotations(inputs: Alternative) -> Iterator[Alternative]:
         ("rotation vectors taken for roll, pitch and yaw", "as measured", roll_pitch_yaw),
         ("of the device in the tool's axes", "of the tool in the device's", -v),
     ):
-        whole = turn.copy()
-        whole[rows] = changed
+        turns = turn.copy()
+        turns[rows] = changed
         values = {"are": are, "called": called}
-        yield replace(inputs, code="other-rotations", values=values, table=inputs.table.replace(rotation=whole))
+        yield replace(inputs, code="other-rotations", values=values, table=inputs.table.replace(rotation=turns))
 
 
 def mirrored(inputs: Alternative) -> Iterator[Alternative]:
@@ -142,8 +142,8 @@ def mirrored(inputs: Alternative) -> Iterator[Alternative]:
         names = inputs.rig.named(entry) if isinstance(inputs.rig, Rig) else ()
         for axis, flip in zip("xyz", flips, strict=True):
             for name in ("", *names):
-                what = f"{column} {name}" if name else f"each {column}"
-                yield from with_points(inputs, entry, name, flip, "left-handed-rig", {"axis": axis, "what": what})
+                noun = f"{column} {name}" if name else f"each {column}"
+                yield from with_points(inputs, entry, name, flip, "left-handed-rig", {"axis": axis, "what": noun})
 
 
 def with_points(
@@ -163,8 +163,8 @@ def with_points(
 
 
 def _is_measured(inputs: Alternative, quantity: Quantity) -> bool:
-    used = (kinds()[str(kind)] for kind in np.unique(inputs.table.kind))
-    fields = {other.field for kind in used for other in kind.quantities}
+    row_kinds = (kinds()[str(kind)] for kind in np.unique(inputs.table.kind))
+    fields = {measure.field for kind in row_kinds for measure in kind.quantities}
     return quantity.field in fields and bool(np.isfinite(inputs.table[quantity.field]).any())
 
 
@@ -172,9 +172,9 @@ def shifted(inputs: Alternative) -> Iterator[Alternative]:
     """Return rows with the joint readings of the row before, or after."""
     table = inputs.table
     for by, side in ((1, "after"), (-1, "before")):
-        other = inputs.rows - by
+        source = inputs.rows - by
         q, rate = (np.roll(column, by, axis=0) for column in (table.q, table.q_rate))
-        rows = inputs.rows[(other >= 0) & (other < len(table))]
+        rows = inputs.rows[(source >= 0) & (source < len(table))]
         values = {"side": side}
         yield replace(inputs, code="shifted-rows", values=values, table=table.replace(q=q, q_rate=rate), rows=rows)
 
@@ -188,8 +188,8 @@ def names_exchanged(inputs: Alternative) -> Iterator[Alternative]:
         changes = []
         for column in columns:
             names = sorted(set(table[column][in_rig]) - {""})
-            few = len(names) <= MOST_PERMUTED
-            orders = list(permutations(names))[1:] if few else exchanges_and_cycles(names)
+            is_short = len(names) <= MOST_PERMUTED
+            orders = list(permutations(names))[1:] if is_short else exchanges_and_cycles(names)
             changes.append([{column: dict(zip(names, order, strict=True))} for order in orders])
         pairs = (first | second for a, b in combinations(changes, 2) for first, second in product(a, b))
         for change in islice(chained(*changes, pairs), MOST_RENAMINGS):

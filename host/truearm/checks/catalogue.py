@@ -141,8 +141,8 @@ class Catalogue:
             return
         size = np.array([TYPICAL[unit] for unit in units]) if sizes is None else sizes
         kind = f"{kind_of(item, self.fit)} {form}"
-        whole = np.column_stack([columns * size, *nuisance])
-        self.hypotheses.append(Hypothesis(self.fit, kind, item, form, whole, size, tuple(units), candidates))
+        joined = np.column_stack([columns * size, *nuisance])
+        self.hypotheses.append(Hypothesis(self.fit, kind, item, form, joined, size, tuple(units), candidates))
 
     def steps(self, columns: Floats) -> Candidates:
         """Return steps between the rows that some columns (m, d) touch."""
@@ -217,7 +217,7 @@ def add_tilt(out: Catalogue) -> None:
 def add_joints(out: Catalogue) -> None:
     """Add a joint whose encoder jumps, that drifts, has play, had not settled, or has an eccentric code wheel."""
     fit = out.fit
-    q = fit.how.table.q[fit.how.row]
+    q = fit.measured.table.q[fit.measured.row]
     joints = [cause.name for cause in fit.causes if cause.fault.moved]
     for number, name in enumerate(joints):
         columns, units = fit.by_numbers([name])
@@ -228,10 +228,10 @@ def add_joints(out: Catalogue) -> None:
         out.add(name, "run", columns, units, out.runs(columns))
         out.add(name, "drift", columns, units, out.drifts)
         for form, drift in LAST_MOVE.items():
-            course = fit.how.table.during(name, drift, 0, fit.how.total)
+            course = fit.measured.table.during(name, drift, 0, fit.measured.total)
             if course is not None:
                 size = np.array([MOVED_SHARE if drift is DriftWith.MOVE else TYPICAL[units[0]]])
-                by_move = columns * course[fit.how.row][fit.row, None]
+                by_move = columns * course[fit.measured.row][fit.row, None]
                 out.add(name, form, by_move, units, out.always, size, nuisance=[polynomial])
         if units == ["rad"] and name not in fit.curved:
             wheel = columns * np.stack([np.cos(reading), np.sin(reading)], axis=1)
@@ -264,14 +264,14 @@ def add_loose_flange(out: Catalogue) -> None:
 def drifts_of(fit: WhitenedFit) -> Candidates:
     """Return the profiles of a drift in each session: linear in time, settling, returning; linear in the temperature."""
     courses: list[tuple[Floats, tuple[int, int], str]] = []
-    for session in np.unique(fit.how.session):
-        rows = np.flatnonzero(fit.how.session == session)
-        first, last = int(fit.how.row[rows[0]]), int(fit.how.row[rows[-1]]) + 1
+    for session in np.unique(fit.measured.session):
+        rows = np.flatnonzero(fit.measured.session == session)
+        first, last = int(fit.measured.row[rows[0]]), int(fit.measured.row[rows[-1]]) + 1
         for drift in (DriftWith.TIME, DriftWith.TEMPERATURE):
-            course = fit.how.table.during("", drift, first, last)
+            course = fit.measured.table.during("", drift, first, last)
             if course is None or (drift is DriftWith.TEMPERATURE and np.ptp(course) < LEAST_WARMING):
                 continue
-            share = (course - course[0])[fit.how.row[rows] - first] / np.ptp(course)
+            share = (course - course[0])[fit.measured.row[rows] - first] / np.ptp(course)
             shapes: list[tuple[str, Floats]] = [(drift, share)]
             if drift is DriftWith.TIME:
                 shapes += [("settling", np.expm1(-BEND * share) / np.expm1(-BEND))]
@@ -291,9 +291,9 @@ def spans_of(spans: Indices, n: int, among: float | None = None) -> Candidates:
 
 def away_from_edges(rows: Indices, fit: WhitenedFit) -> Indices:
     """Return those of some rows that are not near an edge of a place, where errors of the model make steps."""
-    if fit.how.place is None:
+    if fit.measured.place is None:
         return rows
-    edges = np.flatnonzero(np.diff(fit.how.place)) + 1
+    edges = np.flatnonzero(np.diff(fit.measured.place)) + 1
     return np.asarray(rows[(np.abs(rows[:, None] - edges) > OWN_EDGE).all(axis=1)])
 
 

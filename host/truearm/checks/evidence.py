@@ -151,9 +151,9 @@ def followed(hypothesis: Hypothesis, cross: Floats) -> Floats:
     return hypothesis.candidates.of_squares(np.tensordot(cross, cross, axes=(2, 2)))
 
 
-def moments(hypothesis: Hypothesis, design: Design, beside: Information | None = None) -> Moments:
-    """Return M and b of all candidates beside a design and the hypothesis' nuisance; ``beside`` its parameters, if known."""
-    square, size = information(hypothesis, design) if beside is None else beside
+def moments(hypothesis: Hypothesis, design: Design, prepared: Information | None = None) -> Moments:
+    """Return M and b of all candidates beside a design and the hypothesis' nuisance; ``prepared``: its information, if known."""
+    square, size = information(hypothesis, design) if prepared is None else prepared
     cross, d = products(hypothesis, design.further), hypothesis.sizes.size
     square = square - followed(hypothesis, cross[..., :-1])
     score = hypothesis.candidates.of_profiles(cross[..., -1])
@@ -185,9 +185,9 @@ def squares(hypothesis: Hypothesis, kernel: Kernel) -> Floats:
     return candidates.of_squares(np.asarray(gram))
 
 
-def weigh(hypothesis: Hypothesis, design: Design, beside: Information | None = None) -> Weighed:
+def weigh(hypothesis: Hypothesis, design: Design, prepared: Information | None = None) -> Weighed:
     """Return the evidence of a hypothesis and the probability of chance."""
-    sums = moments(hypothesis, design, beside)
+    sums = moments(hypothesis, design, prepared)
     information, scores, significant = sums.values, sums.scores, sums.values > 0.0
     variance, square = design.variance, SCALES[:, None, None] ** 2
     gain = square * scores**2 / variance / (variance + square * information)

@@ -86,8 +86,8 @@ def examined(
     problem = build_problem(chain, rig, table.select(fitted), sigma, modelled)
     if estimate.weight.size:
         problem = only(problem, estimate.weight[fitted] > 0.0)
-    how = measured_order(table, chain, fitted)
-    fit = whitened_fit(problem, estimate.value, estimate.free, how, estimate.law_parameters)
+    measured = measured_order(table, chain, fitted)
+    fit = whitened_fit(problem, estimate.value, estimate.free, measured, estimate.law_parameters)
     gram = tool_gram(chain, rig, table.select(~estimate.left_out), estimate, any_base)
     return of_fit(fit, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)], table, estimate.free)
 
@@ -96,8 +96,8 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     """Return the faults in the ``table``'s rows of a judgement, with the calibration's covariance as knowledge."""
     problem, x = judgement.problem, judgement.x
     problem = replace(problem, prior_sigma=np.where(judgement.settled, problem.prior_sigma, np.inf))
-    how = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
-    fit = whitened_fit(problem, x, ways.columns, how)
+    measured = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
+    fit = whitened_fit(problem, x, ways.columns, measured)
     k = ways.matrix.shape[1]
     prior = np.column_stack([fit.prior[:, :-1] @ ways.matrix, fit.prior[:, -1]])
     prior = np.concatenate([prior, np.eye(ways.known, k + 1)])
@@ -154,12 +154,12 @@ def deciding(choices: Sequence[Choice], design: Design, table: ObservationTable)
     fit = design.fit
     predicted = np.array([fit.jac @ choice.step + at_the_end(choice.weighed) @ choice.size for choice in choices])
     square = (predicted - predicted[0]) ** 2 / (1.0 + ((fit.jac @ design.root) ** 2).sum(axis=1))
-    run = fit.how.run[fit.row]
+    run = fit.measured.run[fit.row]
     nats = 0.5 * np.array([np.bincount(run, difference) for difference in square])
     if nats.max() < 1.0:
         return ()
     best = np.argmax(np.minimum(nats, RIVAL).sum(axis=0))
-    row = fit.how.row[np.flatnonzero(fit.how.run == best)[0]]
+    row = fit.measured.row[np.flatnonzero(fit.measured.run == best)[0]]
     columns = kinds()[str(table.kind[row])].grouped_by
     return tuple(f"{column} {table[column][row]}" for column in columns if table[column][row])
 
@@ -177,9 +177,13 @@ def identity(weighed: Weighed) -> tuple[str, str, tuple[int, int] | None]:
     It is applied as an ``Effect``, which a fit can estimate, otherwise by its own name; "" if it has no remedy. The rows
     are None for all of a session.
     """
-    hypothesis, candidates, how = weighed.hypothesis, weighed.hypothesis.candidates, weighed.hypothesis.fit.how
+    hypothesis, candidates, measured = (
+        weighed.hypothesis,
+        weighed.hypothesis.candidates,
+        weighed.hypothesis.fit.measured,
+    )
     item, form = hypothesis.item, hypothesis.form
-    first, last = how.in_table(*candidates.spans[weighed.best].tolist())
+    first, last = measured.in_table(*candidates.spans[weighed.best].tolist())
     rows = None if candidates.pairs is None else (first, last)
     shape = candidates.drifts[weighed.best] if candidates.drifts else ""
     drift = DriftWith(shape) if shape in set(DriftWith) else LAST_MOVE.get(form)
@@ -190,7 +194,7 @@ def identity(weighed: Weighed) -> tuple[str, str, tuple[int, int] | None]:
     elif shape and not drift:
         apply = f"{item}.{shape}_{form}"
     elif is_item and (drift or rows or form == "offset"):
-        apply = str(Effect(item, first, None if last == how.total else last, drift))
+        apply = str(Effect(item, first, None if last == measured.total else last, drift))
     return hypothesis.name, apply, rows
 
 

@@ -70,8 +70,8 @@ def checked_inputs(
     beyond = _unconverged(estimate) or _beyond(estimate, "weak_sigma")  # what correct inputs hardly give
     doubtful = beyond or is_elsewhere(estimate) or estimate.chi2_reduced > GROSS**2
     # Rows left out as outliers may be what is left of a mount with a wrong name, some of whose rows fit by chance.
-    several, bent = int(estimate.outlying.sum()) > 1, estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT)
-    misfit = not estimate.faults and (several or bent)
+    are_several, bent = int(estimate.outlying.sum()) > 1, estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT)
+    misfit = not estimate.faults and (are_several or bent)
     original = fitted(inputs) if doubtful or misfit else None
     if original is not None and original.freedom >= 1.0:
         # The trial ran longer than a fit that only needs more iterations.

@@ -136,8 +136,8 @@ def renamed(rigs: Rigs, table: ObservationTable, names: Mapping[str, NDArray[Any
     value = table.value.copy()
     for row in np.flatnonzero(names["bar"] != table.bar).tolist():
         bars = rigs_by_name(rigs)[str(table.rig[row])].bars
-        was, now = bars[str(table.bar[row])], bars[str(names["bar"][row])]
-        value[row] = now.zero + now.gain * (value[row] - was.zero) / was.gain
+        labelled, bar = bars[str(table.bar[row])], bars[str(names["bar"][row])]
+        value[row] = bar.zero + bar.gain * (value[row] - labelled.zero) / labelled.gain
     return table.replace(**names, value=value)
 
 
@@ -197,8 +197,8 @@ def _valid(rigs: Rigs, table: ObservationTable, labels: Labels) -> NDArray[np.bo
     """Return the rows (n,) whose rig has these names."""
     out = np.ones(len(table), dtype=bool)
     for name, rig in rigs_by_name(rigs).items():
-        known = rig_names(rig)
-        if any(label not in known.get(column, (label,)) for column, label in labels.items()):
+        names = rig_names(rig)
+        if any(label not in names.get(column, (label,)) for column, label in labels.items()):
             out &= table.rig != name
     return out
 
@@ -246,7 +246,7 @@ def best_labels(score: Floats) -> tuple[Indices, list[WrongLabels]]:
 def best_run(gain: Floats) -> tuple[float, int, int]:
     """Return the greatest sum of consecutive rows' gains (n,), the first of them and the one after the last."""
     upto = np.concatenate([[0.0], np.cumsum(gain)])
-    least = np.minimum.accumulate(upto)
-    last = int(np.argmax(upto - least))
+    lowest = np.minimum.accumulate(upto)
+    last = int(np.argmax(upto - lowest))
     first = int(np.argmin(upto[: last + 1]))
     return float(upto[last] - upto[first]), first, last

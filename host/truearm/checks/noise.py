@@ -43,7 +43,7 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
         residual=fit.residual[inside],
         wide_prior=prior / np.append(length, 1.0),
     )
-    shapes = [(name, width) for name, width in SHAPES if name != "mount" or np.unique(fit.how.run[rows]).size > 1]
+    shapes = [(name, width) for name, width in SHAPES if name != "mount" or np.unique(fit.measured.run[rows]).size > 1]
     choices = [("white", 0.0, 0.0), *((*shape, share) for shape in shapes for share in SHARES)]
     declared, _ = likelihood(judged, DECLARED)
     likelihoods = [likelihood(judged, kernel_of(judged, rows, *choice)) for choice in choices]
@@ -86,9 +86,9 @@ def similarity(fit: WhitenedFit, rows: Indices, name: str, width: float) -> Floa
     if name == "order":
         return np.asarray(np.exp(-np.abs(rows[:, None] - rows) / width))
     if name == "mount":
-        run = fit.how.run[rows]
+        run = fit.measured.run[rows]
         return np.asarray(run[:, None] == run, dtype=float)
-    readings = fit.how.table.q[fit.how.row]
+    readings = fit.measured.table.q[fit.measured.row]
     z = ((readings - readings.mean(axis=0)) / np.maximum(readings.std(axis=0), 1e-9))[rows] / np.sqrt(readings.shape[1])
     square = (z**2).sum(axis=1)
     return np.asarray(np.exp(-0.5 * np.maximum(square[:, None] + square - 2.0 * z @ z.T, 0.0) / width**2))

@@ -58,7 +58,7 @@ class Search:
 
     def beside(self, detection: Detection) -> Floats:
         """Return the columns (m, d) of all other findings."""
-        return columns_of([other for other in self.detections if other is not detection], self.design.fit)
+        return columns_of([finding for finding in self.detections if finding is not detection], self.design.fit)
 
 
 def columns_of(detections: Sequence[Detection], fit: WhitenedFit) -> Floats:
@@ -86,8 +86,8 @@ def checked(fit: WhitenedFit) -> Search:
         explained = sum(
             detection.best.log_evidence - price[detection.best.hypothesis.kind] for detection in plain.detections
         )
-        beside = learned_noise(fit.extended(columns_of(plain.detections, fit), WIDEST)) if still_odd else DECLARED
-        kernel = beside if explained + beside.gain > kernel.gain else kernel
+        learned = learned_noise(fit.extended(columns_of(plain.detections, fit), WIDEST)) if still_odd else DECLARED
+        kernel = learned if explained + learned.gain > kernel.gain else kernel
     if kernel.declared:
         return plain
     return replace(searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted), declared=bare)
@@ -113,13 +113,13 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
     rivals and the search ends: what is less probable explains the same residuals.
     """
     fit, log_count = bare.fit, log_counts(hypotheses)
-    block = left_out_blocks(fit.n, fit.how.place)[fit.row]
-    beside = [information(hypothesis, bare) for hypothesis in hypotheses]
+    block = left_out_blocks(fit.n, fit.measured.place)[fit.row]
+    prepared = [information(hypothesis, bare) for hypothesis in hypotheses]
     detections: list[Detection] = []
     refused: tuple[str, ...] = ()
     while True:
         design = bare.extended(columns_of(detections, fit))
-        table = tuple(map(weigh, hypotheses, repeat(design), beside))
+        table = tuple(map(weigh, hypotheses, repeat(design), prepared))
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count[weighed.hypothesis.kind])}
         if not significant or refused or len(detections) == MOST_FINDINGS:
             return Search(tuple(detections), design, table, bare, fitted, bare, block, refused)
@@ -182,7 +182,7 @@ def refined(best: Weighed, design: Design) -> Weighed:
         index = int(np.searchsorted(knots, end))
         first, last = knots[[max(index - 1, 0), min(index + 1, knots.size - 1)]]
         ends.append(np.union1d(rows[(first <= rows) & (rows <= last)], end))
-    moved = sum(near.size > 1 for near in ends)
+    moved = sum(choices.size > 1 for choices in ends)
     tried = np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2)
     fine = weigh(replace(hypothesis, candidates=spans_of(tried, n, rows.size**moved / max(moved, 1))), design)
     return max(best, fine, key=lambda weighed: weighed.log_evidence)

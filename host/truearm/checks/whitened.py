@@ -58,11 +58,11 @@ class WhitenedFit:
     kind_faults: tuple[KindFault, ...]  # of the kinds, with whitened columns (m, d)
     axes: Floats  # (n, 3, 3) of the end in the base frame
     arm: Mapping[str, ArmParameter]  # by name, without those of joint laws
-    how: Measured  # the circumstances of the n rows
+    measured: Measured  # the circumstances of the n rows
 
     @property
     def n(self) -> int:
-        return int(self.how.row.size)
+        return int(self.measured.row.size)
 
     def by_numbers(self, names: Sequence[str]) -> tuple[Floats, list[str]]:
         """Return the derivatives (m, d) by some numbers that can be off, and their SI units."""
@@ -130,16 +130,16 @@ DECLARED = Kernel()
 
 
 def whitened_fit(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], how: Measured, laws: range = range(0)
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], measured: Measured, laws: range = range(0)
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
-    ``how`` describes the rows of the problem's table. The prior of the coefficients of joint ``laws`` is knowledge: it
+    ``measured`` describes the rows of the problem's table. The prior of the coefficients of joint ``laws`` is knowledge: it
     follows from the rows themselves, and without it they would explain anything.
     """
     rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
     examined = rows_used[:: -(-rows_used.size // MOST_ROWS)]
-    problem, how = only(problem, np.isin(np.arange(problem.n_rows), examined)), how.take(examined)
+    problem, measured = only(problem, np.isin(np.arange(problem.n_rows), examined)), measured.take(examined)
     p, k = problem.n_robot, int(columns.sum())
     faults = [{(f.item, f.form): f for f in group.faults(problem.chain, x)} for group in problem.groups]
     forms = {key: fault for group_faults in faults for key, fault in group_faults.items()}
@@ -151,19 +151,19 @@ def whitened_fit(
             )
             for key, fault in forms.items()
         ]
-        whole = _whitened_group(group, [fault.columns for fault in by_faults], problem, x, columns)
+        whitened = _whitened_group(group, [fault.columns for fault in by_faults], problem, x, columns)
         if group.row is None:
-            knowledge.append(whole[:, [*range(k), -1]])
+            knowledge.append(whitened[:, [*range(k), -1]])
             continue
         width = len(group.COMPONENTS)
         numbers = np.tile(np.arange(components, components + width), len(group.row))
-        pieces.append((np.repeat(group.row, width), numbers, whole))
+        pieces.append((np.repeat(group.row, width), numbers, whitened))
         components += width
-    row, component, whole = (np.concatenate(piece) for piece in zip(*pieces, strict=True))
+    row, component, whitened = (np.concatenate(piece) for piece in zip(*pieces, strict=True))
     order = np.argsort(row, kind="stable")
-    whole = whole[order]
+    whitened = whitened[order]
     ends = np.cumsum([k, len(problem.errors.names), *(fault.columns.shape[2] for fault in forms.values())])
-    jac, fault_jac, *by_forms, residual = np.split(whole, ends, axis=1)
+    jac, fault_jac, *by_forms, residual = np.split(whitened, ends, axis=1)
 
     arm = ~problem.of_rig
     arm[laws] = False
@@ -190,13 +190,13 @@ def whitened_fit(
         fitted=frozenset(np.array(problem.names)[problem.prior_sigma >= wide].tolist()),
         curved=frozenset(problem.chain.joints[i].name for i in Curve.of_chain(problem.chain).joints.tolist()),
         kind_faults=tuple(f._replace(columns=by) for f, by in zip(forms.values(), by_forms, strict=True)),
-        axes=forward(problem.chain, x[:p], how.table.q[how.row])[:, :3, :3],
+        axes=forward(problem.chain, x[:p], measured.table.q[measured.row])[:, :3, :3],
         arm={
             problem.names[i]: ArmParameter(column, problem.units[i], float(x[i]))
             for column, i in enumerate(free)
             if arm[i]
         },
-        how=how,
+        measured=measured,
     )
 
 
@@ -209,6 +209,6 @@ def _whitened_group(
     by_robot, by_rig = lin.wrenches @ lin.twists[:, columns[:p]], lin.jac_rig[:, :, : x.size - p][:, :, columns[p:]]
     residual = lin.residual.reshape(len(group.sensor_cov), -1).T[:, :, None]
     derivatives = [by_robot, by_rig, error_columns(lin, problem.errors.bodies), *by_faults, residual]
-    stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in derivatives])
+    stacked = np.concatenate([np.moveaxis(derivative, 2, 0) for derivative in derivatives])
     whiten(stacked, residual_cov(group.sensor_cov, lin.jac_joints, problem.joint_cov))
     return stacked.transpose(2, 1, 0).reshape(-1, len(stacked))
