@@ -14,11 +14,12 @@ from dataclasses import dataclass, field
 import cbor2
 import numpy as np
 from scipy.interpolate import CubicSpline
-from session_stream import PERIOD_NS, SCALE, Box, renumber
+from session_stream import PERIOD_NS, SCALE, Box, joint_messages, renumber
 
-from truearm.model.chain import point_forward, trace_point
+from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.robot import builtin_robot
 from truearm.types import Message
+from truearm_sim.paths import Path
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
 
@@ -30,16 +31,17 @@ SOUND = 25400.0 / 9.05  # m/s
 FIRST_NS = 2_000_000_000
 STEP = 2.0 * np.pi / 2**19
 AWAY = 0.5  # V: for a magnet out of range
+NOISE = (2e-6, 5e-6, 2e-6)  # m: of single readings of x, y, z
 
 
-def ident_document(boot_id: int, sound: float) -> dict[str, object]:
+def ident_document(boot_id: int) -> dict[str, object]:
     """Return the ident: converter with two transverse transducers of 20 mm/V, magnetostrictive head in ticks of 8 ns."""
     plain = [{"name": name, "unit": "V", "scale": SCALE} for name in ("lvdt", "excitation")]
     aside = {"unit": "V", "scale": SCALE, "calibration": {"unit": "mm", "poly": [[0, 0], [20, 0]]}}
     across = [{"name": name, **aside} for name in ("transverse_a", "transverse_b")]
     adc = {"id": 0, "name": "adc", "period_ns": PERIOD_NS, "osr": 4096, "group_delay_ns": GROUP_DELAY_NS}
     mag = {"id": 1, "name": "mag", "period_ns": PERIOD_NS, "osr": 0, "group_delay_ns": 0}
-    poly = [[round(sound * 4), -9], [round(sound * 1e6), -6]]
+    poly = [[round(SOUND * 4), -9], [round(SOUND * 1e6), -6]]
     along = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9], "calibration": {"unit": "m", "poly": poly}}
     channels = [plain[0], *across, plain[1]]
     return {
@@ -50,13 +52,12 @@ def ident_document(boot_id: int, sound: float) -> dict[str, object]:
 
 @dataclass
 class LineBox(Box):
-    """A box with both streams; ``sound``: its value for the head."""
+    """A box with both streams."""
 
-    sound: float = SOUND
     n1: int = 0
 
     def ident(self, t_host_ns: int) -> None:
-        for page, pages, data in wire.pages(cbor2.dumps(ident_document(self.boot_id, self.sound))):
+        for page, pages, data in wire.pages(cbor2.dumps(ident_document(self.boot_id))):
             self.frame("ident", t_host_ns, wire.IDENT, 0, page, pages, data)
 
     def flights(self, t_host_ns: int, ticks: np.ndarray) -> None:
@@ -78,6 +79,9 @@ class Line:
     origin: np.ndarray  # (3,) of the device in the base frame
     turn: np.ndarray  # (3, 3) its axes, y along the line
 
+    def drive(self, speed: float) -> Path:
+        return Path(self.way, self.length, speed, 2.0 * speed)
+
 
 @dataclass
 class Truth:
@@ -93,7 +97,8 @@ class Truth:
         q[:] = self.at(0, self.legs[0][3])
         for k, (start, end, line, a, b) in enumerate(self.legs):
             on = (t >= start) & (t <= end)
-            q[on] = self.lines[line].way(a + np.sign(b - a) * trapezoid(t[on] - start, abs(b - a), self.speed))
+            drive = self.lines[line].drive(self.speed)
+            q[on] = drive.joints(a + np.sign(b - a) * drive.along(t[on] - start))
             is_last, rest = k + 1 == len(self.legs), self.at(k, b)
             until, goal = (np.inf, rest) if is_last else (self.legs[k + 1][0], self.at(k + 1, self.legs[k + 1][3]))
             after = (t > end) & (t <= until)
@@ -124,20 +129,6 @@ class Truth:
         return out
 
 
-def trapezoid(t: np.ndarray, length: float, speed: float, acceleration: float = 0.5) -> np.ndarray:
-    """Return the distance at times t of a motion from rest to rest."""
-    ramp = speed / acceleration
-    end = trapezoid_s(length, speed, acceleration)
-    t = np.clip(t, 0.0, end)
-    up, down = np.minimum(t, ramp), np.minimum(end - t, ramp)
-    way = 0.5 * acceleration * up**2 + speed * np.clip(t - ramp, 0.0, None)
-    return np.where(t <= end - ramp, way, length - 0.5 * acceleration * down**2)
-
-
-def trapezoid_s(length: float, speed: float, acceleration: float = 0.5) -> float:
-    return length / speed + speed / acceleration
-
-
 def line_at(name: str, q_middle: np.ndarray, direction: np.ndarray, length: float) -> Line:
     """Return a line of the nominal robot through a pose; the orientation is that with the least joint motion."""
     direction = direction / np.linalg.norm(direction)
@@ -156,19 +147,10 @@ def _followed(q: np.ndarray, start: np.ndarray, direction: np.ndarray, length: f
     for k in range(1, steps + 1):
         goal = start + direction * (length * k / steps)
         for _ in range(6):
-            trace = trace_point(CHAIN, DESIGN, q[None], MAGNET[None])
-            jac = _jacobian(q)
-            q = q + np.linalg.pinv(jac) @ (goal - trace.p_base[0])
+            p, _, jac = point_jacobians(CHAIN, DESIGN, q, MAGNET)
+            q = q + np.linalg.pinv(jac) @ (goal - p)
         found.append(q)
     return np.array(found)
-
-
-def _jacobian(q: np.ndarray) -> np.ndarray:
-    """Return the Jacobian (3, 6) by central differences; iteration makes the curve exact."""
-    step = 1e-6
-    ends = np.concatenate([q + step * np.eye(6), q - step * np.eye(6)])
-    p = point_forward(CHAIN, DESIGN, ends, np.broadcast_to(MAGNET, (12, 3)))
-    return (p[:6] - p[6:]).T / (2.0 * step)
 
 
 def some_lines(rng: np.random.Generator, count: int, length: float = 0.4) -> list[Line]:
@@ -183,10 +165,10 @@ def some_lines(rng: np.random.Generator, count: int, length: float = 0.4) -> lis
     return found
 
 
-def true_params(rng: np.random.Generator, sigma: float = 1.0) -> np.ndarray:
+def true_params(rng: np.random.Generator) -> np.ndarray:
     """Return nominal parameters with the free ones changed by a millimetre and some milliradians."""
     unit = np.array([{"m": 1e-3, "rad": 4e-3}.get(p.unit, 0.0) for p in CHAIN.parameters])
-    return DESIGN + sigma * unit * ROBOT.free * rng.standard_normal(unit.size)
+    return DESIGN + unit * ROBOT.free * rng.standard_normal(unit.size)
 
 
 @dataclass
@@ -204,44 +186,38 @@ def line_session(
     params: np.ndarray | None = None,
     there_and_back: bool = True,
     speed: float = 0.1,
-    pause_s: float = 0.0,
     delay_s: float = 0.0,
-    robot_hz: float = 125.0,
-    sound: float = SOUND,
     plan: bool = True,
-    noise: tuple[float, float, float] = (2e-6, 5e-6, 2e-6),
     lost_stops: float = 0.0,
-    jitter_ns: float = 200e3,
 ) -> Made:
-    """Drive each line forwards and, after ``pause_s``, back; ``noise`` [m] of single readings of x, y, z."""
+    """Drive each line forwards and back."""
     truth = Truth(DESIGN if params is None else params, list(lines), speed=speed)
     t = 4.0
     for k, line in enumerate(lines):
         for a, b in ((0.0, line.length), (line.length, 0.0))[: 1 + there_and_back]:
-            end = t + trapezoid_s(line.length, speed)
+            end = t + line.drive(speed).seconds
             truth.legs.append((t, end, k, a, b))
-            t = end + pause_s
+            t = end
         t += 2.5
     end_ns = int(1e9 * t)
-    box = LineBox(ppm=31.0, boot_host_ns=-3_000_000_000, sound=sound)
+    box = LineBox(ppm=31.0, boot_host_ns=-3_000_000_000)
     box.ident(1_000_000)
     start = len(box.messages)
     for at in np.arange(5e7, end_ns, 2.5e8):
         box.sync(int(at), 90e3 + rng.exponential(1e5), 90e3 + rng.exponential(1e5))
     for at in range(10**9, end_ns, 10**9):
         box.heartbeat(at)
-    _streams(box, truth, rng, end_ns, noise, lost_stops)
+    _streams(box, truth, rng, end_ns, lost_stops)
     frames = renumber(box.messages[:start] + sorted(box.messages[start:], key=lambda m: m.t_host_ns))
-    robot = robot_lines(truth, end_ns, delay_s, robot_hz, rng, jitter_ns)
+    times = np.arange(10**9, end_ns, 1e9 / 125.0)
+    robot = joint_messages(rng, times, STEP * np.rint(truth.q(1e-9 * times - delay_s) / STEP))
     said = _plan(truth) if plan else _mounted(truth)
     return Made(sorted([*said, *frames, *robot], key=lambda m: m.t_host_ns), truth, end_ns)
 
 
-def _streams(
-    box: LineBox, truth: Truth, rng: np.random.Generator, end_ns: int, noise: Sequence[float], lost: float
-) -> None:
+def _streams(box: LineBox, truth: Truth, rng: np.random.Generator, end_ns: int, lost: float) -> None:
     shots = np.arange(FIRST_NS + 317_000, end_ns, PERIOD_NS)
-    y = truth.xyz(1e-9 * shots)[:, 1] + noise[1] * rng.standard_normal(shots.size)
+    y = truth.xyz(1e-9 * shots)[:, 1] + NOISE[1] * rng.standard_normal(shots.size)
     ticks = np.floor(y / SOUND / 8e-9)
     gone = np.isnan(y) | (rng.random(shots.size) < lost)
     ticks = np.where(gone, 0, ticks).astype(np.int64)
@@ -251,25 +227,10 @@ def _streams(
     xyz = truth.xyz(1e-9 * (samples - GROUP_DELAY_NS))
     counts = np.zeros((samples.size, 4), np.int64)
     for column, axis in ((1, 0), (2, 2)):
-        volts = (xyz[:, axis] + noise[axis] * rng.standard_normal(samples.size)) / 0.02
+        volts = (xyz[:, axis] + NOISE[axis] * rng.standard_normal(samples.size)) / 0.02
         counts[:, column] = np.clip(np.rint(np.where(np.isnan(volts), AWAY, volts) / 143e-9), -(2**23), 2**23 - 1)
     for k in range(0, samples.size - 13, 13):
         box.data(int(samples[k]), counts[k : k + 13])
-
-
-def robot_lines(
-    truth: Truth, end_ns: int, delay_s: float, hz: float, rng: np.random.Generator, jitter_ns: float = 200e3
-) -> list[Message]:
-    """Return readings that show the joints ``delay_s`` earlier; the latency of the link is at least 0.4 ms."""
-    times = np.arange(10**9, end_ns, 1e9 / hz)
-    q = STEP * np.rint(truth.q(1e-9 * times - delay_s) / STEP)
-    arrival = np.maximum.accumulate(times + 400e3 + rng.exponential(jitter_ns, times.size)).astype(np.int64)
-    stamps = 1000.0 + 1e-9 * times * (1.0 - 20e-6)
-    rows = zip(arrival.tolist(), stamps.tolist(), q.tolist(), strict=True)
-    return [
-        Message("/robot/joints", at, json.dumps({"t": t, "seq": i, "q": row}).encode())
-        for i, (at, t, row) in enumerate(rows)
-    ]
 
 
 def _plan(truth: Truth) -> list[Message]:

@@ -200,13 +200,18 @@ def robot_messages(
     path = np.stack([np.interp(times, corners, column) for column in q.T], axis=1)
     path += noise * rng.standard_normal(path.shape)
     path = step * np.rint(path / step) if step else path
-    arrival = times + 400e3 + rng.exponential(200e3, times.size)
-    arrival = np.maximum.accumulate(arrival).astype(np.int64)
+    return joint_messages(rng, times, path)
+
+
+def joint_messages(rng: np.random.Generator, times: np.ndarray, q: np.ndarray) -> list[Message]:
+    """Return the lines of readings q (n, j) at host times (n,) [ns]; the latency of the link is at least 0.4 ms."""
+    arrival = np.maximum.accumulate(times + 400e3 + rng.exponential(200e3, times.size)).astype(np.int64)
     stamps = 1000.0 + 1e-9 * times * (1.0 - 20e-6)
-    lines = [
-        {"t": t, "seq": i, "q": row} for i, (t, row) in enumerate(zip(stamps.tolist(), path.tolist(), strict=True))
+    rows = zip(arrival.tolist(), stamps.tolist(), q.tolist(), strict=True)
+    return [
+        Message("/robot/joints", at, json.dumps({"t": t, "seq": i, "q": row}).encode())
+        for i, (at, t, row) in enumerate(rows)
     ]
-    return [Message("/robot/joints", int(t), json.dumps(line).encode()) for t, line in zip(arrival, lines, strict=True)]
 
 
 def renumber(frames: list[Message]) -> list[Message]:

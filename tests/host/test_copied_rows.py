@@ -29,14 +29,11 @@ def identified(table, hold_out=()):
     return truearm.identify(PUMA, table, RIG, hold_out=hold_out, options=truearm.IdentifyOptions(joint_laws="none"))
 
 
-def test_a_table_given_twice_gives_the_fit_of_the_table_and_its_uncertainty():
+def test_copies_are_named_and_measurements_that_are_read_alike_are_none():
     once, twice = identified(session()), identified(with_copies(session(), slice(None)))
     assert (once.document["copies"], len(twice.document["copies"])) == ([], 120)
     np.testing.assert_allclose(twice.estimate.value, once.estimate.value, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(twice.estimate.sigma, once.estimate.sigma, rtol=1e-6)
-
-
-def test_copies_are_named_and_judge_nothing():
     found = identified(with_copies(session(), slice(20, 40)), hold_out=["0.2"])
     assert found.document["copies"][0] == {"source": "poses.csv row 122", "of": "poses.csv row 22"}
     assert found.estimate.n_observations + found.estimate.held_out.n == 120
@@ -47,10 +44,7 @@ def test_copies_are_named_and_judge_nothing():
         "20 rows are copies of earlier rows, with the same joints, readings and names to the last digit: "
     )
     assert "poses.csv row 122 of poses.csv row 22" in said
-
-
-def test_measurements_that_a_coarse_device_reads_alike_are_no_copies():
-    """A resolution of 10 µm at a noise of 84 µm: 10 of 120 repetitions read the same."""
+    # A resolution of 10 µm at a noise of 84 µm: 10 of 120 repetitions read the same.
     first = session(5)
     second = replace(first, value=np.round(first.value + 1.4 * SIGMA * np.random.default_rng(43).normal(size=120), 5))
     both = ObservationTable.joined([first, second])

@@ -263,27 +263,21 @@ def test_whole_turns_lead_back_into_the_limits(q):
     np.testing.assert_allclose(turned(CHAIN, DESIGN, away, np.zeros(6)), q, atol=1e-14)
 
 
-def test_a_turn_of_a_joint_with_a_gain_leaves_the_arm_where_it_is():
+def test_turns_leave_the_arm_where_it_is_and_go_on():
     chain = builtin_robot("ur5e").chain
     gains = chain.params_nominal + 2e-3 * np.array([name.endswith("gain") for name in chain.parameter_names])
     q = np.array([[0.4, -1.2, -1.5, -5.0, -1.0, 5.5]])
     other = turned(chain, gains, q, np.zeros(6))
     assert (np.abs(other - q)[0, [3, 5]] > 6.0).all()
     np.testing.assert_allclose(forward(chain, gains, other), forward(chain, gains, q), atol=1e-14)
-
-
-def test_joints_with_several_turns_go_on_and_not_back():
-    """A UR5e's joints turn by 360° either way: what comes after -179° is -181°, not another configuration or a turn back."""
+    # A UR5e's joints turn by 360° either way: what comes after -179° is -181°, not another configuration or a turn back.
     chain = builtin_robot("ur5e").chain
     q = np.linspace([0.2, -1.2, -1.5, -2.9, -1.2, 2.9], [0.3, -1.3, -1.6, -3.6, -1.3, 3.7], 30)
     targets = forward(chain, chain.params_nominal, q)
     found = search(chain, chain.params_nominal, targets, home=q[0])
     assert found.reached.all()
     np.testing.assert_allclose(found.q, q, atol=1e-8)
-
-
-def test_quarter_turns_beyond_half_a_turn_are_found():
-    """An IRB 120's sixth axis turns by 400° either way, and its configuration data say which turn."""
+    # An IRB 120's sixth axis turns by 400° either way, and its configuration data say which turn.
     chain = builtin_robot("irb120").chain
     q = np.radians([[10.0, 20.0, 30.0, 40.0, 50.0, turns] for turns in (100.0, 200.0, 300.0, -300.0, 390.0)])
     quadrants = np.full(q.shape, np.nan)

@@ -7,14 +7,11 @@ from truearm.estimate.identifiability import identifiability, observability
 from truearm.estimate.information import scaled_columns, seen, spectrum
 
 
-def test_everything_seen():
+def test_what_is_seen_and_what_nobody_sees():
     seen = identifiability(np.diag([3.0, 1e-6]), 2, ["a", "b"])  # a small unit is not missing information
     assert (seen.rank, seen.null_space) == (2, ())
     assert seen.identifiable.all()
     assert np.isinf(seen.gap)
-
-
-def test_a_difference_that_nobody_sees_and_a_column_of_zeros():
     rows = np.array([[1.0, 2.0, 0.0, 0.0], [3.0, 6.0, 0.0, 1.0], [0.0, 0.0, 0.0, 5.0]])
     seen = identifiability(np.linalg.qr(np.vstack([rows, np.zeros((1, 4))]), mode="r"), 4, ["a", "b", "c", "d"])
     assert seen.rank == 2

@@ -36,7 +36,7 @@ def parameter(e, name):
     return e.value[e.parameter_names.index(name)]
 
 
-def test_a_fourth_chuck_of_which_nothing_is_known():
+def test_chucks_of_which_nothing_is_known():
     rng = np.random.default_rng(0)
     truth = {**CHUCKS, "new": Point("new", (0.2, 0.3, 0.1))}
     q = random_poses(600, rng)
@@ -48,9 +48,6 @@ def test_a_fourth_chuck_of_which_nothing_is_known():
     np.testing.assert_allclose(e.value[:54], TRUTH, atol=1e-10)
     np.testing.assert_allclose(e.value[54:], [0.2, 0.3, 0.1], atol=1e-10)
     assert (e.sigma[54:] > 0).all()
-
-
-def test_with_all_chucks_unknown_the_base_cannot_be_placed():
     rig = Rig({k: Point(k, p.xyz, None) for k, p in CHUCKS.items()}, SPHERES, BARS)
     e = identify(CHAIN, rig, random_table(600, np.random.default_rng(1)), free=FREE)
     assert e.rank == 30  # 36 − the pose of the base
@@ -241,7 +238,7 @@ def test_seats_without_noise(seated_clean):
     assert np.linalg.norm(e.value[at[:3]] - e.value[at[3:]]) == pytest.approx(0.08, abs=1e-9)
 
 
-def test_held_out_places_are_judged_by_the_spread_about_their_mean(seated_clean):
+def test_a_socket_is_the_weighted_mean_by_which_held_out_places_are_judged(seated_clean):
     held = seated_clean.place == "p1"
     e = identify(CHAIN, SEAT_RIG, seated_clean, free=np.zeros(54, bool), hold_out=held)
     expected = []
@@ -252,9 +249,6 @@ def test_held_out_places_are_judged_by_the_spread_about_their_mean(seated_clean)
     assert e.held_out.figures["m"].mean == pytest.approx(np.concatenate(expected).mean(), rel=1e-9)
     assert e.held_out_before == e.held_out
     assert e.held_out.n == held.sum()
-
-
-def test_a_socket_is_the_mean_weighted_by_each_seats_sigma(seated_clean):
     sigma = np.random.default_rng(12).uniform(1e-4, 1e-3, len(seated_clean))
     t = replace(seated_clean, sigma=sigma)
     e = identify(CHAIN, Rig(spheres=SPHERES), t, free=np.zeros(54, bool))

@@ -94,8 +94,8 @@ def test_an_advice_taken_brings_what_it_promised(shells):
     assert identify(CHAIN, RIG, more, free=FREE).rank == e.additions[0].rank
 
 
-def test_a_constant_tool_orientation_wants_other_poses():
-    """The design robot itself: any other's orientation is not quite constant, which hides the loss behind a poor o2."""
+def test_a_constant_tool_and_collinear_chucks_want_others():
+    # The design robot itself: any other's orientation is not quite constant, which hides the loss behind a poor o2.
     q, pairs = constant_orientation_poses(200, np.random.default_rng(1)), all_pairs(200)
     e = identify(CHAIN, RIG, table(q, lengths(DESIGN, q, pairs), pairs), free=FREE)
     nearly = identify(CHAIN, RIG, table(q, lengths(TRUTH, q, pairs), pairs), free=FREE)
@@ -105,9 +105,6 @@ def test_a_constant_tool_orientation_wants_other_poses():
     assert e.rank == 33
     assert by_kind(e)["poses"][0].rank == 36
     assert "pairing" not in by_kind(e)  # all nine are there already
-
-
-def test_collinear_chucks_want_another_chuck():
     rig = Rig(points("c", [(0.4, 0.0, 0.2), (0.5, 0.05, 0.25), (0.6, 0.1, 0.3)]), SPHERES, BARS)
     q, pairs = random_poses(300, np.random.default_rng(2)), all_pairs(300)
     e = identify(CHAIN, rig, table(q, lengths(TRUTH, q, pairs, rig.chucks), pairs), free=FREE)

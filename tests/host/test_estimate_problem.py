@@ -63,7 +63,7 @@ def test_only_names_and_their_own_sigmas_count():
     assert problem.groups[0].sensor_cov[4, 0] == BARS["short"].sigma ** 2
 
 
-def test_only_what_is_used_and_not_known_becomes_a_parameter():
+def test_what_is_used_and_not_known_becomes_a_parameter_with_its_prior():
     rig = Rig(
         {**CHUCKS, "c1": Point("c1", CHUCKS["c1"].xyz, None), "spare": Point("spare", (1.0, 1.0, 1.0), None)},
         {**SPHERES, "s2": Point("s2", SPHERES["s2"].xyz, 1e-4)},
@@ -75,9 +75,6 @@ def test_only_what_is_used_and_not_known_becomes_a_parameter():
     np.testing.assert_array_equal(problem.prior_sigma[54:], [np.inf] * 3 + [1e-4] * 3 + [1e-3])
     assert np.isinf(problem.prior_sigma[:54]).all()
     assert problem.units[54:] == ("m",) * 7
-
-
-def test_priors_by_name_and_by_array():
     by_name = robot_prior(CHAIN, {"link3.x": 1e-3})
     assert by_name[CHAIN.parameter_names.index("link3.x")] == 1e-3
     assert np.isinf(by_name).sum() == 53

@@ -216,8 +216,8 @@ def joint_lines(rows):
     return [Message("/robot/joints", 10**9 * (k + 1), json.dumps(row).encode()) for k, row in enumerate(rows)]
 
 
-def test_optional_keys_of_readings():
-    """They have columns from where they first come; restarts of the controller are segments; no number is -1."""
+def test_keys_of_readings_are_optional_or_begin_another_table(monkeypatch):
+    # They have columns from where they first come; restarts of the controller are segments; no number is -1.
     rows = [{"t": 0.1 * k, "seq": k, "q": [0.1, k]} for k in range(3)]
     rows += [{"t": 0.01 * k, "q": [0.1, k], "qd": [1.0, 2.0], "inputs": 5} for k in range(2)]
     messages = stream_of(joint_lines([{**row, "t": row["t"] + (5 if "seq" in row else 0)} for row in rows]))
@@ -228,9 +228,6 @@ def test_optional_keys_of_readings():
     assert columns["seq"].tolist() == [0, 1, 2, -1, -1]
     assert columns["q2_m"].tolist() == [0.0, 1.0, 2.0, 0.0, 1.0]
     np.testing.assert_array_equal(columns["qd1_rad_s"], [np.nan] * 3 + [1.0, 1.0])
-
-
-def test_keys_that_come_later_begin_another_table(monkeypatch):
     monkeypatch.setattr("truearm.session.joint_readings.CHUNK", 4)
     rows = [{"t": 0.1 * k, "q": [0.1], **({"effort": [2.0]} if k >= 5 else {})} for k in range(12)]
     messages = stream_of(joint_lines(rows), size=4)

@@ -11,7 +11,7 @@ from truearm.model.robot_file import load_robot, robot_file
 PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
 
 
-def test_built_in_robots_and_robot_files_are_read(tmp_path):
+def test_built_in_robots_robot_files_and_a_urdf_are_read(tmp_path):
     robot = load_robot("puma560")
     assert robot_file("puma560") is None
     assert robot.chain.joint_units == ("rad",) * 6
@@ -20,9 +20,6 @@ def test_built_in_robots_and_robot_files_are_read(tmp_path):
     text = resources.files("truearm.model").joinpath("robots", "puma560.toml").read_text("utf-8")
     (tmp_path / "mine.toml").write_text(text, "utf-8")
     assert load_robot(str(tmp_path / "mine.toml")).chain == load_robot("puma560").chain
-
-
-def test_a_urdf_is_the_chain_to_its_tip() -> None:
     robot = load_robot(str(PANDA), tip="ball_link")
     assert (robot.chain.base_frame, robot.chain.end_frame) == ("panda_link0", "ball_link")
     assert robot.chain.joint_units == ("rad",) * 7

@@ -215,7 +215,7 @@ def test_a_line_of_known_orientation_keeps_its_roll(rule):
     assert abs(unknown @ there) > 0.02
 
 
-def test_the_two_point_rule_lays_a_line_through_its_first_two_points():
+def test_axes_of_lines_by_two_points_and_of_flats():
     t, bent, device = set_up_by_hand(np.random.default_rng(12))
     left = {}
     for rule in LinePlacement:
@@ -228,9 +228,6 @@ def test_the_two_point_rule_lays_a_line_through_its_first_two_points():
     assert np.sum(left["least_squares"] ** 2) < 0.5 * np.sum(left["two_point"] ** 2)
     other = replace(t, xyz=np.concatenate([t.xyz[:2], t.xyz[:1:-1]]))
     np.testing.assert_array_equal(started(other, device, "two_point")[1], started(t, device, "two_point")[1])
-
-
-def test_axes_of_a_flat_are_right_handed():
     for normal in ([0, 0, 2], [1, 0, 0], [0, -1, 0], [0.3, -0.2, 0.9]):
         frame = frame_of(np.array(normal, dtype=float))
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=4e-16)

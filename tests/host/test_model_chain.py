@@ -194,7 +194,7 @@ def test_end_and_jacobian_are_both_at_once(name):
     np.testing.assert_array_equal(joint_jacobian(chain, params, q), jac)
 
 
-def test_equal_names_and_wrong_shapes_are_refused():
+def test_names_shapes_and_whole_numbers():
     elements = (Element("tx", parameter=0), Element("tx", parameter=1), Element("rz", joint=0))
     with pytest.raises(RobotError, match="same name"):
         Chain("bad", elements, 2 * (Parameter("x", "m", 0.0),), (Joint("a", "revolute", -1, 1),))
@@ -203,10 +203,7 @@ def test_equal_names_and_wrong_shapes_are_refused():
         forward(chain, chain.params_nominal, np.zeros(4))
     with pytest.raises(RobotError, match="4 parameters"):
         forward(chain, np.zeros(5), np.zeros(3))
-
-
-def test_whole_numbers_are_numbers_too():
-    """Integer params must not cut a fixed constant, 0.7 rad, to 0."""
+    # Integer params must not cut a fixed constant, 0.7 rad, to 0.
     elements = (Element("rx", 0.7), Element("tx", parameter=0), Element("rz", joint=0), Element("ty", 0.5))
     chain = Chain("c", elements, (Parameter("a", "m", 0.0),), (Joint("j", "revolute", -3.0, 3.0),))
     np.testing.assert_array_equal(forward(chain, np.array([1]), np.array([2])), forward(chain, [1.0], [2.0]))

@@ -173,7 +173,7 @@ def test_near_a_singular_law_the_inverse_is_right_or_none(further_terms):
     np.testing.assert_allclose(chain.law.angles(params, found[said]), angles[said], atol=1e-9)
 
 
-def test_one_lost_pose_does_not_lose_the_others(further_terms):
+def test_what_has_no_inverse_loses_no_other_pose(further_terms):
     chain = with_terms(builtin_robot("ur10e").chain, ("sway", 1))
     params = chain.params_nominal.copy()
     params[-1] = 0.01
@@ -182,9 +182,6 @@ def test_one_lost_pose_does_not_lose_the_others(further_terms):
     found = chain.law.readings(params, angles)
     assert np.isnan(found[1]).all()
     assert np.isfinite(found[[0, 2]]).all()
-
-
-def test_a_gain_of_zero_has_no_inverse():
     chain = parse_robot(PLANAR).chain
     params = chain.params_nominal.copy()
     params[chain.parameter_names.index("joint1.gain")] = 0.0

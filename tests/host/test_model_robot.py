@@ -103,7 +103,7 @@ alpha_deg = { design = 180.0, measured = 180.0 }
 """
 
 
-def test_a_number_is_a_constant_and_a_table_a_parameter():
+def test_numbers_are_constants_and_tables_parameters_in_both_forms():
     robot = parse_robot(DH)
     joint1 = ("joint1.offset", "joint1.gain", "joint1.a", "joint1.alpha", "joint1.beta")
     assert robot.chain.parameter_names == (*joint1, "joint2.theta", "joint2.offset", "joint2.a", "joint2.alpha")
@@ -115,25 +115,16 @@ def test_a_number_is_a_constant_and_a_table_a_parameter():
     pose = forward(robot.chain, robot.chain.params_nominal, np.array([np.radians(40.0), 0.02]))
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
     np.testing.assert_allclose(pose[:3, 3], [0.3 * c + 0.2 * s, -0.3 * s + 0.2 * c, 0.17], atol=1e-15)
-
-
-def test_the_same_rows_in_the_modified_form():
     robot = parse_robot(DH.replace('"dh"', '"modified_dh"'))
     joint1 = ("joint1.beta", "joint1.alpha", "joint1.a", "joint1.offset", "joint1.gain")
     assert robot.chain.parameter_names == (*joint1, "joint2.alpha", "joint2.a", "joint2.theta", "joint2.offset")
     # x of joint 1 lies 0.3 along the base's, y and z of joint 2 are turned over
     pose = forward(robot.chain, robot.chain.params_nominal, np.array([np.radians(10.0), 0.02]))
     np.testing.assert_allclose(pose[:3, 3], [0.5, 0.0, 0.1 - 0.07], atol=1e-15)
-
-
-def test_a_link_may_be_constant_in_part():
     robot = parse_robot(TINY.replace("z_m = { design = 1.0 }", "z_m = 1.0"))
     assert "link1.z" not in robot.chain.parameter_names
     pose = forward(robot.chain, robot.chain.params_nominal, np.array([3e-3]))
     np.testing.assert_allclose(pose[:3, 3], [1e-3, 1e-2, 1.005])
-
-
-def test_a_file_without_parameters_is_refused():
     fixed = "".join(line.split("{")[0] + "0.0\n" if "{" in line else line for line in DH.splitlines(keepends=True))
     with pytest.raises(RobotError, match="joint1: gain: must be"):
         parse_robot(fixed)
@@ -237,16 +228,13 @@ def test_a_file_with_a_hole_is_one_clear_line(text, old, new, says):
     assert "\n" not in str(caught.value)
 
 
-def test_a_joint_that_turns_needs_no_limits_or_both():
+def test_what_a_robot_file_need_not_say():
     limits = "lower_deg = -165.0\nupper_deg = 165.0\n"
     assert ARM.count(limits) == 1
     first = parse_robot(ARM.replace(limits, "")).chain.joints[0]
     assert (first.lower, first.upper) == (-np.inf, np.inf)
     with pytest.raises(RobotError, match="joint1: has only one limit"):
         parse_robot(ARM.replace(limits, limits.splitlines()[0] + "\n"))
-
-
-def test_a_robot_file_need_not_say_how_to_plan_and_those_that_do_are_listed():
     robot = parse_robot(ARM.split("# Branch", 1)[0])
     assert robot.branch is None
     assert robot.capsules is None

@@ -50,7 +50,7 @@ def test_arbitrary_axes_by_rodrigues():
     np.testing.assert_allclose(pose[:3, :3], rot, atol=1e-14)
 
 
-def test_names_units_limits_and_frames():
+def test_names_units_limits_if_any_and_frames():
     chain = chain_from_urdf(ARM)
     origin = [f"j1.{k}" for k in ("x", "y", "z", "yaw", "pitch", "roll", "offset", "gain")]
     assert list(chain.parameter_names[:8]) == origin
@@ -63,6 +63,8 @@ def test_names_units_limits_and_frames():
         ("j3", "prismatic", -2.0, 2.0),
     ]
     assert (chain.name, chain.base_frame, chain.end_frame) == ("r", "a", "e")
+    (hinge,) = chain_from_urdf(robot(joint("j1", "revolute", "a", "b", more=""), links="ab")).joints
+    assert (hinge.lower, hinge.upper) == (-math.inf, math.inf)
 
 
 def test_base_and_tip_choose_a_path_and_ignore_the_rest():
@@ -80,11 +82,6 @@ def test_base_and_tip_choose_a_path_and_ignore_the_rest():
     assert [j.name for j in chain_from_urdf(text, tip="d").joints] == ["j1", "finger"]
     with pytest.raises(RobotError, match="free: a floating joint"):
         chain_from_urdf(text, tip="e")
-
-
-def test_a_joint_that_turns_needs_no_limits():
-    (hinge,) = chain_from_urdf(robot(joint("j1", "revolute", "a", "b", more=""), links="ab")).joints
-    assert (hinge.lower, hinge.upper) == (-math.inf, math.inf)
 
 
 HOP = joint("j1", "revolute", "a", "b")

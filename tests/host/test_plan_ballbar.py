@@ -241,7 +241,7 @@ def visited(plan):
     return [(tuple(names[a]), plan.q[a:b]) for a, b in zip(starts, np.r_[starts[1:], len(plan)], strict=True)]
 
 
-def test_check_poses_of_two_mounts_come_again():
+def test_check_poses_and_two_visits_come_again():
     site, known = bench.site("irb120"), bench.known("irb120")
     wanted = Wanted(n_poses=54, n_candidates=150, passes=0, visits=Visits(check_poses=2))
     plan = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace()).route.plan
@@ -256,9 +256,6 @@ def test_check_poses_of_two_mounts_come_again():
     for name, q in (middle, last, other):
         assert len(q) == 2
         assert all((dict(before)[name] == pose).all(axis=1).any() for pose in q), "the same joints each time"
-
-
-def test_two_visits_split_the_poses_of_every_mount():
     site, known = bench.site("irb120"), bench.known("irb120")
     wanted = Wanted(n_poses=54, n_candidates=150, passes=0, visits=Visits(times=2))
     route = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace()).route

@@ -31,7 +31,7 @@ def arm() -> truearm.Identification:
     return calibrated(1.0)
 
 
-def test_a_distance_that_is_two_percent_wrong_is_said(arm):
+def test_a_wrong_distance_is_said_and_a_correct_arm_has_no_scale(arm):
     given = calibrated(1.02)
     assert given.estimate.chi2_reduced == pytest.approx(arm.estimate.chi2_reduced, rel=0.1)
     scale = given.document["scale"]
@@ -41,9 +41,6 @@ def test_a_distance_that_is_two_percent_wrong_is_said(arm):
     assert f"{scale['factor']:.4f} times" in verdict(given.document).text()
     assert (given.document["usable"], given.document["unusable_because"]) == (False, "robot scale")
     assert given.document["faults"] == []
-
-
-def test_a_correct_arm_has_no_scale(arm):
     assert arm.document["scale"] is None
     assert arm.document["usable"]
 
@@ -88,18 +85,15 @@ def test_few_lengths_are_a_scale_beyond_any_tolerance(arm, n):
     assert sum(robot_scale(PANDA.chain, one) is not None for one in drawn) < 12
 
 
-def test_a_small_scale_is_left_to_the_faults(arm):
-    """A sphere that is 2 mm off scales an arm by half a percent."""
+def test_small_scales_and_heat_are_left_to_the_faults(arm):
+    # A sphere that is 2 mm off scales an arm by half a percent.
     for factor, is_scale in ((1.01, False), (1.2, True)):
         scaled = replace(arm.estimate, value=factor * arm.estimate.nominal, faults=(None,))
         found = with_scale(PANDA.chain, scaled)
         assert (found.unusable is Unusable.SCALE) == is_scale
         assert (not found.faults) == is_scale
         assert with_scale(PANDA.chain, replace(scaled, faults=())).unusable is Unusable.SCALE
-
-
-def test_heat_is_no_scale(arm):
-    """30 K of aluminium: 0.7 parts in a thousand, exactly."""
+    # 30 K of aluminium: 0.7 parts in a thousand, exactly.
     estimate = arm.estimate
     warm = replace(estimate, value=1.0007 * estimate.nominal)
     assert robot_scale(PANDA.chain, warm) is None
@@ -128,15 +122,12 @@ def test_a_wrong_distance_is_said_where_only_sums_of_lengths_are_identifiable(ur
     assert estimate.scale.factor == pytest.approx(distance / measured.distance, abs=0.03 * (ratio - 1.0))
 
 
-def test_one_wrong_length_of_a_urdf_file_is_no_scale(urdf_arm, tmp_path):
+def test_one_wrong_length_or_independent_tolerances_are_no_scale(urdf_arm, tmp_path):
     text = (DATA / "panda.urdf").read_text()
     assert text.count("0.384") == 1
     (tmp_path / "panda.urdf").write_text(text.replace("0.384", "0.404"))
     assert calibrated(1.0, truearm.load_robot(str(tmp_path / "panda.urdf"), tip="ball_link")).estimate.scale is None
     assert calibrated(1.0, urdf_arm).estimate.scale is None
-
-
-def test_independent_tolerances_of_a_urdf_file_are_rarely_a_scale(urdf_arm):
     rng, estimate = np.random.default_rng(9), calibrated(1.0, urdf_arm).estimate
     size = np.where(np.array(estimate.units) == "m", 5e-3, 0.0)
     drawn = (replace(estimate, value=estimate.nominal + size * rng.standard_normal(size.size)) for _ in range(2000))

@@ -49,16 +49,12 @@ def test_a_mount_that_was_made_with_another_bar_is_named_and_no_other_row(longer
 
 
 @pytest.mark.soak
-def test_bars_with_each_others_names_are_named():
+def test_swapped_bars_are_named_and_a_mount_elsewhere_is_none():
     rows, rig, _ = alternating(940021, 15e-3)
     first, *_ = explained(renamed(rows, rig, np.ones(len(rows), dtype=bool)), rig)
     assert (first.code, first.values["bar"]) == ("names-exchanged", True)
     assert first.values["names"] == ["bar bar46 is other", "bar other is bar46"]
-
-
-@pytest.mark.soak
-def test_a_mount_elsewhere_is_not_another_bar():
-    """The chuck of one mount stood 15 mm higher: as far as the bars differ."""
+    # The chuck of one mount stood 15 mm higher: as far as the bars differ.
     rows, rig, mounts = alternating(940022, 15e-3)
     first, end = mounts[np.argmax(np.diff(mounts)) + np.arange(2)].tolist()
     off = np.zeros((len(rows), 3))

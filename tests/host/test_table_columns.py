@@ -35,16 +35,13 @@ def test_a_table_of_another_program(tmp_path, separator, comma):
     assert np.array([line["qd"] for line in lines]) == pytest.approx(rows[:, 8:], abs=1e-12)
 
 
-def test_our_own_columns_may_be_separated_by_semicolons_too(tmp_path):
+def test_columns_by_semicolons_and_joints_from_the_lowest_number(tmp_path):
     (tmp_path / "r.csv").write_text("t_s;q1_deg;q2_deg\n1,5;90;-45,5\n")
     (one,) = readings(tmp_path / "r.csv", FileOptions(""))
     assert json.loads(one.line)["q"] == pytest.approx(np.deg2rad([90.0, -45.5]))
     (tmp_path / "r.txt").write_text("# t_s  q1_deg  q2_deg\n  1.5     90   -45.5\n")
     (one,) = readings(tmp_path / "r.txt", FileOptions(""))
     assert json.loads(one.line)["q"] == pytest.approx(np.deg2rad([90.0, -45.5]))
-
-
-def test_joints_are_counted_from_the_lowest_number_there_is():
     assert renamed(["q2", "t", "q1"], parse_renames("t_s=t,q{}_deg=q{}")) == ["q2_deg", "t_s", "q1_deg"]
     assert renamed(["q1", "t", "q0", "z"], parse_renames("t_s=t,q{}_deg=q{}")) == ["q2_deg", "t_s", "q1_deg", "x_3"]
     assert renamed(["stamp", "q1_deg", "z", "q2_deg"], parse_renames("t_s=stamp")) == ["t_s", "q1_deg", "x_2", "q2_deg"]

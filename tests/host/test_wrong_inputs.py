@@ -312,18 +312,15 @@ def test_rotations_of_another_convention_are_named(convention):
     assert estimate.unusable
 
 
-def test_a_step_of_a_joint_by_a_degree_is_rows_that_do_not_fit():
-    """To first order it may have no name. It leaves less than a millimetre, but the rows are apart."""
+def test_a_step_of_a_joint_is_doubted_and_a_clean_session_not():
+    # To first order it may have no name. It leaves less than a millimetre, but the rows are apart.
     plan, off = worlds.plan(), np.zeros((360, 6))
     off[200:, 3] = np.deg2rad(1.0)
     rows = worlds.table(plan, worlds.lengths(plan, q_off=off) + SIGMA * np.random.default_rng(4).normal(size=360))
     estimate = replace(identify(PUMA.chain, worlds.RIG, rows, free=PUMA.free), faults=())
     (one,) = checked_inputs(estimate, PUMA.chain, worlds.RIG, rows, PUMA.free, PUMA.free, dict).explanations
     assert (one.code, one.values["leave_out"]) == ("rows-apart", ["201:360"])
-
-
-def test_a_clean_session_is_not_doubted():
-    """So nothing is tried: the rate of false alarms on data that fit is that of a fit whose RMS is twelve times its noise."""
+    # So nothing is tried: the rate of false alarms on data that fit is that of a fit whose RMS is twelve times its noise.
     estimate = found(session())
     assert (estimate.alternatives_tried, estimate.explanations, estimate.unusable) == (0, (), None)
 
