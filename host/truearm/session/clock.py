@@ -23,7 +23,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from truearm import clocks
 from truearm.clocks import RATE_LIMIT, SLEWED_WANDER, WANDER, Clock
 from truearm.session.session_file import Session
-from truearm.session.spool import Spool
 from truearm.types import Floats, Ints
 from truearm.units import MDEGC, PPM
 
@@ -253,7 +252,7 @@ class Arrivals:
     """Collects (controller time, arrival) of one segment; keeps the fastest reading of each second, and sums.
 
     Clocks with rates 45 ppm apart drift by 45 µs in a second, which would make its first readings seem the fastest.
-    Cells are kept so that the drift is removed first, in a temporary file: 10 MB in six hours.
+    Cells are kept so that the drift is removed first: 10 MB in six hours.
     """
 
     t_ref_s: float
@@ -261,14 +260,14 @@ class Arrivals:
     readings: int = 0
     first_s: float = float("inf")
     last_s: float = float("-inf")
-    _cells: Spool = field(default_factory=Spool)  # (6, n) each, see ``seconds``
+    _cells: list[Floats] = field(default_factory=list)  # (6, n) each, see ``seconds``
 
     def add(self, t_robot_s: Floats, t_host_ns: Ints) -> None:
         """Take readings (n,) in order of arrival."""
         dt = t_robot_s - self.t_ref_s
         latency = (t_host_ns - self.host_ref_ns - np.rint(1e9 * dt).astype(np.int64)).astype(np.float64)
         rows = np.stack([np.floor(CELLS * dt), dt, latency, np.ones(dt.size), dt, latency])
-        self._cells.append([_merged(rows)], (0, float(dt[0]), float(dt[-1])))
+        self._cells.append(_merged(rows))
         self.readings += dt.size
         self.first_s = min(self.first_s, float(t_robot_s[0]))
         self.last_s = max(self.last_s, float(t_robot_s[-1]))
@@ -277,7 +276,7 @@ class Arrivals:
         """Return rows (6, k) by second: its number; dt [s] and latency [ns] of the fastest reading; number of readings,
         sums of dt and latency.
         """
-        cells = _merged(np.concatenate([self._cells.load(k)[0] for k in range(len(self._cells.spans))], axis=1))
+        cells = _merged(np.concatenate(self._cells, axis=1))
         cells[0] = np.floor(cells[0] / CELLS)
         rough = _merged(cells)
         rate = float(np.median(np.diff(rough[2]) / np.diff(rough[1]))) if rough.shape[1] > 1 else 0.0

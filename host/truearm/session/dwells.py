@@ -8,6 +8,12 @@ Bins that share a window with a range below the threshold belong together; a cha
 removes slow creep: a dwell begins where the bin means stay at the level of the stop's second half, within the scatter of
 bins in resting stops. The beginning of a stop is always discarded: the robot's clock may run late, and a window may
 extend into the motion.
+
+**Manually noted joints**, read off a pendant, arrive every few seconds, so they cannot show when the robot stood still.
+The ball-bar can: the stops of its length are found in the same way as those of joints (``find_stops()``). A reading noted
+while the bar rested belongs to that rest. Two differing readings in one rest mean that the robot moved without the bar
+showing it. A reading at any other time belongs to no rest. A motion that keeps the bar's length constant to within a few
+noise standard deviations remains undetected.
 """
 
 from __future__ import annotations
@@ -17,8 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from truearm.session.joint_readings import Bins, JointStream
+from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream, binned
 from truearm.session.sample_noise import LEAST_BLOCKS, rests_within, settled_from
+from truearm.session.samples import ChannelSamples, extension, railed
 from truearm.types import NEED_DECISION, Floats
 
 WINDOW_BINS = 4
@@ -104,17 +111,8 @@ def find_stops(bins: Bins, step: Floats) -> list[Dwell]:
         for first, last in edges.reshape(-1, 2).tolist()
         if bins.t_last_s[last] - bins.t_first_s[first] >= PAUSE_S
     ]
-    resting = _Rest(resting_variance(bins, runs), np.maximum(1.001 * step, LEAST_MOTION), step)
-    return [_dwell(bins, run, resting) for run in runs]
-
-
-@dataclass(frozen=True)
-class _Rest:
-    """Variation of each joint's readings at rest: variance of a bin's mean, tolerated change, and step; all (j,)."""
-
-    bin_var: Floats
-    floor: Floats
-    step: Floats
+    bin_var = resting_variance(bins, runs)
+    return [_dwell(bins, run, bin_var, step) for run in runs]
 
 
 def resting_variance(bins: Bins, runs: list[slice]) -> Floats:
@@ -141,32 +139,33 @@ def _window_ranges(bins: Bins, joint: int) -> Floats:
     return np.asarray(high - low)
 
 
-def _dwell(bins: Bins, run: slice, at_rest: _Rest) -> Dwell:
+def _dwell(bins: Bins, run: slice, bin_var: Floats, step: Floats) -> Dwell:
+    """Return the dwell of a stop. ``bin_var`` (j,): variance of a bin's mean at rest."""
     stood = float(bins.t_first_s[run.start])
     begin_s = stood + SETTLE_S
     inside = np.flatnonzero((bins.t_first_s[run] >= begin_s) & (bins.t_last_s[run] <= begin_s + LONGEST_DWELL_S))
     span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1) if inside.size else run
     lasts_s = _end_s(bins, span) - (float(bins.t_first_s[span.start]) if inside.size else begin_s)
     if not inside.size or lasts_s < LEAST_DWELL_S:
-        return of_bins(bins, span, at_rest.step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
-    first, late = _settled(bins, span, at_rest)
+        return of_bins(bins, span, step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
+    first, late = _settled(bins, span, bin_var, step)
     settled = slice(min(span.start + first, span.stop - 1), span.stop)
     if first and _end_s(bins, settled) - bins.t_first_s[settled.start] < LEAST_DWELL_S:
         swing = float(np.ptp(bins.mean[span][:, late]))
-        return of_bins(bins, span, at_rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
-    return of_bins(bins, settled, at_rest.step, stood)
+        return of_bins(bins, span, step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
+    return of_bins(bins, settled, step, stood)
 
 
-def _settled(bins: Bins, span: slice, resting: _Rest) -> tuple[int, int]:
+def _settled(bins: Bins, span: slice, bin_var: Floats, step: Floats) -> tuple[int, int]:
     """Return the first of these bins from which all joints rest, and the joint that settles last."""
     means, n = bins.mean[span], bins.n[span]
     if len(means) < LEAST_BLOCKS:
         return 0, 0
-    signals = np.ascontiguousarray(means.T)
-    if rests_within(signals, resting.floor):
+    signals, floor = np.ascontiguousarray(means.T), np.maximum(1.001 * step, LEAST_MOTION)
+    if rests_within(signals, floor):
         return 0, 0
     fewer = float(np.median(n) / np.min(n))  # a bin cut short by the end of the recording has fewer readings
-    firsts = settled_from(signals, fewer * resting.bin_var, resting.floor).first
+    firsts = settled_from(signals, fewer * bin_var, floor).first
     return int(np.max(firsts)), int(np.argmax(firsts))
 
 
@@ -209,3 +208,82 @@ def _readings(bins: Bins, span: slice, step: Floats) -> dict[str, Any]:
     # For a quantised reading the smallest change seen is the step; for a fine one it is negligible.
     q_var = squares / max(1, total - 1) + step**2 / 12.0
     return {"q": q, "q_var": q_var, "n_readings": total, "bins": (span.start, span.stop)}
+
+
+# ---------------------------------------------------------------------------------------------- manually noted joints
+
+NO_STEP = np.zeros(1)
+
+
+def has_manual_joints(stream: JointStream) -> bool:
+    """Return whether the readings are too far apart to show when the robot stood still."""
+    return stream.readings == 1 or stream.rate_hz * NOTED_S < 1.0
+
+
+def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
+    """Return one dwell per reading, in order.
+
+    Those in no rest of the sensor, or in one with another reading, carry their reason.
+    """
+    bins, sensor = stream.bins, sensor_bins(samples)
+    stops = [] if sensor is None else find_stops(sensor, NO_STEP)
+    rests = [stop for stop in stops if stop.reason != "too short"]
+    end_s = np.array([*(stop.end_s + GUARD_S for stop in rests), -np.inf])
+    noted_ns = stream.to_host_ns(bins.segment, bins.t_first_s)
+    rest_of = np.searchsorted([stop.stood_s for stop in rests], 1e-9 * noted_ns, side="right") - 1
+    rest_of[1e-9 * noted_ns > end_s[rest_of]] = -1
+    dwells = []
+    for k, (number, t_ns) in enumerate(zip(rest_of.tolist(), noted_ns.tolist(), strict=True)):
+        alike = np.flatnonzero(rest_of == number)
+        span = float(np.max(np.abs(bins.mean[alike] - bins.mean[k])))
+        dwell = of_bins(bins, slice(k, k + 1), stream.step, float(bins.t_first_s[k]))
+        dwell = replace(dwell, end_s=dwell.start_s, start_host_ns=t_ns, end_host_ns=t_ns)
+        if number < 0:
+            detail = "the bar did not rest when the joints were noted"
+            dwells.append(replace(dwell, reason="still moving", detail=detail))
+        elif span > POSE_TOLERANCE:
+            detail = f"{len(alike)} readings in one rest, {span:.3f} rad apart"
+            dwells.append(replace(dwell, reason="ambiguous", detail=detail))
+        elif k == alike[0]:
+            dwells.append(_resting(dwell, rests[number], t_ns))
+    return dwells
+
+
+def sensor_bins(samples: ChannelSamples) -> Bins | None:
+    """Return the sensor's extension in bins of BIN_S [s of the host's clock], as a single joint; None if there is none.
+
+    Samples at a rail are left out: an open coil is quiet but not at rest. Raises SessionError if the channel has no
+    calibration.
+    """
+    pieces = []
+    for segment, channels, (t_ns, counts, gap, _, _, period_ns) in samples:
+        t_s = np.asarray(1e-9 * t_ns, np.float64)
+        rails = railed(counts[:, 0])
+        piece = np.cumsum(rails.astype(np.int64) + gap)
+        key = 1e9 * piece + np.floor((t_s - t_s[0]) / BIN_S)
+        metres = extension(counts[:, :1], channels[0])
+        silent = np.diff(piece[~rails], prepend=0) > 0
+        bins = binned(segment, t_s[~rails], metres[~rails], key[~rails], silent)
+        filled = bins.n * int(period_ns[-1]) >= 0.5e9 * BIN_S
+        pieces.append([column[filled] for column in vars(bins).values()])
+    if not pieces:
+        return None
+    bins = Bins(*map(np.concatenate, zip(*pieces, strict=True)))
+    silence_s = bins.t_first_s - np.append(-np.inf, bins.t_last_s[:-1])
+    return replace(bins, gap=bins.gap | (silence_s > 2.0 * BIN_S))
+
+
+def _resting(dwell: Dwell, stop: Dwell, t_host_ns: int) -> Dwell:
+    """Return the dwell over the complete rest of the sensor, in host times."""
+    begin, end, stood = (round(1e9 * t) for t in (stop.start_s, stop.end_s, stop.stood_s))
+    noted_s = dwell.start_s
+    return replace(
+        dwell,
+        stood_s=noted_s + 1e-9 * (stood - t_host_ns),
+        start_s=noted_s + 1e-9 * (begin - t_host_ns),
+        end_s=noted_s + 1e-9 * (end - t_host_ns),
+        start_host_ns=begin,
+        end_host_ns=end,
+        reason=stop.reason,
+        detail=stop.detail.replace("rad", "m").removeprefix("joint 1 "),
+    )

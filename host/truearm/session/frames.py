@@ -190,7 +190,7 @@ class Pages:
 
 NONE = -1  # of a frame without this element
 _OF_ALL = ["message", "seq", "type", "boot_id"]
-_OF_DATA = ["t_us", "stream", "n0", "period_ns", "flags", "samples_at", "samples_bytes"]
+_OF_DATA = ["t_us", "stream", "n0", "period_ns", "flags", "samples_bytes"]
 FRAME = np.dtype([(name, np.int64) for name in (*_OF_ALL, *_OF_DATA)])
 
 _BEGIN = [("begin", "u1"), ("type", "u1"), ("m_seq", "u1"), ("seq", ">u4"), ("stream", "u1")]
@@ -207,35 +207,26 @@ _UINT32, _UINT64 = 0x1A, 0x1B  # CBOR: an unsigned integer of this many bits fol
 class Frames:
     """The frames (f,) in a batch of messages, which may follow frames of earlier ones. Messages that are not frames are left out.
 
-    ``table`` (f,) of FRAME; ``message`` is an index in the batch, ``samples_at`` is an offset in ``data``.
-    ``elements``: of each frame that was decoded singly, by row.
+    ``table`` (f,) of FRAME; ``message`` is an index in the batch. ``contents``: the samples of each data frame, and the
+    elements of each other frame that was decoded singly.
     The type of a frame that violates the specification is NONE; ``malformed`` counts these and the messages that are not
     frames.
     """
 
-    data: bytes
     table: NDArray[Any]
-    elements: dict[int, list[Any]]
-    malformed: int
+    contents: list[Any]
+    malformed: int = 0
 
     def held(self, first: int) -> Frames:
-        """Return the frames from row ``first`` on, with their bytes."""
-        table = self.table[first:].copy()
-        begin = int(table["samples_at"].min(initial=len(self.data), where=table["samples_bytes"] != NONE))
-        table["samples_at"] -= begin
-        elements = {k - first: frame for k, frame in self.elements.items() if k >= first}
-        return Frames(self.data[begin:], table, elements, 0)
+        """Return the frames from row ``first`` on."""
+        return Frames(self.table[first:].copy(), self.contents[first:])
 
     def followed_by(self, later: Frames) -> Frames:
         """Return these frames, then all of ``later``."""
-        count = len(self.table)
-        table = np.concatenate([self.table, later.table])
-        table["samples_at"][count:] += len(self.data)
-        elements = self.elements | {k + count: frame for k, frame in later.elements.items()}
-        return Frames(self.data + later.data, table, elements, later.malformed)
+        return Frames(np.concatenate([self.table, later.table]), self.contents + later.contents, later.malformed)
 
 
-NO_FRAMES = Frames(b"", np.empty(0, FRAME), {}, 0)
+NO_FRAMES = Frames(np.empty(0, FRAME), [])
 
 
 def frames_of(messages: Messages) -> Frames:
@@ -245,25 +236,25 @@ def frames_of(messages: Messages) -> Frames:
     table = np.full(len(rows), NONE, FRAME)
     table["message"] = rows
     usual = _usual_data(messages, begin, end, table) | _usual_syncs(messages, begin, end, table)
-    elements: dict[int, list[Any]] = {}
+    first = begin + _DATA.itemsize
+    places = zip(first.tolist(), (first + table["samples_bytes"]).tolist(), strict=True)
+    contents: list[Any] = [messages.data[a:b] for a, b in places]
     is_frame = np.ones(len(rows), bool)
     for k in np.flatnonzero(~usual).tolist():
-        payload = messages.payload(int(rows[k]))
-        frame = decode(payload)
+        frame = decode(messages.payload(int(rows[k])))
         if frame is None or is_echo(frame):
             is_frame[k] = False
             continue
-        elements[k], table["seq"][k] = frame, frame[1]
+        contents[k], table["seq"][k] = frame, frame[1]
         if not conforms(frame):
             continue
         table["type"][k], table["boot_id"][k] = frame[0], boot_id(frame)
         if frame[0] == wire.DATA:
             data = data_of(frame)
-            place = int(begin[k]) + payload.rfind(data.samples), len(data.samples)
-            table[_OF_DATA][k] = (data.t0_us, data.stream, data.n0, data.period_ns, data.flags, *place)
-    row = (np.cumsum(is_frame) - 1).tolist()
+            contents[k] = data.samples
+            table[_OF_DATA][k] = data.t0_us, data.stream, data.n0, data.period_ns, data.flags, len(data.samples)
     malformed = int(np.count_nonzero(table["type"] == NONE))
-    return Frames(messages.data, table[is_frame], {row[k]: frame for k, frame in elements.items()}, malformed)
+    return Frames(table[is_frame], [contents[k] for k in np.flatnonzero(is_frame).tolist()], malformed)
 
 
 def _usual_data(messages: Messages, begin: Ints, end: Ints, table: NDArray[Any]) -> NDArray[np.bool_]:
@@ -279,7 +270,6 @@ def _usual_data(messages: Messages, begin: Ints, end: Ints, table: NDArray[Any])
     for name in ("seq", "type", "t_us", "stream", "n0", "period_ns"):
         table[name][usual] = head[name][usual]
     table["flags"][usual], table["samples_bytes"][usual] = flags[usual], head["size"][usual]
-    table["samples_at"][usual] = begin[usual] + _DATA.itemsize
     return np.asarray(usual)
 
 

@@ -22,10 +22,9 @@ from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
 from truearm.session.clock import BoxTemperature, ClockReport, DeviceClock, box_temperature, fit_clock
 from truearm.session.dwell_samples import LEARNT, measured, usual_noise, without_noisy
-from truearm.session.dwells import Dwell, find_dwells
+from truearm.session.dwells import Dwell, find_dwells, has_manual_joints, manual_dwells
 from truearm.session.joint_readings import JointReader, JointStream
 from truearm.session.line_passes import Leg, LinePass, find_legs, measure
-from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.plan_matching import Marks, check_rig, labelled, paired, passes_of, with_mountings
 from truearm.session.samples import ChannelSamples, Samples
 from truearm.session.session_file import Messages, Source

@@ -43,16 +43,19 @@ class MeanOfSamples(NamedTuple):
 def mean_of(samples: Floats) -> MeanOfSamples:
     """Return the mean of n ≥ 8 evenly spaced samples (n,) in any unit."""
     n = samples.size
-    mean = float(np.mean(samples))
-    deviation = samples - mean
-    place = np.linspace(-0.5, 0.5, n)
-    drift = float(place @ deviation / (place @ place))
     # Noise about the line: a drift is neither noise nor correlation and is judged separately.
-    about_line = deviation - drift * place
+    mean, drift, about_line = _line(samples)
     variance, noise = mean_variance(about_line, fitted=2)
     n_eff = noise**2 / variance if variance > 0.0 else float(n)
     drift_sigma = float(np.sqrt(12.0 * variance))  # a slope's variance is σ²/Σx², Σx² = n/12
     return MeanOfSamples(mean, variance, noise, n, n_eff, drift, drift_sigma)
+
+
+def _line(samples: Floats) -> tuple[float, float, Floats]:
+    """Return the mean of samples (n,), the end-to-end change of their least-squares line, and the residuals (n,) of it."""
+    mean, place = float(np.mean(samples)), np.linspace(-0.5, 0.5, samples.size)
+    drift = float(place @ (samples - mean) / (place @ place))
+    return mean, drift, samples - mean - drift * place
 
 
 def mean_variance(deviation: Floats, fitted: int = 1) -> tuple[float, float]:
@@ -151,13 +154,11 @@ def block_variance(samples: Floats, length: int) -> float:
     This is the larger of two values, derived from the correlation for a mean of many blocks and from the spread of the
     blocks. If neighbouring noise cancels, long means are far quieter than short ones.
     """
-    tail = samples[samples.size // 2 :]
-    place = np.linspace(-0.5, 0.5, tail.size)
-    about_line = tail - np.mean(tail) - float(place @ tail / (place @ place)) * place
+    _, _, about_line = _line(samples[samples.size // 2 :])
     of_mean, _ = mean_variance(about_line, fitted=2)
     means = block_means(about_line, length)
     spread = float(np.var(means, ddof=1)) if means.size > 1 else 0.0
-    return max(of_mean * tail.size / length, spread)
+    return max(of_mean * about_line.size / length, spread)
 
 
 def quick_noise(samples: Floats) -> float:

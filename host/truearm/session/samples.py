@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +95,7 @@ def shown(channel: Channel, count: int) -> tuple[str, float]:
 
 # ------------------------------------------------------------------------------------------------- samples of channels
 
-RECENT = 4  # loaded blocks that stay in memory
+RECENT = 2  # batches that stay in memory
 SLACK_US = 10_000  # of the time between which samples lie
 
 
@@ -122,6 +122,18 @@ class Samples:
         return int(self.t_ns[first]), self.counts[first : first + int(n.max()), 0]
 
 
+class Columns(NamedTuple):
+    """Samples (n,) of c channels of one life of the box.
+
+    ``columns``: host time [ns] at which the signal had the value, counts (n, c), whether samples are missing before, the
+    converter's fault, bound of the time's error [ns], period [ns].
+    """
+
+    segment: int
+    channels: tuple[Channel, ...]
+    columns: tuple[NDArray[Any], ...]
+
+
 class ChannelSamples:
     """All samples of some channels of one stream, kept on the disk."""
 
@@ -129,7 +141,7 @@ class ChannelSamples:
         self._names = channels
         self._arrays = Spool()
         self._kept: list[Callable[..., Blocks]] = []  # of their arrays
-        self._blocks = lru_cache(RECENT)(self._load)
+        self._columns = lru_cache(RECENT)(self._load)
         self._host_ns: NDArray[np.float64] = np.empty((0, 2))  # between which each lies; NaN without a clock
         self._clocks: Mapping[int, DeviceClock] = {}
         self._lacking: Ident | None = None
@@ -148,11 +160,16 @@ class ChannelSamples:
                 self._arrays.append((block.table, counts), (block.segment, begin_us, end_us))
                 self._kept.append(partial(Blocks, block.segment, block.ident, block.stream, channels))
 
-    def _load(self, number: int) -> tuple[Blocks, Ints, Floats]:
-        """Return blocks, the host time (b,) [ns] at which the signal had the first value of each, and the bounds."""
-        chunk = self._kept[number](*self._arrays.load(number))
-        host, bound = self._clocks[chunk.segment].to_host_ns(chunk.table["t_us"])
-        return chunk, host - chunk.stream.group_delay_ns, bound
+    def _load(self, number: int) -> Columns:
+        """Return the samples that were kept together."""
+        blocks = self._kept[number](*self._arrays.load(number))
+        table = blocks.table
+        host, bound = self._clocks[blocks.segment].to_host_ns(table["t_us"])
+        of_blocks = host - blocks.stream.group_delay_ns, bound, table["period_ns"], table["flags"]
+        t_ns, bound, period_ns, flags = (np.repeat(column, table["n"]) for column in of_blocks)
+        fault = (flags & wire.FLAG_CONVERTER) != 0
+        columns = t_ns + blocks.within_ns(), blocks.counts, blocks.gaps(), fault, bound, period_ns
+        return Columns(blocks.segment, blocks.channels, columns)
 
     def place(self, clocks: Mapping[int, DeviceClock]) -> None:
         """Set the clock of each segment of the box."""
@@ -168,45 +185,29 @@ class ChannelSamples:
             have = ", ".join(c.name for stream in self._lacking.streams.values() for c in stream.channels)
             raise SessionError(f"the box has no channel {self._names[0]!r}; it has {have}")
 
-    def __iter__(self) -> Iterator[tuple[Blocks, Ints]]:
-        """Yield all samples that a clock places in time, and the host times of their blocks."""
+    def __iter__(self) -> Iterator[Columns]:
+        """Yield all samples that a clock places in time."""
         for number, (segment, _, _) in enumerate(self._arrays.spans):
             if segment in self._clocks:
-                yield self._blocks(number)[:2]
+                yield self._columns(number)
 
     def during(self, start_ns: int, end_ns: int) -> Samples | None:
         """Return the samples between two host times; None if there are none, or no clock places them in time."""
+        channels: tuple[Channel, ...] = ()
         pieces, segment = [], -1
-        for k in np.flatnonzero((self._host_ns[:, 0] <= end_ns) & (self._host_ns[:, 1] >= start_ns)).tolist():
-            chunk, host, bound = self._blocks(k)
-            rows = slice(*np.searchsorted(host, [start_ns - chunk.reach_ns, end_ns + 1]))
-            if rows.start == rows.stop:
-                continue
-            table, first = chunk.table[rows], chunk.first[rows.start : rows.stop + 1]
-            counts, first = chunk.counts[first[0] : first[-1]], first - first[0]
-            t_ns = np.repeat(host[rows], table["n"]) + chunk.within_ns(rows)
-            low, high = np.searchsorted(t_ns, [start_ns, end_ns + 1])
-            if low == high:
-                continue
-            gap = np.zeros(t_ns.size, np.bool_)
-            gap[first[:-1]] = table["gap"]
-            gap[low] |= chunk.segment != segment
-            segment, last = chunk.segment, chunk
-            fault = np.repeat((table["flags"] & wire.FLAG_CONVERTER) != 0, table["n"])
-            columns = t_ns, counts, gap, fault
-            touched = slice(*(np.searchsorted(first[:-1], [low, high - 1], side="right") - [1, 0]))
-            pieces.append((*(c[low:high] for c in columns), bound[rows][touched], table["period_ns"][touched]))
+        for number in np.flatnonzero((self._host_ns[:, 0] <= end_ns) & (self._host_ns[:, 1] >= start_ns)).tolist():
+            kept = self._columns(number)
+            low, high = np.searchsorted(kept.columns[0], [start_ns, end_ns + 1])
+            if low < high:
+                t_ns, counts, gap, *others = (column[low:high] for column in kept.columns)
+                gap = np.append(gap[0] | (kept.segment != segment), gap[1:])
+                segment, channels = kept.segment, kept.channels
+                pieces.append((t_ns, counts, gap, *others))
         if not pieces:
             return None
         t_ns, counts, gap, fault, bound, period_ns = map(np.concatenate, zip(*pieces, strict=True))
         # Two lives of the box have two clocks; their times may overlap by the clocks' errors.
         order = np.argsort(t_ns, kind="stable") if len(pieces) > 1 else slice(None)
-        return Samples(
-            t_ns=t_ns[order],
-            counts=counts[order],
-            piece=np.asarray(np.cumsum(gap, dtype=np.int64))[order],
-            fault=fault[order],
-            channels=last.channels,
-            period_ns=int(period_ns[-1]),
-            bound_ns=float(bound.max()),
-        )
+        piece = np.cumsum(gap, dtype=np.int64)
+        bound_ns, last_period_ns = float(bound.max()), int(period_ns[-1])
+        return Samples(t_ns[order], counts[order], piece[order], fault[order], channels, last_period_ns, bound_ns)

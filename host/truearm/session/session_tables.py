@@ -138,13 +138,11 @@ def samples(blocks: Blocks, survey: Survey) -> Columns:
         block_host, block_bounds = clock.to_host_ns(table["t_us"])
         host = np.repeat(block_host, n) + within_ns - stream.group_delay_ns
         bounds = np.repeat(block_bounds, n)
-    gap = np.zeros(total, np.int8)
-    gap[blocks.first[:-1][table["gap"]]] = 1
     columns: Columns = {
         "segment": np.full(total, blocks.segment),
         "run": np.repeat(table["run"].astype(np.int64), n),
         "index": np.arange(total) + np.repeat(table["n0"] - blocks.first[:-1], n),
-        "gap": gap,
+        "gap": blocks.gaps().astype(np.int8),
         "device_time_ns": np.repeat(1000 * table["t_us"], n) + within_ns,
         "host_time_ns": host,
         "host_bound_ns": bounds,

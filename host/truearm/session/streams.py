@@ -194,14 +194,19 @@ class Blocks:
         """The longest time from the first sample of a block to its last."""
         return int(self.table["n"].max()) * max(int(self.table["period_ns"].max()), self.stream.period_ns)
 
-    def within_ns(self, rows: slice = slice(None)) -> Ints:
-        """Return the time [ns] from the first sample of its block to each sample of some blocks.
+    def within_ns(self) -> Ints:
+        """Return the time [ns] from the first sample of its block to each sample.
 
         The nominal period is used: 1000 ppm over 13 ms is 13 µs.
         """
-        table, first = self.table[rows], self.first[:-1][rows]
-        place = np.arange(table["n"].sum()) - np.repeat(first - first[0], table["n"])
-        return np.asarray(place * np.repeat(table["period_ns"], table["n"]))
+        place = np.arange(len(self.counts)) - np.repeat(self.first[:-1], self.table["n"])
+        return np.asarray(place * np.repeat(self.table["period_ns"], self.table["n"]))
+
+    def gaps(self) -> NDArray[np.bool_]:
+        """Return before which samples others are missing."""
+        gap = np.zeros(len(self.counts), np.bool_)
+        gap[self.first[:-1][self.table["gap"]]] = True
+        return gap
 
 
 @dataclass
@@ -365,13 +370,14 @@ class BoxReader:
         index, lost = map(np.concatenate, zip(*due, strict=True))
         blocks: list[Blocks] = []
         begin = 0
-        for k in np.flatnonzero(np.isin(index, list(frames.elements))).tolist():
-            elements, kind = frames.elements[int(index[k])], int(frames.table["type"][index[k]])
+        kinds = frames.table["type"][index]
+        for k in np.flatnonzero(~np.isin(kinds, (wire.DATA, wire.SYNC_REPLY, NONE))).tolist():
+            elements, kind = frames.contents[int(index[k])], int(kinds[k])
             if kind == wire.IDENT:  # the frames behind it are of another description
                 blocks += self._samples(frames, index[begin:k], lost[begin:k])
                 begin = k
                 self._describe(elements)
-            elif kind != NONE:
+            else:
                 self._content(elements, kind)
         return blocks + self._samples(frames, index[begin:], lost[begin:])
 
@@ -422,39 +428,26 @@ class BoxReader:
             rows = np.flatnonzero(data & (table["stream"] == stream_id))
             if ident is None or stream_id not in ident.streams:
                 self._count["blocks_without_ident"] += len(rows)
-            elif len(rows := self._whole(frames, index, rows, ident.streams[stream_id])):
-                blocks.append(self._blocks(frames, index[rows], lost[rows], ident, ident.streams[stream_id]))
+                continue
+            stream = ident.streams[stream_id]
+            n, remainder = np.divmod(table["samples_bytes"][rows], 4 * len(stream.channels))
+            complete = (remainder == 0) & (n > 0)  # the frame holds whole samples
+            self._count["frames_malformed"] += int(np.count_nonzero(~complete))
+            if complete.any():
+                rows = rows[complete]
+                samples = b"".join([frames.contents[k] for k in index[rows].tolist()])
+                blocks.append(self._blocks(table[rows], n[complete], samples, lost[rows], ident, stream))
         return blocks
 
-    def _whole(self, frames: Frames, index: Ints, rows: Ints, stream: Stream) -> Ints:
-        """Return the rows of the data frames that hold as many samples as they say."""
-        table = frames.table[index[rows]]
-        n, remainder = np.divmod(table["samples_bytes"], 4 * len(stream.channels))
-        complete = (remainder == 0) & (n > 0)
-        self._count["frames_malformed"] += int(np.count_nonzero(~complete))
-        return np.asarray(rows[complete])
-
-    def _blocks(self, frames: Frames, index: Ints, lost: Ints, ident: Ident, stream: Stream) -> Blocks:
-        rows = frames.table[index]
-        channels = len(stream.channels)
-        n = rows["samples_bytes"] // (4 * channels)
+    def _blocks(self, rows: NDArray[Any], n: Ints, samples: bytes, lost: Ints, ident: Ident, stream: Stream) -> Blocks:
+        """Return data frames (b,) of one stream, with n (b,) samples each."""
         track = self._streams.setdefault(stream.id, StreamTrack())
         self._described[stream.id], track.period_ns = stream, int(rows["period_ns"][-1])
         table = np.empty(len(rows), BLOCK)
         table["gap"], table["run"] = track.take(rows["n0"], n, rows["t_us"], rows["flags"], lost)
         table["n0"], table["t_us"], table["period_ns"], table["n"] = rows["n0"], rows["t_us"], rows["period_ns"], n
         table["flags"] = rows["flags"] & 0xFF
-        counts = np.empty((int(n.sum()), channels), np.int32)
-        first = np.cumsum(n) - n
-        data = np.frombuffer(frames.data, np.uint8)
-        for length in np.unique(n).tolist():
-            alike = np.flatnonzero(n == length)
-            window = np.lib.stride_tricks.sliding_window_view(data, 4 * length * channels)
-            samples = np.asarray(window[rows["samples_at"][alike]]).view("<i4")
-            if len(alike) == len(rows):
-                counts = samples.reshape(-1, channels)
-            else:
-                counts[first[alike][:, None] + np.arange(length)] = samples.reshape(-1, length, channels)
+        counts = np.frombuffer(samples, "<i4").reshape(-1, len(stream.channels))
         return Blocks(self.segment.index, ident, stream, stream.channels, table, counts)
 
 

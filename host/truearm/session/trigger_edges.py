@@ -98,8 +98,8 @@ def fit_edges(
     after_s: Floats,
     span_s: tuple[float, float],
     wander: float = WANDER,
-) -> EdgeFit | None:
-    """Fit the clock to edges (n,) of EDGE between readings before and after (n,) [s]; None if no edge is usable.
+) -> EdgeFit:
+    """Fit the clock to edges (n,) of EDGE between readings before and after (n,) [s]; n ≥ 1.
 
     ``arrivals`` only converts the short time between these readings. ``wander``: of the host's clock.
     """
@@ -109,12 +109,12 @@ def fit_edges(
     host_ns = edges["host_ns"] + round(0.5 * SHORTEST_DELAY_NS)
     rows = np.stack([stamps, host_ns + until_ns + STAMP_NS, host_ns - STAMP_NS])
 
-    def clock_of(rows: Ints) -> Clock | None:
-        return fit(*rows, wander=wander, course_wander=course_wander)
+    def clock_of(rows: Ints) -> Clock:
+        fitted = fit(*rows, wander=wander, course_wander=course_wander)
+        assert fitted is not None  # there is a row
+        return fitted
 
-    directions = [clock for k in (edges["rising"], ~edges["rising"]) if (clock := clock_of(rows[:, k])) is not None]
-    if not directions:
-        return None
+    directions = [clock_of(rows[:, k]) for k in (edges["rising"], ~edges["rising"]) if k.any()]
     agreeing = ~np.isin(stamps, np.concatenate([clock.wrong for clock in directions]))
     rows, rising = rows[:, agreeing], edges["rising"][agreeing]
     clock = likely = directions[0]
@@ -124,11 +124,11 @@ def fit_edges(
             break
         later = _falling_later(clock, rows, rising)
         smallest, largest = sorted(later)
-        clock = clock_of(rows + _delayed(rising, smallest, largest)) or clock
-        likely = clock_of(rows + _delayed(rising, 0.5 * (smallest + largest), 0.5 * (smallest + largest))) or clock
+        middle = 0.5 * (smallest + largest)
+        clock, likely = (clock_of(rows + _delayed(rising, *d)) for d in ((smallest, largest), (middle, middle)))
     nodes = np.linspace(*span_s, max(2, round((span_s[1] - span_s[0]) / NODE_S) + 1))
-    (middle, reach), (host_ns, _) = (fitted.to_time(arrivals.stamps(nodes)) for fitted in (clock, likely))
-    to_box_ns = reach + np.abs(host_ns - middle) + 0.5 * SHORTEST_DELAY_NS
+    (centre_ns, reach), (host_ns, _) = (fitted.to_time(arrivals.stamps(nodes)) for fitted in (clock, likely))
+    to_box_ns = reach + np.abs(host_ns - centre_ns) + 0.5 * SHORTEST_DELAY_NS
     nearest = np.clip(np.searchsorted(edges["host_ns"], host_ns), 1, len(edges) - 1)
     box_ns = np.maximum(edges["bound_ns"][nearest - 1], edges["bound_ns"][nearest])
     return EdgeFit(
@@ -205,8 +205,6 @@ def _of_segment(
     changes, paired = track.changes(number), matched.change >= 0
     change = matched.change[paired]
     fitted = fit_edges(arrivals, edges[paired], changes.before_s[change], changes.after_s[change], span_s, wander)
-    if fitted is None:
-        return arrivals, report
     middle = np.array([0.5 * sum(span_s)])
     in_use = float(np.median(fitted.clock.bound_ns)) <= float(np.median(arrivals.bound_ns)) + LATENCY_NS
     report = replace(
