@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.session_file import Messages, heads
+from truearm.session.session_file import LATEST_NS, Messages, heads
 from truearm.types import Ints
 from truearm_wire import messages as wire
 from truearm_wire.messages import PAGE_BYTES, PAGES_MAX
@@ -65,8 +65,6 @@ def decode(payload: bytes) -> list[Any] | None:
     return frame if 0 <= frame[1] < 2**32 else None
 
 
-MAX_HOST_NS = 2**62
-
 # The key "boot_id" and its unsigned integer in an ident, of which the first page has only a part.
 _BOOT_ID = re.compile(rb"\x67boot_id(?:([\x00-\x17])|\x18(.)|\x19(..)|\x1a(....))", re.DOTALL)
 
@@ -96,7 +94,7 @@ def is_text(data: bytes) -> bool:
     return all(character.isprintable() or character.isspace() for character in text)
 
 
-_HostTime = Annotated[int, msgspec.Meta(gt=-MAX_HOST_NS, lt=MAX_HOST_NS)]
+_HostTime = Annotated[int, msgspec.Meta(gt=-LATEST_NS, lt=LATEST_NS)]
 _DeviceTime = Annotated[int, msgspec.Meta(ge=0, lt=MAX_DEVICE_US)]
 
 
@@ -265,7 +263,7 @@ def _usual_data(messages: Messages, begin: Ints, end: Ints, table: NDArray[Any])
     usual &= np.all(head["tag"] == _DATA_TAG, axis=1) & (size <= MAX_PAYLOAD)
     usual &= (size > _DATA.itemsize) & (head["size"] == size - _DATA.itemsize - 1)
     usual &= (head["stream"] < 24) & (head["period_ns"] > 0) & (head["t_us"] < MAX_DEVICE_US) & (head["n0"] < MAX_N0)
-    flags = messages.bytes_u1[np.maximum(end - 1, 0)]
+    flags = np.frombuffer(messages.data, np.uint8)[np.maximum(end - 1, 0)]
     usual &= flags < 24
     for name in ("seq", "type", "t_us", "stream", "n0", "period_ns"):
         table[name][usual] = head[name][usual]

@@ -208,10 +208,9 @@ def _measured(dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, surveyed:
     def during(i: int) -> Samples | None:
         return samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns)
 
-    first_samples = {i: during(i) for i in list(sensors)[:LEARNT]}
-    usual = usual_noise(first_samples.values())
+    usual = usual_noise(map(during, list(sensors)[:LEARNT]))
     for i, sensor in sensors.items():
-        dwell, read = dwells[i], first_samples.pop(i) if i in first_samples else during(i)
+        dwell, read = dwells[i], during(i)
         if sensor is None:
             dwells[i] = replace(dwell, reason="no plan match")
             continue

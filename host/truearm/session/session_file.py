@@ -130,16 +130,11 @@ def chunk_records(body: bytes, zstd: zstandard.ZstdDecompressor) -> bytes:
 
     ``zstd`` may serve all chunks of one thread: to make it takes longer than to use it.
     """
-    if not chunk_fits(body, len(body)):
-        raise Unreadable
     chunk = parse(Chunk, body)
     try:
         # If the frame states its size, zstandard allocates that much regardless of max_output_size.
         if chunk.compression not in ("zstd", "") or (
-            chunk.compression
-            and MAX_CHUNK_BYTES
-            < zstandard.get_frame_parameters(chunk.data).content_size
-            != zstandard.CONTENTSIZE_UNKNOWN
+            chunk.compression and zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES
         ):
             raise Unreadable
         data = zstd.decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES) if chunk.compression else bytes(chunk.data)
@@ -160,8 +155,6 @@ MARGIN = 64  # zero bytes after the last record: the header of a short record ma
 # the host's clock.
 _RECORD = [("opcode", "u1"), ("length", "<u8")]
 _HEAD = np.dtype([*_RECORD, ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("t_host_ns", "<u8")])
-_RECORD_BYTES = 9
-_LENGTH = struct.Struct("<Q").unpack_from
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,11 +175,6 @@ class Messages:
 
     def __len__(self) -> int:
         return len(self.topic)
-
-    @property
-    def bytes_u1(self) -> NDArray[np.uint8]:
-        """``data`` as an array of bytes."""
-        return np.frombuffer(self.data, np.uint8)
 
     def rows(self, is_chosen: Callable[[str], bool]) -> NDArray[np.intp]:
         """Return the rows of the wanted topics, in order."""
@@ -229,7 +217,7 @@ def columns_of_records(chunks: Sequence[bytes], channels: dict[int, str]) -> Mes
         of_channel[channel] = topics.setdefault(topic, len(topics))
     number = of_channel[head["channel"]]
     for row in np.flatnonzero(head["opcode"] == Opcode.CHANNEL).tolist():
-        record = parse(Channel, data[begin[row] + _RECORD_BYTES : end[row]])
+        record = parse(Channel, data[begin[row] + RECORD.size : end[row]])
         if channels.setdefault(record.id, record.topic) != record.topic or len(channels) > MAX_CHANNELS:
             raise Unreadable  # the specification allows a channel one topic
         of_channel[record.id] = topics.setdefault(record.topic, len(topics))
@@ -254,12 +242,12 @@ def columns_of_records(chunks: Sequence[bytes], channels: dict[int, str]) -> Mes
 def _starts(data: bytes, sizes: Sequence[int]) -> list[int]:
     """Return where each record begins; the records of a chunk fill it completely."""
     starts: list[int] = []
-    add, length_at, offset, end = starts.append, _LENGTH, 0, 0
+    add, unpack, offset, end = starts.append, RECORD.unpack_from, 0, 0
     for size in sizes:
         end += size
         while offset < end:
             add(offset)
-            offset += _RECORD_BYTES + length_at(data, offset + 1)[0]
+            offset += RECORD.size + unpack(data, offset)[1]
         if offset != end:
             raise Unreadable
     return starts
