@@ -255,16 +255,17 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
     Samples at a rail are left out: an open coil is quiet but not at rest. Raises SessionError if the channel has no
     calibration.
     """
-    pieces = []
-    for segment, channels, (t_ns, counts, gap, _, _, period_ns) in samples:
-        t_s = np.asarray(1e-9 * t_ns, np.float64)
-        rails = railed(counts[:, 0])
-        piece = np.cumsum(rails.astype(np.int64) + gap)
+    pieces, last_piece = [], -1
+    for batch in samples:
+        t_s = np.asarray(1e-9 * batch.t_ns, np.float64)
+        rails = railed(batch.counts[:, 0])
+        piece = batch.piece + np.cumsum(rails)
         key = 1e9 * piece + np.floor((t_s - t_s[0]) / BIN_S)
-        metres = extension(counts[:, :1], channels[0])
-        silent = np.diff(piece[~rails], prepend=0) > 0
-        bins = binned(segment, t_s[~rails], metres[~rails], key[~rails], silent)
-        filled = bins.n * int(period_ns[-1]) >= 0.5e9 * BIN_S
+        metres = extension(batch.counts[:, :1], batch.channels[0])
+        silent = np.diff(piece[~rails], prepend=last_piece) > 0
+        last_piece = int(batch.piece[-1])
+        bins = binned(0, t_s[~rails], metres[~rails], key[~rails], silent)
+        filled = bins.n * batch.period_ns >= 0.5e9 * BIN_S
         pieces.append([column[filled] for column in vars(bins).values()])
     if not pieces:
         return None

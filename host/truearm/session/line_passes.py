@@ -305,9 +305,7 @@ def _without_faults(samples: Samples | None) -> Samples | None:
     """Return the samples that the converter did not flag; a piece ends where it did."""
     if samples is None or samples.fault.all():
         return None
-    ok = ~samples.fault
-    piece = samples.piece + np.cumsum(samples.fault)
-    return replace(samples, t_ns=samples.t_ns[ok], counts=samples.counts[ok], piece=piece[ok], fault=samples.fault[ok])
+    return replace(samples, piece=samples.piece + np.cumsum(samples.fault)).take(~samples.fault)
 
 
 def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:

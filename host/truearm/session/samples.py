@@ -7,9 +7,9 @@ the channel). The rig provides the rest: length = zero + gain · extension, cent
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from truearm.session.frames import Data
 from truearm.session.spool import Spool
 from truearm.session.streams import Blocks
 from truearm.text import box_command, one_line
-from truearm.types import Floats, Ints
+from truearm.types import Floats, Indices, Ints, Mask
 from truearm_wire import messages as wire
 
 # Two's complement limits of a 24-bit converter. At a limit the true input is at least that large but otherwise unknown.
@@ -103,16 +103,31 @@ SLACK_US = 10_000  # of the time between which samples lie
 class Samples:
     """Samples (n,) of c channels of one stream: host time [ns] at which the signal had the value, and counts (n, c).
 
-    ``piece`` (n,) is another number behind a gap. ``fault`` (n,): the converter's. ``bound_ns``: largest error of the times.
+    ``piece`` (n,) is another number behind a gap. ``fault`` (n,): the converter's. ``bounds_ns`` (n,): largest errors of
+    the times. ``periods_ns`` (n,): of the converter.
     """
 
     t_ns: Ints
     counts: NDArray[np.int32]
     piece: Ints
     fault: NDArray[np.bool_]
+    bounds_ns: Floats
+    periods_ns: NDArray[np.uint32]
     channels: tuple[Channel, ...]
-    period_ns: int
-    bound_ns: float
+
+    @property
+    def bound_ns(self) -> float:
+        """The largest error of the times."""
+        return float(self.bounds_ns.max())
+
+    @property
+    def period_ns(self) -> int:
+        """The converter's period at the last sample."""
+        return int(self.periods_ns[-1])
+
+    def take(self, rows: slice | Mask | Indices) -> Samples:
+        """Return a selection of the samples."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     def longest(self) -> tuple[int, NDArray[np.int32]]:
         """Return the host time [ns] of the first sample of the longest gap-free piece, and the counts of its first channel."""
@@ -122,16 +137,7 @@ class Samples:
         return int(self.t_ns[first]), self.counts[first : first + int(n.max()), 0]
 
 
-class Columns(NamedTuple):
-    """Samples (n,) of c channels of one life of the box.
-
-    ``columns``: host time [ns] at which the signal had the value, counts (n, c), whether samples are missing before, the
-    converter's fault, bound of the time's error [ns], period [ns].
-    """
-
-    segment: int
-    channels: tuple[Channel, ...]
-    columns: tuple[NDArray[Any], ...]
+_COLUMNS = ("t_ns", "counts", "piece", "fault", "bounds_ns", "periods_ns")
 
 
 class ChannelSamples:
@@ -140,8 +146,9 @@ class ChannelSamples:
     def __init__(self, channels: Sequence[str]) -> None:
         self._names = channels
         self._arrays = Spool()
-        self._kept: list[Callable[..., Blocks]] = []  # of their arrays
-        self._columns = lru_cache(RECENT)(self._load)
+        self._kept: list[tuple[int, Callable[..., Blocks]]] = []  # the pieces before, and the blocks of their arrays
+        self._pieces = 0
+        self._samples = lru_cache(RECENT)(self._load)
         self._host_ns: NDArray[np.float64] = np.empty((0, 2))  # between which each lies; NaN without a clock
         self._clocks: Mapping[int, DeviceClock] = {}
         self._lacking: Ident | None = None
@@ -158,18 +165,20 @@ class ChannelSamples:
                 begin_us = int(block.table["t_us"].min()) - block.stream.group_delay_ns // 1000 - SLACK_US
                 end_us = int(block.table["t_us"].max()) + block.reach_ns // 1000 + SLACK_US
                 self._arrays.append((block.table, counts), (block.segment, begin_us, end_us))
-                self._kept.append(partial(Blocks, block.segment, block.ident, block.stream, channels))
+                self._kept.append((self._pieces, partial(Blocks, block.segment, block.ident, block.stream, channels)))
+                self._pieces += int(np.count_nonzero(block.table["gap"]))
 
-    def _load(self, number: int) -> Columns:
+    def _load(self, number: int) -> Samples:
         """Return the samples that were kept together."""
-        blocks = self._kept[number](*self._arrays.load(number))
+        pieces_before, blocks_of = self._kept[number]
+        blocks = blocks_of(*self._arrays.load(number))
         table = blocks.table
         host, bound = self._clocks[blocks.segment].to_host_ns(table["t_us"])
-        of_blocks = host - blocks.stream.group_delay_ns, bound, table["period_ns"], table["flags"]
-        t_ns, bound, period_ns, flags = (np.repeat(column, table["n"]) for column in of_blocks)
+        of_blocks = host - blocks.stream.group_delay_ns, table["flags"], bound, table["period_ns"]
+        t_ns, flags, bounds_ns, periods_ns = (np.repeat(column, table["n"]) for column in of_blocks)
+        piece = pieces_before + np.cumsum(blocks.gaps(), dtype=np.int64)
         fault = (flags & wire.FLAG_CONVERTER) != 0
-        columns = t_ns + blocks.within_ns(), blocks.counts, blocks.gaps(), fault, bound, period_ns
-        return Columns(blocks.segment, blocks.channels, columns)
+        return Samples(t_ns + blocks.within_ns(), blocks.counts, piece, fault, bounds_ns, periods_ns, blocks.channels)
 
     def place(self, clocks: Mapping[int, DeviceClock]) -> None:
         """Set the clock of each segment of the box."""
@@ -185,29 +194,21 @@ class ChannelSamples:
             have = ", ".join(c.name for stream in self._lacking.streams.values() for c in stream.channels)
             raise SessionError(f"the box has no channel {self._names[0]!r}; it has {have}")
 
-    def __iter__(self) -> Iterator[Columns]:
+    def __iter__(self) -> Iterator[Samples]:
         """Yield all samples that a clock places in time."""
         for number, (segment, _, _) in enumerate(self._arrays.spans):
             if segment in self._clocks:
-                yield self._columns(number)
+                yield self._samples(number)
 
     def during(self, start_ns: int, end_ns: int) -> Samples | None:
         """Return the samples between two host times; None if there are none, or no clock places them in time."""
-        channels: tuple[Channel, ...] = ()
-        pieces, segment = [], -1
+        batches = []
         for number in np.flatnonzero((self._host_ns[:, 0] <= end_ns) & (self._host_ns[:, 1] >= start_ns)).tolist():
-            kept = self._columns(number)
-            low, high = np.searchsorted(kept.columns[0], [start_ns, end_ns + 1])
-            if low < high:
-                t_ns, counts, gap, *others = (column[low:high] for column in kept.columns)
-                gap = np.append(gap[0] | (kept.segment != segment), gap[1:])
-                segment, channels = kept.segment, kept.channels
-                pieces.append((t_ns, counts, gap, *others))
-        if not pieces:
-            return None
-        t_ns, counts, gap, fault, bound, period_ns = map(np.concatenate, zip(*pieces, strict=True))
+            samples = self._samples(number)
+            batch = samples.take(slice(*np.searchsorted(samples.t_ns, [start_ns, end_ns + 1])))
+            batches += [batch] if len(batch.t_ns) else []
+        if len(batches) < 2:
+            return batches[0] if batches else None
+        columns: dict[str, Any] = {name: np.concatenate([vars(batch)[name] for batch in batches]) for name in _COLUMNS}
         # Two lives of the box have two clocks; their times may overlap by the clocks' errors.
-        order = np.argsort(t_ns, kind="stable") if len(pieces) > 1 else slice(None)
-        piece = np.cumsum(gap, dtype=np.int64)
-        bound_ns, last_period_ns = float(bound.max()), int(period_ns[-1])
-        return Samples(t_ns[order], counts[order], piece[order], fault[order], channels, last_period_ns, bound_ns)
+        return replace(batches[-1], **columns).take(np.argsort(columns["t_ns"], kind="stable"))

@@ -130,6 +130,8 @@ def chunk_records(body: bytes, zstd: zstandard.ZstdDecompressor) -> bytes:
 
     ``zstd`` may serve all chunks of one thread: to make it takes longer than to use it.
     """
+    if not chunk_fits(body, len(body)):
+        raise Unreadable
     chunk = parse(Chunk, body)
     try:
         # If the frame states its size, zstandard allocates that much regardless of max_output_size.
