@@ -196,9 +196,7 @@ def parse_ident_json(text: str) -> Ident:
     """Parse an ident document from a session's metadata. Raises SessionError if it is not valid."""
     try:
         return parse_ident(json.loads(text))
-    except (ValueError, RecursionError) as exc:
-        raise SessionError("the box's ident in the session's metadata is not JSON; copy the session again") from exc
-    except ProtocolError as exc:
+    except (ValueError, RecursionError, ProtocolError) as exc:
         raise SessionError(
             f"the box's ident in the session's metadata cannot be used: {exc}; copy the session again"
         ) from exc

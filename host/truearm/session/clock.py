@@ -311,8 +311,7 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
     nodes = nodes[np.append(np.diff(nodes) > 0.5 * NODE_S, True)]  # where readings are missing, nodes may be close
     nodes[0] = arrivals.first_s
     around = np.searchsorted(dt, nodes[:, None] - arrivals.t_ref_s + [-AROUND_S, AROUND_S])
-    around = np.stack([np.minimum(around[:, 0], around[:, 1] - 1), around[:, 1] + (around[:, 0] >= around[:, 1])], 1)
-    bound = np.array([_bound(height[max(a, 0) : b], mean_height[max(a, 0) : b]) for a, b in around])
+    bound = np.array([_bound(height[a:b], mean_height[a:b]) for a, b in around])
     half = np.flatnonzero(np.diff(np.floor(second / AROUND_S), prepend=-np.inf))
     report = RobotClockReport(
         segment=segment,

@@ -212,8 +212,6 @@ def _readings(bins: Bins, span: slice, step: Floats) -> dict[str, Any]:
 
 # ---------------------------------------------------------------------------------------------- manually noted joints
 
-NO_STEP = np.zeros(1)
-
 
 def has_manual_joints(stream: JointStream) -> bool:
     """Return whether the readings are too far apart to show when the robot stood still."""
@@ -226,7 +224,7 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
     Those in no rest of the sensor, or in one with another reading, carry their reason.
     """
     bins, sensor = stream.bins, sensor_bins(samples)
-    stops = [] if sensor is None else find_stops(sensor, NO_STEP)
+    stops = [] if sensor is None else find_stops(sensor, step=np.zeros(1))
     rests = [stop for stop in stops if stop.reason != "too short"]
     end_s = np.array([*(stop.end_s + GUARD_S for stop in rests), -np.inf])
     noted_ns = stream.to_host_ns(bins.segment, bins.t_first_s)

@@ -216,7 +216,8 @@ class SegmentedReadings:
         back = [t_ns for t_ns in self._returns_ns if t_ns <= batch.arrival_ns[-1]]
         self._returns_ns = self._returns_ns[len(back) :]
         first = [0] if self._segments == 0 else []
-        rows = [*first, *np.searchsorted(batch.arrival_ns, back).tolist(), *restarts(batch.t, self._latest_s).tolist()]
+        restarts = np.flatnonzero(np.diff(batch.t, prepend=self._latest_s) < -LATE_S)
+        rows = [*first, *np.searchsorted(batch.arrival_ns, back).tolist(), *restarts.tolist()]
         begins = sorted(set(rows))[: MOST_SEGMENTS - self._segments]
         cuts = pairwise(sorted({0, *begins, len(batch)}))
         pieces = [(self._segments - 1 + bisect_right(begins, start), batch[start:end]) for start, end in cuts]
@@ -358,15 +359,6 @@ def binned(segment: int, t: Floats, q: Floats, key: Floats, silent: Mask) -> Bin
     numbers = np.full(n.size, segment, np.int32)
     gap = np.logical_or.reduceat(silent, starts)
     return Bins(numbers, t[starts], t[starts + n - 1], n.astype(np.int32), mean, below, above, scatter, gap)
-
-
-def restarts(t: Floats, latest_s: float) -> NDArray[np.intp]:
-    """Return where controller times (n,) [s] begin again.
-
-    ``latest_s``: the latest time of the segment so far, -inf before the first.
-    """
-    starts = np.flatnonzero(np.diff(t) < -LATE_S) + 1
-    return np.concatenate([[0], starts]) if t[0] < latest_s - LATE_S else starts
 
 
 def _smallest(change: Floats) -> Floats:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,6 @@ def shown(channel: Channel, count: int) -> tuple[str, float]:
 
 # ------------------------------------------------------------------------------------------------- samples of channels
 
-RECENT = 2  # batches that stay in memory
 SLACK_US = 10_000  # of the time between which samples lie
 
 
@@ -148,7 +147,7 @@ class ChannelSamples:
         self._arrays = Spool()
         self._kept: list[tuple[int, Callable[..., Blocks]]] = []  # the pieces before, and the blocks of their arrays
         self._pieces = 0
-        self._samples = lru_cache(RECENT)(self._load)
+        self._loaded: dict[int, Samples] = {}  # the last batch: dwells come in order
         self._host_ns: NDArray[np.float64] = np.empty((0, 2))  # between which each lies; NaN without a clock
         self._clocks: Mapping[int, DeviceClock] = {}
         self._lacking: Ident | None = None
@@ -168,8 +167,13 @@ class ChannelSamples:
                 self._kept.append((self._pieces, partial(Blocks, block.segment, block.ident, block.stream, channels)))
                 self._pieces += int(np.count_nonzero(block.table["gap"]))
 
-    def _load(self, number: int) -> Samples:
+    def _samples(self, number: int) -> Samples:
         """Return the samples that were kept together."""
+        if number not in self._loaded:
+            self._loaded = {number: self._load(number)}
+        return self._loaded[number]
+
+    def _load(self, number: int) -> Samples:
         pieces_before, blocks_of = self._kept[number]
         blocks = blocks_of(*self._arrays.load(number))
         table = blocks.table

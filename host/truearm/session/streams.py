@@ -140,10 +140,6 @@ class StreamTrack:
         self.last_t0_us, self.last_n = int(t0_us[-1]), int(n[-1])
         return gap, run
 
-    def restart(self, frames_lost: int) -> None:
-        """Note a restart of the box; ``n0`` counts from 0 again."""
-        self.next_n0, self.frames_lost = None, frames_lost
-
     def report(self, stream_id: int, described: Stream) -> StreamReport:
         """Return the account, under the name that an ident gives the stream."""
         return StreamReport(
@@ -336,7 +332,7 @@ class BoxReader:
         self.segments.append(Segment(len(self.segments), message, booted=True, ident=self.segment.ident))
         self._pages, self._next = Pages(), 0
         for stream in self._streams.values():
-            stream.restart(self._count["frames_lost"])
+            stream.next_n0, stream.frames_lost = None, self._count["frames_lost"]
 
     def _in_order(self, table: NDArray[Any], begin: int, end: int) -> tuple[Ints, Ints]:
         """Return which frames of one boot count up, and the frames lost in the session before each.
