@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
@@ -114,14 +115,12 @@ class RtdeServer:
 
     def data(self, states: States) -> bytes:
         """Return data packages of the readings, at the rate that the client requested."""
-        if self._recipe is None:
-            return b""
         rows = np.flatnonzero(states.number % self._every == 0)
-        packages = np.zeros(len(rows), self._recipe.layout)
-        for name in self._recipe.layout.names or ():
-            packages[name] = self._values(name, states)[rows]
-        number = bytes([self._recipe.number])
-        return b"".join(rtde.package(rtde.DATA, number + package.tobytes()) for package in packages)
+        if self._recipe is None or not rows.size:
+            return b""
+        columns = [self._values(name, states)[rows].reshape(len(rows), -1).tolist() for name in self._recipe.places]
+        numbers = (chain([self._recipe.number], *row) for row in zip(*columns, strict=True))
+        return b"".join(rtde.package(rtde.DATA, self._recipe.layout.pack(*row)) for row in numbers)
 
     def _values(self, name: str, states: States) -> np.ndarray:
         """Return the values (m,) or (m, n) of a field, one row for each state."""

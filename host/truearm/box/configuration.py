@@ -9,7 +9,9 @@ checked by the box's own rules before anything is sent, and the box checks it ag
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from decimal import Decimal, InvalidOperation
+from itertools import chain
 from typing import Any
 
 from truearm.box.configuration_schema import (
@@ -49,9 +51,9 @@ def parse_number(text: str) -> Decimal:
         raise ValueError(f"{text[:40]!r} is not a usable number") from exc
 
 
-def tables_of(config: Mapping[str, Any], names: Sequence[object]) -> Iterator[tuple[str, Values, Table[Values]]]:
+def tables_of(config: Values, names: Sequence[object]) -> Iterator[tuple[str, Values, Table[Values]]]:
     """Yield the dotted path of every table, its values and its schema; ``names`` are those of the channels."""
-    yield "", dict(config), CONFIG
+    yield "", config, CONFIG
     for name, channel in zip(names, config["channels"], strict=True):
         yield f"channel.{name}", channel, CHANNEL
         yield f"channel.{name}.calibration", channel.get("calibration", {}), CALIBRATION
@@ -62,7 +64,7 @@ def tables_of(config: Mapping[str, Any], names: Sequence[object]) -> Iterator[tu
 # --- to TOML
 
 
-def format_config(config: Mapping[str, Any]) -> str:
+def format_config(config: Values) -> str:
     """Format a checked configuration as TOML. Keys unknown to this version of truearm appear in comments: the box keeps
     them.
     """
@@ -89,7 +91,7 @@ def _lines(values: Mapping[str, Any], table: Table[Values]) -> list[str]:
     return [*lines, *(f"# {name}: not known to this truearm; the box keeps it" for name in unknown)]
 
 
-def flat(config: Mapping[str, Any], names: Sequence[object]) -> dict[str, str]:
+def flat(config: Values, names: Sequence[object]) -> dict[str, str]:
     """Return every value as TOML by its dotted key; ``names`` are the names of the channels."""
     return {
         f"{path}.{key.name}".lstrip("."): key.format(values[key.called])
@@ -99,7 +101,7 @@ def flat(config: Mapping[str, Any], names: Sequence[object]) -> dict[str, str]:
     }
 
 
-def differences(previous: Mapping[str, Any], current: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def differences(previous: Values, current: Values) -> list[tuple[str, str, str]]:
     """Return (key, previous, current) for every change; "" for a value that is not there."""
     names: Sequence[object] = channel_names(previous)
     if len(set(names)) < len(names):
@@ -108,14 +110,14 @@ def differences(previous: Mapping[str, Any], current: Mapping[str, Any]) -> list
     return [(key, a.get(key, ""), b.get(key, "")) for key in {**a, **b} if a.get(key) != b.get(key)]
 
 
-def channel_names(config: Mapping[str, Any]) -> list[str]:
+def channel_names(config: Values) -> list[str]:
     return [channel["name"] for channel in config["channels"]]
 
 
 # --- from TOML
 
 
-def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
+def with_file(config: Values, text: str, name: str) -> Values:
     """Return ``config`` with the settings in the TOML ``text``, checked.
 
     Channels are matched by name, or by order if there are four. A calibration replaces the previous one completely; an
@@ -126,7 +128,7 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
     return check(merged(config, settings, dict(zip(_places(config, channels, name), channels, strict=True))))
 
 
-def merged(config: Mapping[str, Any], settings: Mapping[str, Any], channels: Mapping[int, Values]) -> Values:
+def merged(config: Values, settings: Mapping[str, Any], channels: Mapping[int, Values]) -> Values:
     """Return ``config`` with settings in the form of the wire; those of ``channels`` by their number."""
     tables = {name: revised(config.get(name, {}), settings[name]) for name in SUBTABLES.keys() & settings.keys()}
     entries = [revised(entry, channels.get(index, {})) for index, entry in enumerate(config["channels"])]
@@ -144,7 +146,7 @@ def revised(previous: Mapping[str, Any], settings: Mapping[str, Any]) -> Values:
     return {name: value for name, value in entries.items() if value not in ("", {}) or name not in REMOVABLE}
 
 
-def check_ratios(config: Mapping[str, Any]) -> None:
+def check_ratios(config: Values) -> None:
     """Raise ConfigError for a channel that is divided by a channel that the box does not have, or by itself."""
     for channel in config["channels"]:
         other_names = [name for name in channel_names(config) if name != channel["name"]]
@@ -154,7 +156,7 @@ def check_ratios(config: Mapping[str, Any]) -> None:
             )
 
 
-def _places(config: Mapping[str, Any], channels: Sequence[Mapping[str, Any]], name: str) -> list[int]:
+def _places(config: Values, channels: Sequence[Mapping[str, Any]], name: str) -> list[int]:
     """Return which of the box's channels each channel in the file is."""
     names = channel_names(config)
     file_names = [channel.get("name") for channel in channels]
@@ -169,7 +171,7 @@ def _places(config: Mapping[str, Any], channels: Sequence[Mapping[str, Any]], na
     )
 
 
-def with_assignment(config: Mapping[str, Any], text: str) -> Values:
+def with_assignment(config: Values, text: str) -> Values:
     """Return ``config`` with one KEY=VALUE changed, such as ``channel.lvdt.gain=2``. Raises ConfigError.
 
     Without a value, a key that the box does not need is removed: ``channel.lvdt.over=``.
@@ -179,28 +181,22 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
     if not equals:
         raise ConfigError(f"{text[:60]!r} is not KEY=VALUE")
     prefix, _, name = path.rpartition(".")
-    names = channel_names(config)
-    index, inner = next(
-        (
-            (k, inner)
-            for k, channel in enumerate(names)
-            for inner in ("", ".calibration")
-            if prefix in (f"channel.{channel}{inner}", f"channel.{k}{inner}")
-        ),
-        (None, ""),
-    )
-    table = (CALIBRATION if inner else CHANNEL) if index is not None else {"": CONFIG, **SUBTABLES}.get(prefix)
-    if table is None:
-        tables = ", ".join([*SUBTABLES, *(f"channel.{channel}" for channel in names)])
-        raise ConfigError(f"{prefix[:60]!r} is not a table of the configuration; its tables are {tables}")
+    changed, names = deepcopy(config), channel_names(config)
+    for parent, child in ((changed, "thermometers"), *((channel, "calibration") for channel in changed["channels"])):
+        parent.setdefault(child, {})  # removed again if it stays empty
+    by_number, by_name = tables_of(changed, range(len(names))), tables_of(changed, names)
+    tables = {path: (values, table) for path, values, table in chain(by_number, by_name)}
+    if prefix not in tables:
+        listed = ", ".join([*SUBTABLES, *(f"channel.{channel}" for channel in names)])
+        raise ConfigError(f"{prefix[:60]!r} is not a table of the configuration; its tables are {listed}")
+    values, table = tables[prefix]
     is_text = any(key.name == name and isinstance(key.value, UnquotedText) for key in config_keys(table))
     with raising(ConfigError, prefix):
         settings = table.parse({name: _text(value) if is_text else _number(value)})
-    if index is None:
-        return merged(config, {prefix: settings} if prefix else settings, {})
-    if inner:
-        settings = {"calibration": revised(config["channels"][index].get("calibration", {}), settings)}
-    return merged(config, {}, {index: settings})
+    entries = revised(values, settings)
+    values.clear()
+    values |= entries
+    return merged(changed, {}, {})
 
 
 def _text(value: str) -> str:

@@ -156,7 +156,7 @@ def config_keys(table: Table[dict[str, Any]]) -> tuple[ConfigKey, ...]:
     return tuple(key for key in table.keys if isinstance(key, ConfigKey))
 
 
-REMOVABLE = {"calibration"} | {
+REMOVABLE = {"calibration", "thermometers"} | {
     key.called
     for table in (CONFIG, CHANNEL, MAGNETOSTRICTIVE, THERMOMETERS)
     for key in config_keys(table)

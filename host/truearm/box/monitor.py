@@ -20,7 +20,7 @@ from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.clock import fit_clock
-from truearm.session.samples import counts_of, railed
+from truearm.session.samples import counts_of, railed, volts
 from truearm.session.streams import COUNTERS
 from truearm.text import counted, faster, one_line
 from truearm.units import DEGC, MDEGC, MS, NS, PPM, US
@@ -28,11 +28,15 @@ from truearm_wire.messages import EVENT, HEARTBEAT, START, SYNC_REPLY, TEMPERATU
 
 WINDOW_S = 1.0  # averaging time of displayed values
 PROBE_S = 0.25
-Labelled = list[tuple[str, str]]  # label and value
-MAX_PROBES = 64  # pending
 LEAST_EXCHANGES, MOST_EXCHANGES = 3, round(60.0 / PROBE_S)
 RATE_KNOWN_PPM = 100.0  # a bound of the rate's error above it is worse than assuming equal clocks: crystals stay within
+LOSSES = {  # counters of a heartbeat
+    "dropped": "trigger edges without room in the box",
+    "crc_errors": "wrong CRCs of the converter",
+    "bad_frames": "bad frames received",
+}
 TROUBLES = tuple(name for name in COUNTERS if name not in ("sent", "short_writes", "overruns"))
+Labelled = list[tuple[str, str]]  # label and value
 
 
 @dataclass
@@ -65,33 +69,28 @@ class Watch:
     windows: dict[int, LastSecond] = field(default_factory=dict)
     heartbeat: dict[str, Any] = field(default_factory=dict)
     thermometers: dict[int, float] = field(default_factory=dict)  # °C
-    exchanges: deque[tuple[int, int, int, int]] = field(
+    exchanges: deque[tuple[int, int, int, int]] = field(  # t0, t1, t2, t3
         default_factory=lambda: deque(maxlen=MOST_EXCHANGES)
-    )  # t0, t1, t2, t3
-    probes: dict[int, int] = field(default_factory=dict)
+    )
+    probe: tuple[int, int] = -1, 0  # id and t0 of the last clock request
     edges: int = 0
     restarts: int = 0
 
-    def asked(self, number: int, t0_ns: int) -> None:
-        self.probes[number] = t0_ns
-        while len(self.probes) > MAX_PROBES:
-            del self.probes[next(iter(self.probes))]
-
     def take(self, sent: Sent) -> None:
         """Process a frame."""
+        fields = sent.fields
         if sent.data is not None:
             stream = self.ident.streams.get(sent.data.stream)
             if stream is not None and (counts := counts_of(sent.data, stream)) is not None:
                 self.windows.setdefault(stream.id, LastSecond()).take(sent.data.n0, counts, sent.data.period_ns)
         elif sent.kind == HEARTBEAT:
-            self.heartbeat = sent.fields
+            self.heartbeat = fields
         elif sent.kind == TEMPERATURE:
-            self.thermometers[sent.fields["thermometer"]] = MDEGC.to_si(sent.fields["temperature_mdegc"])
+            self.thermometers[fields["thermometer"]] = MDEGC.to_si(fields["temperature_mdegc"])
         elif sent.kind == EVENT:
             self.edges += 1
-        elif sent.kind == SYNC_REPLY and sent.fields["id"] in self.probes:
-            t0_ns = self.probes.pop(sent.fields["id"])
-            self.exchanges.append((t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns))
+        elif sent.kind == SYNC_REPLY and fields["id"] == self.probe[0]:
+            self.exchanges.append((self.probe[1], fields["t1_us"], fields["t2_us"], sent.t_host_ns))
 
 
 def monitor_box(
@@ -104,66 +103,46 @@ def monitor_box(
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(Argument("duration"), f" {duration:g} is not a duration; give seconds above 0")
     with conversation(device, stop=True) as box, asked_to_stop() as interrupted:
-        yield one_line_of(ident_of(box))
-        watch = _watch(box, duration, interrupted, interval_s, show)
+        watch = Watch(ident_of(box))
+        yield one_line_of(watch.ident)
+        begun_s = probe_s = time_s = time.monotonic()
+        show_s, end_s = begun_s + interval_s, begun_s + (duration or math.inf)
+        with streaming(box):
+            while not interrupted() and time_s < end_s:
+                for sent in box.sent(0.05):
+                    watch.take(sent)
+                if ident_of(box).boot_id != watch.ident.boot_id:
+                    watch = Watch(ident_of(box), restarts=watch.restarts + 1)
+                    box.command(START)
+                time_s = time.monotonic()
+                if time_s >= probe_s:
+                    probe_s = time_s + PROBE_S
+                    watch.probe = box.probe()
+                if time_s >= show_s:
+                    show_s = time_s + interval_s
+                    show([*rows_of(watch, time_s - begun_s, box)])
     yield f"ended; lost: {losses(watch, box)}"
 
 
-def _watch(
-    box: BoxControl,
-    duration: float | None,
-    interrupted: Callable[[], bool],
-    interval_s: float,
-    show: Callable[[Labelled], None],
-) -> Watch:
-    watch = Watch(ident_of(box))
-    begun = time.monotonic()
-    next_probe = begun
-    next_show = begun + interval_s
-    with streaming(box):
-        while not interrupted() and (duration is None or time.monotonic() < begun + duration):
-            for sent in box.sent(0.05):
-                watch.take(sent)
-            if ident_of(box).boot_id != watch.ident.boot_id:
-                watch = Watch(ident_of(box), restarts=watch.restarts + 1)
-                box.command(START)
-            time_s = time.monotonic()
-            if time_s >= next_probe:
-                next_probe = time_s + PROBE_S
-                watch.asked(*box.probe())
-            if time_s >= next_show:
-                next_show = time_s + interval_s
-                show(rows_of(watch, time_s - begun, box))
-    return watch
-
-
-def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Labelled:
-    """Return (label, value) for everything displayed."""
-    rows: Labelled = [("time", f"{elapsed_s:.0f} s")]
+def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Iterator[tuple[str, str]]:
+    """Yield (label, value) for everything displayed."""
+    yield "time", f"{elapsed_s:.0f} s"
     for stream in watch.ident.streams.values():
-        rows += _stream_rows(stream, watch.windows.get(stream.id))
-    rows.append(("clock", clock_words(watch)))
-    if watch.heartbeat:
-        beat = watch.heartbeat
-        rows.append(
-            (
-                "box",
-                f"{beat['temperature_mdegc'] / 1000:.1f} °C, longest loop {MS.text(US.to_si(beat['loop_max_us']), '.1f')}",
-            )
-        )
-        if warning := far_from_calibration(watch.ident, LVDT, MDEGC.to_si(beat["temperature_mdegc"])):
-            rows.append(("temperature", warning))
+        yield from _stream_rows(stream, watch.windows.get(stream.id))
+    yield "clock", clock_words(watch)
+    if beat := watch.heartbeat:
+        degc = MDEGC.to_si(beat["temperature_mdegc"])
+        longest = MS.text(US.to_si(beat["loop_max_us"]), ".1f")
+        yield "box", f"{DEGC.text(degc, '.1f')}, longest loop {longest}"
+        if warning := far_from_calibration(watch.ident, LVDT, degc):
+            yield "temperature", warning
     if watch.ident.thermometers:
-        thermometers = enumerate(watch.ident.thermometers)
-        texts = (
-            f"{one_line(name)} {DEGC.text(watch.thermometers[k], '.2f') if k in watch.thermometers else 'not read yet'}"
-            for k, name in thermometers
-        )
-        rows.append(("thermometers", ", ".join(texts)))
+        values = (watch.thermometers.get(k) for k in range(len(watch.ident.thermometers)))
+        texts = ("not read yet" if value is None else DEGC.text(value, ".2f") for value in values)
+        yield "thermometers", ", ".join(map(" ".join, zip(map(one_line, watch.ident.thermometers), texts, strict=True)))
     if watch.edges:
-        rows.append(("trigger", counted(watch.edges, "edge")))
-    rows.append(("losses", losses(watch, box)))
-    return rows
+        yield "trigger", counted(watch.edges, "edge")
+    yield "losses", losses(watch, box)
 
 
 def _stream_rows(stream: Stream, window: LastSecond | None) -> Labelled:
@@ -185,12 +164,9 @@ def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str
             return "no stop pulses; is the magnet on the rod?"
     elif railed(counts).any():
         return "at the end of the converter's range"
-    values = counts * channel.scale
-    if channel.poly:
-        values = np.polynomial.polynomial.polyval(values, channel.poly)
-    return with_spread(
-        float(np.mean(values)), float(np.std(values)), channel.calibrated_unit if channel.poly else channel.unit
-    )
+    values = np.polynomial.polynomial.polyval(volts(counts, channel), channel.poly or (0.0, 1.0))
+    unit = channel.calibrated_unit if channel.poly else channel.unit
+    return with_spread(float(np.mean(values)), float(np.std(values)), unit)
 
 
 def clock_words(watch: Watch) -> str:
@@ -217,12 +193,6 @@ def losses(watch: Watch, box: BoxControl) -> str:
     counts = [
         f"{counted(box.frame_count.lost, 'frame')} on the link",
         f"{counted(beat.get('overruns', 0), 'sample')} in the box",
+        *(f"{beat[key]} {LOSSES.get(key, key.replace('_', ' '))}" for key in TROUBLES if beat.get(key)),
     ]
-    words = {
-        "dropped": "trigger edges without room in the box",
-        "crc_errors": "wrong CRCs of the converter",
-        "bad_frames": "bad frames received",
-    }
-    counts += [f"{beat[key]} {words.get(key, key.replace('_', ' '))}" for key in TROUBLES if beat.get(key)]
-    counts += [counted(watch.restarts, "restart")] * (watch.restarts > 0)
-    return ", ".join(counts)
+    return ", ".join(counts + [counted(watch.restarts, "restart")] * (watch.restarts > 0))

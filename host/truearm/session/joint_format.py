@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from operator import attrgetter
+from operator import attrgetter, methodcaller
 from typing import Annotated, Any, TypeGuard
 
 import cbor2
@@ -61,6 +61,7 @@ _OF_JOINTS = ("q", *ARRAYS)
 
 _TYPES = {field.name: field.type for field in msgspec.structs.fields(JointLine)}
 _usual_line = msgspec.json.Decoder(JointLine).decode
+_encoded = msgspec.json.Encoder(enc_hook=methodcaller("tolist")).encode  # NumPy's numbers too
 
 
 def parse_line(line: bytes) -> JointLine | None:
@@ -108,8 +109,8 @@ def format_reading(t: float, seq: int | None, q: Sequence[float], **optional: ob
 
     ``optional`` may hold the keys of docs/reference/session-format.md: ``q_cmd``, ``qd``, ``current`` ….
     """
-    row = {"t": t, "seq": seq, "q": list(q), **optional}
-    return json.dumps({key: value for key, value in row.items() if value is not None}, separators=(",", ":")).encode()
+    row = {"t": t, "seq": seq, "q": q, **optional}
+    return _encoded({key: value for key, value in row.items() if value is not None})
 
 
 JOINTS = "/robot/joints"

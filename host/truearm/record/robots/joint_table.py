@@ -10,11 +10,12 @@ A table is written by the robot or its logger, and read row by row: a day at 500
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from io import TextIOWrapper
 from itertools import chain, cycle
 from pathlib import Path
+from types import NoneType
 from typing import IO, Any
 
 from truearm.errors import Argument, InputError, TableError
@@ -32,7 +33,7 @@ EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints a
 
 _TIME = re.compile(r"t_(s|ms|us|ns)")
 _JOINT = re.compile(r"(q|qd)([1-9]\d?)(_cmd)?_(rad|deg|m|mm)(_s)?")
-_WHOLE = re.compile(r"[+-]?\d{1,18}", re.ASCII)
+_NUMBER = re.compile(rf"([+-]?\d{{1,18}})|(?:{NUMBER.pattern})", re.ASCII)
 
 QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
 CONVERTED = ("q", "q_cmd", "qd")  # of joints, with units
@@ -58,7 +59,7 @@ class Names:
         """Return a row as a line of a session, with ``entries`` added; None if it is not a reading."""
         values = {quantity: self._value(row, quantity) for quantity in QUANTITIES}
         t, seq, q = (values.pop(name) for name in ("t", "seq", "q"))
-        if type(t) not in (int, float) or not abs(t) < MAX_TIME or q is None:
+        if type(t) not in (int, float) or not abs(t) < MAX_TIME or type(seq) not in (int, NoneType) or q is None:
             return None
         return format_reading(t / self.t_per_second, seq, q, **values, **entries)
 
@@ -78,22 +79,21 @@ class Names:
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of a table. ``titles``: of all of them, None for those that are skipped; ``names`` refers to these."""
+    """The columns of a table. ``titles``: of all of them, None for those that are skipped; ``names`` refers to these.
+
+    Those of ``whole`` hold integers.
+    """
 
     titles: Sequence[str | None]
     names: Names
+    whole: Set[str]
 
     def line(self, cells: Sequence[str], **entries: object) -> bytes | None:
         """Return a row as a line of a session, with ``entries`` added; None if it is not a reading."""
         if len(cells) != len(self.titles):
             return None
         row = {title: _number(cell) for title, cell in zip(self.titles, cells, strict=True) if title}
-        whole = [
-            row[title]
-            for name, title in self.names.keys.items()
-            if name in ("seq", "inputs") and isinstance(title, str)
-        ]
-        if None in row.values() or not all(type(number) is int for number in whole):
+        if None in row.values() or any(type(row[title]) is float for title in self.whole):
             return None
         return self.names.line(row, **entries)
 
@@ -103,9 +103,10 @@ def _number(cell: str) -> int | float | None:
 
     float() would accept "1_000", "nan" and digits of other scripts.
     """
-    if _WHOLE.fullmatch(cell):
-        return int(cell)
-    return float(cell) if len(cell) <= MAX_CELL and NUMBER.fullmatch(cell) else None
+    match = _NUMBER.fullmatch(cell)
+    if match is None or len(cell) > MAX_CELL:
+        return None
+    return int(cell) if match[1] else float(cell)
 
 
 NUMBERED = "{}"  # stands for the number of a joint
@@ -191,7 +192,8 @@ def read_columns(titles: Sequence[str]) -> Columns:
         if joints:
             keys[quantity], scale[quantity] = zip(*joints, strict=True)
     read_titles = [None if _is_skipped(title) else title for title in titles]
-    return Columns(read_titles, Names(keys, scale, int(columns["t"][0][1])))
+    whole = {columns[name][0][0] for name in ("seq", "inputs") if name in columns}
+    return Columns(read_titles, Names(keys, scale, int(columns["t"][0][1])), whole)
 
 
 def _is_skipped(title: str) -> bool:

@@ -10,7 +10,7 @@ are multiples of its cycle. ``seq`` is the time since the first timestamp in per
 ``seq``.
 
 Everything else (text messages, packages of other types or lengths) is passed on as lines that are not readings; the
-recorder keeps them in ``/robot/console``. A package with all fields takes about 30 µs, at 500 per second.
+recorder keeps them in ``/robot/console``. A package with all fields takes about 5 µs, at 500 per second.
 """
 
 from __future__ import annotations

@@ -17,28 +17,26 @@ S starts the data packages U, P pauses them. A name that the controller does not
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = b"VvOSPUM"
 BROKEN = 256  # not a type: data where a package should begin
 NOT_FOUND = "NOT_FOUND"
 LEVELS = ("exception", "error", "warning", "info")
 
-TYPES = {
+TYPES = {  # a vector is a list
     "BOOL": "?",
-    "UINT8": "u1",
-    "UINT32": ">u4",
-    "UINT64": ">u8",
-    "INT32": ">i4",
-    "DOUBLE": ">f8",
-    "VECTOR3D": "3>f8",
-    "VECTOR6D": "6>f8",
-    "VECTOR6INT32": "6>i4",
-    "VECTOR6UINT32": "6>u4",
+    "UINT8": "B",
+    "UINT32": "I",
+    "UINT64": "Q",
+    "INT32": "i",
+    "DOUBLE": "d",
+    "VECTOR3D": "3d",
+    "VECTOR6D": "6d",
+    "VECTOR6INT32": "6i",
+    "VECTOR6UINT32": "6I",
 }
 
 _HEAD = struct.Struct(">HB")
@@ -116,17 +114,18 @@ class Packages:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Layout of a data package: the number of the recipe, then the fields by name."""
+    """Layout of a data package: the number of the recipe, then the fields; ``places`` are those of their values."""
 
     number: int
-    layout: np.dtype[np.void]
+    layout: struct.Struct
+    places: Mapping[str, int | slice]
 
     def values(self, payload: bytes) -> dict[str, Value] | None:
         """Return the values of a data package by name, vectors as lists; None if it does not match this recipe."""
-        if len(payload) != 1 + self.layout.itemsize or payload[0] != self.number:
+        if len(payload) != self.layout.size or payload[0] != self.number:
             return None
-        package = np.frombuffer(payload, self.layout, offset=1)[0]
-        return {name: package[name].tolist() for name in self.layout.fields or ()}
+        _, *values = self.layout.unpack(payload)
+        return {name: values[place] for name, place in self.places.items()}
 
 
 def types_of(payload: bytes) -> list[str]:
@@ -142,4 +141,10 @@ def recipe_of(names: Sequence[str], payload: bytes) -> Recipe | None:
     types = types_of(payload)
     if len(types) != len(names) or not payload[0] or not all(type_ in TYPES for type_ in types):
         return None
-    return Recipe(payload[0], np.dtype([(name, TYPES[type_]) for name, type_ in zip(names, types, strict=True)]))
+    formats = [TYPES[type_] for type_ in types]
+    places: dict[str, int | slice] = {}
+    end = 0
+    for name, form in zip(names, formats, strict=True):
+        begin, end = end, end + int(form[:-1] or 1)
+        places[name] = slice(begin, end) if form[:-1] else begin
+    return Recipe(payload[0], struct.Struct(f">B{''.join(formats)}"), places)
