@@ -201,7 +201,7 @@ def test_names_that_are_none(joints, robot, says):
 
 def test_a_table_has_its_order(tmp_path):
     with pytest.raises(InputError, match="table's columns"):
-        readings_of_file(tmp_path / "joints.csv", FileOptions("/joint_states", ["a"]))
+        next(readings_of_file(tmp_path / "joints.csv", FileOptions("/joint_states", ["a"])))
 
 
 def test_what_is_whole_of_a_damaged_session(recorded, tmp_path, out, capsys):

@@ -93,7 +93,7 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
             (["config", "set", "osr"], "neither KEY=VALUE, such as osr=2048, nor"),
             (["gauge", "nothing"], "no channel nothing"),
             (["gauge", "magnetostrictive"], "switch it on"),
-            (["gauge", "lvdt", "--unit", "parsec"], "--unit: 'parsec'"),
+            (["gauge", "lvdt", "--unit", "parsec"], "'--unit': 'parsec'"),
             (["gauge", "lvdt", "--order", "9"], "order"),
             (["monitor", "--duration-s", "0"], "--duration-s 0"),
         ):

@@ -1,5 +1,7 @@
 """Request ids: unique, in the wire's range, and without a Ctrl-C byte in the frame at any time."""
 
+from types import SimpleNamespace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +11,10 @@ from truearm_wire.frame import unframe
 from truearm_wire.messages import CONFIGURE, IDENTIFY, PUT_CONFIG, RESET, START, SYNC_REQUEST, decode_payload
 
 LAST = 255**3 * 31 - 2
+
+
+def at(now_ns):
+    return Requests(None, SimpleNamespace(now_ns=lambda: now_ns), None)
 
 
 @given(st.integers(0, LAST))
@@ -28,7 +34,7 @@ def test_no_id_stands_for_two_counts():
 @pytest.mark.parametrize("hours", [0, 1e-3, 4.72, 14.1, 200.0, 1e6])
 @pytest.mark.parametrize(("kind", "arguments"), [(IDENTIFY, ()), (SYNC_REQUEST, ()), (START, ()), (RESET, (0,))])
 def test_no_frame_stops_a_box_that_boots(hours, kind, arguments):
-    requests = Requests(int(hours * 3600e9))
+    requests = at(int(hours * 3600e9))
     made = [requests.make(kind, *arguments) for _ in range(1000)]
     assert not any(CTRL_C in data for _, data in made)
     assert len({number for number, _ in made}) == 1000
@@ -39,6 +45,6 @@ def test_no_frame_stops_a_box_that_boots(hours, kind, arguments):
 @pytest.mark.parametrize(("kind", "arguments"), [(PUT_CONFIG, (0, 1, b"\x03")), (CONFIGURE, (0, 4096))])
 def test_what_holds_the_byte_whatever_its_id_is_sent_all_the_same(kind, arguments):
     """A page, or two zeros three bytes apart (COBS). They follow an answer, so the box has booted."""
-    number, data = Requests(0).make(kind, *arguments)
+    number, data = at(0).make(kind, *arguments)
     assert CTRL_C in data
     assert decode_payload(unframe(data.strip(b"\0"))) == [kind, number, *arguments]

@@ -98,7 +98,7 @@ def check_blocks(messages, of_ours=frozenset(PAYLOADS)):
 def record_stream(rng, raw):
     """Return what a recorder stores of a stream that arrives in pieces: every byte."""
     kept = Kept()
-    storage = BoxStorage(kept, Counters(), ClockExchanges(kept, Counters()), Requests(0))
+    storage = BoxStorage(kept, Counters(), ClockExchanges(kept, Counters()), Requests(None, Lab(), None))
     at, ended = 0, False
     while at < len(raw) and not ended:
         piece = raw[at : at + rng.choice([1, 7, 64, 250, 4096])]

@@ -7,10 +7,13 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TypeVar
 
 from truearm.box.uf2 import Image
 from truearm.disk import read_text
 from truearm.errors import InputError, LinkError
+
+T = TypeVar("T")
 
 INFO = "INFO_UF2.TXT"
 _INFO_MAX = 4096
@@ -54,12 +57,12 @@ def check_drive(drive: Path, image: Image) -> None:
         )
 
 
-def wait_for(find: Callable[[], Path | None], timeout_s: float) -> Path | None:
-    """Return what ``find`` finds within the given time."""
+def wait_for(find: Callable[[], T | None], timeout_s: float) -> T | None:
+    """Return what ``find`` returns within the given time; it is called at least once."""
     deadline = time.monotonic() + timeout_s
-    while (drive := find()) is None and time.monotonic() < deadline:
+    while (result := find()) is None and time.monotonic() < deadline:
         time.sleep(_POLL_S)
-    return drive
+    return result
 
 
 def write_image(image: Image, drive: Path, name: str) -> None:

@@ -50,33 +50,29 @@ class BoxControl:
         self.heartbeat: dict[str, Any] = {}
         self._link = link
         self._clock = clock
-        self._requests = Requests(clock.now_ns())
+        self._requests = Requests(link, clock, self._pump)
         self._splitter = FrameSplitter()
         self._waiting: deque[Sent] = deque(maxlen=MAX_WAITING)
 
     @property
-    def ident(self) -> Ident | None:
-        """The box's latest description of itself."""
-        return self._requests.ident
+    def ident(self) -> Ident:
+        """The box's latest description of itself. Raises as ``identify`` does if it has given none."""
+        return self._requests.ident or self.identify()
 
     # --- requests
 
     def identify(self, retries: int = RETRIES) -> Ident:
         """Ask for the ident. Raises LinkError if the box does not answer, ProtocolError if it speaks another protocol."""
         self.command(wire.IDENTIFY, retries=retries)
-        if self.ident is None:
-            raise ProtocolError("old-firmware", place=self._link.name, reason="answers but does not identify itself")
-        return self.ident
+        return self._requests.identified()
 
-    def command(self, kind: int, *arguments: Any, retry_ns: int = 0, retries: int = RETRIES) -> bytes:
-        """Send a command and return the document in its answer, b"" for most commands.
+    def command(self, kind: int, *arguments: Any, **repetition: int) -> bytes:
+        """Send a command and return the document in its answer, b"" for most commands; ``repetition`` as of ``ask``.
 
         Raises LinkError if there is no answer, RefusedError if the box refuses.
         """
         with step(f"waiting for the box to answer {NAMES[kind]!r}"):
-            return self._requests.ask(
-                self._link, self._clock, self._pump, kind, *arguments, retries=retries, retry_ns=retry_ns
-            )
+            return self._requests.ask(kind, *arguments, **repetition)
 
     def config(self) -> dict[str, Any]:
         """Return the box's configuration (SPEC §5)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from truearm.errors import Argument, RefusedError
@@ -53,22 +53,14 @@ def streaming(box: BoxControl) -> Iterator[None]:
     """
     from truearm_wire.messages import START, STOP
 
-    refused = False
-    try:
+    with ExitStack() as stack:
+        stack.callback(box.command, STOP)
         try:
             box.command(START)
         except RefusedError:
-            refused = True
+            stack.pop_all()
             raise
         yield
-    finally:
-        if not refused:
-            box.command(STOP)
-
-
-def ident_of(box: BoxControl) -> Ident:
-    """Return the box's description of itself, from the beginning of the conversation or later."""
-    return box.ident or box.identify()
 
 
 def one_line_of(ident: Ident) -> str:

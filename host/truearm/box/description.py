@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from truearm.box.readiness import described_channels
 from truearm.box.selftest import Finding
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.text import one_line
@@ -24,8 +25,8 @@ def ident_lines(ident: Ident) -> list[str]:
     lines = [f"{name:<10}{one_line(value)}" for name, value in rows]
     for stream in ident.streams.values():
         lines += ["", f"stream {stream.name}: {_rate(stream)}"]
-        described = document["streams"][list(ident.streams).index(stream.id)]["channels"]
-        lines += [f"  {_channel(c, entry)}" for c, entry in zip(stream.channels, described, strict=True)]
+        described = zip(stream.channels, described_channels(ident, stream), strict=True)
+        lines += [f"  {_channel(channel, entry)}" for channel, entry in described]
     for fault in ident.faults:
         lines += ["", f"warning: {one_line(fault)}"]
     if isinstance(document.get("last_error"), str):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
-from truearm.box.boot_drive import board_of, check_drive, find_drives, wait_for, write_image
-from truearm.box.conversation import conversation, ident_of, one_line_of
+from truearm.box.boot_drive import board_of, find_drives, wait_for, write_image
+from truearm.box.conversation import conversation, one_line_of
 from truearm.box.requests import FlashOptions
 from truearm.box.uf2 import Image, read_uf2
 from truearm.errors import Argument, InputError, LinkError
@@ -17,21 +16,29 @@ from truearm.session.box_ident import Ident
 from truearm.version import VERSION
 from truearm_wire.messages import BOOT_LOADER
 
-_ASK_AGAIN_S = 0.5
 _SHORT = 4  # attempts of half a second, repeated
 
 
 def flash_box(options: FlashOptions) -> Iterator[str]:
     """Flash a box and wait for its answer; yields one line per step. Raises InputError, ImageError, LinkError."""
     earlier_ports = {port.device for port in usb_ports()} - {options.box}
-    version = yield from _write_image(options.image or own_image(), options)
+    path = options.image or own_image()
+    image = read_uf2(path)
+    content = f"the box's firmware {image.version}".rstrip()
+    if not image.is_box:
+        content = "a MicroPython without the box's firmware, or something else"
+    yield f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {content}"
+    drive = yield from _drive_for(path, image, options)
+    with step(f"writing {path.name}"):
+        write_image(image, drive, path.name)
+    yield f"{drive}: written; the box restarts"
     if options.no_check:
         return
     with step(f"waiting for the box, {options.timeout:g} s at most"):
         ident = _wait_for_box(options.box, earlier_ports, options.timeout)
     yield f"it answers: {one_line_of(ident)}"
-    if version and ident.firmware != version:
-        yield f"warning: the image has {version}, but the box runs {ident.firmware}: firmware files on its flash take precedence"
+    if image.version and ident.firmware != image.version:
+        yield f"warning: the image has {image.version}, but the box runs {ident.firmware}: firmware files on its flash take precedence"
     for fault in ident.faults:
         yield f"warning: {fault}"
 
@@ -46,52 +53,32 @@ def own_image() -> Path:
     raise InputError(f"{name} is not part of this installation; give the image to flash (make uf2 builds one)")
 
 
-def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]:
-    """Write the image. Yields one line per step and returns the version of the firmware in the image, or ""."""
-    image = read_uf2(path)
-    content = (
-        f"the box's firmware {image.version}".rstrip()
-        if image.is_box
-        else "a MicroPython without the box's firmware, or something else"
-    )
-    yield f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {content}"
-    place = yield from _drive_for(path, image, options)
-    with step(f"writing {path.name}"):
-        write_image(image, place, path.name)
-    yield f"{place}: written; the box restarts"
-    return image.version
-
-
 def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str, None, Path]:
     """Return the boot drive to write to; a running box is first asked to present it."""
-    device, drive = options.box, options.drive
+    device, drive, timeout = options.box, options.drive, options.timeout
     earlier_drives = find_drives(image.chip.board) if drive is None else []
     if device is None:
-        if drive is not None:
-            check_drive(drive, image)
-            return drive
-        return _only(earlier_drives, image)
+        return drive or _only(earlier_drives)
     if drive is None or board_of(drive) is None:
         with conversation(device, stop=options.stop) as box:
-            ident = ident_of(box)
-            yield f"{device}: {one_line_of(ident)}; it enters its boot loader"
+            yield f"{device}: {one_line_of(box.ident)}; it enters its boot loader"
             box.reset(BOOT_LOADER)
 
     def appeared() -> Path | None:
         if drive is not None:
-            return drive if board_of(drive) is not None else None
+            return None if board_of(drive) is None else drive
         return next((place for place in find_drives(image.chip.board) if place not in earlier_drives), None)
 
-    with step(f"waiting for the boot drive, {options.timeout:g} s at most"):
-        boot_drive = wait_for(appeared, options.timeout)
+    with step(f"waiting for the boot drive, {timeout:g} s at most"):
+        boot_drive = wait_for(appeared, timeout)
     if boot_drive is None:
         raise LinkError(
-            f"{device}: no boot drive appeared within {options.timeout:g} s; mount it and name its folder: truearm box flash {path} --drive FOLDER"
+            f"{device}: no boot drive appeared within {timeout:g} s; mount it and name its folder: truearm box flash {path} --drive FOLDER"
         )
     return boot_drive
 
 
-def _only(drives: list[Path], image: Image) -> Path:
+def _only(drives: list[Path]) -> Path:
     if not drives:
         raise InputError(
             "no boot drive found; hold BOOTSEL while you plug the box in, name its folder with ",
@@ -108,18 +95,21 @@ def _wait_for_box(device: str | None, earlier_ports: set[str], timeout: float) -
     """Return the ident of the box that starts, at ``device`` or at a port that is not among ``earlier_ports``. Raises
     LinkError.
     """
-    deadline = time.monotonic() + timeout
     reason = ""
-    while True:
+
+    def answering() -> Ident | None:
+        nonlocal reason
         for place in _places(device, earlier_ports):
             try:
                 with conversation(place, retries=_SHORT) as box:
-                    return ident_of(box)
+                    return box.ident
             except LinkError as exc:
                 reason = f" ({exc})"
-        if time.monotonic() >= deadline:
-            raise LinkError(f"no box answered within {timeout:g} s{reason}; see truearm box list")
-        time.sleep(_ASK_AGAIN_S)
+        return None
+
+    if (ident := wait_for(answering, timeout)) is None:
+        raise LinkError(f"no box answered within {timeout:g} s{reason}; see truearm box list")
+    return ident
 
 
 def _places(device: str | None, earlier_ports: set[str]) -> list[str]:

@@ -59,6 +59,12 @@ class Places:
         """The references (n,) [m]."""
         return np.array([place.reference for place in self.places])
 
+    @property
+    def temperature(self) -> float | None:
+        """The mean temperature of the box [°C]; None if it was not read."""
+        temperatures = [place.temperature for place in self.places if place.temperature is not None]
+        return sum(temperatures) / len(temperatures) if temperatures else None
+
     def too_few(self) -> str:
         """Return why these places are not enough for a calibration; "" if they are."""
         distinct, n = distinct_places(self.readings), len(self.places)

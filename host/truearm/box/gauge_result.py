@@ -6,7 +6,7 @@ Lengths are in mm and µm on the page.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
@@ -31,7 +31,7 @@ from truearm.schema import raising
 from truearm.session.box_ident import Channel, Ident
 from truearm.text import counted, one_line
 from truearm.types import rms
-from truearm.units import DEGC, MM, UM
+from truearm.units import DEGC, MDEGC, MM, UM
 from truearm.version import VERSION
 
 HEAD = "magnetostrictive"  # name of the channel, and of its entry in the configuration
@@ -40,6 +40,7 @@ RESIDUAL_CAPTION = (
     "Reference minus calibrated reading. Points scatter about zero without a pattern if the order is right; the dashed lines "
     "are two standard deviations. A difference between there and back indicates play or friction in the stage."
 )
+UNKNOWN_TOTAL = "not known without the reference's uncertainty"
 ORDER_TEXT = (
     "Error of predicting each place from a polynomial fitted to all others. truearm chooses the lowest order that is not "
     "significantly worse than the best."
@@ -65,19 +66,24 @@ class Calibration:
 
     @property
     def largest_residual(self) -> str:
-        return UM.text(float(np.max(np.abs(self.fit.residual))), ".2f")
+        return _um(float(np.max(np.abs(self.fit.residual))))
 
     def lines(self) -> list[str]:
         """Return what the operator is shown."""
-        lines = [
-            f"order {fit.order}: cross-validation error {UM.text(fit.press, '.2f')} RMS{' ← chosen' * (fit.order == self.fit.order)}"
-            for fit in self.tried
+        n_places = counted(len(self.places.places), "place")
+        chosen_order, previous = self.fit.order, self.previous_error
+        return [
+            *(
+                f"order {fit.order}: cross-validation error {_um(fit.press)} RMS{' ← chosen' * (fit.order == chosen_order)}"
+                for fit in self.tried
+            ),
+            f"{n_places}, sigma {_um(self.fit.sigma)}, largest residual {self.largest_residual}",
+            *([] if previous is None else [f"the previous calibration is off by {_um(previous)} RMS"]),
         ]
-        n_places, sigma = counted(len(self.places.places), "place"), UM.text(self.fit.sigma, ".2f")
-        lines.append(f"{n_places}, sigma {sigma}, largest residual {self.largest_residual}")
-        if self.previous_error is not None:
-            lines.append(f"the previous calibration is off by {UM.text(self.previous_error, '.2f')} RMS")
-        return lines
+
+
+def _um(length: float | None, missing: str = "not given") -> str:
+    return missing if length is None else UM.text(length, ".2f")
 
 
 def calibrate(places: Places, channel: Channel, order: int | None) -> Calibration:
@@ -100,20 +106,16 @@ def calibrate(places: Places, channel: Channel, order: int | None) -> Calibratio
 
 def with_calibration(config: dict[str, Any], calibration: Calibration, options: GaugeOptions) -> dict[str, Any]:
     """Return the configuration with the new calibration, checked. Raises InputError, ConfigError."""
-    names = channel_names(config)
-    name = calibration.channel.name
-    is_head = name == HEAD
-    previous = config[HEAD] if is_head else config["channels"][names.index(name)].get("calibration", {})
-    temperature = _temperature(calibration.places)
+    temperature = calibration.places.temperature
     provenance = {
-        "serial": previous.get("serial", "") if options.serial is None else options.serial,
+        "serial": _serial(config, calibration.channel.name) if options.serial is None else options.serial,
         "date": datetime.now(UTC).date().isoformat(),
         "sigma": _pair(f"{calibration.fit.sigma:.2e}"),
-        **({} if temperature is None else {"temperature_mdegc": round(1000 * temperature)}),
+        **({} if temperature is None else {"temperature_mdegc": round(MDEGC.of(temperature))}),
         **({"reference": options.instrument} if options.instrument else {}),
         **({} if options.uncertainty is None else {"reference_sigma": _pair(f"{0.5 * options.uncertainty:.3e}")}),
     }
-    if is_head:
+    if calibration.channel.name == HEAD:
         try:
             us_per_inch, delay_ns = head_of(calibration.fit)
         except ValueError as exc:
@@ -122,7 +124,12 @@ def with_calibration(config: dict[str, Any], calibration: Calibration, options: 
         return check(merged(config, {HEAD: head}, {}))
     poly = [_pair(f"{coefficient:.{DIGITS - 1}e}") for coefficient in calibration.fit.poly]
     entries = {"calibration": {"unit": "m", "poly": poly, **provenance}}
-    return check(merged(config, {}, {names.index(name): entries}))
+    return check(merged(config, {}, {channel_names(config).index(calibration.channel.name): entries}))
+
+
+def _serial(config: Mapping[str, Any], name: str) -> str:
+    entries = [entry.get("calibration", {}) for entry in config["channels"] if entry["name"] == name]
+    return str((entries or [config[HEAD]])[0].get("serial", ""))
 
 
 def _pair(text: str) -> list[int]:
@@ -130,21 +137,13 @@ def _pair(text: str) -> list[int]:
         return mantissa_exponent(Decimal(text))
 
 
-def _temperature(places: Places) -> float | None:
-    """Return the mean temperature of the box [°C]."""
-    temperatures = [place.temperature for place in places.places if place.temperature is not None]
-    return sum(temperatures) / len(temperatures) if temperatures else None
-
-
 def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, config: dict[str, Any]) -> str:
     """Return the page of a calibration as HTML; ``config`` is what the box will store."""
     fit, places, name = calibration.fit, calibration.places, calibration.channel.name
-    time, temperature, previous = datetime.now(UTC), _temperature(places), calibration.previous_error
-    entries = [entry.get("calibration", {}) for entry in config["channels"] if entry["name"] == name]
-    serial = (entries or [config[HEAD]])[0].get("serial", "")
-    total = "not known without the reference's uncertainty"
-    if options.uncertainty is not None:
-        total = UM.text(math.hypot(2.0 * fit.sigma, options.uncertainty), ".2f")
+    time, temperature, previous = datetime.now(UTC), places.temperature, calibration.previous_error
+    n_places, ends = len(places.places), (places.references.min(), places.references.max())
+    serial = _serial(config, name)
+    total = None if options.uncertainty is None else math.hypot(2.0 * fit.sigma, options.uncertainty)
     subject = (
         ("sensor", f"{name}, serial {serial}" if serial else name),
         ("operator", options.operator or "not given"),
@@ -153,28 +152,18 @@ def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, co
         ("software", f"truearm {VERSION}"),
         ("temperature of the box", "unknown" if temperature is None else DEGC.text(temperature, ".1f")),
     )
-    low, high = (MM.text(end, ".4f") for end in (places.references.min(), places.references.max()))
     reference = (
         ("reference instrument", options.instrument or "not given"),
-        (
-            "its uncertainty (k = 2)",
-            "not given" if options.uncertainty is None else UM.text(options.uncertainty, ".2f"),
-        ),
-        ("places", f"{len(places.places)}, from {low} to {high}"),
+        ("its uncertainty (k = 2)", _um(options.uncertainty)),
+        ("places", f"{n_places}, from {' to '.join(MM.text(end, '.4f') for end in ends)}"),
     )
     uncertainty = (
-        ("of one place, from the scatter about the calibration (k = 2)", UM.text(2.0 * fit.sigma, ".2f")),
-        ("of a calibrated length, including the reference (k = 2)", total),
+        ("of one place, from the scatter about the calibration (k = 2)", _um(2.0 * fit.sigma)),
+        ("of a calibrated length, including the reference (k = 2)", _um(total, UNKNOWN_TOTAL)),
         ("largest residual", calibration.largest_residual),
-        (
-            "the previous calibration",
-            "none" if previous is None else f"off by {UM.text(previous, '.2f')} RMS at these references",
-        ),
+        ("the previous calibration", "none" if previous is None else f"off by {_um(previous)} RMS at these references"),
     )
-    curve = [
-        ("order", str(fit.order)),
-        ("coefficients", ", ".join(f"{coefficient:.6g}" for coefficient in fit.poly)),
-    ]
+    curve = [("order", str(fit.order)), ("coefficients", ", ".join(f"{coefficient:.6g}" for coefficient in fit.poly))]
     if name == HEAD:
         us_per_inch, delay_ns = head_of(fit)
         curve.append(("velocity", f"{us_per_inch:.6f} µs per inch, delay {round(delay_ns)} ns"))
@@ -188,7 +177,7 @@ def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, co
         section("The order", paragraph(ORDER_TEXT), table(Table(("order", "RMS [µm]"), orders))),
         section("The places", table(_place_table(calibration))),
     )
-    subtitle = f"{counted(len(places.places), 'place')}, {time.date().isoformat()}"
+    subtitle = f"{counted(n_places, 'place')}, {time.date().isoformat()}"
     first = certificate_section(Certificate("Calibration of a sensor", "", groups))
     return html_page("truearm", f"Calibration of {name}", subtitle, blocks, certificate=first)
 

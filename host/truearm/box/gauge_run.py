@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from truearm.box.configuration import change_lines, checked_config
 from truearm.box.control import BoxControl
-from truearm.box.conversation import conversation, ident_of, streaming
+from truearm.box.conversation import conversation, streaming
 from truearm.box.gauge_places import (
     MAX_REFERENCES,
     UNITS,
@@ -28,7 +29,7 @@ from truearm.box.gauge_result import HEAD, calibrate, gauge_page, with_calibrati
 from truearm.box.readiness import usable_channel
 from truearm.box.requests import GaugeOptions
 from truearm.disk import check_writable, write_atomic
-from truearm.errors import Argument, InputError, LinkError, TruearmError
+from truearm.errors import InputError, LinkError, TruearmError
 from truearm.progress import step
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.sample_noise import mean_of, quick_noise
@@ -62,16 +63,14 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
     Raises InputError, TableError, LinkError.
     """
     say, inputs = operator.say, [] if options.references is None else [options.references]
-    if options.unit not in UNITS:
-        raise InputError("wrong-value", place=Argument("unit"), value=options.unit[:20], names=list(UNITS))
     listed = None if options.references is None else read_references(options.references)
-    name = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in options.channel[:40])
+    name = re.sub(r"[^\w-]", "_", options.channel[:40])
     page = options.out or Path(f"gauge-{name}.html")
     places_file = page.with_suffix(".places.json")
     # a page beside such a file belongs to the same run: it was interrupted at the last question
     check_writable(page, options.force or places_file.exists(), inputs=inputs, kind="page")
     with conversation(device, stop=stop) as box:
-        ident, config = ident_of(box), checked_config(box)
+        ident, config = box.ident, checked_config(box)
         stream, index = usable_channel(ident, options.channel, device)
         channel = stream.channels[index]
         places = _continued(places_file, ident, channel, operator)
@@ -138,12 +137,8 @@ class GaugeRun:
     def measure(self, listed: Sequence[float] | None) -> None:
         """Sample at references, listed [m] or typed, until the operator ends. Raises InputError, LinkError."""
         if listed is None:
-            while len(self.places.places) < MAX_REFERENCES:
-                line = self._answer(
-                    f"reference [{self.options.unit}] (empty line: done; undo: drop the last place): ", ""
-                )
-                if line is None:
-                    return
+            prompt = f"reference [{self.options.unit}] (empty line: done; undo: drop the last place): "
+            while len(self.places.places) < MAX_REFERENCES and (line := self._answer(prompt, "")) is not None:
                 self._typed(line)
             return
         measured = self.places.references.tolist()
@@ -153,12 +148,10 @@ class GaugeRun:
                 measured.remove(reference)
                 continue
             prompt = f"{number} of {len(listed)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
-            is_added = False
-            while not is_added:
-                line = self._answer(prompt, "q")
-                if line is None:
-                    return
-                is_added = line == "s" or self._add(reference)
+            while (line := self._answer(prompt, "q")) not in (None, "s") and not self._add(reference):
+                continue
+            if line is None:
+                return
 
     def _answer(self, prompt: str, end: str) -> str | None:
         """Return what the operator types. ``end`` returns None, but if the places are too few only when typed twice."""
@@ -215,30 +208,21 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
     skip, n_needed = (max(1, round(NS.of(duration) / stream.period_ns)) for duration in (SETTLE_S, seconds))
     n_needed, patience_s = max(n_needed, FEWEST), SETTLE_S + seconds + PATIENCE_S
     blocks: list[NDArray[np.int32]] = []
-    n_samples = 0
+    n_samples, end_s = 0, box.now_s + patience_s
     with streaming(box), step(f"sampling {stream.name} for {seconds:g} s") as advance:
-        for block in _blocks(box, stream, skip, box.now_s + patience_s):
-            blocks.append(block)
-            n_samples += len(block)
+        while n_samples < n_needed and box.now_s < end_s:
+            for data in (sent.data for sent in box.sent(0.05)):
+                counts = counts_of(data, stream) if data and data.stream == stream.id and data.n0 >= skip else None
+                blocks += [] if counts is None else [counts]
+            n_samples = sum(map(len, blocks))
             advance(min(n_samples / n_needed, 1.0))
-            if n_samples >= n_needed:
-                break
-        else:
-            raise LinkError(
-                f"the box sent {n_samples} of {n_needed} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
-            )
     for _ in box.sent(0.0):  # data in transit
         continue
-    return np.concatenate(blocks)
-
-
-def _blocks(box: BoxControl, stream: Stream, skip: int, end_s: float) -> Iterator[NDArray[np.int32]]:
-    """Yield the blocks of a stream from sample number ``skip`` on, until a time of the host's clock."""
-    while box.now_s < end_s:
-        for data in (sent.data for sent in box.sent(0.05)):
-            counts = counts_of(data, stream) if data and data.stream == stream.id and data.n0 >= skip else None
-            if counts is not None:
-                yield counts
+    if n_samples < n_needed:
+        raise LinkError(
+            f"the box sent {n_samples} of {n_needed} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
+        )
+    return np.concatenate(blocks)[:n_needed]
 
 
 def trouble(counts: NDArray[np.int32], channel: Channel) -> str:

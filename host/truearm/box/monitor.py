@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.box.control import BoxControl, Sent
-from truearm.box.conversation import conversation, ident_of, one_line_of, streaming
+from truearm.box.conversation import conversation, one_line_of, streaming
 from truearm.box.description import with_spread
 from truearm.box.readiness import LVDT, far_from_calibration
 from truearm.errors import Argument, InputError
@@ -103,7 +103,7 @@ def monitor_box(
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(Argument("duration"), f" {duration:g} is not a duration; give seconds above 0")
     with conversation(device, stop=True) as box, asked_to_stop() as interrupted:
-        watch = Watch(ident_of(box))
+        watch = Watch(box.ident)
         yield one_line_of(watch.ident)
         begun_s = probe_s = time_s = time.monotonic()
         show_s, end_s = begun_s + interval_s, begun_s + (duration or math.inf)
@@ -111,8 +111,8 @@ def monitor_box(
             while not interrupted() and time_s < end_s:
                 for sent in box.sent(0.05):
                     watch.take(sent)
-                if ident_of(box).boot_id != watch.ident.boot_id:
-                    watch = Watch(ident_of(box), restarts=watch.restarts + 1)
+                if box.ident.boot_id != watch.ident.boot_id:
+                    watch = Watch(box.ident, restarts=watch.restarts + 1)
                     box.command(START)
                 time_s = time.monotonic()
                 if time_s >= probe_s:

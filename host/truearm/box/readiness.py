@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Any
@@ -50,17 +50,48 @@ def check_box(ident: Ident, purpose: Purpose, today: date) -> Verdict:
     warned: list[str] = []
     names = ((LVDT,) if purpose.ball_bar else ()) + (LINE_CHANNELS if purpose.line else ())
     for name in names:
-        wrong, old = _channel(ident, name, today, purpose.device)
-        refused += wrong
-        warned += old
-    if not names and (text := _uncalibrated(ident, purpose.device)):
-        warned.append(text)
+        again = box_command(f"gauge {name}", purpose.device)
+        try:
+            stream, index = usable_channel(ident, name, purpose.device)
+        except InputError as exc:
+            refused.append(str(exc))
+            continue
+        if stream.channels[index].length_unit is None:
+            refused.append(f"channel {name} is not calibrated to a length; calibrate it with {again}")
+        else:
+            warned += _old(name, described_channels(ident, stream)[index], today, again)
+    channels = [channel for stream in ident.streams.values() for channel in stream.channels]
+    if not names and all(channel.length_unit is None for channel in channels):
+        warned.append(
+            "no channel of the box is calibrated to a length, so truearm identify cannot use this session; calibrate one with "
+            f"{box_command('gauge CHANNEL', purpose.device)}"
+        )
     for stream in ident.streams.values():
         if purpose.osr is not None and stream.osr not in (0, purpose.osr):
             warned.append(
                 f"stream {stream.name} samples at oversampling ratio (osr) {stream.osr}, not {purpose.osr} as requested"
             )
     return Verdict(tuple(refused), tuple(warned))
+
+
+def described_channels(ident: Ident, stream: Stream) -> Sequence[Any]:
+    """Return the channels of a stream as the box describes them."""
+    channels: Sequence[Any] = ident.document["streams"][list(ident.streams).index(stream.id)]["channels"]
+    return channels
+
+
+def _old(name: str, described: Any, today: date, again: str) -> list[str]:
+    """Return a warning of a calibration that is old; ``again`` calibrates the channel."""
+    calibration = described.get("calibration") if isinstance(described, dict) else None
+    calibrated_on = calibration.get("date") if isinstance(calibration, dict) else None
+    try:
+        days = (today - date.fromisoformat(str(calibrated_on))).days
+    except ValueError:
+        return []
+    text = f"channel {name} was calibrated"
+    if days < 0:
+        return [f"{text} on {calibrated_on}, which is in the future; check the date of this computer"]
+    return [f"{text} {days} days ago, on {calibrated_on}; calibrate it again with {again}"] * (days > OLD_DAYS)
 
 
 def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
@@ -101,46 +132,3 @@ def usable_channel(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
         command = box_command(f"config set channel.{name}.KEY=VALUE", device)
         raise InputError(f"channel {name} cannot be used: {fault}; correct it with {command}")
     return stream, index
-
-
-def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[str], list[str]]:
-    try:
-        stream, index = usable_channel(ident, name, device)
-    except InputError as exc:
-        return [str(exc)], []
-    if stream.channels[index].length_unit is None:
-        command = box_command(f"gauge {name}", device)
-        return [f"channel {name} is not calibrated to a length; calibrate it with {command}"], []
-    return [], _old(name, _described(ident, stream, index), today, device)
-
-
-def _old(name: str, described: Mapping[str, Any], today: date, device: str) -> list[str]:
-    calibration = described.get("calibration")
-    calibrated_on = calibration.get("date") if isinstance(calibration, dict) else None
-    try:
-        days = (today - date.fromisoformat(str(calibrated_on))).days
-    except ValueError:
-        return []
-    if days < 0:
-        return [
-            f"channel {name} was calibrated on {calibrated_on}, which is in the future; check the date of this computer"
-        ]
-    if days <= OLD_DAYS:
-        return []
-    again = box_command(f"gauge {name}", device)
-    return [f"channel {name} was calibrated {days} days ago, on {calibrated_on}; calibrate it again with {again}"]
-
-
-def _described(ident: Ident, stream: Stream, index: int) -> Mapping[str, Any]:
-    entry = ident.document["streams"][list(ident.streams).index(stream.id)]["channels"][index]
-    return entry if isinstance(entry, dict) else {}
-
-
-def _uncalibrated(ident: Ident, device: str) -> str:
-    channels = [c for s in ident.streams.values() for c in s.channels]
-    if any(c.length_unit is not None for c in channels):
-        return ""
-    return (
-        "no channel of the box is calibrated to a length, so truearm identify cannot use this session; calibrate one with "
-        f"{box_command('gauge CHANNEL', device)}"
-    )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from truearm.bounds import Within
+from truearm.bounds import OneOf, Within
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class GaugeOptions:
     channel: str
     box: str | None = None
     references: Path | None = None
-    unit: str = "mm"
+    unit: Annotated[str, OneOf(("mm", "um", "in"))] = "mm"
     sample: Annotated[float, Within(0.1, 600)] = 2.0
     order: Annotated[int | None, Within(1, 7)] = None
     serial: str | None = None

@@ -13,7 +13,7 @@ import click
 from truearm.box import configuration
 from truearm.box.boot_drive import find_drives
 from truearm.box.configuration_schema import check
-from truearm.box.conversation import conversation, ident_of, one_line_of
+from truearm.box.conversation import conversation, one_line_of
 from truearm.box.description import finding_lines, ident_lines, port_lines
 from truearm.box.flash import flash_box
 from truearm.box.requests import FlashOptions, GaugeOptions
@@ -70,7 +70,7 @@ def _asked(port: Any) -> dict[str, Any]:
     row = {"device": port.device, "usb": port.usb, "serial": port.serial, "product": port.product, "box": None}
     try:
         with conversation(port.device, retries=_LIST_RETRIES) as box:
-            ident = ident_of(box)
+            ident = box.ident
     except InputError:
         raise
     except TruearmError as exc:
@@ -86,7 +86,7 @@ def info(*, box: str | None = None) -> Answer:
     Example: truearm box info --box /dev/ttyACM0
     """
     with conversation(choose_box(box, sys.stderr)) as connected:
-        ident = ident_of(connected)
+        ident = connected.ident
     return Answer(ident.document, ident_lines(ident))
 
 

@@ -20,7 +20,6 @@ from truearm.record.operator import Counters, Operator, RecordSummary, Status
 from truearm.record.requests import RETRIES, SECOND, Requests
 from truearm.record.session_writer import SessionWriter
 from truearm.schema import quoted
-from truearm.session.box_ident import Ident
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
 
 CHORES_NS = SECOND // 20  # interval for clock exchanges, chunks and progress
@@ -116,7 +115,7 @@ class _Recorder:
         self._counters = Counters()
         self._exchanges = ClockExchanges(writer, self._counters)
         now_ns = clock.now_ns()
-        self._requests = Requests(now_ns)
+        self._requests = Requests(link, clock, self._await)
         self._box = BoxStorage(writer, self._counters, self._exchanges, self._requests, operator)
         self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters, operator)
         self._state = "identifying"
@@ -189,7 +188,7 @@ class _Recorder:
         self._command(IDENTIFY)
         self._command(STOP, may_fail=True)  # a killed recorder left it streaming
         self._configure()
-        self._operator.approve(self._ident())
+        self._operator.approve(self._requests.identified())
         self._command(START)
         self._box.stopped = False
         now_ns = self._clock.now_ns()
@@ -202,12 +201,14 @@ class _Recorder:
 
     def _configure(self) -> None:
         osr = self._options.osr
-        differing = [s for s in self._ident().streams.values() if osr is not None and s.osr not in (0, osr)]
+        differing = [
+            s for s in self._requests.identified().streams.values() if osr is not None and s.osr not in (0, osr)
+        ]
         for stream in differing:
             self._command(CONFIGURE, stream.id, osr)
         if differing:
             self._command(IDENTIFY)  # period and group delay depend on the osr
-        self._writer.metadata("box", {"ident": json.dumps(self._ident().document)})
+        self._writer.metadata("box", {"ident": json.dumps(self._requests.identified().document)})
 
     def _ask(self) -> None:
         """Ask the box to identify itself; ``_box.restarted`` then shows whether it restarted."""
@@ -216,11 +217,6 @@ class _Recorder:
         self._to_ask = False
         if suspect and not self._box.restarted:
             self._box.cleared()
-
-    def _ident(self) -> Ident:
-        if self._box.ident is None:
-            raise ProtocolError("old-firmware", place=self._link.name, reason="answers but does not identify itself")
-        return self._box.ident
 
     def _check_end(self) -> None:
         if self._state == "stopping":
@@ -322,7 +318,7 @@ class _Recorder:
     def _command(self, kind: int, *arguments: Any, may_fail: bool = False, retries: int = RETRIES) -> None:
         """Send a command until it is answered. Raises LinkError if it is not answered, RefusedError if it is refused."""
         try:
-            self._requests.ask(self._link, self._clock, self._await, kind, *arguments, retries=retries)
+            self._requests.ask(kind, *arguments, retries=retries)
         except RefusedError:
             if not may_fail:
                 raise

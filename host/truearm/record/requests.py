@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from truearm.errors import LinkError, RefusedError
+from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.record.links import Clock, Link
 from truearm.session.box_ident import Ident, decode_ident
 from truearm.session.frames import Pages
@@ -53,47 +53,48 @@ class NoAnswerError(LinkError):
 class Requests:
     """Makes requests, each with its own id, and takes the answers.
 
-    ``ident`` is the box's latest description of itself.
+    ``pump`` reads the link for a time [s] and passes what arrives to ``take``. ``ident`` is the box's latest description
+    of itself.
     """
 
-    def __init__(self, now_ns: int) -> None:
+    def __init__(self, link: Link, clock: Clock, pump: Callable[[float], None]) -> None:
         self.ident: Ident | None = None
-        self._count = now_ns // 1_000_000 % _COUNTS
+        self._link = link
+        self._clock = clock
+        self._pump = pump
+        self._count = clock.now_ns() // 1_000_000 % _COUNTS
         self._awaited: int | None = None
         self._answers: dict[int, bytes | RefusedError] = {}  # the document of a reply
         self._pages = {kind: Pages() for kind in (wire.IDENT, wire.REPLY)}
 
-    def ask(
-        self,
-        link: Link,
-        clock: Clock,
-        pump: Callable[[float], None],
-        kind: int,
-        *arguments: Any,
-        retries: int = RETRIES,
-        retry_ns: int = 0,
-    ) -> bytes:
+    def ask(self, kind: int, *arguments: Any, retries: int = RETRIES, retry_ns: int = RETRY_NS) -> bytes:
         """Send a request until it is answered; return the document in the answer, b"" in most.
 
-        ``pump`` reads the link for a time [s] and passes what arrives to ``take``. Raises NoAnswerError, RefusedError.
+        Raises NoAnswerError, RefusedError.
         """
         self._awaited, data = self.make(kind, *arguments)
         self._answers.clear()
-        retry_ns = retry_ns or RETRY_NS
         for _ in range(retries):
-            link.write(data)
-            left_ns, deadline_ns = retry_ns, clock.now_ns() + retry_ns
+            self._link.write(data)
+            left_ns, deadline_ns = retry_ns, self._clock.now_ns() + retry_ns
             while left_ns > 0:
                 # on a busy machine the time may already be over although the answer has arrived
-                left_ns = deadline_ns - clock.now_ns()
-                pump(max(left_ns, 0) / SECOND)
+                left_ns = deadline_ns - self._clock.now_ns()
+                self._pump(max(left_ns, 0) / SECOND)
                 answer = self._answers.get(self._awaited)
                 if isinstance(answer, RefusedError):
                     request = " ".join([NAMES[kind], *(str(number) for number in arguments if isinstance(number, int))])
-                    raise RefusedError(answer.code, f"{link.name}: the box refuses {request!r}: {answer}")
+                    raise RefusedError(answer.code, f"{self._link.name}: the box refuses {request!r}: {answer}")
                 if answer is not None:
                     return answer
-        raise NoAnswerError("no-answer", place=link.name, request=NAMES[kind], seconds=retries * retry_ns / SECOND)
+        seconds = retries * retry_ns / SECOND
+        raise NoAnswerError("no-answer", place=self._link.name, request=NAMES[kind], seconds=seconds)
+
+    def identified(self) -> Ident:
+        """Return the box's description of itself after an answer. Raises ProtocolError if it gave none."""
+        if self.ident is None:
+            raise ProtocolError("old-firmware", place=self._link.name, reason="answers but does not identify itself")
+        return self.ident
 
     def take(self, kind: int, fields: Mapping[str, Any]) -> None:
         """Take an ident, a reply or an error of the box. Raises ProtocolError for an ident that cannot be used."""

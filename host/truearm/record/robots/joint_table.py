@@ -224,21 +224,11 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
     named.
     """
     if options.joints:
-        raise InputError(
-            *(
-                Argument("joints"),
-                " and ",
-                Argument("model"),
-                " order the joints of a bag; a table's columns are already in order",
-            )
-        )
-    return _readings(path, options.columns)
-
-
-def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[AddedReading]:
+        arguments = Argument("joints"), " and ", Argument("model")
+        raise InputError(*arguments, " order the joints of a bag; a table's columns are already in order")
     try:
         with open_input(path) as file, reading(path):
-            yield from _rows(path, TextIOWrapper(file, encoding="utf-8-sig", newline=""), renames)
+            yield from _rows(path, TextIOWrapper(file, encoding="utf-8-sig", newline=""), options.columns)
     except UnicodeDecodeError as exc:
         raise TableError("not-text", place=path) from exc
 
