@@ -63,10 +63,8 @@ def replaced(data, number, **changes):
         (replaced(image(), 1, size=476), "476 bytes"),
         (replaced(image(), 1, address=0x1000_0180), "0x10000180"),
         (replaced(image(), 3, address=0x2000_0000), "block 3 .*0x20000000.*flash"),
-        (replaced(image(), 3, address=0x1020_0000), "block 3 .*0x10200000.*flash"),
         (replaced(image(), 0, address=0x0FFF_FF00), "block 0 .*0xfffff00.*flash"),
-        (replaced(image(), 2, address=0x1000_0000), "overlaps an earlier"),
-        (replaced(image(), 0, address=0x1000_0000 + 0x1000), "overlaps an earlier|does not begin"),
+        (replaced(image(), 2, address=0x1000_0000), "block 2 .*0x10000000.*flash"),
         (b"\0" * (MAX_BYTES + BLOCK), "chip's flash"),
     ],
 )
@@ -111,11 +109,6 @@ def test_a_damaged_image_is_refused_or_its_pages_alone_differ(data):
     assert found.chip is CHIPS[RP2040]
     for at in (k for k in range(len(bad)) if bad[k] != good[k]):
         number, within = divmod(at, BLOCK)
-        head = _harmless(good, bytes(bad), number) if within < 32 else False
-        assert head or 288 <= within < 508 or (number > 0 and 32 <= within < 288)
-
-
-def _harmless(good, bad, number):
-    """Return whether the headers of a block differ only in flags without meaning here, or in an address that is also free."""
-    a, b = (struct.unpack_from("<8I", d, BLOCK * number) for d in (good, bad))
-    return a[:2] == b[:2] and a[4:] == b[4:] and b[2] & 0x2001 == 0x2000 and 0x1000_0000 <= b[3] < 0x1020_0000
+        assert (
+            8 <= within < 12 or 288 <= within < 508 or (number > 0 and 32 <= within < 288)
+        )  # 8: flags without meaning
