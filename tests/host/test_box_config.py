@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from truearm.box.configuration import (
+    change_lines,
     channel_names,
     check_ratios,
-    differences,
     format_config,
     with_assignment,
     with_file,
@@ -57,7 +57,7 @@ def full():
 @pytest.mark.parametrize("config", [default(), full()])
 def test_a_file_that_is_put_back_changes_nothing(config):
     back = with_file(config, format_config(config), "box.toml")
-    assert differences(config, back) == []
+    assert change_lines(config, back) == []
     again = with_file(back, format_config(back), "box.toml")
     assert again == back
     assert firmware.check(back) is back
@@ -93,9 +93,9 @@ def test_a_part_of_a_file_changes_that_part():
     new = with_file(
         config, '[[channel]]\nname = "transverse_b"\ngain = 8\n[magnetostrictive]\nblanking_us = 5.008\n', "x"
     )
-    assert set(differences(config, new)) == {
-        ("magnetostrictive.blanking_us", "10", "5.008"),
-        ("channel.transverse_b.gain", "", "8"),
+    assert set(change_lines(config, new)) == {
+        "magnetostrictive.blanking_us: 10 → 5.008",
+        "channel.transverse_b.gain: (none) → 8",
     }
     assert new["magnetostrictive"]["blanking_ns"] == 5008
     config = default()
@@ -125,9 +125,9 @@ def test_a_value_that_may_be_missing_is_removed():
     config["thermometers"] = {"bar": "28ff641e0316c2a5"}
     assert "over" not in with_file(config, '[[channel]]\nname = "lvdt"\nover = ""\n', "x")["channels"][0]
     new = with_assignment(with_assignment(config, "channel.lvdt.over="), "thermometers.bar = ")
-    assert differences(config, new) == [
-        ("channel.lvdt.over", '"excitation"', ""),
-        ("thermometers.bar", '"28ff641e0316c2a5"', ""),
+    assert change_lines(config, new) == [
+        'channel.lvdt.over: "excitation" → (none)',
+        'thermometers.bar: "28ff641e0316c2a5" → (none)',
     ]
     assert firmware.check(new) is new
     assert with_assignment(new, "channel.lvdt.over=") == new

@@ -73,7 +73,6 @@ class TestCleanRun:
             assert row["t3_ns"] - row["t0_ns"] == 2 * LATENCY
             assert row["t0_ns"] < box.born + 1000 * row["t1_us"] + 1000
             assert box.born + 1000 * row["t2_us"] < row["t3_ns"]
-        assert summary.rtt_us == pytest.approx(2 * LATENCY / 1000)
 
     def test_two_runs_are_the_same(self, tmp_path):
         for name in ("a", "b"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.host.test_box_config import default
 
-from truearm.box.configuration import differences, format_config, with_file
+from truearm.box.configuration import change_lines, format_config, with_file
 from truearm.session.box_ident import RATIO_STEP, parse_ident
 from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, with_ratios
 
@@ -70,4 +70,4 @@ def test_it_is_in_the_configurations_file():
     config["channels"][0]["over"] = "excitation"
     text = format_config(config)
     assert 'over = "excitation"' in text
-    assert differences(config, with_file(copy.deepcopy(default()), text, "box.toml")) == []
+    assert change_lines(config, with_file(copy.deepcopy(default()), text, "box.toml")) == []

@@ -91,23 +91,22 @@ def _lines(values: Mapping[str, Any], table: Table[Values]) -> list[str]:
     return [*lines, *(f"# {name}: not known to this truearm; the box keeps it" for name in unknown)]
 
 
-def flat(config: Values, names: Sequence[object]) -> dict[str, str]:
-    """Return every value as TOML by its dotted key; ``names`` are the names of the channels."""
-    return {
-        f"{path}.{key.name}".lstrip("."): key.format(values[key.called])
-        for path, values, table in tables_of(config, names)
-        for key in config_keys(table)
-        if key.called in values
-    }
-
-
-def differences(previous: Values, current: Values) -> list[tuple[str, str, str]]:
-    """Return (key, previous, current) for every change; "" for a value that is not there."""
+def change_lines(previous: Values, current: Values) -> list[str]:
+    """Return one line per changed key."""
     names: Sequence[object] = channel_names(previous)
     if len(set(names)) < len(names):
         names = range(len(names))
-    a, b = flat(previous, names), flat(current, names)
-    return [(key, a.get(key, ""), b.get(key, "")) for key in {**a, **b} if a.get(key) != b.get(key)]
+    old, new = (
+        {
+            f"{path}.{key.name}".lstrip("."): key.format(values[key.called])
+            for path, values, table in tables_of(config, names)
+            for key in config_keys(table)
+            if key.called in values
+        }
+        for config in (previous, current)
+    )
+    keys = (key for key in {**old, **new} if old.get(key) != new.get(key))
+    return [one_line(f"{key}: {old.get(key, '(none)')} → {new.get(key, '(none)')}") for key in keys]
 
 
 def channel_names(config: Values) -> list[str]:
@@ -219,10 +218,3 @@ def checked_config(box: BoxControl) -> Values:
         return check(box.config())
     except ConfigError as exc:
         raise ProtocolError(f"the box's own configuration cannot be used: {exc}") from exc
-
-
-def change_lines(previous: Values, current: Values) -> list[str]:
-    """Return one line per changed key."""
-    return [
-        one_line(f"{key}: {old or '(none)'} → {new or '(none)'}") for key, old, new in differences(previous, current)
-    ]

@@ -35,14 +35,14 @@ class Runs:
     def __init__(self, delimiter: bytes, limit: int) -> None:
         self._delimiter = delimiter
         self._limit = limit
-        self._rest = b""
-        self._overlong = False  # part of the run in ``_rest`` has been returned already
+        self._remainder = b""
+        self._overlong = False  # part of the run in ``_remainder`` has been returned already
 
     def push(self, data: bytes) -> list[tuple[bool, bytes]]:
         """Return ``(whole, bytes)`` for every run finished by ``data``; pieces of a run beyond the limit are not whole."""
         runs = data.split(self._delimiter)
-        runs[0] = self._rest + runs[0]
-        self._rest = runs.pop()
+        runs[0] = self._remainder + runs[0]
+        self._remainder = runs.pop()
         items: list[tuple[bool, bytes]] = []
         for run in runs:
             if self._overlong or len(run) > self._limit:
@@ -50,15 +50,15 @@ class Runs:
                 self._overlong = False
             elif run:
                 items.append((True, run))
-        if len(self._rest) > self._limit:
-            *full, self._rest = self._pieces(self._rest)
+        if len(self._remainder) > self._limit:
+            *full, self._remainder = self._pieces(self._remainder)
             items += [(False, piece) for piece in full]
             self._overlong = True
         return items
 
     def flush(self) -> bytes:
         """Return what follows the last delimiter when the stream has ended."""
-        remainder, self._rest, self._overlong = self._rest, b"", False
+        remainder, self._remainder, self._overlong = self._remainder, b"", False
         return remainder
 
     def _pieces(self, run: bytes) -> list[bytes]:

@@ -63,19 +63,17 @@ class RecordSummary:
 
     ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted" or "link
     lost"; ``text`` explains what was lost or closed. ``duration_s`` counts from the start of the stream. ``faults`` and
-    ``file_losses`` are as in ``Status``. ``box_gone``: why the box could not be stopped, "" if it was stopped.
-    ``heard_s``: how long the box was heard. ``robot_gone``: that the robot was lost or silent at the end, "" if not.
+    ``file_losses`` are as in ``Status``. ``box_gone``: since when and why the box could not be reached at
+    the end, "" if it was stopped. ``robot_gone``: that the robot was lost or silent at the end, "" if not.
     """
 
     reason: str
     text: str
     duration_s: float
-    rtt_us: float | None
     counters: Counters
     faults: tuple[str, ...] = ()
     file_losses: tuple[str, ...] = ()
     box_gone: str = ""
-    heard_s: float = 0.0
     robot_gone: str = ""
 
 

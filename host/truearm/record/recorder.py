@@ -148,12 +148,10 @@ class _Recorder:
             end.reason,
             end.text,
             duration_s,
-            self._exchanges.rtt_us,
             self._counters,
             self._box.faults,
             tuple(self._writer.losses),
-            self._box_gone,
-            self._heard_s(),
+            self._box_gone and f"silent for the last {duration_s - self._heard_s():.1f} s ({self._box_gone})",
             self._robot_gone,
         )
 

@@ -23,6 +23,7 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, assert_never
@@ -71,12 +72,12 @@ class SessionWriter:
     def __init__(self, path: Path, clock: Clock | None, *, overwrite: bool = False, hold: bool = False) -> None:
         self.path = path
         self._overwrite = overwrite
-        self._held = hold
+        self.kept = not hold  # whether there is a file
         self._new = False  # not an earlier recording
         self._file = self._open()
         self._out = _Output(io.BytesIO() if hold else self._file)
         self._clock = clock
-        self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
+        self._channels: dict[str, _Channel] = {}  # by topic
         self._utc_offset_ns = 0  # UTC minus the host's clock
         self._chunk_since_ns: int | None = None
         self._chunk_bytes = 0
@@ -92,7 +93,6 @@ class SessionWriter:
         self._failed = False  # a write did, so the file is not as it should be
         self._size = 0  # on the disk, as last written
         self._waiting: list[_Message] = []  # of the current chunk
-        self._encodings: dict[str, Encodings] = {}  # of the channels
         self._head: list[_Message] = []  # the plan and what is mounted, which a replacement file must also contain
         self._written = 0  # of them, in finished chunks
         self._metadata: dict[str, dict[str, str]] = {}
@@ -110,20 +110,15 @@ class SessionWriter:
     def __exit__(self, kind: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
 
-    @property
-    def kept(self) -> bool:
-        """Whether there is a file."""
-        return not self._held
-
     def keep(self) -> None:
         """Create the file from what was held so far, and write to it from now on. A second call does nothing."""
-        if not self._held:
+        if self.kept:
             return
         held = self._out.file
         if not self._is_reserved():
             self._file.close()
             self._file = self._open()
-        self._held = False
+        self.kept = True
         self._out.file = self._file
         try:
             self._file.truncate(self._file.seek(0))
@@ -188,17 +183,17 @@ class SessionWriter:
     def _add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         channel = self._channels.get(topic)
         if channel is None:
-            encodings = self._encodings[topic] = encodings_of(topic, data)
-            channel = self._channels[topic] = [_register(self._writer, topic, encodings), 0]
+            encodings = encodings_of(topic, data)
+            channel = self._channels[topic] = _Channel(_register(self._writer, topic, encodings), encodings)
             # MCAP has this only once, in the current chunk; if that chunk is lost, the others need it to be readable.
-            self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
+            self.metadata(CHANNELS, {str(channel.number): topic for topic, channel in self._channels.items()})
         if sequence is not None:
-            channel[1] = sequence
-        message = (channel[0], t_host_ns + self._utc_offset_ns, data, t_host_ns, channel[1])
+            channel.sequence = sequence
+        message = (channel.number, t_host_ns + self._utc_offset_ns, data, t_host_ns, channel.sequence)
         self._waiting.append(message)
         if topic == "/plan" or (topic == "/events" and b'"mounted"' in data):
             self._head.append(message)
-        channel[1] = channel[1] + 1 & 0xFFFFFFFF
+        channel.sequence = channel.sequence + 1 & 0xFFFFFFFF
         self._chunk_bytes += len(data)
 
     def _add_columns(self) -> None:
@@ -248,7 +243,7 @@ class SessionWriter:
         """
         if self._out.file.closed:
             return
-        if self._held:
+        if not self.kept:
             unused = self._new and not self._file.closed and self._is_reserved()
             self._out.file.close()
             self._file.close()
@@ -291,7 +286,7 @@ class SessionWriter:
     def _open(self) -> BinaryIO:
         try:
             self._new = not (self._overwrite and self.path.exists())
-            file = self.path.open("x+b" if self._new else "r+b" if self._held else "w+b")
+            file = self.path.open("x+b" if self._new else "w+b" if self.kept else "r+b")
         except FileExistsError as exc:
             raise InputError("file-exists", place=self.path, may_force=True) from exc
         except OSError as exc:
@@ -303,12 +298,12 @@ class SessionWriter:
 
     def _flushed(self) -> None:
         self._out.flush()
-        if not self._held:
+        if self.kept:
             self._size = self._out.tell()
 
     def _watch(self) -> None:
         """Check the file before more is written to it; report each kind of loss once. Raises OSError, WriteError."""
-        if self._held or self._failed:
+        if self._failed or not self.kept:
             return
         self._watched_s = time.monotonic()
         loss = file_loss(self._out.file, self.path, self._size)
@@ -351,8 +346,8 @@ class SessionWriter:
             if self._written:
                 copy = io.BytesIO()
                 writer = _begun(copy)
-                for topic, encodings in self._encodings.items():
-                    _register(writer, topic, encodings)  # the numbers are the same because they are sequential
+                for topic, channel in self._channels.items():
+                    _register(writer, topic, channel.encodings)  # the numbers are the same because they are sequential
                 _pack(writer, self._head[: self._written])
                 writer.finish()
                 self._add_attachment(PLAN_COPY, copy.getvalue())
@@ -375,7 +370,7 @@ class SessionWriter:
                 self._copy_head(attached=self._chunks % _ATTACHED_EVERY == 0)
             self._flushed()
             # The real clock is used on purpose: in virtual time an hour passes in seconds.
-            if not self._held and time.monotonic() - self._synced_s >= _FSYNC_EVERY_S:
+            if self.kept and time.monotonic() - self._synced_s >= _FSYNC_EVERY_S:
                 os.fsync(self._out.file.fileno())
                 self._synced_s = time.monotonic()
 
@@ -425,6 +420,13 @@ def _pack(writer: Writer, messages: Iterable[_Message]) -> None:
     for message in messages:
         writer.add_message(*message)
     writer.flush()
+
+
+@dataclass
+class _Channel:
+    number: int
+    encodings: Encodings
+    sequence: int = 0  # of the next message
 
 
 class _Output:

@@ -133,8 +133,7 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     elif summary.counters.robot_unstored or summary.counters.robot_dropped:
         reasons.append(f"{FLOODED}, so readings may be missing; let it send fewer per second")
     if summary.box_gone and summary.reason != "link lost":
-        lost_s = summary.duration_s - summary.heard_s
-        reasons.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
+        reasons.append(f"the box was gone at the end, and {summary.box_gone}")
     elif not summary.counters.samples:
         reasons.append("the box sent no sample")
     return "; ".join([*reasons, *summary.file_losses])

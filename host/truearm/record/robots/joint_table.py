@@ -81,19 +81,19 @@ class Names:
 class Columns:
     """The columns of a table. ``titles``: of all of them, None for those that are skipped; ``names`` refers to these.
 
-    Those of ``whole`` hold integers.
+    Those of ``integer_titles`` hold integers.
     """
 
     titles: Sequence[str | None]
     names: Names
-    whole: Set[str]
+    integer_titles: Set[str]
 
     def line(self, cells: Sequence[str], **entries: object) -> bytes | None:
         """Return a row as a line of a session, with ``entries`` added; None if it is not a reading."""
         if len(cells) != len(self.titles):
             return None
         row = {title: _number(cell) for title, cell in zip(self.titles, cells, strict=True) if title}
-        if None in row.values() or any(type(row[title]) is float for title in self.whole):
+        if None in row.values() or any(type(row[title]) is float for title in self.integer_titles):
             return None
         return self.names.line(row, **entries)
 
@@ -192,8 +192,8 @@ def read_columns(titles: Sequence[str]) -> Columns:
         if joints:
             keys[quantity], scale[quantity] = zip(*joints, strict=True)
     read_titles = [None if _is_skipped(title) else title for title in titles]
-    whole = {columns[name][0][0] for name in ("seq", "inputs") if name in columns}
-    return Columns(read_titles, Names(keys, scale, int(columns["t"][0][1])), whole)
+    integer_titles = {columns[name][0][0] for name in ("seq", "inputs") if name in columns}
+    return Columns(read_titles, Names(keys, scale, int(columns["t"][0][1])), integer_titles)
 
 
 def _is_skipped(title: str) -> bool:

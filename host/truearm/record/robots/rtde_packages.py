@@ -90,7 +90,7 @@ class Packages:
     """
 
     def __init__(self) -> None:
-        self._rest = b""
+        self._remainder = b""
         self.broken = False
 
     def push(self, data: bytes) -> list[tuple[int, bytes]]:
@@ -98,17 +98,17 @@ class Packages:
         if self.broken:
             return []
         packages: list[tuple[int, bytes]] = []
-        data, offset = self._rest + data, 0
+        data, offset = self._remainder + data, 0
         while offset + _HEAD.size <= len(data):
             size, kind = _HEAD.unpack_from(data, offset)
             if size < _HEAD.size:
-                self.broken, self._rest = True, b""
+                self.broken, self._remainder = True, b""
                 return [*packages, (BROKEN, data[offset:])]
             if offset + size > len(data):
                 break
             packages.append((kind, data[offset + _HEAD.size : offset + size]))
             offset += size
-        self._rest = data[offset:]
+        self._remainder = data[offset:]
         return packages
 
 

@@ -38,7 +38,7 @@ from truearm.record.links import (
     TcpLink,
     host_and_port,
 )
-from truearm.record.robots.joint_table import CONVERTED, PER_SECOND, QUANTITIES, Columns, Name, Names, read_columns
+from truearm.record.robots.joint_table import CONVERTED, PER_SECOND, QUANTITIES, Name, Names, read_columns
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, parse_line
 from truearm.units import SUFFIXES
@@ -125,7 +125,13 @@ class LineDialect:
     """Converts a robot's lines to a session's lines. ``specified``: by the address."""
 
     def __init__(self, specified: dict[str, str]) -> None:
-        self._names, self._columns = _declared(specified)
+        """Raises InputError."""
+        names = dict(specified)
+        columns = names.pop("columns", None)
+        declaration: dict[str, Any] = {name: names.pop(name) for name in ("unit", "t_unit") if name in names}
+        declaration["names"] = {name: key.split(",") if "," in key else key for name, key in names.items()}
+        self._names = read_names(declaration)
+        self._columns = None if columns is None else read_columns(columns.split(","))
 
     def line(self, line: bytes) -> bytes:
         """Return a session's line for a robot's; the line itself if it needs no conversion or is not a reading.
@@ -158,15 +164,6 @@ class LineDialect:
             self._names = read_names(row, self._names)
             return line
         return line if self._names == Names() else self._names.line(row, line=text) or line
-
-
-def _declared(specified: dict[str, str]) -> tuple[Names, Columns | None]:
-    """Return what an address's query specifies. Raises InputError."""
-    names = dict(specified)
-    columns = names.pop("columns", None)
-    declaration: dict[str, Any] = {name: names.pop(name) for name in ("unit", "t_unit") if name in names}
-    declaration["names"] = {name: key.split(",") if "," in key else key for name, key in names.items()}
-    return read_names(declaration), None if columns is None else read_columns(columns.split(","))
 
 
 class LinesLink(LinkOnTop):
@@ -252,26 +249,18 @@ class DatagramLines(LinesLink):
 
 
 def connect(url: str, clock: Clock, last: Link | None) -> Link:
-    """Return a link that still uses the header of the ``last`` one. Raises as ``open_lines`` does.
+    """Return a link that still uses the header of the ``last`` one. Raises InputError, LinkError.
 
     Lines from ``tcp://HOST:PORT`` are in the session format already, and stored as received.
     """
     if url.startswith("tcp:"):
         return TcpLink(url, clock)
-    return open_lines(url, clock, last.dialect if isinstance(last, LinesLink) else None)
-
-
-def open_lines(url: str, clock: Clock, dialect: LineDialect | None = None) -> LinesLink:
-    """Open the source behind ``lines+tcp://`` or ``lines+udp://``.
-
-    ``dialect``: of an earlier connection, with a header that is still valid. Raises InputError, LinkError.
-    """
     address, _, query = url.partition("?")
     try:
         pairs = parse_qsl(query, True, bool(query), max_num_fields=20)
     except ValueError as exc:
         raise InputError(f"{url!r}: the part after '?' must be a list of NAME=VALUE") from exc
-    dialect = dialect or LineDialect(dict(pairs))  # checked before anything is opened
+    dialect = last.dialect if isinstance(last, LinesLink) else LineDialect(dict(pairs))
     plain = address.removeprefix("lines+")
     if plain.startswith("udp"):
         return DatagramLines(UdpLink(plain, clock, name=url), clock, dialect)
