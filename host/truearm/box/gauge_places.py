@@ -120,15 +120,13 @@ def read_references(path: Path) -> list[float]:
     return [float(value) for value in table.numbers("reference", MAX_METRES, required=True)]
 
 
-def parse_reference(text: str, scale: float) -> float:
-    """Return a typed reference [m]. Raises InputError."""
+def parse_reference(text: str, scale: float) -> float | None:
+    """Return a typed reference [m]; None if the text is not a reading."""
     try:
-        value = float(text.strip().replace(",", ".")) * scale
+        value = float(text.replace(",", ".")) * scale
     except ValueError:
-        value = math.nan
-    if not abs(value) <= MAX_METRES:
-        raise InputError(f"{text.strip()[:40]!r} is not a reading")
-    return value
+        return None
+    return value if abs(value) <= MAX_METRES else None
 
 
 def check_references(references: Sequence[float], measured: Sequence[float], stroke: float, file: str) -> None:

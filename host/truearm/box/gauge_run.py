@@ -29,7 +29,7 @@ from truearm.box.gauge_result import HEAD, calibrate, gauge_page, with_calibrati
 from truearm.box.readiness import usable_channel
 from truearm.box.requests import GaugeOptions
 from truearm.disk import check_writable, write_atomic
-from truearm.errors import InputError, LinkError, TruearmError
+from truearm.errors import LinkError, TruearmError
 from truearm.progress import step
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.sample_noise import mean_of, quick_noise
@@ -170,12 +170,10 @@ class GaugeRun:
             del places.places[-1:]
             places.write(self.places_file, say)
             return
-        try:
-            reference = parse_reference(line, UNITS[unit])
-        except InputError as exc:
-            say(f"  {exc}; type the reading of the reference in {unit}, such as 12.5")
-            return
-        if distance_message := beyond(reference, places.references.tolist(), self.stroke):
+        reference = parse_reference(line, UNITS[unit])
+        if reference is None:
+            say(f"  {line[:40]!r} is not a reading; type the reading of the reference in {unit}, such as 12.5")
+        elif distance_message := beyond(reference, places.references.tolist(), self.stroke):
             say(f"  {distance_message}; undo drops the last place")
         else:
             self._add(reference)
