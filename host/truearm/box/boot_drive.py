@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -37,11 +38,8 @@ def board_of(drive: Path) -> str | None:
         text = read_text(drive / INFO, _INFO_MAX, InputError)
     except InputError:  # missing, not (yet) readable, or not text
         return None
-    for line in text.splitlines():
-        key, _, value = line.partition(":")
-        if key.strip() == "Board-ID":
-            return value.strip()
-    return None
+    match = re.search(r"^Board-ID:(.*)$", text, re.MULTILINE)
+    return match[1].strip() if match else None
 
 
 def check_drive(drive: Path, image: Image) -> None:

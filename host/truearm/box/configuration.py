@@ -24,14 +24,13 @@ from truearm.box.configuration_schema import (
     PROVENANCE,
     REMOVABLE,
     THERMOMETERS,
-    UnquotedText,
     check,
     config_keys,
 )
 from truearm.box.control import BoxControl
 from truearm.disk import parse_toml
 from truearm.errors import ConfigError, ProtocolError
-from truearm.schema import Table, load_toml, raising, read
+from truearm.schema import Table, Text, load_toml, raising, read
 from truearm.text import one_line
 from truearm.units import NS
 from truearm_wire.config import OSRS
@@ -189,7 +188,7 @@ def with_assignment(config: Values, text: str) -> Values:
         listed = ", ".join([*SUBTABLES, *(f"channel.{channel}" for channel in names)])
         raise ConfigError(f"{prefix[:60]!r} is not a table of the configuration; its tables are {listed}")
     values, table = tables[prefix]
-    is_text = any(key.name == name and isinstance(key.value, UnquotedText) for key in config_keys(table))
+    is_text = any(key.name == name and isinstance(key.value, Text) for key in config_keys(table))
     with raising(ConfigError, prefix):
         settings = table.parse({name: _text(value) if is_text else _number(value)})
     entries = revised(values, settings)

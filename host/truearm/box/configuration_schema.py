@@ -50,10 +50,6 @@ class WireList(List):
         return list(super().parse(raw, suffix))
 
 
-class UnquotedText(Text):
-    """Text; the command line needs no quotes around it."""
-
-
 @dataclass(frozen=True)
 class ConfigKey(Key):
     """A key in a file. Any key may be left out: the box then keeps its value. ``field`` is its name on the wire.
@@ -61,7 +57,7 @@ class ConfigKey(Key):
     ``needed``: the box accepts no configuration without it; others are removed by "".
     """
 
-    value: WireNumber | WireList | UnquotedText
+    value: WireNumber | WireList | Text
     optional: bool = True
     needed: bool = True
     comment: str = ""
@@ -77,7 +73,7 @@ class ConfigKey(Key):
             return Text().format(repr(value)[:MAX_TEXT])
 
 
-def _key(name: str, value: WireNumber | WireList | UnquotedText, comment: str = "", **fields: Any) -> ConfigKey:
+def _key(name: str, value: WireNumber | WireList | Text, comment: str = "", **fields: Any) -> ConfigKey:
     return ConfigKey(name, value, comment=comment, **fields)
 
 
@@ -87,7 +83,7 @@ def _microseconds(name: str, comment: str = "") -> ConfigKey:
 
 _PAIR = WireList(WireNumber(), 2)
 _EXACT = WireNumber(None)
-_TEXT = UnquotedText(MAX_TEXT)
+_TEXT = Text(MAX_TEXT)
 _PROVENANCE = (  # of a calibration that a host made
     _key("sigma", _EXACT, "standard deviation of the residuals, in unit"),
     _key("reference", _TEXT, "instrument that it was calibrated against"),

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
 
+from truearm.box.control import BoxControl
 from truearm.errors import Argument, RefusedError
+from truearm.record.links import HostClock, SerialLink
+from truearm.record.requests import RETRIES
+from truearm.session.box_ident import Ident
+from truearm_wire.messages import START, STOP
 
-if TYPE_CHECKING:
-    from truearm.box.control import BoxControl
-    from truearm.session.box_ident import Ident
-
-RETRIES = 10  # half a second each
 STREAMING = 4  # error code, protocol/SPEC.md §4
 
 
@@ -22,10 +21,6 @@ def conversation(device: str, stop: bool = False, retries: int = RETRIES) -> Ite
 
     Raises LinkError, ProtocolError. If the box refuses because it is streaming, the error tells the user what to do.
     """
-    from truearm.box.control import BoxControl
-    from truearm.record.links import HostClock, SerialLink
-    from truearm_wire.messages import STOP
-
     clock = HostClock()
     link = SerialLink(device, clock)
     try:
@@ -51,8 +46,6 @@ def streaming(box: BoxControl) -> Iterator[None]:
 
     A box that refuses streams for a recording already.
     """
-    from truearm_wire.messages import START, STOP
-
     with ExitStack() as stack:
         stack.callback(box.command, STOP)
         try:
