@@ -4,8 +4,8 @@ A UF2 file is a sequence of 512-byte blocks: eight words, 476 bytes of data, and
 (github.com/microsoft/uf2). The words are two magic numbers, flags, address, size of the data, number of this block,
 number of blocks, and family of the chip. The chip's boot ROM writes what it receives without checks and skips what it
 does not understand, so a damaged file leaves a box that does not start. Here every block must be valid: of the chip's
-family, complete, in order, and without a gap from the start of its flash. The boot stage in the first 256 bytes must have the checksum
-without which the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
+family, complete, in order, and without a gap from the start of its flash. The boot stage in the first 256 bytes must
+have the checksum without which the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
 """
 
 from __future__ import annotations

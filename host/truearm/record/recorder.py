@@ -81,12 +81,12 @@ def record(
 
     The recording ends ``duration_s`` after the start, when the robot announces its end or sends no reading for 5 s,
     when ``interrupted()`` becomes true (it is called at least every 50 ms), on KeyboardInterrupt or at the operator's
-    request. It also ends if a lost or closed link cannot be opened again, or not within
-    ``patience_s``. A writer that is held is kept once the box has started. The links stay open.
+    request. It also ends if a lost or closed link cannot be opened again, or not within ``patience_s``. A writer that
+    is held is kept once the box has started. The links stay open.
 
-    Raises LinkError if the box does not answer, RefusedError if it refuses a command, ProtocolError if it speaks another
-    protocol or has been replaced by another one, TruearmError if the file cannot be written, and whatever ``operator`` raises to refuse
-    the box. Data received until then is kept in the file.
+    Raises LinkError if the box does not answer, RefusedError if it refuses a command, ProtocolError if it speaks
+    another protocol or has been replaced by another one, TruearmError if the file cannot be written, and whatever
+    ``operator`` raises to refuse the box. Data received until then is kept in the file.
     """
     for name, entries in options.head:
         writer.metadata(name, entries)

@@ -1,14 +1,14 @@
 """Write a session file: MCAP that survives a crash.
 
-Messages are collected in a chunk of at most CHUNK_NS, and flushed to the disk once a second. A killed recorder loses less
-than a second. Log times are UTC by one pair of times (metadata ``session``); publish times are
-the host's own clock, which all computations use.
+Messages are collected in a chunk of at most CHUNK_NS, and flushed to the disk once a second. A killed recorder loses
+less than a second. Log times are UTC by one pair of times (metadata ``session``); publish times are the host's own
+clock, which all computations use.
 
 The robot's lines are accompanied by their numbers as columns. What every message needs is repeated: metadata once a
 minute, attachments and a copy of the plan every ten minutes, and at the end. A completed file ends with a CRC.
 
-Twice a second the writer checks its file (``FileLoss``). A deleted or replaced file is copied from the open descriptor to a
-new one, where the recording continues. Others are written to as before.
+Twice a second the writer checks its file (``FileLoss``). A deleted or replaced file is copied from the open descriptor
+to a new one, where the recording continues. Others are written to as before.
 
 A writer that is held only reserves its name, with a header or a lock, before ``keep``.
 """
@@ -60,8 +60,9 @@ _Message = tuple[int, int, bytes, int, int]  # arguments of add_message(): chann
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` there is only a header before ``keep``, and no file if the writer is closed before. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
-    ``close``.
+    With ``hold`` there is only a header before ``keep``, and no file if the writer is closed before. Without a
+    ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata``
+    and ``close``.
 
     Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's
     clock is used.
