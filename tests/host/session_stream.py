@@ -9,10 +9,14 @@ import json
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cbor2
 import numpy as np
 
+from truearm.kinds.rig_file import format_rig
+from truearm.record.links import HostClock
+from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import Messages, Source, columns_of_records
 from truearm.types import BallBar, Message, Point, Rig
 from truearm_wire import messages as wire
@@ -130,6 +134,20 @@ def columns_of(messages: Iterable[Message]) -> Messages:
 def stream_of(messages: list[Message], size: int = 1000) -> Source:
     """Return a list with the interface of a session file; ``size``: messages read together."""
     return lambda: (columns_of(messages[at : at + size]) for at in range(0, len(messages), size))
+
+
+def write_session(
+    path: Path, messages: Iterable[Message], rig: Rig | bytes | None = None, **metadata: dict[str, str]
+) -> Path:
+    """Write a session file of these messages, with a rig and metadata by name."""
+    with SessionWriter(path, HostClock()) as writer:
+        for name, entries in metadata.items():
+            writer.metadata(name, entries)
+        if rig is not None:
+            writer.attach("rig.toml", rig if isinstance(rig, bytes) else format_rig(rig).encode())
+        for message in messages:
+            writer.add(*message)
+    return path
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 from identify_bench import exact_lengths
-from session_stream import RIG, session
+from session_stream import RIG, session, write_session
 from tests.refusals import refused
 
 import truearm
@@ -25,8 +25,6 @@ from truearm.export.formats import FORMATS
 from truearm.kinds.rig_file import write_rig
 from truearm.model.chain import forward
 from truearm.plan.criteria import Criterion
-from truearm.record.links import HostClock
-from truearm.record.session_writer import SessionWriter
 from truearm.types import LinePlacement
 from truearm_sim.world import standard_rig
 
@@ -51,10 +49,7 @@ def folder(tmp_path_factory):
     write_rig(folder / "rig.toml", rig)
     write_rig(folder / "session.toml", RIG)
     write_rig(folder / "bench.toml", standard_rig())
-    with SessionWriter(folder / "session.mcap", HostClock()) as writer:
-        writer.attach("rig.toml", (folder / "session.toml").read_bytes())
-        for message in session(np.random.default_rng(2), dwells=5)[0]:
-            writer.add(message.topic, message.t_host_ns, message.data)
+    write_session(folder / "session.mcap", session(np.random.default_rng(2), dwells=5)[0], RIG)
     result = truearm.identify(
         robot, truearm.read_table(folder / "poses.csv", robot), truearm.read_rig(folder / "rig.toml")
     )

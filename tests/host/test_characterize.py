@@ -9,7 +9,7 @@ import pytest
 from approaches_bench import planned
 from command_line import told
 from scipy import stats
-from session_stream import stream_of
+from session_stream import stream_of, write_session
 from tests.refusals import shown
 from world_stream import HOST_NS, messages_of
 
@@ -22,12 +22,9 @@ from truearm.model.chain import along, trace_point
 from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import REPEATABILITY
 from truearm.plan.plan_file import write_plan
-from truearm.record.links import HostClock
-from truearm.record.session_writer import SessionWriter
 from truearm.session.observations import observations, survey
 from truearm.types import Message
 from truearm.workflows.characterize import characterized, visits
-from truearm.workflows.session_parts import SETUP
 from truearm_sim import robot, sensors
 from truearm_sim.arm import Arm
 from truearm_sim.world import World, standard_plan, standard_rig
@@ -290,19 +287,8 @@ def test_the_covariance_is_honest_with_the_noise_that_was_found():
     assert expected[2].mean() < free
 
 
-def write(path, kept, rig, of=None):
-    with SessionWriter(path, HostClock()) as writer:
-        if of is not None:
-            writer.metadata(SETUP, {"of": of})
-        if rig is not None:
-            writer.attach("rig.toml", format_rig(rig).encode())
-        for message in kept:
-            writer.add(message.topic, message.t_host_ns, message.data)
-    return path
-
-
 def test_from_a_session_file_to_a_noise_file(tmp_path, run):
-    path, out = write(tmp_path / "s.mcap", messages_of(world(1), 1), standard_rig()), tmp_path / "noise.toml"
+    path, out = write_session(tmp_path / "s.mcap", messages_of(world(1), 1), standard_rig()), tmp_path / "noise.toml"
     code, text, err = run("characterize", path, "--model", "puma560", "--within-mm", "0.02", "--out", out)
     assert (code, err) == (0, "")
     assert text.startswith("Repeatability ")
@@ -324,9 +310,14 @@ def test_the_parts_of_a_session_are_one(tmp_path, run):
     told = [m for m in messages_of(world(1), 1) if m.topic not in ("/box/ident", "/plan")]
     middle = told[len(told) // 2].t_host_ns
     begun = [Message(m.topic, middle, m.data) for m in said_first]
-    first = write(tmp_path / "s.mcap", [*said_first, *(m for m in told if m.t_host_ns < middle)], standard_rig())
-    second = write(
-        tmp_path / "s.2.mcap", [*begun, *(m for m in told if m.t_host_ns >= middle)], standard_rig(), of="s.mcap"
+    first = write_session(
+        tmp_path / "s.mcap", [*said_first, *(m for m in told if m.t_host_ns < middle)], standard_rig()
+    )
+    second = write_session(
+        tmp_path / "s.2.mcap",
+        [*begun, *(m for m in told if m.t_host_ns >= middle)],
+        standard_rig(),
+        setup={"of": "s.mcap"},
     )
     both, alone = (
         json.loads(run("characterize", path, "--model", "puma560", "--json").out) for path in (first, second)
@@ -343,7 +334,7 @@ def test_the_parts_of_a_session_are_one(tmp_path, run):
     assert (code, text, err.count("\n")) == (2, "", 1)
 
     other = replace(standard_rig(), seat_sigma=1e-3)
-    write(tmp_path / "s.3.mcap", said_first, other, of="s.mcap")
+    write_session(tmp_path / "s.3.mcap", said_first, other, setup={"of": "s.mcap"})
     code, _, err = run("characterize", first, "--model", "puma560")
     assert (code, "another rig" in err) == (2, True)
     code, text, _ = run("characterize", first, "--model", "puma560", "--rig", rig_file(tmp_path), "--json")
@@ -358,7 +349,7 @@ def rig_file(folder):
 
 def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
     kept = [message for message in messages_of(world(1), 1) if message.topic != "/plan"]
-    path, plan = write(tmp_path / "s.mcap", kept, standard_rig()), tmp_path / "plan.csv"
+    path, plan = write_session(tmp_path / "s.mcap", kept, standard_rig()), tmp_path / "plan.csv"
     write_plan(plan, world(1).controller.plan)
     code, _, err = run("characterize", path, "--model", "puma560")
     assert (code, err.count("\n")) == (2, 1)
@@ -377,12 +368,12 @@ def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(tmp_path, run, more, says):
-    path = write(tmp_path / "s.mcap", list(messages_of(world(1), 1))[:3000], standard_rig())
+    path = write_session(tmp_path / "s.mcap", list(messages_of(world(1), 1))[:3000], standard_rig())
     told(run("characterize", path, *more), says)
 
 
 def test_nobodys_file_is_written_over(tmp_path, run):
-    path, out = write(tmp_path / "s.mcap", [], None), tmp_path / "notes.toml"
+    path, out = write_session(tmp_path / "s.mcap", []), tmp_path / "notes.toml"
     out.write_text("mine")
     code, _, err = run("characterize", path, "--model", "puma560", "--out", out)
     assert (code, out.read_text(), err.count("\n")) == (2, "mine", 1)

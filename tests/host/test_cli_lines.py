@@ -5,13 +5,11 @@ import json
 import numpy as np
 import pytest
 from line_stream import MAGNET, line_session, some_lines, true_params
+from session_stream import write_session
 from tests.host.findings_bench import listed
 from tests.refusals import shown
 
-from truearm.kinds.rig_file import format_rig
 from truearm.model.rotation import rotation_vector
-from truearm.record.links import HostClock
-from truearm.record.session_writer import SessionWriter
 from truearm.types import Device, Point, Rig
 
 
@@ -29,10 +27,7 @@ def folder(tmp_path_factory):
             for line in lines
         }
         rig = Rig(targets={"magnet": Point("magnet", tuple(MAGNET))}, lines=devices)
-        with SessionWriter(path / f"{name}.mcap", HostClock()) as writer:
-            writer.attach("rig.toml", format_rig(rig).encode())
-            for message in made.messages:
-                writer.add(message.topic, message.t_host_ns, message.data)
+        write_session(path / f"{name}.mcap", made.messages, rig)
     return path
 
 

@@ -2,19 +2,15 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import SeekingReader
-from session_stream import PERIOD_NS, RIG, columns_of, ident_document, session
+from session_stream import PERIOD_NS, RIG, columns_of, ident_document, session, write_session
 from tests.host.findings_bench import listed
 
 from truearm.errors import SessionError
 from truearm.finding_texts import STATEMENTS, Severity
-from truearm.kinds.rig_file import write_rig
-from truearm.record.links import HostClock
-from truearm.record.session_writer import SessionWriter
 from truearm.report.session_findings import REJECTED
 from truearm.types import Message
 from truearm.workflows.inspect import Contents, printable
@@ -28,29 +24,13 @@ def stream():
     return session(np.random.default_rng(2), dwells=5)[0]
 
 
-def write(path: Path, messages: list[Message], rig: bytes | None = None, box: object = None) -> Path:
-    with SessionWriter(path, HostClock()) as writer:
-        if rig is not None:
-            writer.attach("rig.toml", rig)
-        if box is not None:
-            writer.metadata("box", {"ident": json.dumps(box)})
-        for message in messages:
-            writer.add(message.topic, message.t_host_ns, message.data)
-    return path
-
-
-def rig_toml(folder: Path) -> bytes:
-    write_rig(folder / "rig.toml", RIG)
-    return (folder / "rig.toml").read_bytes()
-
-
 def test_json_says_what_was_put_in(stream, tmp_path, run):
     spoilt = list(stream)
     places = [i for i, m in enumerate(spoilt) if m.topic == "/box/adc"]
     spoilt.insert(places[40], Message("/box/console", 5 * 10**9, EVIL))
     spoilt.insert(places[30], spoilt[places[30]])
     del spoilt[places[20]]
-    code, out, err = run("inspect", write(tmp_path / "s.mcap", spoilt, rig_toml(tmp_path)), "--json")
+    code, out, err = run("inspect", write_session(tmp_path / "s.mcap", spoilt, RIG), "--json")
     assert (code, err) == (0, "")
     said = json.loads(out)
     losses = {key: value for key, value in said["losses"].items() if value}
@@ -84,7 +64,7 @@ def test_a_host_clock_that_stepped_is_said(stream, tmp_path, run):
 
     times = [json.loads(m.data)["t0_ns"] for m in stream if m.topic == "/sync"]
     middle_ns = (min(times) + max(times)) // 2
-    path = write(tmp_path / "s.mcap", [stepped(m) if m.topic == "/sync" else m for m in stream], rig_toml(tmp_path))
+    path = write_session(tmp_path / "s.mcap", [stepped(m) if m.topic == "/sync" else m for m in stream], RIG)
     document = json.loads(run("inspect", path, "--json")[1])
     (change,) = document["clock"][0]["changes"]
     assert change["by_ns"] == pytest.approx(5e6, abs=5e5)  # a round trip
@@ -94,7 +74,7 @@ def test_a_host_clock_that_stepped_is_said(stream, tmp_path, run):
 def test_text_has_no_control_characters_of_the_file(stream, tmp_path, run):
     events = [Message("/events", 2, b'{"kind":"a\\u001b[2Jb"}')]
     console = [Message("/box/console", 3, EVIL)] * 12
-    code, out, err = run("inspect", write(tmp_path / "s.mcap", [*events, *console, *stream]), "--details")
+    code, out, err = run("inspect", write_session(tmp_path / "s.mcap", [*events, *console, *stream]), "--details")
     assert (code, err) == (0, "")
     assert all(c.isprintable() or c == "\n" for c in out)
     for words in ("\\x1b]0;owned\\x07", "line two", "2 more"):
@@ -102,7 +82,7 @@ def test_text_has_no_control_characters_of_the_file(stream, tmp_path, run):
 
 
 def test_a_clean_session_says_so(stream, tmp_path, run):
-    path = write(tmp_path / "s.mcap", stream, rig_toml(tmp_path))
+    path = write_session(tmp_path / "s.mcap", stream, RIG)
     findings = listed(json.loads(run("inspect", path, "--json").out))
     assert next(iter(findings)) == "session-usable"
     assert findings["session-usable"]["observations"] == findings["session-usable"]["dwells"] == 5
@@ -117,7 +97,7 @@ def test_a_clean_session_says_so(stream, tmp_path, run):
     ("rig", "says"), [(b"[[bar]]\nname=1", "rig.toml"), (b"\xff", "UTF-8"), (b"", "b46"), (b"x = [" * 9999, "rig.toml")]
 )
 def test_a_wrong_rig_hides_nothing_of_the_session(stream, tmp_path, run, rig, says):
-    code, out, err = run("inspect", write(tmp_path / "s.mcap", stream, rig), "--json")
+    code, out, err = run("inspect", write_session(tmp_path / "s.mcap", stream, rig), "--json")
     assert (code, err) == (0, "")
     dwells = json.loads(out)["dwells"]
     assert says in dwells["not_paired"]
@@ -127,13 +107,15 @@ def test_a_wrong_rig_hides_nothing_of_the_session(stream, tmp_path, run, rig, sa
 def test_ident_of_the_metadata_serves(stream, tmp_path, run):
     without = [m for m in stream if m.topic != "/box/ident"]
     document = {**ident_document(), "uid": "0102"}
-    code, out, _ = run("inspect", write(tmp_path / "s.mcap", without, rig_toml(tmp_path), document), "--json")
+    code, out, _ = run(
+        "inspect", write_session(tmp_path / "s.mcap", without, RIG, box={"ident": json.dumps(document)}), "--json"
+    )
     assert code == 0
     assert json.loads(out)["dwells"]["observations"] == 5
 
 
 def test_an_empty_session(tmp_path, run):
-    path = write(tmp_path / "s.mcap", [])
+    path = write_session(tmp_path / "s.mcap", [])
     code, out, err = run("inspect", path)
     assert (code, err) == (0, "")
     assert out.startswith("Not usable")
@@ -143,10 +125,10 @@ def test_an_empty_session(tmp_path, run):
 
 
 def test_bad_files_are_one_line_and_exit_2(stream, tmp_path, run):
-    whole = write(tmp_path / "whole.mcap", stream).read_bytes()
+    whole = write_session(tmp_path / "whole.mcap", stream).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "no.mcap").write_bytes(b"not a session")
-    wrong_ident = write(tmp_path / "ident.mcap", stream, box=["no", "map"])
+    wrong_ident = write_session(tmp_path / "ident.mcap", stream, box={"ident": json.dumps(["no", "map"])})
     for path in (tmp_path / "missing.mcap", tmp_path / "cut.mcap", tmp_path / "no.mcap", tmp_path, wrong_ident):
         code, out, err = run("inspect", path)
         assert (code, out) == (2, ""), path
@@ -156,7 +138,7 @@ def test_bad_files_are_one_line_and_exit_2(stream, tmp_path, run):
 
 
 def test_truncated_session_on_request(stream, tmp_path, run):
-    whole = write(tmp_path / "whole.mcap", stream).read_bytes()
+    whole = write_session(tmp_path / "whole.mcap", stream).read_bytes()
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole[: len(whole) * 3 // 4])
     code, out, err = run("inspect", path, "--allow-damaged", "--json")
@@ -168,7 +150,7 @@ def test_truncated_session_on_request(stream, tmp_path, run):
 
 
 def test_a_damaged_session_on_request(stream, tmp_path, run):
-    path = write(tmp_path / "s.mcap", stream, rig_toml(tmp_path))
+    path = write_session(tmp_path / "s.mcap", stream, RIG)
     whole = bytearray(path.read_bytes())
     with path.open("rb") as file:
         chunks = SeekingReader(file).get_summary().chunk_indexes
@@ -198,7 +180,7 @@ def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):
     cut = [m for m in stream if not m.topic.startswith("/box/") or m.t_host_ns < start + 5 * 10**9]
     end = max(m.t_host_ns for m in cut)
     last = max(m.t_host_ns for m in cut if m.topic.startswith("/box/"))
-    path = write(tmp_path / "s.mcap", cut)
+    path = write_session(tmp_path / "s.mcap", cut)
     document = json.loads(run("inspect", path, "--json")[1])
     said = document["losses"]
     (gap,) = said["silences"]
@@ -217,7 +199,9 @@ def test_a_short_silence_counts_where_the_link_was_lost(stream, tmp_path, run):
     rest = [m for m in stream if not m.topic.startswith("/box/") or not lost_ns < m.t_host_ns < lost_ns + 10**9]
     at = next(i for i, m in enumerate(rest) if m.t_host_ns > lost_ns)
     for event, silences in ((b'{"kind":"link-lost"}', 1), (b'{"kind":"other"}', 0)):
-        path = write(tmp_path / f"{silences}.mcap", [*rest[:at], Message("/events", lost_ns, event), *rest[at:]])
+        path = write_session(
+            tmp_path / f"{silences}.mcap", [*rest[:at], Message("/events", lost_ns, event), *rest[at:]]
+        )
         losses = json.loads(run("inspect", path, "--json")[1])["losses"]
         assert len(losses["silences"]) == silences
         assert (losses["samples_missing"] >= 900) == bool(silences)
@@ -228,7 +212,7 @@ def test_what_came_late_after_a_silence_is_not_missing(stream, tmp_path, run):
     start = min(m.t_host_ns for m in stream if m.topic.startswith("/box/"))
     asleep, awake = start + 5 * 10**9, start + 11 * 10**9
     late = [m._replace(t_host_ns=awake) if asleep < m.t_host_ns < awake else m for m in stream]
-    document = json.loads(run("inspect", write(tmp_path / "s.mcap", late), "--json")[1])
+    document = json.loads(run("inspect", write_session(tmp_path / "s.mcap", late), "--json")[1])
     losses = document["losses"]
     assert len(losses["silences"]) == 1
     assert losses["samples_missing"] == losses["samples_lost"] == 0
@@ -238,7 +222,7 @@ def test_what_came_late_after_a_silence_is_not_missing(stream, tmp_path, run):
 def test_stops_between_poses_are_said_to_be_such(stream, tmp_path, run):
     plan = [m for m in stream if m.topic == "/plan"]
     rest = [m for m in stream if m.topic != "/plan"]
-    path = write(tmp_path / "s.mcap", [plan[0], *rest], rig_toml(tmp_path))
+    path = write_session(tmp_path / "s.mcap", [plan[0], *rest], RIG)
     findings = listed(json.loads(run("inspect", path, "--json").out))
     assert findings["rejected-off-plan"] == {"rejected": "4 dwells"}
     assert "rejected-unlabelled" not in findings
@@ -251,7 +235,7 @@ def test_every_group_of_reasons_is_a_finding():
 def test_readings_of_other_joints_are_malformed(stream, tmp_path, run):
     odd = [Message("/robot/console", m.t_host_ns, b'{"t": 1, "seq": 1, "q": [1]}') for m in stream[:7]]
     odd += [Message("/robot/console", m.t_host_ns, b"hello") for m in stream[:7]]
-    robot = json.loads(run("inspect", write(tmp_path / "s.mcap", [*odd, *stream]), "--json")[1])["robot"]
+    robot = json.loads(run("inspect", write_session(tmp_path / "s.mcap", [*odd, *stream]), "--json")[1])["robot"]
     assert robot["malformed"] == 7
 
 

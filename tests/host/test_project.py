@@ -12,18 +12,16 @@ import numpy as np
 import pytest
 from command_line import told
 from result_schema import signed
-from session_stream import RIG, session
+from session_stream import RIG, session, write_session
 from tests.refusals import ended
 
 from truearm.cli.project import defaults, project_model
 from truearm.errors import InputError
-from truearm.kinds.rig_file import read_rig, write_rig
+from truearm.kinds.rig_file import read_rig
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import builtin_robot
 from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import reach
-from truearm.record.links import HostClock
-from truearm.record.session_writer import SessionWriter
 from truearm.results import Unusable
 from truearm.workflows.project import results_of, sessions_of
 from truearm.workflows.project_file import Project, format_project, read_project
@@ -40,12 +38,7 @@ def project(tmp_path, run, monkeypatch):
 
 
 def recorded(path, dwells=12):
-    with SessionWriter(path, HostClock()) as writer:
-        write_rig(path.with_suffix(".toml"), RIG)
-        writer.attach("rig.toml", path.with_suffix(".toml").read_bytes())
-        path.with_suffix(".toml").unlink()
-        for message in session(np.random.default_rng(2), dwells=dwells)[0]:
-            writer.add(message.topic, message.t_host_ns, message.data)
+    write_session(path, session(np.random.default_rng(2), dwells=dwells)[0], RIG)
 
 
 def test_a_urdf_begins_with_its_branch(tmp_path, run, monkeypatch):
@@ -381,8 +374,7 @@ def test_a_plan_is_never_written_over_by_default(project, run):
 def test_status_names_a_session_of_another_robot(project, run):
     assert project_model(project / "sessions") == "puma560"
     for name in ("puma560", "irb120"):
-        with SessionWriter(project / "sessions" / f"{name}.mcap", HostClock()) as writer:
-            writer.metadata("setup", {"model": name})
+        write_session(project / "sessions" / f"{name}.mcap", [], setup={"model": name})
     text, state = run("status").out, json.loads(run("status", "--json").out)
     assert {Path(one["file"]).stem: one["other_robot"] for one in state["sessions"]} == {
         "puma560": None,

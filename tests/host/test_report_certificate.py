@@ -15,15 +15,13 @@ from browser import needs_printer, printed
 from identify_bench import exact_lengths
 from report_bench import full_page
 from result_schema import signed
-from session_stream import RIG, session
+from session_stream import RIG, session, write_session
 
 import truearm
 from truearm.cli.main import main
 from truearm.estimate.prediction import nominal_error
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
-from truearm.record.links import HostClock
-from truearm.record.session_writer import SessionWriter
 from truearm.report.calibration_page import render
 from truearm.report.certificate import facts_of, sensor_facts
 from truearm.report.page_text import size
@@ -209,11 +207,7 @@ def test_of_many_files_those_are_read_that_the_result_was_made_from(made, tmp_pa
 
 
 def test_a_recording_says_how_it_was_made(tmp_path):
-    with SessionWriter(tmp_path / "s.mcap", HostClock()) as writer:
-        write_rig(tmp_path / "rig.toml", RIG)
-        writer.attach("rig.toml", (tmp_path / "rig.toml").read_bytes())
-        for message in session(np.random.default_rng(2), dwells=5)[0]:
-            writer.add(message.topic, message.t_host_ns, message.data)
+    write_session(tmp_path / "s.mcap", session(np.random.default_rng(2), dwells=5)[0], RIG)
     (one,) = read_sources(Sources((tmp_path / "s.mcap",)), None).recordings
     assert one.name == "s.mcap"
     assert re.fullmatch(r"20\d\d-\d\d-\d\d \d\d:\d\d UTC", one.begun)

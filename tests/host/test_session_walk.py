@@ -8,8 +8,6 @@ import numpy as np
 import session_stream
 
 import truearm.session
-from truearm.record.links import HostClock
-from truearm.record.session_writer import SessionWriter
 from truearm.session import session_file
 from truearm.session.observations import observations, survey
 from truearm.session.session_file import open_session
@@ -40,9 +38,7 @@ def test_a_session_passes_through_the_files_in_the_order_of_the_table(tmp_path):
     """In the order in which the entries first hand something on; no line is driven, and nothing is exported."""
     hops = {(str(FOLDER / f"{row[1]}.py"), row[2]): row[1] for row in HOP.finditer(PAGE.read_text(encoding="utf-8"))}
     messages, _ = session_stream.session(np.random.default_rng(1), dwells=3, robot_hz=50.0)
-    with SessionWriter(tmp_path / "session.mcap", HostClock()) as writer:
-        for message in messages:
-            writer.add(*message)
+    session_stream.write_session(tmp_path / "session.mcap", messages)
     walked = []
 
     def listen(frame, event, _):

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from identify_bench import exact_lengths
-from session_stream import RIG, session
+from session_stream import RIG, session, write_session
 
 import truearm
 from truearm.kinds.rig_file import write_rig
-from truearm.record.links import HostClock
-from truearm.record.session_writer import SessionWriter
 
 ROOT = Path(__file__).parents[2]
 
@@ -150,11 +148,7 @@ def folder(tmp_path_factory):
     truearm.write_table(folder / "poses.csv", table.select((rows < 80) | (rows >= 120)), robot)
     truearm.write_table(folder / "friday.csv", table.select((rows >= 80) & (rows < 120)), robot)
     write_rig(folder / "rig.toml", rig)
-    write_rig(folder / "session.toml", RIG)
-    with SessionWriter(folder / "session.mcap", HostClock()) as writer:
-        writer.attach("rig.toml", (folder / "session.toml").read_bytes())
-        for message in session(np.random.default_rng(2), dwells=5)[0]:
-            writer.add(message.topic, message.t_host_ns, message.data)
+    write_session(folder / "session.mcap", session(np.random.default_rng(2), dwells=5)[0], RIG)
     return folder
 
 
