@@ -15,7 +15,6 @@ from tests.host.findings_bench import listed
 from tests.host.target_bench import driven, miss, rapid, script, table
 from tests.refusals import ended
 
-from truearm.cli import main as cli
 from truearm.correct.target_table import parse_targets
 from truearm.findings import Finding
 from truearm.kinds.table_file import read_table
@@ -52,12 +51,6 @@ SAME = "0,0,0,0,0,0"
 FRAMES = ("--work", SAME, "--flange", SAME, "--tool", SAME)  # the bench's PUMA has frames of its own
 
 
-def run(capsys, *arguments):
-    code = cli.main([str(a) for a in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
-
-
 def controller(told, q):
     """Return the joints of a controller with the design model for poses, from near q; its solver is not the tested one."""
     q = q.copy()
@@ -79,10 +72,10 @@ def lands(q):
     return forward(world.chain, world.params, held)
 
 
-def test_corrected_targets_land_where_they_should(bench, capsys):
+def test_corrected_targets_land_where_they_should(bench, run):
     """The issue's end to end: within 0.35 mm RMS where it missed by some 20 mm."""
     out = bench.folder / "corrected.csv"
-    code, said, _ = run(capsys, "correct", bench.folder / "result.json", bench.folder / "targets.csv", "--out", out)
+    code, said, _ = run("correct", bench.folder / "result.json", bench.folder / "targets.csv", "--out", out)
     assert code == 0
     assert "RMS" in said
     assert miss(lands(bench.q), bench.targets) > 15e-3
@@ -95,10 +88,10 @@ def test_corrected_targets_land_where_they_should(bench, capsys):
 
 
 @pytest.mark.parametrize("name", ["program.mod", "program.script"])
-def test_a_corrected_program_lands_where_it_should(bench, capsys, name):
+def test_a_corrected_program_lands_where_it_should(bench, run, name):
     given, out = bench.folder / name, bench.folder / f"corrected-{name}"
     more = ("--home", home(bench), "--json", *FRAMES[: 6 if name.endswith("script") else 4])
-    code, said, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
+    code, said, err = run("correct", bench.folder / "result.json", given, "--out", out, *more)
     assert code == 0, err
     rows = json.loads(said)["targets"]
     numbered = enumerate(given.read_bytes().splitlines(), start=1)
@@ -124,7 +117,7 @@ def home(bench):
     return ",".join(map(repr, np.rad2deg(bench.q[0]).tolist()))
 
 
-def test_frames_of_work_and_tool(bench, capsys):
+def test_frames_of_work_and_tool(bench, run):
     """Targets in another frame and for a tool's tip get the same correction, expressed in that frame."""
     work = "100,-50,20,0,0,90"
     tool = "0,0,80,0,30,0"
@@ -135,11 +128,9 @@ def test_frames_of_work_and_tool(bench, capsys):
     T_tool[:3, 3] = 0.0, 0.0, 0.08
     (bench.folder / "there.csv").write_text(table(np.linalg.inv(T_work) @ bench.targets @ T_tool, bench.q))
     outs = [bench.folder / name for name in ("plain.csv", "framed.csv")]
-    run(capsys, "correct", bench.folder / "result.json", bench.folder / "targets.csv", "--out", outs[0])
+    run("correct", bench.folder / "result.json", bench.folder / "targets.csv", "--out", outs[0])
     frames = ("--work", work, "--tool", tool)
-    code, _, err = run(
-        capsys, "correct", bench.folder / "result.json", bench.folder / "there.csv", "--out", outs[1], *frames
-    )
+    code, _, err = run("correct", bench.folder / "result.json", bench.folder / "there.csv", "--out", outs[1], *frames)
     assert code == 0, err
     plain, framed = (parse_targets(out.read_text(), "t", ("rad",) * 6) for out in outs)
     np.testing.assert_allclose(framed.q_start, plain.q_start, atol=1e-9)
@@ -147,7 +138,7 @@ def test_frames_of_work_and_tool(bench, capsys):
 
 
 @pytest.mark.parametrize("kind", ["poses", "positions", "script", "module"])
-def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, capsys, kind):
+def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, run, kind):
     """Each configuration of the arm needs another correction; joints near the first target determine it."""
     elbow = np.array([[-0.4247, 0.0277, 2.2586, 1.1040, 1.1720, -2.5915]])  # up or down in the same quarter turns
     q = elbow if kind == "module" else bench.q[:2]
@@ -162,14 +153,14 @@ def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, cap
     out = given.with_stem("out")
     frames = {"script": FRAMES, "module": FRAMES[:4]}.get(kind, ())
     arguments = ("correct", bench.folder / "result.json", given, "--out", out, *frames, "--json")
-    code, said, err = run(capsys, *arguments)
+    code, said, err = run(*arguments)
     assert (code, out.exists()) == (2, False)
     assert "--home" in err
     if kind in ("script", "module"):
         refused = json.loads(said)["error"]["values"]["refused"]
         assert {one["reason"] for one in refused} == {"configuration"}
     near = ",".join(map(repr, np.rad2deg(q[0]).tolist()))
-    code, said, err = run(capsys, *arguments, "--home", near)
+    code, said, err = run(*arguments, "--home", near)
     assert code == 0, err
     document = json.loads(said)
     reached = [document["targets"][0]["before"][f"q{k}_deg"] for k in range(1, 7)]
@@ -184,7 +175,7 @@ def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, cap
         assert listed(document)["other-configurations"]["most"] == {"mm": configurations["expected_max_mm"]}
 
 
-def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
+def test_screen_page_and_document_have_the_same_error(bench, tmp_path, run):
     """The tool's with --tool, with the point named; the end frame's otherwise."""
     for tool, point in (("0,0,200,0,0,0", "the tool"), ("0,0,0,0,0,0", "sphere_fixture")):
         offset = np.eye(4)
@@ -192,8 +183,8 @@ def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
         (tmp_path / "t.csv").write_text(table(bench.targets @ offset, bench.q))
         arguments = ("correct", bench.folder / "result.json", tmp_path / "t.csv", "--tool", tool, "--force")
         files = ("--out", tmp_path / "o.csv", "--report", tmp_path / "r.html")
-        _, said, _ = run(capsys, *arguments, *files, "--details")
-        _, document, _ = run(capsys, *arguments, *files, "--json")
+        _, said, _ = run(*arguments, *files, "--details")
+        _, document, _ = run(*arguments, *files, "--json")
         document = json.loads(document)
         errors = [one["error_before_mm"] for one in document["targets"]]
         printed = [float(line.split()[1]) for line in said.splitlines() if re.match(r"\d+ +\d", line)]
@@ -212,18 +203,17 @@ def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
         assert point in (tmp_path / "r.html").read_text()
 
 
-def test_a_correction_that_makes_it_worse_is_a_warning(bench, tmp_path, capsys):
+def test_a_correction_that_makes_it_worse_is_a_warning(bench, tmp_path, run):
     arguments = ("correct", bench.folder / "result.json", bench.folder / "targets.csv", "--method", "offsets", "--json")
-    _, helped, _ = run(capsys, *arguments, "--out", tmp_path / "a.csv")
-    _, worse, _ = run(capsys, *arguments, "--out", tmp_path / "b.csv", "--own-frames")
+    _, helped, _ = run(*arguments, "--out", tmp_path / "a.csv")
+    _, worse, _ = run(*arguments, "--out", tmp_path / "b.csv", "--own-frames")
     warned = ["correction-worse" in listed(json.loads(said)) for said in (helped, worse)]
     assert warned == [False, True]
 
 
-def test_own_frames_leave_the_mountings_out(bench, capsys):
+def test_own_frames_leave_the_mountings_out(bench, run):
     out = bench.folder / "own.csv"
     code, said, _ = run(
-        capsys,
         *("correct", bench.folder / "result.json", bench.folder / "targets.csv"),
         *("--out", out, "--own-frames", "--json"),
     )
@@ -243,24 +233,24 @@ def test_own_frames_leave_the_mountings_out(bench, capsys):
     assert np.mean(own) < 15.0  # the base stands some 15 mm from where the design has it
 
 
-def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, capsys):
+def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, run):
     """With line, statement and reason; with --partial the rest is corrected, and a comment stands there."""
     text = (bench.folder / "program.script").read_bytes().decode("latin-1")
     text = text.replace("  sleep(0.5)", "  grip(3)\n  movel(get_target_tcp_pose())\n  sleep(0.5)")
     (tmp_path / "p.script").write_bytes(text.encode("latin-1"))
     given = ("correct", bench.folder / "result.json", tmp_path / "p.script", "--home", home(bench), *FRAMES, "--out")
-    code, said, err = run(capsys, *given, tmp_path / "o.script")
+    code, said, err = run(*given, tmp_path / "o.script")
     line = text[: text.index("movel(get")].count("\n") + 1
     assert (code, said) == (2, "")
     assert f"p.script line {line}: movel(get_target_tcp_pose()): " in err
     n = N + 1  # the last one twice
     ended(err, "uncertain-moves", good=n, n=n + 1)
     assert not (tmp_path / "o.script").exists()
-    code, said, _ = run(capsys, *given, tmp_path / "o.script", "--json")
+    code, said, _ = run(*given, tmp_path / "o.script", "--json")
     error = json.loads(said)["error"]
     refused = [(move["file"], move["line"], move["reason"]) for move in error["values"]["refused"]]
     assert (code, error["code"], refused) == (2, "uncertain-moves", [("p.script", line, "run-time")])
-    code, said, err = run(capsys, *given, tmp_path / "o.script", "--partial", "--mark")
+    code, said, err = run(*given, tmp_path / "o.script", "--partial", "--mark")
     assert code == 4, err
     assert said.startswith("1 move not corrected:\n")
     assert Finding("routines-absent", {"names": ["grip"]}).text()[:50] in said
@@ -272,7 +262,7 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ca
     assert miss(lands(driven(plain, "o.script", bench.q[0])), bench.targets[[*range(N), N - 1]]) < 0.35e-3
 
 
-def test_a_folder_is_corrected_whole(bench, tmp_path, capsys):
+def test_a_folder_is_corrected_whole(bench, tmp_path, run):
     """Data in one module, moves in another, a third without a target; every file is in the new folder, or none."""
     lines = rapid(bench.targets, bench.q).replace(b"\xe9", b"").split(b"\r\n")
     data = [b"MODULE Data", *(line for line in lines if b"CONST" in line), b"ENDMODULE", b""]
@@ -285,7 +275,7 @@ def test_a_folder_is_corrected_whole(bench, tmp_path, capsys):
     (tmp_path / "cell" / "notes.txt").write_text("no program")
     out = tmp_path / "corrected"
     given = ("correct", bench.folder / "result.json", tmp_path / "cell", *FRAMES[:4], "--home", home(bench), "--out")
-    code, said, err = run(capsys, *given, out, "--details")
+    code, said, err = run(*given, out, "--details")
     assert code == 0, err
     assert "Work.mod:" in said
     after = {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}
@@ -298,29 +288,29 @@ def test_a_folder_is_corrected_whole(bench, tmp_path, capsys):
     q = driven(whole.decode("latin-1"), "w.mod", bench.q[0])
     assert miss(lands(q), bench.targets[[*range(N), N - 1]]) < 0.35e-3
     for place, says in ((out, "file-exists"), (tmp_path / "cell" / "new", "folder elsewhere")):
-        code, _, err = run(capsys, *given, place)
+        code, _, err = run(*given, place)
         assert code == 2
         ended(err, says)
     (tmp_path / "cell" / "p.script").write_text("movej(p[0,0,0,0,0,0])")
-    code, _, err = run(capsys, *given, tmp_path / "new")
+    code, _, err = run(*given, tmp_path / "new")
     ended(err, "no-program", names=["rapid", "urscript"])
     assert (code, (tmp_path / "new").exists()) == (2, False)
     assert not list(tmp_path.glob(".new*"))
 
 
-def test_frames_that_the_names_do_not_tell_are_asked_for(bench, tmp_path, capsys):
+def test_frames_that_the_names_do_not_tell_are_asked_for(bench, tmp_path, run):
     given = ("correct", bench.folder / "result.json", bench.folder / "program.mod", "--out", tmp_path / "o.mod")
     for more, what in (((), "base"), (FRAMES[:2], "flange")):
-        code, _, err = run(capsys, *given, *more)
+        code, _, err = run(*given, *more)
         assert (code, err.count("\n")) == (2, 1)
         ended(err, "frame", what=what)
 
 
-def test_what_was_not_seen_is_said(tmp_path, capsys):
+def test_what_was_not_seen_is_said(tmp_path, run):
     """Balls in sockets of unknown place do not say where the base stands; a calibration by them is said to be so."""
     urdf, rows, rig = (MUKCA / name for name in ("panda.urdf", "panda_3.csv", "rig.toml"))
     given = (rows, "--model", urdf, "--tip", "ball_link", "--rig", rig, "--joint-laws", "none")
-    assert run(capsys, "identify", *given, "--out", tmp_path / "r.json")[0] == 0
+    assert run("identify", *given, "--out", tmp_path / "r.json")[0] == 0
     chain = load_robot(str(urdf), None, "ball_link").chain
     q = read_table(rows, ("rad",) * 7).q[:5]
     place = 1e3 * forward(chain, chain.params_nominal, q)[:, :3, 3]
@@ -328,25 +318,25 @@ def test_what_was_not_seen_is_said(tmp_path, capsys):
     lines = [",".join(map(repr, row)) for row in np.concatenate([place, q], axis=1).tolist()]
     (tmp_path / "t.csv").write_text("\n".join([titles, *lines]))
     out = tmp_path / "o.csv"
-    code, _, err = run(capsys, "correct", tmp_path / "r.json", tmp_path / "t.csv", "--model", urdf, "--out", out)
+    code, _, err = run("correct", tmp_path / "r.json", tmp_path / "t.csv", "--model", urdf, "--out", out)
     assert code == 0, err
     given = ("correct", tmp_path / "r.json", tmp_path / "t.csv", "--model", urdf, "--json", "--out")
     held = {}
     for name, option in (("base.csv", ()), ("own.csv", ("--own-frames",))):
-        findings = json.loads(run(capsys, *given, tmp_path / name, *option)[1])["findings"]
+        findings = json.loads(run(*given, tmp_path / name, *option)[1])["findings"]
         held[name] = [bool(entry["values"]["base"]) for entry in findings if entry["code"] == "mounting-held"]
         assert not any("configuration" in entry["code"] for entry in findings)
     assert held == {"base.csv": [True, False], "own.csv": [False]}  # the pose of the base, the mounting of the tool
     assert max(float(row["after_mm"]) for row in csv.DictReader(out.open())) < 1e-5
 
 
-def test_positions_without_joints_are_found_where_there_is_room(bench, capsys):
+def test_positions_without_joints_are_found_where_there_is_room(bench, run):
     """How the tool is turned is free: no target is lost to a limit or a singularity that another turn avoids."""
     rows = "\n".join(",".join(map(repr, row)) for row in (1e3 * bench.targets[:, :3, 3]).tolist())
     (bench.folder / "positions.csv").write_text("x_mm,y_mm,z_mm\n" + rows)
     out = bench.folder / "positions-out.csv"
     given = ("correct", bench.folder / "result.json", bench.folder / "positions.csv", "--home", home(bench), "--out")
-    code, _, err = run(capsys, *given, out)
+    code, _, err = run(*given, out)
     assert code == 0, err
     np.testing.assert_allclose(parse_targets(out.read_text(), "t", ("rad",) * 6).q_start[0], bench.q[0], atol=0.3)
     assert miss(lands(parse_targets(out.read_text(), "t", ("rad",) * 6).q_start), bench.targets) < 0.35e-3

@@ -7,16 +7,15 @@ import pytest
 from correct_bench import good_poses, nominal_poses
 from puma_bench import CHAIN, DESIGN, TRUTH
 from scipy.spatial.transform import Rotation
+from term_bench import register
 
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import inverse, jacobian, search, singular_value, turned, within
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair
-from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter
-from truearm.model.joint_terms.term import Term
 from truearm.model.poses import apart, inverted, moved, pose_of, six_of
 from truearm.model.robot import builtin_robot
 from truearm.model.robot_mounting import mountings
@@ -62,36 +61,10 @@ def test_newton_reaches_the_target_to_a_nanometre(q):
     np.testing.assert_allclose(forward(CHAIN, DESIGN, done.q), done.commanded, atol=1e-15)
 
 
-class Wave(Term):
-    """a·sin(q_1 + q_i) for joint i: a term that depends on two joints."""
-
-    name = "wave"
-    unit = "rad"
-
-    def value(self, params, q):
-        return self._at(params, q, np.sin)
-
-    def by_joints(self, params, q):
-        slope, out = self._at(params, q, np.cos), np.zeros((len(q), *q.shape))
-        for i in range(len(q)):
-            out[i, 0] += slope[i]
-            out[i, i] += slope[i]
-        return out
-
-    def by_parameters(self, params, q):
-        return np.sin(q[0] + q[self.joints])
-
-    def _at(self, params, q, function):
-        out = np.zeros(q.shape)
-        out[self.joints] = params[self.parameters][:, None] * function(q[0] + q[self.joints])
-        return out
-
-
 @pytest.mark.parametrize("method", Method)
 def test_every_method_corrects_the_whole_joint_law_and_links_if_it_says_so(q, method, monkeypatch):
-    terms = (*joint_law.terms(), Wave)
-    monkeypatch.setattr(joint_law, "terms", lambda: terms)
-    waves = tuple(Parameter(f"joint{i}.wave", "rad", 0.0, "wave", i - 1) for i in (1, 2, 4))
+    register(monkeypatch)
+    waves = tuple(Parameter(f"joint{i}.sway", "rad", 0.0, "sway", i - 1) for i in (1, 2, 4))
     chain = replace(CHAIN, name="wavy", parameters=(*CHAIN.parameters, *waves))
     is_law = np.array([p.term != "geometry" for p in chain.parameters])
     error = 2e-3 * np.random.default_rng(8).normal(size=is_law.size)

@@ -11,7 +11,6 @@ from tests.host.findings_bench import listed
 from tests.host.result_schema import signed
 from tests.host.target_bench import rapid, table
 
-from truearm.cli import main as cli
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
@@ -22,12 +21,6 @@ from truearm.model.poses import apart
 from truearm.workflows.correction_findings import configuration_notes, unexplained_error
 
 SAME = "0,0,0,0,0,0"
-
-
-def run(capsys, *arguments):
-    code = cli.main([str(a) for a in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 # what the covariance says
@@ -122,7 +115,7 @@ def bench(tmp_path_factory):
     return folder, estimate
 
 
-def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, capsys):
+def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, run):
     """Joint 2 was seen from −60 to 0 deg only: the rows beyond are named, a joint a whole turn away is the same place."""
     folder, _ = bench
     document = json.loads((folder / "result.json").read_text())
@@ -130,14 +123,12 @@ def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, capsys):
     (tmp_path / "t.csv").write_text(table(correct_bench.nominal_poses(q), q))
     document["joint_range"]["upper"] = [v + 2 * np.pi for v in document["joint_range"]["upper"]]
     document["joint_range"]["lower"] = [v + 2 * np.pi for v in document["joint_range"]["lower"]]
-    code, said, _ = run(
-        capsys, "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "a.csv"
-    )
+    code, said, _ = run("correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "a.csv")
     assert code == 0
     assert "outside the joint" not in " ".join(said.split())
     document["joint_range"]["lower"][1], document["joint_range"]["upper"][1] = np.deg2rad([-60.0, -20.0])
     code, said, _ = run(
-        capsys, "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "b.csv", "--json"
+        "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "b.csv", "--json"
     )
     found = json.loads(said)
     outside = [one["place"] for one in found["targets"] if one["outside"]]
@@ -149,7 +140,7 @@ def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, capsys):
     assert listed(found)["targets-outside"]["n"] == beyond.sum()
     del document["joint_range"]
     given = ("correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "c.csv", "--json")
-    assert "range-unknown" in listed(json.loads(run(capsys, *given)[1]))
+    assert "range-unknown" in listed(json.loads(run(*given)[1]))
 
 
 def _written(folder, document):
@@ -158,7 +149,7 @@ def _written(folder, document):
     return path
 
 
-def test_what_only_places_base_and_tool_leaves_the_expected_error_relative_to_them(bench, tmp_path, capsys):
+def test_what_only_places_base_and_tool_leaves_the_expected_error_relative_to_them(bench, tmp_path, run):
     """For two targets too; what moves the end otherwise leaves nothing to expect."""
     document = json.loads((bench[0] / "result.json").read_text())
     q = correct_bench.good_poses(2)
@@ -166,21 +157,19 @@ def test_what_only_places_base_and_tool_leaves_the_expected_error_relative_to_th
     for number, (names, frames) in enumerate(((("link1.x", "link7.z"), ["base", "tool"]), (("link3.x",), []))):
         document["null_space"] = [{"names": [name], "weights": [1.0]} for name in names]
         out = tmp_path / f"{number}.csv"
-        _, said, _ = run(capsys, "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", out, "--json")
+        _, said, _ = run("correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", out, "--json")
         found = json.loads(said)
         assert found["expected_relative_to"] == frames
         assert all((target["expected_mm"] is None) == (not frames) for target in found["targets"])
 
 
-def test_a_page_is_whole_and_holds_strangers_names(bench, tmp_path, capsys):
+def test_a_page_is_whole_and_holds_strangers_names(bench, tmp_path, run):
     folder, _ = bench
     q = correct_bench.good_poses(6)
     name = "a<script>&.mod"
     (tmp_path / name).write_bytes(rapid(correct_bench.nominal_poses(q), q))
     more = ("--work", SAME, "--flange", SAME, "--report", tmp_path / "page.html")
-    code, said, err = run(
-        capsys, "correct", folder / "result.json", tmp_path / name, "--out", tmp_path / "b.mod", *more
-    )
+    code, said, err = run("correct", folder / "result.json", tmp_path / name, "--out", tmp_path / "b.mod", *more)
     assert code == 0, err
     assert "page.html" in said
     page = (tmp_path / "page.html").read_text()
@@ -189,7 +178,6 @@ def test_a_page_is_whole_and_holds_strangers_names(bench, tmp_path, capsys):
     assert page.count("<svg") == 3
     assert "Straight moves" in page
     code, _, err = run(
-        capsys,
         "correct",
         folder / "result.json",
         tmp_path / name,

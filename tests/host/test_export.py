@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 from scipy.spatial.transform import Rotation
+from term_bench import register
 
 from truearm.errors import RobotError
 from truearm.export import mjcf
@@ -25,7 +26,6 @@ from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter
-from truearm.model.joint_terms.term import Term
 from truearm.model.poses import inverted
 from truearm.model.robot import builtin_robot, parse_robot
 from truearm.model.transforms import elementary
@@ -284,33 +284,14 @@ def test_the_docs_list_every_format_and_without_poses_nothing_is_said():
         fit_to("urdf", CHAIN, DESIGN, TRUTH, np.ones(DESIGN.size, dtype=bool), np.zeros((0, 6)))
 
 
-class Wave(Term):
-    """a·sin(q) of a joint."""
-
-    name = "wave"
-    unit = "rad"
-
-    def value(self, params, q):
-        out = np.zeros(q.shape, np.result_type(params, q))
-        out[self.joints] = params[self.parameters][:, None] * np.sin(q[self.joints])
-        return out
-
-    def by_joints(self, params, q):
-        out = np.zeros(q.shape, np.result_type(params, q))
-        out[self.joints] = params[self.parameters][:, None] * np.cos(q[self.joints])
-        return out
-
-    def by_parameters(self, params, q):
-        return np.sin(q[self.joints])
-
-
 @pytest.fixture
 def waving(monkeypatch):
     """Return a robot with a joint term that no format knows in joint 2: the chain, nominal and identified parameters."""
-    terms = (*joint_law.terms(), Wave)
-    monkeypatch.setattr(joint_law, "terms", lambda: terms)
+    register(monkeypatch)
     plain = builtin_robot("ur5e").chain
-    chain = replace(plain, name="wavy", parameters=(*plain.parameters, Parameter("joint2.wave", "rad", 0.0, "wave", 1)))
+    chain = replace(
+        plain, name="wavy", parameters=(*plain.parameters, Parameter("joint2.ripple", "rad", 0.0, "ripple", 1))
+    )
     nominal, calibrated = disturbed(chain)
     calibrated[-1] = 2e-3
     return chain, nominal, calibrated
@@ -322,7 +303,7 @@ def test_a_term_that_no_format_has_is_costed_by_each(name, waving):
     q = some_poses(chain, 200)
     found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), q)
     assert (found.refitted, found.exact) == (True, False)
-    assert "joint2.wave" in found.missing
+    assert "joint2.ripple" in found.missing
     assert found.params[-1] == 0.0
     assert 1e-5 < np.sqrt(np.mean(found.left**2)) < np.sqrt(np.mean(found.dropped**2))
     text = written(name if name in READABLE else "sheth-uicker", RobotToWrite(chain, nominal, found.params))
@@ -349,21 +330,21 @@ def test_an_error_that_only_turns_the_end_has_a_cost():
 @pytest.mark.parametrize("name", ["dh-hayati", "sheth-uicker"])
 def test_a_format_may_declare_a_further_term_and_then_writes_it(name, waving, monkeypatch):
     chain, nominal, calibrated = waving
-    monkeypatch.setitem(FORMATS, name, FORMATS[name]._replace(holds=("offset", "gain", "wave")))
+    monkeypatch.setitem(FORMATS, name, FORMATS[name]._replace(holds=("offset", "gain", "ripple")))
     q = some_poses(chain)
     found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), q)
     assert (found.refitted, found.missing, found.exact) == (False, (), True)
     again = parse_robot(written(name, RobotToWrite(chain, nominal, found.params))).chain
-    assert "wave" in {p.term for p in again.parameters}
+    assert "ripple" in {p.term for p in again.parameters}
     np.testing.assert_allclose(forward(again, again.params_nominal, q), forward(chain, calibrated, q), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["urdf", "ur"])
 def test_a_format_that_declares_what_it_does_not_write_is_refused(name, waving, monkeypatch):
     chain, nominal, calibrated = waving
-    monkeypatch.setitem(FORMATS, name, FORMATS[name]._replace(holds=("offset", "wave")))
+    monkeypatch.setitem(FORMATS, name, FORMATS[name]._replace(holds=("offset", "ripple")))
     found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), some_poses(chain))
-    with pytest.raises(RobotError, match=f"{name} declares .* wave "):
+    with pytest.raises(RobotError, match=f"{name} declares .* ripple "):
         written(name, RobotToWrite(chain, nominal, found.params))
 
 

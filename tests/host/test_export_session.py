@@ -14,8 +14,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from blocks_bench import read
-from record_box import Lab
-from session_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of
+from session_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of, write_session
 from session_stream import columns_of as message_columns
 from tests.refusals import ended
 
@@ -23,7 +22,6 @@ from truearm.cli.main import main
 from truearm.errors import SessionError
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import read_table
-from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_format import parse_lines
 from truearm.session.observations import observations, survey
@@ -36,18 +34,6 @@ WORDS = ("reason", "kind", "event", "shell", "bar", "chuck", "sphere")
 FORMATS = ("csv", "npz", "parquet")
 
 
-def store(path, messages, rig=True, finish=True):
-    """Write a session file with these messages."""
-    writer = SessionWriter(path, Lab())
-    if rig:
-        write_rig(path.with_suffix(".toml"), RIG)
-        writer.attach("rig.toml", path.with_suffix(".toml").read_bytes())
-    for message in messages:
-        writer.add(*message)
-    if finish:
-        writer.close()
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Return a session with six dwells, in one of which 400 frames are lost: its messages and its file."""
@@ -57,7 +43,7 @@ def made(tmp_path_factory):
     messages = [message for k, message in enumerate(messages) if k not in gone]
     messages.insert(50, Message("/events", messages[50].t_host_ns, b'{"kind":"mounted","bar":"b46"}'))
     path = tmp_path_factory.mktemp("session") / "s.mcap"
-    store(path, messages)
+    write_session(path, messages, RIG)
     return messages, path
 
 
@@ -159,7 +145,7 @@ def test_the_observations_are_a_table_for_identify(made, tmp_path):
 
 def test_without_a_rig(made, tmp_path):
     messages, _ = made
-    store(tmp_path / "s.mcap", messages, rig=False)
+    write_session(tmp_path / "s.mcap", messages)
     tables, said = export(tmp_path / "s.mcap", tmp_path / "x")
     assert "observations" not in tables
     assert said["not_paired"] == "was recorded without a rig; give a rig to get observations"
@@ -174,7 +160,7 @@ def test_without_a_rig(made, tmp_path):
 def test_a_recording_that_ended_before_the_first_dwell(made, tmp_path, format):
     """There is a rig and no observation: a table without rows, as for dwells, not an error."""
     messages, _ = made
-    store(tmp_path / "s.mcap", [message for message in messages if message.t_host_ns < 3 * 10**9])
+    write_session(tmp_path / "s.mcap", [message for message in messages if message.t_host_ns < 3 * 10**9], RIG)
     tables, _ = export(tmp_path / "s.mcap", tmp_path / "out", format)
     assert tables["observations"].keys() == {"kind", *(f"q{i}_rad" for i in range(1, 7))}
     assert not any(map(len, tables["observations"].values()))

@@ -1,4 +1,4 @@
-"""τ: late joint readings are detected by lines driven there and back; of one way see test_cli_lines.py."""
+"""τ: late joint readings are detected by lines driven there and back, and only by these."""
 
 from dataclasses import replace
 
@@ -65,3 +65,18 @@ def test_there_and_back_tells_the_delay_and_without_it_the_residual_is_several_t
     assert without.rms_after["m"] > 5.0 * found.rms_after["m"]
     assert without.rms_after["m"] == pytest.approx((DELAY_S + LATENCY_S) * 0.1, rel=0.05)
     assert without.chi2_reduced > 2.0 * without.chi2_band[1]
+
+
+def test_one_way_it_is_not_seen_and_a_declared_prior_is_kept(observed):
+    rig, table = observed
+    one_way = table.select(np.char.endswith(table.shell.astype(str), "-up"))
+    found = identified(rig, one_way, "map")
+    at = found.parameter_names.index("time_offset")
+    assert np.isnan(found.sigma[at])
+    assert not found.identifiable[at]
+    assert any(direction.names == ("time_offset",) for direction in found.hardly_seen)
+    # It harms nothing else: the residual is what the noise leaves.
+    assert found.rms_after["m"] < 3e-5
+    found = identified(replace(rig, time_offset=8.4e-3, time_offset_sigma=0.1e-3), one_way, "map")
+    assert found.sigma[found.parameter_names.index("time_offset")] == pytest.approx(0.1e-3, rel=0.05)
+    assert not any("time_offset" in direction.names for direction in found.hardly_seen)

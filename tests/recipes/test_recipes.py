@@ -14,13 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from tests.host import session_stream
 from tests.host.plan_bench import RIGS
-from tests.host.record_box import Lab
 from tests.host.tcp_peer import Peer
 from tests.recipes.recipes import ROOT, Copy, findings
 from truearm.kinds.rig_file import write_rig
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
-from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_format import parse_line
 from truearm.types import BallBar
 
@@ -113,10 +111,7 @@ def write_more_of_the_kind(folder, lines):
     stream["channels"][0] |= {"name": "inclinometer", "calibration": {"unit": "rad", "poly": session_stream.POLY}}
     with patch.object(session_stream, "ident_document", lambda *_: document):
         messages, truth = session_stream.session(np.random.default_rng(6), dwells=4, plan=False)
-    with SessionWriter(folder / "s.mcap", Lab()) as writer:
-        for message in messages:
-            writer.add(*message)
-        writer.close({"reason": "test"})
+    session_stream.write_session(folder / "s.mcap", messages)
     (folder / "device.toml").write_text("[[inclinometer]]\nname = 'i1'\nsigma_rad = 1e-4\n")
     return truth
 
