@@ -1,7 +1,7 @@
 """The levels at which a simulated box runs. The hardware differs; tests that use these levels do not."""
 
 from collections.abc import Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -9,7 +9,7 @@ from pathlib import Path
 import cbor2
 import numpy as np
 from mcap.reader import make_reader
-from tests.end_to_end.conftest import interpreter
+from tests.end_to_end.conftest import interpreter, lab_with
 
 from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
@@ -91,7 +91,6 @@ def samples(blocks: list, channels: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return np.concatenate(counts), np.concatenate(stamps), np.concatenate(index)
 
 
-@contextmanager
 def lab_of(
     level: str,
     *,
@@ -102,18 +101,14 @@ def lab_of(
     lost_stops: float = 0.0,
     poses: int = 9,
     world: World | None = None,
-):
+) -> AbstractContextManager[Lab]:
     """Return a lab with a box of this level, both of whose sources are on.
 
     It has ``poses`` with each bar, about three seconds each, or a world.
     """
     if world is None:
         world = World(seed, standard_plan(poses, seed), setup=Setup(mag_period_ns=mag_period_ns, lost_stops=lost_stops))
-    box = SimulatedBox(world, faults=faults, edges=edges, seed=seed, power_on=LEVELS[level]())
-    try:
-        yield Lab(world, box, seed)
-    finally:
-        box.close()
+    return lab_with(world, seed, faults=faults, edges=edges, power_on=LEVELS[level]())
 
 
 def wait_until_ready(lab: Lab) -> None:

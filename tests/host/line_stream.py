@@ -11,10 +11,9 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import cbor2
 import numpy as np
 from scipy.interpolate import CubicSpline
-from session_stream import PERIOD_NS, SCALE, Box, joint_messages, renumber
+from session_stream import PERIOD_NS, SCALE, Box, ident_of, joint_messages, renumber
 
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.robot import builtin_robot
@@ -34,31 +33,23 @@ AWAY = 0.5  # V: for a magnet out of range
 NOISE = (2e-6, 5e-6, 2e-6)  # m: of single readings of x, y, z
 
 
-def ident_document(boot_id: int) -> dict[str, object]:
-    """Return the ident: converter with two transverse transducers of 20 mm/V, magnetostrictive head in ticks of 8 ns."""
-    plain = [{"name": name, "unit": "V", "scale": SCALE} for name in ("lvdt", "excitation")]
-    aside = {"unit": "V", "scale": SCALE, "calibration": {"unit": "mm", "poly": [[0, 0], [20, 0]]}}
-    across = [{"name": name, **aside} for name in ("transverse_a", "transverse_b")]
-    adc = {"id": 0, "name": "adc", "period_ns": PERIOD_NS, "osr": 4096, "group_delay_ns": GROUP_DELAY_NS}
-    mag = {"id": 1, "name": "mag", "period_ns": PERIOD_NS, "osr": 0, "group_delay_ns": 0}
-    poly = [[round(SOUND * 4), -9], [round(SOUND * 1e6), -6]]
-    along = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9], "calibration": {"unit": "m", "poly": poly}}
-    channels = [plain[0], *across, plain[1]]
-    return {
-        **{"protocol": [1, 1], "firmware": "0.3.0", "uid": b"\x01\x02", "boot_id": boot_id, "clock_hz": 1_000_000},
-        "streams": [{**adc, "channels": channels}, {**mag, "channels": [along]}],
-    }
-
-
 @dataclass
 class LineBox(Box):
     """A box with both streams."""
 
     n1: int = 0
 
-    def ident(self, t_host_ns: int) -> None:
-        for page, pages, data in wire.pages(cbor2.dumps(ident_document(self.boot_id))):
-            self.frame("ident", t_host_ns, wire.IDENT, 0, page, pages, data)
+    def document(self) -> dict[str, object]:
+        """Return the ident: converter with two transverse transducers of 20 mm/V, magnetostrictive head in ticks of 8 ns."""
+        plain = [{"name": name, "unit": "V", "scale": SCALE} for name in ("lvdt", "excitation")]
+        aside = {"unit": "V", "scale": SCALE, "calibration": {"unit": "mm", "poly": [[0, 0], [20, 0]]}}
+        across = [{"name": name, **aside} for name in ("transverse_a", "transverse_b")]
+        adc = {"id": 0, "name": "adc", "period_ns": PERIOD_NS, "osr": 4096, "group_delay_ns": GROUP_DELAY_NS}
+        mag = {"id": 1, "name": "mag", "period_ns": PERIOD_NS, "osr": 0, "group_delay_ns": 0}
+        poly = [[round(SOUND * 4), -9], [round(SOUND * 1e6), -6]]
+        along = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9], "calibration": {"unit": "m", "poly": poly}}
+        channels = [plain[0], *across, plain[1]]
+        return ident_of([{**adc, "channels": channels}, {**mag, "channels": [along]}], self.boot_id)
 
     def flights(self, t_host_ns: int, ticks: np.ndarray) -> None:
         """Add a block of times of flight with the first interrogation at this host time."""

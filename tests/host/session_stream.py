@@ -39,14 +39,13 @@ def ident_document(boot_id: int = 7) -> dict[str, object]:
     lvdt = {"name": "lvdt", "unit": "V", "scale": SCALE, "calibration": {"unit": "m", "poly": POLY}}
     others = [{"name": f"ch{i}", "unit": "V", "scale": SCALE} for i in range(1, CHANNELS)]
     stream = {"id": 0, "name": "adc", "period_ns": PERIOD_NS, "osr": 1024, "group_delay_ns": 1_500_000}
-    return {
-        "protocol": [1, 0],
-        "firmware": "0.1.0",
-        "uid": b"\x01\x02",
-        "boot_id": boot_id,
-        "clock_hz": 1_000_000,
-        "streams": [{**stream, "channels": [lvdt, *others]}],
-    }
+    return ident_of([{**stream, "channels": [lvdt, *others]}], boot_id)
+
+
+def ident_of(streams: list[dict[str, object]], boot_id: int) -> dict[str, object]:
+    """Return the ident of a box with these streams."""
+    box = {"protocol": [1, 0], "firmware": "0.1.0", "uid": b"\x01\x02", "boot_id": boot_id, "clock_hz": 1_000_000}
+    return {**box, "streams": streams}
 
 
 def metres_of(counts: np.ndarray) -> np.ndarray:
@@ -83,9 +82,13 @@ class Box:
         self.seq = (self.seq + 1) % 2**32
         return message
 
+    def document(self) -> dict[str, object]:
+        """Return the box's ident."""
+        return ident_document(self.boot_id)
+
     def ident(self, t_host_ns: int) -> None:
         """Add the ident document in its pages."""
-        for page, pages, data in wire.pages(cbor2.dumps(ident_document(self.boot_id))):
+        for page, pages, data in wire.pages(cbor2.dumps(self.document())):
             self.frame("ident", t_host_ns, wire.IDENT, 0, page, pages, data)
 
     def heartbeat(self, t_host_ns: int, **counters: int) -> None:

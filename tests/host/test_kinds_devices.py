@@ -4,18 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from device_bench import TARGETS, in_device, join, line_rows, named, random_pose, rows, target, touches, tracked, values
+from device_bench import TARGETS, in_device, join, line_rows, random_pose, rows, target, touches, tracked
 from puma_bench import CHAIN, TRUTH, random_poses
 
-from truearm.estimate.information import observe, spectrum
 from truearm.estimate.problem import blocks, build_problem
 from truearm.kinds.plane import frame_of
 from truearm.kinds.pose import PoseRows
 from truearm.kinds.position import place
 from truearm.kinds.rig_references import Scope, use_points
 from truearm.kinds.unknowns import Layout
-from truearm.model.chain import point_jacobians
-from truearm.model.rotation import rotation, rotation_vector, skew
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, LinePlacement, Plane, Point, Rig
 
 COV = ((1e-8, 1e-9, 0.0), (1e-9, 2e-8, 0.0), (0.0, 0.0, 3e-8))
@@ -76,23 +74,6 @@ def test_derivatives_by_the_joint_readings():
             np.testing.assert_allclose(jac[:, i], -(up - down) / (2 * h), atol=5e-9)
 
 
-def test_renders_28_with_its_lever_in_base_axes():
-    """A device parallel to nothing: −R_dᵀ (I, −[R_d m]×), and not [m]×, is what turning it does."""
-    rng = np.random.default_rng(3)
-    pose = np.concatenate(random_pose(rng))
-    t = tracked("position", 5, pose, rng)
-    rig = replace(RIG, trackers={"t": Device("t", COV, tuple(pose[:3]), tuple(pose[3:]))})
-    problem = build_problem(CHAIN, rig, t)
-    x = problem.start.copy()
-    x[:54] = TRUTH
-    (block,) = blocks(problem)
-    at = problem.names.index("tracker.t.x")
-    jac = block.evaluate(problem.chain, x).jac_params[:, at : at + 6].reshape(5, 3, 6)
-    rot = rotation(pose[3:])
-    for m, found in zip(t.xyz, jac, strict=True):
-        np.testing.assert_allclose(found, -rot.T @ np.hstack([np.eye(3), -skew(rot @ m)]), atol=1e-14)
-
-
 def test_residual_is_measured_minus_predicted_in_the_devices_axes():
     rng = np.random.default_rng(4)
     pose = np.concatenate(random_pose(rng))
@@ -147,26 +128,6 @@ def test_rows_without_velocities_have_no_time_offset():
     t = tracked("position", 4, np.concatenate(random_pose(np.random.default_rng(7))), np.random.default_rng(7))
     problem = build_problem(CHAIN, replace(RIG, targets=TARGETS), t)
     assert problem.names[54:] == tuple(f"tracker.t.{k}" for k in ("x", "y", "z", "rx", "ry", "rz"))
-
-
-def driven(rng, there_and_back):
-    """A line driven at constant speed: rows with the joint velocities that belong to it, and the line's pose."""
-    t, pose = line_rows("l", 20, rng)
-    speed = np.where(np.arange(20) % 2 == 0, 0.2, -0.2 if there_and_back else 0.2)
-    along = speed[:, None] * rotation(pose[3:])[:, 1]
-    _, _, jac = point_jacobians(CHAIN, TRUTH, t.q, np.array(TARGETS["ball"].xyz))
-    return replace(t, q_rate=(np.linalg.pinv(jac) @ along[..., None])[..., 0]), pose
-
-
-@pytest.mark.parametrize("there_and_back", [False, True])
-def test_the_time_offset_needs_the_line_driven_there_and_back(there_and_back):
-    t, pose = driven(np.random.default_rng(8), there_and_back)
-    problem = build_problem(CHAIN, Rig(targets=TARGETS, time_offset_sigma=None), t)
-    x = values(problem, {**named("line.l", pose), "time_offset": 0.0})
-    columns = np.arange(x.size) >= 54
-    singular = spectrum(observe(problem, x, columns).root).singular
-    assert (singular[-1] / singular[0] > 1e-3) == there_and_back
-    assert (singular[-1] / singular[0] < 1e-12) != there_and_back
 
 
 def test_devices_are_placed_by_a_rotation():

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 
-import cbor2
 import numpy as np
-from session_stream import Box
+from session_stream import Box, ident_of
 
 from truearm.types import Message
 from truearm.workflows.record import plan_rows
@@ -24,24 +23,15 @@ BLOCK = 13
 HOST_NS = 5_000_000_000_000  # the host's clock when the world begins
 
 
-def ident_document(world: World) -> dict[str, object]:
-    """Return the ident of a box in this world."""
-    channels = world.box_config(16384)["channels"]
-    stream = {"id": 0, "name": "adc", "period_ns": PERIOD_NS, "osr": 16384, "channels": channels}
-    return {
-        "protocol": [1, 0],
-        "firmware": "0.1.0",
-        "uid": b"\x01\x02",
-        "boot_id": 7,
-        "clock_hz": 1_000_000,
-        "streams": [{**stream, "group_delay_ns": sensors.group_delay_ns(16384)}],
-    }
-
-
 class WorldBox(Box):
     """A box with the world's clock."""
 
     world: World
+
+    def document(self) -> dict[str, object]:
+        channels = self.world.box_config(16384)["channels"]
+        stream = {"id": 0, "name": "adc", "period_ns": PERIOD_NS, "osr": 16384, "channels": channels}
+        return ident_of([{**stream, "group_delay_ns": sensors.group_delay_ns(16384)}], self.boot_id)
 
     def device_us(self, t_host_ns: float) -> int:
         return int(1e6 * self.world.clocks.device.reading(1e-9 * (t_host_ns - HOST_NS)))
@@ -52,8 +42,7 @@ def messages_of(world: World, seed: int = 0) -> list[Message]:
     rng = np.random.default_rng([seed, 0x5EED])
     box = WorldBox()
     box.world = world
-    for page, pages, data in wire.pages(cbor2.dumps(ident_document(world))):
-        box.frame("ident", HOST_NS, wire.IDENT, 0, page, pages, data)
+    box.ident(HOST_NS)
     device_begin_ns = round(1e9 * world.clocks.device.reading(0.0))
     blocks = int(1e9 * world.duration / PERIOD_NS) // BLOCK
     counts, stamps = world.samples(0, blocks * BLOCK, device_begin_ns, PERIOD_NS)
