@@ -31,6 +31,15 @@ def cpu_s():
     return time.process_time() + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
 
 
+def test_a_pose_in_a_pocket_is_left_over_several_via_points(tmp_path, monkeypatch, capsys):
+    """From pose 11 of this plan no straight move leads to any of 60 random postures."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "cell", "--model", "panda", "--minutes", "0"]) == 0
+    monkeypatch.chdir(tmp_path / "cell")
+    assert main(["plan", "ballbar", "--poses", "120", "--candidates", "1500", "--seed", "0", "--out", "plan.csv"]) == 0
+    assert (read_plan(Path("plan.csv")).move == "dwell").sum() == 120
+
+
 @pytest.mark.parametrize(
     "arm", [pytest.param(*getattr(v, "values", (v,)), marks=getattr(v, "marks", ()), id=k) for k, v in ARMS.items()]
 )

@@ -25,7 +25,8 @@ STEPS = 5  # of Newton's method; the third is exact to rounding for half the bul
 PEAK = 15.0 / 8.0  # peak speed of a quintic relative to its mean
 SHORTEST = 0.2  # s for a move
 BETWEEN = 1.005  # a speed may peak between two samples: by at most (6 joints · STEP/2)²/6 = 0.24 %; twice that
-DETOURS = 60  # poses of the branch through which a move without a bar may pass
+DETOURS = 200  # random postures towards which a way without a bar is sought
+SHORT = np.array([[0.0], [0.5], [0.75], [0.88], [0.94]])  # shares of the way to one that may be left
 
 
 @dataclass(frozen=True)
@@ -118,17 +119,59 @@ def onto_shell(site: Site, q: Floats, pairing: Pairing) -> Floats:
     return q
 
 
+class _Tree:
+    """Postures (j,) that free straight moves connect with the first one."""
+
+    def __init__(self, root: Floats) -> None:
+        self.nodes, self.parents = [root], [0]
+
+    def extend(self, site: Site, goal: Floats) -> Floats | None:
+        """Add the farthest free posture on the way to ``goal`` from the nearest node, and return it; None if none is free."""
+        nearest = int(np.argmin(np.abs(np.array(self.nodes) - goal).max(axis=1)))
+        start = self.nodes[nearest]
+        ends = goal + SHORT * (start - goal)
+        is_free = moves_allowed(site, np.broadcast_to(start, ends.shape), ends, None)
+        if not is_free.any():
+            return None
+        self.nodes.append(ends[np.argmax(is_free)])
+        self.parents.append(nearest)
+        return self.nodes[-1]
+
+    def path(self) -> list[Floats]:
+        """Return the postures from the first to the last node."""
+        k, path = len(self.nodes) - 1, [self.nodes[-1]]
+        while k:
+            k = self.parents[k]
+            path.insert(0, self.nodes[k])
+        return path
+
+
 def way_without_bar(site: Site, start: Floats, end: Floats, goal: str, seed: int = 0) -> Floats:
-    """Return via points (v, j), none or one, for a collision-free move. Raises PlanError, with the goal's name."""
-    if moves_allowed(site, start[None], end[None], None).all():
-        return np.zeros((0, len(start)))
+    """Return via points (v, j) of a collision-free move. Raises PlanError, with the goal's name.
+
+    Trees grow from both ends by turns, one towards a random posture, the other towards its new node, until they meet
+    (RRT-Connect: Kuffner and LaValle 2000). Via points that a straight move makes needless are left out.
+    """
     branch = site.arm.branch
-    q = np.random.default_rng([seed, 0xDE700]).uniform(branch.lower, branch.upper, (DETOURS, len(start)))
-    length = np.abs(q - start).max(axis=1) + np.abs(q - end).max(axis=1)
-    for via in q[np.argsort(length)]:
-        if moves_allowed(site, np.stack([start, via]), np.stack([via, end]), None).all():
-            return np.asarray(via[None])
+    postures = np.random.default_rng([seed, 0xDE700]).uniform(branch.lower, branch.upper, (DETOURS, len(start)))
+    tree, other_tree = first, last = _Tree(start), _Tree(end)
+    for posture in (end, *postures):
+        added = tree.extend(site, posture)
+        met = None if added is None else other_tree.extend(site, added)
+        if added is not None and met is not None and (met == added).all():
+            return _straightened(site, np.array([*first.path(), *last.path()[-2::-1]]))
+        tree, other_tree = other_tree, tree
     raise PlanError(f"no collision-free path to {goal} was found; try another ", Argument("seed"))
+
+
+def _straightened(site: Site, stops: Floats) -> Floats:
+    """Return the stops (v, j) between the first and the last that straight moves cannot leave out."""
+    kept = [0]
+    while kept[-1] < len(stops) - 1:
+        ahead = stops[kept[-1] + 1 :]
+        is_free = moves_allowed(site, np.broadcast_to(stops[kept[-1]], ahead.shape), ahead, None)
+        kept.append(len(stops) - 1 - int(np.argmax(is_free[::-1])))
+    return stops[kept[1:-1]]
 
 
 def move_seconds(site: Site, start: Floats, end: Floats, p_end_point: Floats, pace: Pace) -> Floats:
