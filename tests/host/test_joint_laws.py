@@ -13,10 +13,9 @@ from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import InputError, ProblemError
-from truearm.estimate import joint_laws
-from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, coefficients, learned, seen_by, weigh
+from truearm.estimate.evidence import ModePrior, learned, nats_without, seen_by, weigh
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.law_candidates import knots
+from truearm.estimate.law_candidates import knots, law_priors
 from truearm.estimate.law_curves import SampledCurve, law_readings, sampled_curves, spectrum, strongest_periods
 from truearm.estimate.pose_noise import PoseNoise, PoseSample, noise_change
 from truearm.estimate.problem import build_problem
@@ -76,50 +75,59 @@ def test_derivatives_of_curves_and_sag_are_those_of_a_complex_step():
         np.testing.assert_allclose(by_joints[..., k], point_forward(chain, x, there, end).imag / H, atol=1e-13)
 
 
-def random_marginal(rng, n=200, k=30):
-    jac = rng.normal(size=(n, k))
-    y = rng.normal(size=n) + jac[:, :10] @ rng.normal(0.0, 0.3, 10)
-    return jac, y, Marginal(jac, y)
-
-
-def test_evidence_is_that_of_the_gaussian_it_stands_for():
-    """ln N(y; 0, I + J S Jᵀ) − ln N(y; 0, I), and the difference where one block is taken out."""
+@pytest.fixture(scope="module")
+def two_laws():
+    """Rows J (n, 30), y (n,) of two laws of 10 and 20 modes, and what they say of these."""
     rng = np.random.default_rng(4)
-    jac, y, marginal = random_marginal(rng)
-    blocks = [PriorBlock(slice(0, 10), np.eye(10)[None], 1.0), PriorBlock(slice(10, 30), np.eye(20)[None], 1.0)]
-    variances = [np.array([0.05]), np.array([0.02])]
+    jac = rng.normal(size=(200, 30))
+    y = rng.normal(size=200) + jac[:, :10] @ rng.normal(0.0, 0.3, 10)
+    prior = ModePrior(np.repeat(np.eye(2), (10, 20), axis=1), np.full(2, 10.0))
+    return jac, y, prior, seen_by(jac.T @ jac, jac.T @ y, prior)
 
-    def log_density(*some):
-        s = np.zeros(30)
-        for i in some:
-            s[blocks[i].columns] = variances[i]
+
+def test_evidence_is_that_of_the_gaussian_it_stands_for(two_laws):
+    """ln N(y; 0, I + J S Jᵀ) − ln N(y; 0, I), also without one law; the posterior is that of the normal equations."""
+    jac, y, prior, data = two_laws
+    sizes = np.array([0.05, 0.02]) @ prior.spectra
+
+    def log_density(s):
         return stats.multivariate_normal.logpdf(y, np.zeros(len(y)), np.eye(len(y)) + (jac * s) @ jac.T)
 
-    here = weigh(seen_by(marginal, blocks), blocks, variances)
-    assert here.nats == pytest.approx(log_density(0, 1) - log_density(), rel=1e-9)
-    assert block_nats(here, blocks[1], variances[1]) == pytest.approx(log_density(0, 1) - log_density(0), rel=1e-6)
-    found = coefficients(marginal, here, blocks, variances)
-    prior = np.concatenate([np.full(10, 0.05), np.full(20, 0.02)])
-    information = jac.T @ jac + np.diag(1.0 / prior)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found.value, np.linalg.solve(information, jac.T @ y), rtol=1e-9, atol=1e-12)
+    weighed, second = weigh(data, sizes), np.arange(30) >= 10
+    assert weighed.nats == pytest.approx(log_density(sizes) - log_density(0.0 * sizes), rel=1e-9)
+    assert nats_without(data, sizes, second) == pytest.approx(log_density(sizes * ~second) - log_density(0.0 * sizes))
+    inverse = np.linalg.inv(jac.T @ jac + np.diag(1.0 / sizes))
+    away = sizes[:, None] * weighed.x.T
+    np.testing.assert_allclose(np.diag(sizes) - away @ away.T, inverse, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(sizes * weighed.z, inverse @ jac.T @ y, rtol=1e-9, atol=1e-12)
 
 
-def test_learned_variances_are_a_maximum_of_the_evidence_with_its_hyperprior():
-    rng = np.random.default_rng(5)
-    _, _, marginal = random_marginal(rng)
-    blocks = [PriorBlock(slice(0, 10), np.eye(10)[None], 10.0), PriorBlock(slice(10, 30), np.eye(20)[None], 10.0)]
-    seen = seen_by(marginal, blocks)
-    found = learned(seen, blocks, [np.array([1.0]), np.array([1.0])], 200, 1e-8)
+def test_learned_variances_are_a_maximum_of_the_evidence_with_its_hyperprior(two_laws):
+    *_, prior, data = two_laws
+    best = learned(data, prior, np.array([1.0, 1.0]), 200)
 
     def cost(*factors):
-        scaled = [v * factor for v, factor in zip(found, factors, strict=True)]
-        prior = sum(float(v.sum()) / (2.0 * b.cap**2) for v, b in zip(scaled, blocks, strict=True))
-        return weigh(seen, blocks, scaled).nats - prior
+        variances = best * factors
+        return weigh(data, variances @ prior.spectra).nats - float((variances / (2.0 * prior.cap**2)).sum())
 
-    best = cost(1.0, 1.0)
-    assert all(cost(*f) < best for f in ((1.05, 1.0), (0.95, 1.0)))
-    assert cost(1.0, 1.5) <= best + 1e-9
+    assert all(cost(*f) < cost(1.0, 1.0) for f in ((1.05, 1.0), (0.95, 1.0)))
+    assert cost(1.0, 1.5) <= cost(1.0, 1.0) + 1e-9
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_modes_of_a_curve_have_the_covariance_of_its_kernels(periodic):
+    """Of differences, which have no mean, and away from the ends: Matérn-5/2 at a length of 0.2 rad."""
+    chain, q = ROBOT.chain, np.linspace(-2.6, 2.6, 400)[:, None] * np.ones(6)
+    law = CurveKnots(2, -np.pi, 2.0 * np.pi / 126, 126, periodic)
+    basis, spectra, _ = law_priors(chain, [law], q)[law]
+    covariance = (basis * spectra[2]) @ basis.T
+    distance = law.spacing * np.arange(30)
+    scaled = np.sqrt(5.0) * distance / 0.2
+    kernel = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+    variance = np.diag(covariance)[50:80]
+    np.testing.assert_allclose(variance[0] + variance - 2.0 * covariance[50, 50:80], 2.0 * (1.0 - kernel), atol=0.02)
+    curve = Curve.of_chain(with_laws(chain, [law]))
+    np.testing.assert_allclose(curve.mean_by_parameters(q.T) @ basis, 0.0, atol=1e-12)
 
 
 def world(rng, n, curves=True, masses=True, gravity=DOWN):
@@ -208,26 +216,12 @@ def test_a_few_poses_that_come_twice_say_nothing_of_what_rows_of_a_pose_share(le
     assert twice.estimate.scatter.n == 0
 
 
-def test_curves_are_centred_over_the_poses_and_predictions_do_not_move(learned_arm, monkeypatch):
+def test_curves_are_centred_over_the_poses(learned_arm):
     """Joint 1 too, whose offset is held because the tracker can turn about the same axis: it takes the mean."""
     found, _ = learned_arm
     q = found.table.q[found.estimate.fitted]
-    curve = Curve.of_chain(found.chain)
-    assert np.abs(curve.value(found.identified, q.T).mean(axis=1)).max() < 1e-12
+    assert np.abs(Curve.of_chain(found.chain).value(found.identified, q.T).mean(axis=1)).max() < 1e-12
     assert not found.parameters["joint1.offset"].free
-    monkeypatch.setattr(joint_laws, "_centred", lambda of, posterior, q: posterior)
-    raw = identified_with(found.table, ~found.estimate.fitted, "auto")
-    assert np.abs(curve.value(raw.identified, q.T).mean(axis=1)).max() > 1e-5
-    rows = found.table.select(found.estimate.fitted)
-    lines = [
-        build_problem(one.chain, RIG, rows).groups[0].evaluate(one.chain, one.estimate.value) for one in (raw, found)
-    ]
-    np.testing.assert_allclose(lines[1].residual, lines[0].residual, rtol=0.0, atol=1e-8)
-    sigmas = [
-        np.sqrt(np.einsum("ip,pr,ir->i", line.jac_params, one.estimate.covariance, line.jac_params))
-        for one, line in zip((raw, found), lines, strict=True)
-    ]
-    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=1e-3)
 
 
 def test_the_result_file_brings_the_laws_back(learned_arm):
@@ -561,7 +555,11 @@ def test_a_plan_says_how_well_curves_will_be_known_and_where_they_are_not_seen()
         assert all(0.0 < part.upper - part.lower < np.radians(30.5) for part in curve.ranges)
         assert min(p.sigma for p in curve.ranges) <= curve.sigma <= max(p.sigma for p in curve.ranges)
     unseen = by_joint[1]["joint6"]  # the point lies on its axis
-    assert unseen.sigma == pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.05)
+    law = knots(5, away.q[:, 5])
+    basis, spectra, _ = law_priors(ROBOT.chain, [law], away.q)[law]
+    inside = law.covers(law.first + law.spacing * np.arange(law.count))
+    prior = basis[inside] ** 2 @ spectra[1:3].sum(axis=0)
+    assert unseen.sigma == pytest.approx(2e-4 * np.sqrt(prior.mean()), rel=0.05)
     assert np.ptp(unseen.unseen) > 2.9
     parts = by_joint[1]["joint1"].ranges
     assert not any(part.lower < 0.2 and part.upper > -0.2 for part in parts)

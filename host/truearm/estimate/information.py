@@ -26,7 +26,7 @@ from truearm.model.chain import folded
 from truearm.types import Floats, Residuals
 
 RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 for null directions
-_tpqrt, _tpmqrt = get_lapack_funcs(("tpqrt", "tpmqrt"), dtype=np.float64)
+_tpqrt = get_lapack_funcs("tpqrt", dtype=np.float64)
 PANEL, MOST_PANELS = 8, 16  # columns that tpqrt eliminates at once, at least; of many columns, a sixteenth is faster
 KEPT_BYTES = 30_000_000  # the thresholds follow up to 32 MiB
 ROUNDING = 1e-13  # of the longest column: sums of some dozen terms of relative error 2e-16, with a margin
@@ -145,17 +145,6 @@ def fold(triangle: Floats, rows: Floats, overwrite: bool = False) -> Floats:
         return triangle
     panel = min(max(PANEL, len(triangle) // MOST_PANELS), len(triangle))
     return np.asarray(_tpqrt(0, panel, triangle, rows, overwrite_a=overwrite, overwrite_b=overwrite)[0])
-
-
-def eliminated(triangle: Floats, rows: Floats) -> tuple[Floats, Floats, Floats]:
-    """Fold the first columns of rows (m, k) into a triangle (n, n), zero in the other k − n columns.
-
-    Return the triangle, its part (n, k − n) of the other columns, and rows (m, k − n) that hold what is left of them.
-    """
-    n = len(triangle)
-    root, reflectors, factors, _ = _tpqrt(0, min(PANEL, n), triangle, rows[:, :n])
-    others = np.zeros((n, rows.shape[1] - n))
-    return np.asarray(root), *_tpmqrt(0, reflectors, factors, others, rows[:, n:], trans="T")[:2]
 
 
 def _keep_freed_memory() -> None:

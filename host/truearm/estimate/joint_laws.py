@@ -4,13 +4,20 @@
 The noise per pose that the evidence requires would degrade the geometry of an arm whose errors it mistakes for noise.
 Otherwise the parameters of the laws are appended to those of the estimate's robot and fitted together with everything
 else under the learned noise. The fit is still judged (χ²) against the declared noise.
+
+Bad rows bend the geometry and hide the laws, and the laws that were not fitted widen the gate for bad rows.
+``without_outliers`` breaks this circle. First, the geometry is fitted without the rows beyond the gate that its own
+misfit widens (``outliers``), and laws are fitted to the others. Then every row is compared with its prediction by the
+laws under the learned noise. Rows beyond that gate are left out if they ``matter``, and rows within it return, until
+the set no longer changes. Where no law is kept without those rows, none is left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,30 +25,22 @@ from truearm.estimate.defaults import LEAST_POSES, in_any_pose
 from truearm.estimate.identifiability import spread
 from truearm.estimate.identify import determined, judged, merged, rms_of
 from truearm.estimate.information import observe
-from truearm.estimate.law_candidates import candidates, gravity_of
+from truearm.estimate.law_candidates import candidates, gravity_of, law_priors
 from truearm.estimate.law_choice import LawChoice, regions, supported, without_absent
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
-from truearm.estimate.law_fit import (
-    LawProblem,
-    Learned,
-    Posterior,
-    law_problem,
-    learn,
-    nearer_geometry,
-    posterior,
-)
-from truearm.estimate.law_outliers import WithLaws, outlying_beside_laws
+from truearm.estimate.law_fit import LawProblem, law_problem, learn, nearer_geometry, posterior
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
+from truearm.estimate.outliers import matter, misfit, single, within
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Problem, build_problem, modelled_of, settled, without_knowledge
-from truearm.estimate.row_errors import row_errors
-from truearm.estimate.scatter import JOINT_NOISE
+from truearm.estimate.row_errors import RowErrors, row_errors
+from truearm.estimate.scatter import JOINT_NOISE, scatter_of
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import covariance_root, goodness
-from truearm.estimate.whitened_rows import only
+from truearm.estimate.whitened_rows import gate, only
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
@@ -56,12 +55,11 @@ from truearm.results import (
     MeanError,
     TriedLaw,
 )
-from truearm.types import CurveKnots, Floats, Law, Rigs, thinned
+from truearm.types import CurveKnots, Floats, Law, Mask, Rigs, thinned
 from truearm.units import UNITS
 
+MAX_ROUNDS = 6  # of fits with laws
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
-SAME_MOTION = 1e-4  # relative difference of two motions that are one: 4 nm of a curve's mean of 0.04 mrad at a metre
-NULL_ROUNDING = 1e-11  # of the largest singular value of the unknowns
 ERRORS_EXPLAIN = (
     "faults, named above, explain the remaining residuals better than joint laws do; correct or apply them first"
 )
@@ -82,6 +80,41 @@ class LawRequest:
     effects: tuple[Effect, ...] = ()
     faults: tuple[Effect, ...] = ()
     gravity: tuple[float, float, float] | None = None
+
+
+class WithLaws(NamedTuple):
+    """The robot with its laws, the estimate with their parameters, and how they were chosen, None if no law is kept."""
+
+    chain: Chain
+    estimate: Estimate
+    choice: LawChoice | None = None
+
+
+def without_outliers(
+    geometry: Estimate,
+    refit: Callable[[Mask], Estimate],
+    with_laws: Callable[[Estimate, LawChoice | None], WithLaws],
+) -> WithLaws:
+    """Return the result of ``with_laws`` for the geometry without outlying rows.
+
+    ``refit`` fits the geometry without some rows (n,) of the table. ``with_laws`` is given the choice of laws of the
+    round before: a few rows more or less only drop laws.
+    """
+    outlying, seen = geometry.outlying, set[bytes]()
+    excludes_others = not np.array_equal(outlying, geometry.weight == 0.0)
+    best = with_laws(refit(outlying) if excludes_others else geometry, None)
+    if excludes_others and best.choice is None:
+        return with_laws(geometry, None)
+    for _ in range(MAX_ROUNDS):
+        seen.add(outlying.tobytes())
+        outlying = best.estimate.outlying
+        if best.choice is None or outlying.tobytes() in seen or not single(outlying[geometry.fitted]):
+            break
+        further = with_laws(refit(outlying), best.choice)
+        if further.choice is None:
+            break
+        best = further
+    return best
 
 
 def with_joint_laws(
@@ -107,23 +140,21 @@ def with_joint_laws(
     if why_none:
         laws = []
     work = _Work(chain, rig, table, estimate, request)
-    fit, problem, choice = estimate, None, None
+    fit, choice = estimate, None
     steps = [LawStep(GEOMETRY, fit.rms_after, fit.held_out)]
     tried: dict[Law, float] = {}
     if laws:
         choice = work.supported(laws, nearly)
         tried = {**choice.dropped, **choice.learned.nats}
-        if choice.kept:
-            problem = work.problem(choice.kept)
-            fit = work.fitted(problem, choice.learned)
+        fit = work.fitted(choice) if choice.kept else estimate
         steps.append(LawStep(LAWS, fit.rms_after, fit.held_out))
         why_none = ERRORS_EXPLAIN if request.faults and not choice.kept else ""
     if fit.chi2_reduced > estimate.chi2_reduced:
         # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
         why_none = LARGER_RESIDUALS
     if why_none:
-        fit, problem, tried, steps, reasons = estimate, None, {}, steps[:1], [why_none]
-    kept = problem.laws if problem else ()
+        fit, choice, tried, steps, reasons = estimate, None, {}, steps[:1], [why_none]
+    kept = choice.kept if choice else ()
     readings = table.q[estimate.fitted], work.anywhere.q
     report = JointLaws(
         request.mode,
@@ -135,8 +166,7 @@ def with_joint_laws(
         gravity.known,
         payloads,
     )
-    fit = replace(fit, joint_laws=report)
-    return WithLaws(with_laws(chain, kept), fit, choice, problem) if problem else WithLaws(chain, fit)
+    return WithLaws(with_laws(chain, kept), replace(fit, joint_laws=report), choice if kept else None)
 
 
 def _nothing_to_explain(chain: Chain, estimate: Estimate, table: ObservationTable) -> bool:
@@ -179,13 +209,6 @@ def _why_none(chain: Chain, estimate: Estimate) -> str:
     if estimate.without_bad_rows is not None:
         return "bad rows, named above, explain the residuals; correct them or leave them out first"
     return ""
-
-
-def _prior(of: LawProblem, found: Posterior) -> Floats:
-    """Return σ (P,) of the prior about the problem's start, that of the laws as it was learned; inf for none."""
-    sigma = of.problem.prior_sigma.copy()
-    sigma[np.flatnonzero(of.columns)[of.is_law]] = np.linalg.norm(found.prior_root, axis=1)
-    return sigma
 
 
 @dataclass(frozen=True)
@@ -233,33 +256,39 @@ class _Work:
         free = dict(zip(geometry.parameter_names, geometry.free, strict=True))
         columns = np.array([free.get(name, True) for name in problem.names])
         start = np.array([known.get(name, 0.0) for name in problem.names])
-        return law_problem(problem, columns, start, laws, poses(self.table.select(fitted)))
+        rows = self.table.select(fitted)
+        return law_problem(problem, columns, start, poses(rows), law_priors(self.chain, laws, rows.q))
 
-    def fitted(self, of: LawProblem, learned: Learned) -> Estimate:
-        """Return the estimate of the geometry with everything that the laws of a problem change."""
+    def fitted(self, choice: LawChoice) -> Estimate:
+        """Return the estimate of the geometry with everything that the kept laws change."""
+        of, learned = self.problem(choice.kept), choice.learned
         geometry, problem, fitted = self.geometry, of.problem, posterior(of, learned)
         anywhere = without_knowledge(build_problem(problem.chain, self.rig, self.anywhere))
         nearer = nearer_geometry(of, anywhere, fitted, geometry.chi2_reduced)
         seen = observe(problem, nearer.x, np.zeros(nearer.x.size, dtype=bool))
         held = ~(geometry.fitted | geometry.left_out)
         held_out, error = judged(problem, nearer.x, self.rig, self.table, held, self.effects)
-        result = _centred(of, nearer, self.table.q[geometry.fitted])
-        x, p = result.x, problem.n_robot
+        x, p = nearer.x, problem.n_robot
         at, added = geometry.n_robot_parameters, p - geometry.n_robot_parameters
         is_law = np.arange(x.size) >= at
         is_law[p:] = False
 
         covariance = np.zeros((x.size, x.size))
-        covariance[np.ix_(of.columns, of.columns)] = result.covariance
+        covariance[np.ix_(of.columns, of.columns)] = nearer.covariance
         sight = determined(settled(problem, x), x, of.columns & ~is_law, self.effects)
         covariance = _without_null(covariance, sight.unseen, problem.units)
         identifiable = np.insert(geometry.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
+        prior_sigma = problem.prior_sigma.copy()
+        # One σ for all coefficients of a law, with which they are as far from 0 as in their prior.
+        counts = [law.size for law in of.laws]
+        square = np.add.reduceat(fitted.x[is_law] ** 2, np.cumsum([0, *counts[:-1]]))
+        prior_sigma[is_law] = np.repeat(np.sqrt(square / fitted.cost), counts)
         weight, columns = geometry.weight[geometry.fitted], of.acting().columns
         acts = columns[of.columns]
         root = covariance_root(fitted.covariance[np.ix_(acts, acts)])
         rows = row_errors(self.rows(of.laws), fitted.x, columns, root, weight, of.pose, learned.noise)
-        freedom = geometry.rank + _followed(of, fitted)
+        freedom = geometry.rank + fitted.freedom
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         judging = held_out is not None
         unfitted = merged({} if judging else rows.left_out, error if judging else {}, geometry.fitted, held)
@@ -290,10 +319,11 @@ class _Work:
             unfitted_error=unfitted,
             distance=np.where(geometry.fitted, rows.distance[number], np.nan),
             suspect=geometry.fitted & (rows.beyond[number] | (geometry.weight == 0.0)),
-            outlying=spread(outlying_beside_laws(rows, weight > 0.0), geometry.fitted),
+            outlying=spread(_outlying(rows, weight > 0.0), geometry.fitted),
+            scatter=scatter_of(of, learned),
             faults=(),
             claim=None,
-            prior_sigma=_prior(of, fitted),
+            prior_sigma=prior_sigma,
             parts=rows.parts,
             suggested_free=np.append(geometry.suggested_free, np.zeros(added, dtype=bool)),
             with_outliers=geometry.with_outliers
@@ -301,56 +331,12 @@ class _Work:
         )
 
 
-def _followed(of: LawProblem, found: Posterior) -> float:
-    """Return the degrees of freedom of the laws: tr(A C)."""
-    return float((found.law_root @ found.covariance[np.ix_(of.is_law, of.is_law)] * found.law_root).sum())
-
-
-def _centred(of: LawProblem, found: Posterior, q: Floats) -> Posterior:
-    """Return x with each curve's mean over the poses moved into its joint's offset, or into what replaces that.
-
-    No prediction changes: the constant of a curve and the offset are the same number to any observation. With centred
-    curves, a controller that ignores curves performs best, and so does a robot outside the covered range.
-    """
-    chain, column = of.problem.chain, np.flatnonzero(of.columns)
-    offsets = {chain.parameters[i].joint: i for i in chain.law.offset.parameters.tolist()}
-    curve = Curve.of_chain(chain)
-    weights = curve.mean_by_parameters(q.T)
-    change = np.eye(column.size)
-    for law in of.laws:
-        if isinstance(law, CurveKnots) and law.joint in offsets:
-            into = _like_offset(of, found.x, offsets[law.joint])
-            mine = curve.joints == law.joint
-            at = np.searchsorted(column, curve.parameters[mine])
-            change[:, at] += np.outer(into, weights[mine])
-            change[np.ix_(at, at)] -= weights[mine] * bool(into.any())
-    x = found.x.copy()
-    law_and_offset = change - np.eye(column.size)
-    moved = np.where(of.is_law, x[column], 0.0)
-    x[column] += law_and_offset @ moved
-    return found._replace(x=x, covariance=change @ found.covariance @ change.T)
-
-
-def _like_offset(of: LawProblem, x: Floats, offset: int) -> Floats:
-    """Return the combination (k,) of fitted unknowns that the observations see like an offset; 0 if there is none.
-
-    That is the offset itself if it is fitted. The offset of the first joint is usually held, because a rotation of the
-    base or of the tracker does the same.
-    """
-    out = np.zeros(int(of.columns.sum()))
-    if of.columns[offset]:
-        out[np.count_nonzero(of.columns[:offset])] = 1.0
-        return out
-    columns = of.columns.copy()
-    columns[np.flatnonzero(of.columns)[of.is_law]] = False
-    columns[offset] = True
-    root = observe(of.problem, x, columns).root
-    index, scale = np.count_nonzero(columns[:offset]), of.sigma[~of.is_law]
-    by_offset, by_unknowns = root[:, index], np.delete(root, index, axis=1) * scale
-    combination = np.linalg.lstsq(by_unknowns, by_offset, rcond=NULL_ROUNDING)[0]
-    if np.linalg.norm(by_offset - by_unknowns @ combination) <= SAME_MOTION * np.linalg.norm(by_offset):
-        out[~of.is_law] = scale * combination
-    return out
+def _outlying(rows: RowErrors, used: Mask) -> Mask:
+    """Return which rows (n,) to leave out next, after a fit with laws of the ``used`` rows (n,)."""
+    square = np.nan_to_num(rows.distance) ** 2
+    staying = within(square, gate(rows.width) * misfit(square, rows.width, used), used)
+    out, leaving = ~used & ~staying, used & ~staying
+    return out | leaving if matter(np.where(used, square, 0.0), leaving) else out
 
 
 def _without_null(covariance: Floats, unseen: Floats, units: Sequence[str]) -> Floats:

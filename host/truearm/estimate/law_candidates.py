@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import InputError
-from truearm.estimate.evidence import PriorBlock
 from truearm.estimate.solvers import LawMode
 from truearm.estimate.ties import first_within
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
+from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import DOWN, carries, distal_frames, with_laws
 from truearm.types import CurveKnots, Floats, Law, Payload, SagMasses
@@ -39,7 +39,6 @@ STILL = 0.1  # rad: readings that span less do not determine a curve
 CURVE_CAP = 3e-4  # rad
 SAG_CAP = 3e-3  # rad per kg·m
 LEAST_TORQUE = 0.02  # kg·m, standard deviation over the poses
-IMAGES = 8  # turns on either side over which a periodic kernel is summed: Matérn of length 3.2 rad is then 1e-11
 ONE_DIRECTION = math.radians(1.0)  # permitted variation of gravity between rows: 2 % of a torque
 
 
@@ -143,18 +142,32 @@ def torques(chain: Chain, masses: SagMasses, q: Floats) -> Floats:
     return Sag.of_chain(own).by_parameters(own.params_nominal, q.T)
 
 
-def prior_blocks(laws: Sequence[Law]) -> list[PriorBlock]:
-    """Return the priors of the laws' coefficients, in order."""
-    out, at = [], 0
+class LawPrior(NamedTuple):
+    """The prior of a law's coefficients (m,): ``basis`` (m, f) times independent modes of variances v·``spectra``.
+
+    ``spectra`` is (o, f) for o variances v, and ``cap`` is the scale of the hyperprior on each √v.
+    """
+
+    basis: Floats
+    spectra: Floats
+    cap: float
+
+
+def law_priors(chain: Chain, laws: Sequence[Law], q: Floats) -> dict[Law, LawPrior]:
+    """Return the priors of a chain's laws that are fitted to readings q (n, j).
+
+    The mean of a curve over these is 0: it cannot be distinguished from the joint's offset. So a controller that ignores
+    curves performs best, and so does a robot outside the covered range.
+    """
+    priors = dict[Law, LawPrior]()
     for law in laws:
         if isinstance(law, CurveKnots):
-            kernels = _kernels(law.count, law.spacing, law.periodic)
-            block = PriorBlock(slice(at, at + law.count), kernels, CURVE_CAP)
+            modes, spectra = _spectra(law.count, law.spacing, law.periodic)
+            mean = Curve.of_chain(with_laws(chain, [law])).mean_by_parameters(q.T)
+            priors[law] = LawPrior(modes - mean @ modes, spectra, CURVE_CAP)
         else:
-            block = PriorBlock(slice(at, at + law.size), np.eye(law.size)[None], SAG_CAP)
-        out.append(block)
-        at = block.columns.stop
-    return out
+            priors[law] = LawPrior(np.eye(law.size), np.ones((1, law.size)), SAG_CAP)
+    return priors
 
 
 def acting(law: Law) -> NDArray[np.bool_]:
@@ -167,18 +180,15 @@ def acting(law: Law) -> NDArray[np.bool_]:
 
 
 @lru_cache(maxsize=8)
-def _kernels(count: int, spacing: float, periodic: bool) -> Floats:
-    """Return Matérn-5/2 kernels (o, m, m) between the centres at each length; on a circle, the sum over all turns.
+def _spectra(count: int, spacing: float, periodic: bool) -> tuple[Floats, Floats]:
+    """Return the modes (m, m − 1) of m coefficients, all but the constant, and their variances at each length (o, m − 1).
 
-    They are read-only, and the same for all joints that turn round.
+    The modes are sines over the knots, on a circle or between mirrors. A Matérn-5/2 kernel has the spectral density
+    (1 + (length · frequency)²/5)⁻³; the variance of a coefficient, between the mirrors, is 1.
     """
-    apart = spacing * np.subtract.outer(np.arange(count), np.arange(count))
-    turns = np.arange(-IMAGES, IMAGES + 1) if periodic else np.zeros(1)
-    images = apart + count * spacing * turns[:, None, None]
-    out = np.empty((len(LENGTHS), count, count))
-    for kernel, length in zip(out, LENGTHS, strict=True):
-        a = math.sqrt(5.0) * np.abs(images) / length
-        kernel[:] = ((1.0 + a + a**2 / 3.0) * np.exp(-a)).sum(axis=0)
-        kernel /= kernel[0, 0]
-    out.setflags(write=False)
-    return out
+    difference = (np.eye(count) - np.roll(np.eye(count), 1, axis=0))[int(not periodic) :]
+    square, modes = np.linalg.eigh(difference.T @ difference)
+    frequency = 2.0 * np.arcsin(0.5 * np.sqrt(np.clip(square, 0.0, 4.0))) / spacing
+    spectra = (1.0 + np.multiply.outer(LENGTHS, frequency) ** 2 / 5.0) ** -3
+    spectra *= count / (spectra.sum(axis=1, keepdims=True) - (0.0 if periodic else 0.5) * spectra[:, :1])
+    return modes[:, 1:], spectra[:, 1:]

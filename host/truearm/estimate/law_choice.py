@@ -1,27 +1,26 @@
 """Which joint laws are kept: those that the evidence supports, and that regions left out do not contradict.
 
-A law that raises the log evidence by less than GATE nats is dropped. One below EARNEST is dropped if the evidence, with
-the noise learned again without it, is no lower than that. All sags stand or fall together, for gravity acts on all
-joints or on none.
+From the one with the least nats to one with EARNEST, each law is left out, and the noise learned again. It is kept if
+the evidence is then lower by GATE. All sags stand or fall together, for gravity acts on all joints or on none.
 
 Evidence is of the rows that were measured. A law that describes the arm also helps where it was not fitted, so regions
 of poses are left out in turn, at fixed variances and noise. The fit to all other regions
-(docs/explanation/estimation.md) needs one triangle per region for any selection of laws. A law is dropped if without it
-the errors fall by more nats, ½ Σ |y_r − G_r u|², than the evidence for it.
+(docs/explanation/estimation.md) needs the information of each region for any selection of laws. A law is dropped if
+without it the errors fall by more nats, ½ Σ |y_r − G_r u|², than the evidence for it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.evidence import prior_root
 from truearm.estimate.law_fit import LawProblem, Learned, learn
-from truearm.estimate.pose_noise import PoseNoise, pose_information, pose_rows
+from truearm.estimate.pose_noise import PoseNoise, pose_information
 from truearm.estimate.problem import without_knowledge
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.table import ObservationTable
@@ -33,6 +32,7 @@ ABSENT = 0.05  # nats: without such a law, variances and noise are those that we
 HALVINGS = 3  # of the joint space: 8 regions
 LEAST_OF_REGION = 4  # poses
 PRIVATE = 1e-9  # of its information, all that other regions have of an unknown
+FAINT = 1e-6  # of a residual: an unknown with a prior that all rows see less is left out
 
 Unit = tuple[Law, ...]  # stands or falls as a whole
 
@@ -57,37 +57,29 @@ def supported(
     ``make`` builds the problem with some laws, ``region`` (n_rows,) are the numbers of the rows' regions, and ``start``
     is the noise where learning starts, or the choice of nearly the same rows, of which no further law is tried.
     """
+    dropped: dict[Law, float] = {}
     sure: frozenset[Unit] = frozenset()
     if isinstance(start, LawChoice):
         problem, dropped, sure = make(start.kept), dict(start.dropped), start.sure
-        learned = start.learned._replace(x=problem.start)  # beside other faults, the problem has other unknowns
+        learned = learn(problem, start.learned._replace(x=problem.start))  # beside other faults, x is longer
     else:
         problem = make(laws)
-        learned = learn(problem, start, rounds=1)
-        absent = [unit for unit in _units(laws) if all(learned.nats[law] < ABSENT for law in unit)]
-        dropped = {law: learned.nats[law] for unit in absent for law in unit}
-        problem, learned = make(_but(laws, dropped)), _without(problem, learned, dropped)
-    learned = learn(problem, learned)
+        learned = learn(problem, start)
     while problem.laws:
         units = _units(problem.laws)
-        gain = [sum(learned.nats[law] for law in unit) for unit in units]
-        weak = sorted((i for i, nats in enumerate(gain) if nats < GATE), key=gain.__getitem__)
-        # Two laws of one error leave little evidence for each, so the strongest is judged without the others.
-        gone = [law for i in (weak[:-1] or weak) for law in units[i]]
-        doubtful = [i for i, unit in enumerate(units) if gain[i] < EARNEST and unit not in sure and not gone]
-        if doubtful:
-            gone = list(units[min(doubtful, key=gain.__getitem__)])
-        elif not gone:
-            gone = list(_harmful(problem, learned, region, units))
-        if not gone:
+        gain = {unit: sum(learned.nats[law] for law in unit) for unit in units if unit not in sure}
+        weakest: Unit = min(gain, key=gain.__getitem__, default=())
+        is_doubtful = bool(weakest) and gain[weakest] < EARNEST
+        unit = weakest if is_doubtful else _harmful(problem, learned, region, units)
+        if not unit:
             break
-        fewer, without = make(_but(problem.laws, gone)), _without(problem, learned, gone)
-        if any(learned.nats[law] >= ABSENT for law in gone):
+        fewer, without = make(_but(problem.laws, unit)), _without(problem, learned, unit)
+        if any(learned.nats[law] >= ABSENT for law in unit):
             without = learn(fewer, without)
-        if doubtful and learned.evidence - without.evidence >= GATE:
-            sure |= {tuple(gone)}
+        if is_doubtful and learned.evidence - without.evidence >= GATE:
+            sure |= {unit}
             continue
-        dropped |= {law: learned.nats[law] for law in gone}
+        dropped |= {law: learned.nats[law] for law in unit}
         problem, learned = fewer, without
     return LawChoice(problem.laws, learned, dropped, sure)
 
@@ -118,41 +110,40 @@ def regions(table: ObservationTable, pose: Indices) -> Indices:
     return region[number.ravel()]
 
 
-def left_out_square(roots: Sequence[Floats], always: NDArray[np.bool_]) -> float:
-    """Return Σ |y_r − G_r u|² over the regions, from their rows [G_r | y_r]; ``always`` (s,): unknowns that are no law's."""
-    grams = [root.T @ root for root in roots]
+def left_out_square(grams: Sequence[Floats], is_always: NDArray[np.bool_]) -> float:
+    """Return Σ |y_r − G_r u|² over the regions, from their [G_r|y_r]ᵀ[G_r|y_r]; ``is_always`` (s,): unknowns that are no law's."""
     total = np.sum(grams, axis=0)
     square = 0.0
-    for root, gram in zip(roots, grams, strict=True):
+    for gram in grams:
         others = total - gram
         inner = others[:-1, :-1] + np.eye(len(total) - 1)
         u = scipy.linalg.cho_solve(scipy.linalg.cho_factor(inner, check_finite=False), others[:-1, -1])
-        error = root[:, -1] - root[:, :-1] @ u
-        private = always & (np.diag(others)[:-1] <= PRIVATE * np.diag(total)[:-1])
-        basis = np.linalg.qr(root[:, :-1][:, private])[0]
-        square += float(error @ error - ((basis.T @ error) ** 2).sum())
+        error = gram @ np.append(-u, 1.0)  # [G_r|y_r]ᵀ times the errors
+        square += float(error[-1] - u @ error[:-1])
+        private = np.flatnonzero(is_always & (np.diag(others)[:-1] <= PRIVATE * np.diag(total)[:-1]))
+        own = gram[np.ix_(private, private)]
+        square -= float(error[private] @ np.linalg.lstsq(own, error[private], rcond=PRIVATE)[0])
     return square
 
 
 def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
     """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them; none if none does."""
-    part, rows = problem.some(), []
-    blocks = zip(part.laws, part.blocks, strict=True)
-    priors = [prior_root(block, learned.variances[law]) for law, block in blocks]
-    owner = np.repeat(np.arange(-1, len(priors)), [int((~part.is_law).sum()), *(prior.shape[1] for prior in priors)])
-    order = np.argsort(part.is_law, kind="stable")
-    change = scipy.linalg.block_diag(np.diag(part.sigma[~part.is_law]), *priors)
+    sample = problem.some()
+    sizes = np.sqrt(sample.sizes(learned.variances) @ sample.prior.spectra)
+    law = np.concatenate([np.full(sample.sigma.size, -1), sample.law_of_mode])
+    change = sample.by_modes(learned.x) * np.concatenate([np.ones(sample.sigma.size), sizes, [1.0]])
+    grams = []
     for number in np.unique(region):
-        some = without_knowledge(only(part.problem, region == number))
-        of_region = pose_rows(some, learned.x, part.columns, part.pose)
-        root, _ = pose_information(of_region, part.is_law.size + 1, learned.noise)
-        root[:, -1] += root[:, :-1] @ (learned.x - part.reference)[part.columns]
-        rows.append(np.column_stack([root[:, order] @ change, root[:, -1]]))
+        of_region = without_knowledge(only(sample.problem, region == number))
+        rows = replace(sample, problem=of_region).rows(learned.x)
+        grams.append(change.T @ pose_information(rows, len(change), learned.noise)[0] @ change)
+    visible = (law < 0) | (np.diag(np.sum(grams, axis=0))[:-1] > FAINT)
     nats = {}
     for unit in ((), *units, problem.laws):
-        kept = ~np.isin(owner, [problem.laws.index(law) for law in unit])
-        square = left_out_square([root[:, np.append(kept, True)] for root in rows], owner[kept] < 0)
-        nats[unit] = 0.5 * square + sum(learned.nats[law] for law in unit)
+        kept = visible & ~np.isin(law, [problem.laws.index(one) for one in unit])
+        of_kept = np.ix_(np.append(kept, True), np.append(kept, True))
+        square = left_out_square([gram[of_kept] for gram in grams], law[kept] < 0)
+        nats[unit] = 0.5 * square + sum(learned.nats[one] for one in unit)
     return min(nats, key=nats.__getitem__)
 
 
@@ -168,12 +159,9 @@ def _but(laws: Sequence[Law], gone: Collection[Law]) -> list[Law]:
 
 def _without(problem: LawProblem, learned: Learned, gone: Collection[Law]) -> Learned:
     """Return what was learned about a problem, without some of its laws."""
-    at = np.flatnonzero(problem.columns)[problem.is_law]
-    blocks = zip(problem.laws, problem.blocks, strict=True)
-    columns = [at[block.columns] for law, block in blocks if law in gone]
-    kept = _but(problem.laws, gone)
+    of_robot, kept = problem.problem.n_robot, _but(problem.laws, gone)
+    is_gone = np.repeat([law in gone for law in problem.laws], [law.size for law in problem.laws]).astype(bool)
+    x = np.delete(learned.x, of_robot - is_gone.size + np.flatnonzero(is_gone))
     evidence = learned.evidence - sum(learned.nats[law] for law in gone)
-    x = np.delete(learned.x, np.concatenate(columns)) if columns else learned.x
-    return Learned(
-        {k: learned.variances[k] for k in kept}, learned.noise, {k: learned.nats[k] for k in kept}, evidence, x
-    )
+    variances = {law: learned.variances[law] for law in kept}
+    return Learned(variances, learned.noise, {law: learned.nats[law] for law in kept}, evidence, x)

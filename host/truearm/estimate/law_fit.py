@@ -13,7 +13,7 @@ x ~ N(x, P).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,22 +21,13 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.evidence import (
-    Coefficients,
-    Marginal,
-    PriorBlock,
-    block_nats,
-    coefficients,
-    learned,
-    revived,
-    seen_by,
-    weigh,
-)
-from truearm.estimate.information import eliminated, observe
-from truearm.estimate.law_candidates import acting, prior_blocks
+from truearm.estimate.evidence import ModePrior, Seen, learned, nats_without, seen_by, solve_lower, weigh
+from truearm.estimate.information import observe
+from truearm.estimate.law_candidates import LawPrior, acting
 from truearm.estimate.pose_noise import (
     PoseNoise,
     RowsByPose,
+    independent,
     learned_noise,
     noise_change,
     pose_information,
@@ -56,28 +47,34 @@ LEARNING = (
 )  # poses and residuals: variances and noise are learned from a random selection of at most so many
 FOR_NOISE = (1000, 3000)  # of these, for the noise
 MOST_OF_POSE = 72  # residuals of a pose that count among these: repeats must not take the place of poses
-LEAST_ROUNDS = 3  # without anything learned before
-ROUNDS = 12  # of linearising, learning the variances and learning the noise
+LINEARISED = 3  # rounds, without anything learned before; then x hardly changes
+ROUNDS = 12  # of learning the variances and learning the noise
 WITHOUT_SCATTER = 2  # of them: laws and robot are already those of the rows
-STEPS = 8  # of the variances in a round
 NOISE_END = 0.01  # the last round changes the variance of the rows by less
 SHARED_START = 1e-10  # m² and rad²
 RIG_SIGMA = 10.0  # m, rad: keeps unknowns without a prior finite along null directions
+ROUNDING = 1e-14  # of all information: what is added along null directions
 
 
 @dataclass(frozen=True, eq=False)
 class LawProblem:
-    """A problem whose robot has laws. Parameters other than laws have a prior about ``reference`` (P,) with ``sigma`` (k,)."""
+    """A problem whose robot has laws, linear in g, about ``reference`` (P,) in units of ``sigma`` (g,), and in modes f.
+
+    ``basis`` (l, f) makes coefficients of laws from their modes, ``prior`` is that of the modes.
+    """
 
     problem: Problem
     columns: NDArray[np.bool_]  # (P,) the k fitted ones
-    is_law: NDArray[np.bool_]  # (k,)
+    is_law: NDArray[np.bool_]  # (k,) l of them
     pose: Indices  # (n_rows,)
     start: Floats  # (P,) as fitted without laws
     reference: Floats  # (P,)
-    sigma: Floats  # (k,)
+    sigma: Floats  # (g,)
     laws: tuple[Law, ...]
-    blocks: tuple[PriorBlock, ...]  # of the laws' coefficients
+    basis: Floats
+    prior: ModePrior
+    law_of_mode: Indices  # (f,)
+    law_of_variance: Indices  # (v,)
 
     def acting(self) -> LawProblem:
         """Return the problem of the coefficients that act at any reading: all others have no column in the rows."""
@@ -86,14 +83,7 @@ class LawProblem:
         active[self.is_law] = acts
         columns = self.columns.copy()
         columns[columns] = active
-        blocks, first = [], 0
-        for block in self.blocks:
-            chosen = acts[block.columns]
-            last = first + int(chosen.sum())
-            blocks.append(replace(block, columns=slice(first, last), kernels=block.kernels[:, chosen][..., chosen]))
-            first = last
-        is_law, sigma = self.is_law[active], self.sigma[active]
-        return replace(self, columns=columns, is_law=is_law, sigma=sigma, blocks=tuple(blocks))
+        return replace(self, columns=columns, is_law=self.is_law[active], basis=self.basis[acts])
 
     def some(self) -> LawProblem:
         """Return the problem of the ``acting`` coefficients and at most LEARNING random poses."""
@@ -103,41 +93,57 @@ class LawProblem:
         chosen = np.random.default_rng(0).permutation(numbers)[: int(numbers.size / share)]
         return replace(self.acting(), problem=only(self.problem, np.isin(self.pose, chosen)))
 
-    def rows(self, x: Floats, stride: int = 1) -> Iterator[RowsByPose]:
-        """Return ``pose_rows`` of the fitted unknowns at x (P,)."""
-        return pose_rows(self.problem, x, self.columns, self.pose, stride)
+    def rows(self, x: Floats) -> Iterator[RowsByPose]:
+        """Return the ``independent`` poses' rows of the fitted unknowns at x (P,)."""
+        return independent(pose_rows(self.problem, x, self.columns, self.pose))
 
     def times(self, limits: tuple[int, int]) -> float:
         """Return how many times as many poses or residuals there are, whichever is more."""
-        residuals = 0
-        for group in (group for group in self.problem.groups if group.row is not None):
-            of_pose = np.unique(self.pose[group.row], return_counts=True)[1] * group.sensor_cov.shape[1]
-            residuals += int(np.minimum(of_pose, MOST_OF_POSE).sum())
-        poses = np.unique(self.pose[_rows_used(self.problem)]).size
-        return max(poses / limits[0], residuals / limits[1])
+        residuals, numbers = 0, set[int]()
+        for group in self.problem.groups:
+            if group.row is not None:
+                poses, rows = np.unique(self.pose[group.row], return_counts=True)
+                residuals += int(np.minimum(rows * group.sensor_cov.shape[1], MOST_OF_POSE).sum())
+                numbers.update(poses.tolist())
+        return max(len(numbers) / limits[0], residuals / limits[1])
 
-    @property
-    def shares_poses(self) -> bool:
-        """Return whether any pose has several rows."""
-        return bool((np.bincount(self.pose) > 1).any())
+    def by_modes(self, x: Floats) -> Floats:
+        """Return T (k + 1, g + f + 1): rows [J|residual at x] times T are those by g and f, about the reference."""
+        g, f = self.sigma.size, self.basis.shape[1]
+        change = np.zeros((self.is_law.size + 1, g + f + 1))
+        change[np.flatnonzero(~self.is_law), np.arange(g)] = self.sigma
+        change[np.ix_(np.append(self.is_law, False), np.arange(g, g + f))] = self.basis
+        change[:-1, -1] = (x - self.reference)[self.columns]
+        change[-1, -1] = 1.0
+        return change
+
+    def sizes(self, variances: Mapping[Law, Floats]) -> Floats:
+        """Return the variances (v,) of all laws."""
+        return np.concatenate([np.zeros(0), *(variances[law] for law in self.laws)])
 
 
 def law_problem(
-    problem: Problem, columns: NDArray[np.bool_], start: Floats, laws: Sequence[Law], pose: Indices
+    problem: Problem, columns: Mask, start: Floats, pose: Indices, priors: Mapping[Law, LawPrior]
 ) -> LawProblem:
-    """Return a problem whose robot has these laws, with their parameters last; ``start`` (P,): the rest, fitted without.
+    """Return a problem whose robot has laws with ``priors``, its last parameters; ``start`` (P,): the rest, fitted without.
 
     Unknowns without a prior get a weak one about ``start``, so redundant parameters are allowed.
     """
-    blocks = tuple(prior_blocks(laws))
+    basis = scipy.linalg.block_diag(np.zeros((0, 0)), *(prior.basis for prior in priors.values()))
+    spectra = scipy.linalg.block_diag(np.zeros((0, 0)), *(prior.spectra for prior in priors.values()))
+    counts = np.array([prior.spectra.shape for prior in priors.values()], dtype=np.intp).reshape(-1, 2)
+    caps = np.repeat([prior.cap for prior in priors.values()], counts[:, 0])
+    of_variance, of_mode = (np.repeat(np.arange(len(priors)), count) for count in counts.T)
     is_law = np.zeros(columns.size, dtype=bool)
-    is_law[problem.n_robot - (blocks[-1].columns.stop if blocks else 0) : problem.n_robot] = True
+    is_law[problem.n_robot - len(basis) : problem.n_robot] = True
     declared = np.isfinite(problem.prior_sigma)
     sigma = np.array([UNITS[unit].wide_sigma for unit in problem.units])
     sigma[problem.n_robot :] = RIG_SIGMA
     sigma[declared] = problem.prior_sigma[declared]
     reference = np.where(declared, problem.start, start)
-    return LawProblem(problem, columns, is_law[columns], pose, start, reference, sigma[columns], tuple(laws), blocks)
+    of_law, sigma, prior = is_law[columns], sigma[columns & ~is_law], ModePrior(spectra, caps)
+    laws = tuple(priors)
+    return LawProblem(problem, columns, of_law, pose, start, reference, sigma, laws, basis, prior, of_mode, of_variance)
 
 
 class Learned(NamedTuple):
@@ -156,15 +162,14 @@ class Learned(NamedTuple):
 class Posterior(NamedTuple):
     """The unknowns at given variances and noise: x (P,), the covariance (k, k) and the log evidence.
 
-    The transpose of ``law_root`` (m, l) times it is the data's information about the laws; ``prior_root`` (l, p) times
-    its transpose is their prior.
+    ``freedom`` are the degrees of freedom of the laws, tr(A C), and ``cost`` (laws,) is Σ f²/s of each.
     """
 
     x: Floats
     covariance: Floats
     evidence: float
-    law_root: Floats
-    prior_root: Floats
+    freedom: float
+    cost: Floats
 
 
 def learn(problem: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS, shared: bool = True) -> Learned:
@@ -172,32 +177,31 @@ def learn(problem: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS,
 
     They start from what was learned with more laws; with a noise alone, all variances start small.
     """
-    sample = problem.some()
-    blocks = sample.blocks
+    sample, linearised = problem.some(), LINEARISED
     if isinstance(start, Learned):
-        values, noise, x, least_rounds = [start.variances[law] for law in problem.laws], start.noise, start.x, 0
+        variances, noise, x, linearised = problem.sizes(start.variances), start.noise, start.x, 1
     else:
-        values = [np.full(len(block.kernels), (START * block.cap) ** 2) for block in blocks]
-        noise, x, least_rounds = start, problem.start, LEAST_ROUNDS
-    shared = shared and problem.shares_poses
+        variances, noise, x = (START * problem.prior.cap) ** 2, start, problem.start
+    shared = shared and bool((np.bincount(problem.pose) > 1).any())
     if shared and not noise.shared:
         noise = noise._replace(shared=SHARED_START, turned=SHARED_START)
-    stride = max(1, int(sample.times(FOR_NOISE)))
+    stride, middle, rows = max(1, int(sample.times(FOR_NOISE))), x, list[RowsByPose]()
     for i in steps_of(range(rounds), "learning the sizes of joint laws and noise"):
-        rows = list(sample.rows(x)) if stride == 1 else []  # more would take much memory
-        marginal, geometry = _marginal(sample, x, rows or sample.rows(x), noise)
-        data = seen_by(marginal, blocks)
-        values = learned(data, blocks, revived(data, blocks, values), STEPS)
-        weighed = weigh(data, blocks, values)
-        estimates = coefficients(marginal, weighed, blocks, values)
-        fit = _posterior(sample, x, marginal, geometry, estimates, weighed.nats)
-        step = (x - fit.x)[sample.columns]
-        samples = pose_samples(rows or sample.rows(x, stride), step, fit.covariance)
+        if i < linearised:
+            middle, rows = x, list(sample.rows(x))
+        data = _data(sample, middle, rows, noise)
+        variances = learned(data.seen, problem.prior, variances)
+        fit = _posterior(sample, middle, data, variances)
+        samples = pose_samples(rows, (middle - fit.x)[sample.columns], fit.covariance, stride)
         x, old, noise = fit.x, noise, learned_noise(samples, noise, shared)
-        if i >= least_rounds and noise_change(samples, old, noise) < NOISE_END:
+        if i >= linearised - 1 and noise_change(samples, old, noise) < NOISE_END:
             break
-    nats = {law: block_nats(weighed, b, v) for law, b, v in zip(problem.laws, blocks, values, strict=True)}
-    return Learned(dict(zip(problem.laws, values, strict=True)), noise, nats, fit.evidence, x)
+    sizes, laws = variances @ problem.prior.spectra, range(len(problem.laws))
+    total = weigh(data.seen, sizes).nats
+    nats = [total - nats_without(data.seen, sizes, problem.law_of_mode == law) for law in laws]
+    of_laws = [variances[problem.law_of_variance == law] for law in laws]
+    named = (dict(zip(problem.laws, values, strict=True)) for values in (of_laws, nats))
+    return Learned(next(named), noise, next(named), fit.evidence, x)
 
 
 def nats_of_scatter(problem: LawProblem, learning: Learned) -> float:
@@ -209,65 +213,55 @@ def nats_of_scatter(problem: LawProblem, learning: Learned) -> float:
 
 def posterior(problem: LawProblem, learning: Learned) -> Posterior:
     """Return the posterior of all poses with the learned variances and noise, linearised at what was learned."""
-    x, noise, blocks, active = learning.x, learning.noise, problem.blocks, problem.acting()
-    values = [learning.variances[law] for law in problem.laws]
-    marginal, geometry = _marginal(problem, x, active.rows(x), noise, active.columns[problem.columns])
-    weighed = weigh(seen_by(marginal, blocks), blocks, values)
-    estimates = coefficients(marginal, weighed, blocks, values)
-    return _posterior(problem, x, marginal, geometry, estimates, weighed.nats)
+    active = problem.acting()
+    data = _data(active, learning.x, active.rows(learning.x), learning.noise)
+    return _posterior(problem, learning.x, data, problem.sizes(learning.variances))
 
 
-class _Geometry(NamedTuple):
-    """Everything except laws, integrated out: solutions (k − l, l + 1) for the laws' columns and the residual, and more."""
+class _Data(NamedTuple):
+    """What rows say of the modes f with g integrated out, and of g for f = 0, in units of its prior."""
 
-    solved: Floats
-    covariance: Floats  # (k − l, k − l) given the laws
+    seen: Seen
+    g: Floats  # (g,)
+    by_mode: Floats  # (g, f)
+    root: Floats  # (g, g) R with R Rᵀ the covariance of g given f
     evidence: float  # without laws
 
 
-def _marginal(
-    problem: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: PoseNoise, active: Mask | None = None
-) -> tuple[Marginal, _Geometry]:
-    """Return the poses' information about the laws, linearised at x (P,), about no laws and the reference of the rest.
-
-    The rows have derivatives by all unknowns, or those that are ``active`` (k,).
-    """
-    filled = np.ones(problem.is_law.size + 1, dtype=bool)
-    filled[:-1] = True if active is None else active
-    triangle, logdet = pose_information(rows, int(filled.sum()), noise)
-    root = np.zeros((len(triangle), filled.size))
-    root[:, filled] = triangle
-    root[:, -1] += root[:, :-1] @ (x - problem.reference)[problem.columns]
-    order = np.concatenate([np.flatnonzero(~problem.is_law), np.flatnonzero(problem.is_law), [-1]])
-    n = int((~problem.is_law).sum())
-    weight = 1.0 / problem.sigma[~problem.is_law]
-    triangle, solved, reduced = eliminated(np.diag(weight), root[:, order])
-    inverse = scipy.linalg.solve_triangular(triangle, np.eye(n), check_finite=False)
-    logdet += 2.0 * float(np.log(np.abs(np.diag(triangle)) / weight).sum())
-    evidence = -0.5 * (logdet + float((reduced[:, -1] ** 2).sum()))
-    return Marginal(reduced[:, :-1], reduced[:, -1]), _Geometry(inverse @ solved, inverse @ inverse.T, evidence)
+def _data(problem: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: PoseNoise) -> _Data:
+    """Return the information of rows that were linearised at x (P,)."""
+    change, g = problem.by_modes(x), problem.sigma.size
+    gram, logdet = pose_information(rows, len(change), noise)
+    gram = change.T @ gram @ change
+    geometry = gram[:g, :g]
+    lower = np.linalg.cholesky(geometry + (1.0 + ROUNDING * np.trace(geometry)) * np.eye(g))
+    half = solve_lower(lower, gram[:g, g:])
+    remaining = gram[g:, g:] - half.T @ half
+    logdet += 2.0 * float(np.log(np.diag(lower)).sum())
+    root = solve_lower(lower, np.eye(g)).T
+    seen = seen_by(remaining[:-1, :-1], remaining[:-1, -1], problem.prior)
+    return _Data(seen, root @ half[:, -1], -root @ half[:, :-1], root, -0.5 * (logdet + float(remaining[-1, -1])))
 
 
-def _posterior(
-    problem: LawProblem, x: Floats, marginal: Marginal, geometry: _Geometry, estimates: Coefficients, nats: float
-) -> Posterior:
-    c, covariance = estimates.value, estimates.covariance
-    by_law = -geometry.solved[:, :-1]
-    law = problem.is_law
-    value, full = np.zeros(law.size), np.zeros((law.size, law.size))
-    value[law], value[~law] = c, geometry.solved[:, -1] + by_law @ c
-    cross = by_law @ covariance
-    full[np.ix_(law, law)] = covariance
-    full[np.ix_(~law, law)], full[np.ix_(law, ~law)] = cross, cross.T
-    full[np.ix_(~law, ~law)] = geometry.covariance + cross @ by_law.T
+def _posterior(problem: LawProblem, x: Floats, data: _Data, variances: Floats) -> Posterior:
+    """Return x and its covariance for variances (v,); the rows may have had fewer columns of laws."""
+    sizes = variances @ problem.prior.spectra
+    weighed = weigh(data.seen, sizes)
+    by_g, law = problem.sigma[:, None], problem.is_law
+    modes = np.concatenate([by_g * data.by_mode, problem.basis]) * sizes
+    away = modes @ weighed.x.T
+    half = modes / np.where(sizes > 0.0, np.sqrt(sizes), 1.0)
+    covariance = half @ half.T - away @ away.T
+    geometry, count = by_g * data.root, by_g.size
+    covariance[:count, :count] += geometry @ geometry.T
+    order = np.argsort(np.argsort(law, kind="stable"), kind="stable")
+    value = modes @ weighed.z
+    value[:count] += problem.sigma * data.g
     out = x.copy()
-    out[problem.columns] = problem.reference[problem.columns] + value
-    return Posterior(out, full, geometry.evidence + nats, marginal.root, estimates.prior_root)
-
-
-def _rows_used(problem: Problem) -> Indices:
-    """Return the rows of the table that a problem has observations of."""
-    return np.concatenate([group.row for group in problem.groups if group.row is not None])
+    out[problem.columns] = problem.reference[problem.columns] + value[order]
+    freedom = float(sizes @ (weighed.x**2).sum(axis=0))
+    cost = np.bincount(problem.law_of_mode, sizes * weighed.z**2, len(problem.laws)).astype(float)
+    return Posterior(out, covariance[np.ix_(order, order)], data.evidence + weighed.nats, freedom, cost)
 
 
 def nearer_geometry(of: LawProblem, anywhere: Problem, fit: Posterior, misfit: float) -> Posterior:

@@ -6,7 +6,7 @@ the usual row errs by more than its declared noise, the gate is wider in proport
 
 With more than MOST of all rows out, or more than LONGEST_RUN consecutive ones, the model is wrong. Rows that are
 farthest are still named if they ``matter``: what is missing may be joint laws, and a fit with them decides
-(``law_outliers``).
+(``joint_laws``).
 
 More rows may be *bad*: they bend a least-squares fit too far. The choice then starts at the fit with the Cauchy loss,
 which ends near the good rows. Bad rows are named, not left out, if χ² of all others is in its range, at most MOST_BAD

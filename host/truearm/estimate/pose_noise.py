@@ -7,8 +7,8 @@ last link that all rows of a pose share. Q = diag(q_1 … q_j) [rad² or m²] ar
 derivatives of the rows. All are learned by their evidence (``learned_noise``). Without them, an error shared by the
 rows of a pose would count as information, and joint laws would be fitted to noise.
 
-With an orthonormal basis B (N, k) of [T|W|C], a pose of N > k residuals has only Bᵀ R B to invert. The other N − k
-directions have the noise m alone.
+Of a pose of more residuals than motions [T|W|C], an orthonormal basis of these has the noise R of that many residuals.
+All other directions have the noise m alone.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import get_lapack_funcs
 from scipy.sparse import csr_array
 
-from truearm.estimate.information import fold
 from truearm.estimate.measured_order import first_alike
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
@@ -30,6 +30,8 @@ from truearm.kinds.group import Group
 from truearm.model.chain import folded
 from truearm.types import Floats, Indices
 
+_geqrf, _ormqr = get_lapack_funcs(("geqrf", "ormqr"), dtype=np.float64)
+ORMQR_WORK = 64_000  # numbers: LAPACK's blocks of 32 columns, of 2000
 CHUNK = 400_000  # numbers per chunk of rows: 3 MB
 SMALLEST_SHARE = 0.01  # of the rows kept for a part of the noise, however much the unknowns absorb
 SETTLED = 1e-3  # change of a part of the noise from step to step, relative to all of it
@@ -89,17 +91,6 @@ class RowsByPose(NamedTuple):
         turn = basis.swapaxes(1, 2)
         return self._replace(rows=turn @ self.rows, moved=turn @ self.moved, basis=basis)
 
-    def split(self) -> tuple[RowsByPose, Floats]:
-        """Return the poses on a basis of [T|W|C], and their rows beyond it (n, N, k + 1); N is 0 if none are."""
-        shared = self.projected(self.moved)
-        beyond = self.rows[:, :0] if shared.basis is None else self.rows - shared.basis @ shared.rows
-        return shared, beyond
-
-    @property
-    def spare(self) -> int:
-        """Return the number of a pose's directions beyond the basis."""
-        return 0 if self.basis is None else self.basis.shape[1] - self.basis.shape[2]
-
     def expanded(self, columns: Floats) -> Floats:
         """Return columns (n, N, c) of the residuals from those on the basis (n, w, c)."""
         return columns if self.basis is None else self.basis @ columns
@@ -131,22 +122,13 @@ class RowsByPose(NamedTuple):
         return noise.covariances(self.moved)
 
 
-class PoseInformation(NamedTuple):
-    """Rows [J|f] (m, k + 1) that hold all that the observations say, whitened by R, and the log determinant of R."""
-
-    rows: Floats
-    logdet: float
-
-
-def pose_rows(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, stride: int = 1
-) -> Iterator[RowsByPose]:
-    """Return all poses, or every ``stride``-th, in chunks with equally many rows of each kind per pose.
+def pose_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices) -> Iterator[RowsByPose]:
+    """Return all poses in chunks with equally many rows of each kind per pose.
 
     The unknowns are x[columns], linearised at x. ``pose`` (n_rows,) holds the numbers of the poses.
     """
     by_unknowns = _by_unknowns(problem, x, columns)
-    for pieces in _pieces(problem.groups, pose, by_unknowns.shape[0], stride):
+    for pieces in _pieces(problem.groups, pose, by_unknowns.shape[0]):
         ends = np.cumsum([count * group.sensor_cov.shape[1] for group, count in pieces]).tolist()
         whitened = [_whitened(problem, x, group, count) for group, count in pieces]
         places = (slice(first, last) for first, last in pairwise([0, *ends]))
@@ -158,14 +140,14 @@ def pose_rows(
         yield RowsByPose(tuple(kinds), (rows.reshape(n * w, -1) @ by_unknowns).reshape(n, w, -1), moved)
 
 
-def _pieces(groups: Sequence[Group], pose: Indices, width: int, stride: int) -> Iterator[list[tuple[Group, int]]]:
+def _pieces(groups: Sequence[Group], pose: Indices, width: int) -> Iterator[list[tuple[Group, int]]]:
     """Yield observations of some poses, pose by pose: those of each kind, and the number of them per pose."""
     yield from ([(group, 1)] for group in groups if group.row is None)
     measured = [group for group in groups if group.row is not None]
     if not measured:
         return
     of_group = [pose[group.row] for group in measured]
-    numbers = np.flatnonzero(np.bincount(np.concatenate(of_group)))[::stride]
+    numbers = np.flatnonzero(np.bincount(np.concatenate(of_group)))
     orders = [np.argsort(poses, kind="stable") for poses in of_group]
     ends = [np.searchsorted(poses, numbers, "right", order) for poses, order in zip(of_group, orders, strict=True)]
     starts = [np.searchsorted(poses, numbers, "left", order) for poses, order in zip(of_group, orders, strict=True)]
@@ -200,20 +182,35 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> tuple[Fl
     return declared, rows[..., :-k], rows[..., -k:]
 
 
-def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -> PoseInformation:
-    """Return the information of poses on their ``width`` − 1 unknowns and the residual, with the given noise."""
-    triangle, pending, logdet = np.zeros((width, width)), np.zeros((0, width)), 0.0
+def independent(rows: Iterable[RowsByPose]) -> Iterator[RowsByPose]:
+    """Yield poses with at most as many residuals as motions, and their other directions as poses that nothing moves.
+
+    The first are on a basis of [T|W|C], and each of the others has one residual.
+    """
     for poses in rows:
-        shared, beyond = poses.split()
-        root = np.linalg.cholesky(shared.covariances(noise))
+        motions = poses.moved.shape[2]
+        if poses.is_knowledge or poses.moved.shape[1] <= motions:
+            yield poses
+            continue
+        turned = []
+        for moved, whitened in zip(poses.moved, poses.rows, strict=True):
+            reflectors, factors, *_ = _geqrf(moved)
+            turned.append(_ormqr("L", "T", reflectors, factors, np.hstack([whitened, moved]), ORMQR_WORK)[0])
+        whitened, moved = np.split(np.array(turned), [poses.rows.shape[2]], axis=2)
+        yield poses._replace(rows=whitened[:, :motions], moved=moved[:, :motions])
+        others = whitened[:, motions:].reshape(-1, 1, whitened.shape[2])
+        yield poses._replace(rows=others, moved=np.zeros((len(others), 1, motions)))
+
+
+def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -> tuple[Floats, float]:
+    """Return the information (k + 1, k + 1) of poses [J|f]ᵀR⁻¹[J|f] with this noise, ``width`` is k + 1, and log det R."""
+    information, logdet = np.zeros((width, width)), 0.0
+    for poses in rows:
+        root = np.linalg.cholesky(poses.covariances(noise))
         logdet += 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
-        logdet += len(root) * shared.spare * math.log(noise.sensor)
-        whitened = shared.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ shared.rows
-        for block in (whitened, beyond / math.sqrt(noise.sensor)):
-            pending = np.concatenate([pending, block.reshape(-1, width)])
-            if len(pending) > width:
-                triangle, pending = fold(triangle, pending), pending[:0]
-    return PoseInformation(fold(triangle, pending) if triangle.any() else pending, logdet)
+        whitened = (poses.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ poses.rows).reshape(-1, width)
+        information += whitened.T @ whitened
+    return information, logdet
 
 
 def _by_unknowns(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
@@ -228,36 +225,25 @@ def _by_unknowns(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr
     return csr_array(out)
 
 
-def spread_of(rows: Floats, posterior: Floats) -> Floats:
-    """Return J P Jᵀ (n, w, w) of the ``rows`` (n, w, k + 1) of poses, P (k, k)."""
-    n, w, width = rows.shape
-    jac = rows[..., :-1]
-    return np.asarray((jac.reshape(n * w, width - 1) @ posterior).reshape(jac.shape) @ jac.swapaxes(1, 2))
-
-
 class PoseSample(NamedTuple):
-    """Poses with equal numbers of rows, in the form that the evidence of their noise needs: on a basis of [T|W|C].
-
-    ``beyond`` are the number of the other directions, and the sums of e² and of J P Jᵀ over them.
-    """
+    """Poses with equal numbers of rows, in the form that the evidence of their noise needs."""
 
     residual: Floats  # (n, w) at the estimate
     spread: Floats  # (n, w, w) J P Jᵀ
     moved: Floats  # (n, w, 6 + j) [T|W|C]
-    beyond: tuple[int, float, float] = (0, 0.0, 0.0)
 
 
-def pose_samples(rows: Iterable[RowsByPose], step: Floats, posterior: Floats) -> list[PoseSample]:
-    """Return the poses' information about the noise once x has moved by −``step`` (k,); ``posterior`` (k, k)."""
-    out, step = [], np.append(step, 1.0)
+def pose_samples(rows: Iterable[RowsByPose], step: Floats, posterior: Floats, stride: int) -> list[PoseSample]:
+    """Return what every ``stride``-th pose says of the noise once x has moved by −``step`` (k,); ``posterior`` (k, k)."""
+    samples = []
     for poses in rows:
         if not poses.is_knowledge:
-            shared, beyond = poses.split()
-            square = ((beyond @ step) ** 2).sum()
-            spread = ((beyond[..., :-1] @ posterior) * beyond[..., :-1]).sum()
-            sums = len(beyond) * shared.spare, float(square), float(spread)
-            out.append(PoseSample(shared.rows @ step, spread_of(shared.rows, posterior), shared.moved, sums))
-    return out
+            some = poses.rows[::stride]
+            n, w, width = some.shape
+            jac = some[..., :-1]
+            spread = (jac.reshape(n * w, width - 1) @ posterior).reshape(jac.shape) @ jac.swapaxes(1, 2)
+            samples.append(PoseSample(some @ np.append(step, 1.0), spread, poses.moved[::stride]))
+    return samples
 
 
 def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool) -> PoseNoise:
@@ -290,8 +276,7 @@ def noise_change(samples: Sequence[PoseSample], old: PoseNoise, new: PoseNoise) 
         old_cov, new_cov = (noise.covariances(sample.moved) for noise in (old, new))
         change = np.linalg.solve(new_cov, new_cov - old_cov)
         square += float((change * change.swapaxes(1, 2)).sum())
-        square += sample.beyond[0] * (new.sensor / old.sensor - 1.0) ** 2
-        count += sample.residual.size + sample.beyond[0]
+        count += sample.residual.size
     return math.sqrt(square / max(count, 1))
 
 
@@ -313,11 +298,9 @@ def _parts(samples: Sequence[PoseSample], noise: PoseNoise) -> _Parts:
         columns = np.array(
             [(along**2).sum(axis=0), (sample.moved * by).sum(axis=(0, 1)), (by * (sample.spread @ by)).sum(axis=(0, 1))]
         )
-        n, square, spread = sample.beyond
         own = np.array(
             [(e**2).sum(), inverse.trace(axis1=1, axis2=2).sum(), (inverse * (sample.spread @ inverse)).sum()]
         )
-        own += np.array([square / noise.sensor**2, n / noise.sensor, spread / noise.sensor**2])
         pose, joints = np.split(columns, [2 * MOTIONS], axis=1)
         out += np.column_stack([own, pose[:, :MOTIONS].sum(axis=1), pose[:, MOTIONS:].sum(axis=1), joints])
     return _Parts(*out)

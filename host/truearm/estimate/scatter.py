@@ -43,7 +43,7 @@ def learned_scatter(
     """
     if fit.explained and not shared_poses(problem, pose):
         return None
-    of = law_problem(problem, columns, x, (), pose)
+    of = law_problem(problem, columns, x, pose, {})
     return scatter_of(of, learn(of, PoseNoise.of(1.0, len(problem.chain.joints), JOINT_NOISE)))
 
 

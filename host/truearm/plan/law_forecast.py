@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.estimate.law_candidates import LENGTHS, candidates, gravity_of
+from truearm.estimate.law_candidates import LENGTHS, candidates, gravity_of, law_priors
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.estimate.law_fit import Learned, law_problem, posterior
 from truearm.estimate.measured_order import poses
@@ -72,7 +72,7 @@ def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> tuple[Cu
     columns[:n] = knowledge.free[:n]
     start = problem.start.copy()
     start[:n] = knowledge.params[:n]
-    laws_problem = law_problem(problem, columns, start, laws, poses(table))
+    laws_problem = law_problem(problem, columns, start, poses(table), law_priors(chain, laws, table.q))
     prior = np.where(np.isin(LENGTHS, TYPICAL_LENGTHS), TYPICAL**2, 0.0)
     learned = posterior(
         laws_problem,

@@ -20,9 +20,8 @@ from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.identify import SolverOptions, judged, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
-from truearm.estimate.joint_laws import LawRequest, is_of_joint, with_joint_laws
+from truearm.estimate.joint_laws import LawRequest, WithLaws, is_of_joint, with_joint_laws, without_outliers
 from truearm.estimate.law_choice import LawChoice
-from truearm.estimate.law_outliers import WithLaws, fitted_without_outliers
 from truearm.estimate.mean_error import with_gain
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
@@ -408,7 +407,7 @@ def identified(
     if options.joint_laws == LawMode.NONE:
         estimate = checked(estimate)
     else:
-        chain, estimate, *_ = fitted_without_outliers(estimate, geometry, with_laws)
+        chain, estimate, *_ = without_outliers(estimate, geometry, with_laws)
     if not estimate.unusable:
         examination = examine_once(chain, estimate)
         estimate = with_faults(estimate, examination)
