@@ -10,7 +10,7 @@ import pytest
 from session_stream import columns_of
 
 from truearm.clocks import fit
-from truearm.session.clock import RobotClock, fit_clock
+from truearm.session.clock import EdgeReport, RobotClock, fit_clock
 from truearm.session.joint_format import NO_INPUTS, parse_lines
 from truearm.session.joint_readings import InputTrack, JointReader
 from truearm.session.trigger_edges import EDGE, fit_edges, match, with_edges
@@ -64,11 +64,12 @@ def errors(seed, n, controller, between=(0.3, 1.3), delays=(0.0, 0.0)):
     edges["host_ns"], edges["rising"] = 1000 * np.floor(1e6 * t), rising
     arrivals = RobotClock(100.0, fit(np.array([0, 10**11]), np.array([0, 10**11])), np.array([100.0]), np.zeros(1))
     span_s = tuple(controller.reading(t[[0, -1]]))
-    found = fit_edges(arrivals, edges, tick * CYCLE_S, (tick + 1) * CYCLE_S, span_s)
-    assert found.rejected == 0
-    assert found.falling_later_ns[0] <= 1e9 * (delays[1] - delays[0]) <= found.falling_later_ns[1]
+    readings_s = tick * CYCLE_S, (tick + 1) * CYCLE_S
+    clock, report = fit_edges(EdgeReport(0, False, n, 0, 0, 0), arrivals, edges, *readings_s, span_s)
+    assert (report.used, report.rejected) == (n, 0)
+    assert report.falling_later_ns[0] <= 1e9 * (delays[1] - delays[0]) <= report.falling_later_ns[1]
     at = np.linspace(*span_s, 500)
-    return 1e-3 * (found.clock.to_host_ns(at) - 1e9 * controller.true(at)), 1e-3 * found.clock.bound_at(at)
+    return 1e-3 * (clock.to_host_ns(at) - 1e9 * controller.true(at)), 1e-3 * clock.bound_at(at)
 
 
 @pytest.mark.parametrize("seeds", [20, pytest.param(100, marks=pytest.mark.soak)])

@@ -102,7 +102,8 @@ def find_stops(bins: Bins, step: Floats) -> list[Dwell]:
         return []
     for joint, smallest in enumerate(step):  # one by one: a session may hold half a million bins
         ranges = _window_ranges(bins, joint)
-        quiet = quiet & (ranges <= motion_threshold(ranges[complete], smallest))
+        at_rest = QUIET_FACTOR * float(np.quantile(ranges[complete], QUIET_SHARE))
+        quiet = quiet & (ranges <= max(at_rest, 2.001 * smallest, LEAST_MOTION))
     # A chain of windows ties its bins together.
     tied = np.convolve(quiet, np.ones(WINDOW_BINS - 1)) > 0.0
     edges = np.flatnonzero(np.diff(tied, prepend=False, append=False))
@@ -122,12 +123,6 @@ def resting_variance(bins: Bins, runs: list[slice]) -> Floats:
     halves = [bins.mean[(run.start + run.stop) // 2 : run.stop] for run in runs]
     spread = [np.var(half, axis=0, ddof=1) for half in halves if len(half) >= LEAST_BLOCKS]
     return np.asarray(np.median(spread, axis=0)) if spread else np.zeros(bins.mean.shape[1])
-
-
-def motion_threshold(ranges: Floats, step: float) -> float:
-    """Return the largest range of a joint at rest in one window, from the ranges (w,) of complete windows."""
-    quiet_range = float(np.quantile(ranges, QUIET_SHARE))
-    return max(QUIET_FACTOR * quiet_range, 2.001 * step, LEAST_MOTION)
 
 
 def _window_ranges(bins: Bins, joint: int) -> Floats:

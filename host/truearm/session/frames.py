@@ -215,10 +215,6 @@ class Frames:
     contents: list[Any]
     malformed: int = 0
 
-    def held(self, first: int) -> Frames:
-        """Return the frames from row ``first`` on."""
-        return Frames(self.table[first:].copy(), self.contents[first:])
-
     def followed_by(self, later: Frames) -> Frames:
         """Return these frames, then all of ``later``."""
         return Frames(np.concatenate([self.table, later.table]), self.contents + later.contents, later.malformed)

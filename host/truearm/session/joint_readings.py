@@ -16,7 +16,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,14 +108,6 @@ class Bins:
     gap: NDArray[np.bool_]
 
 
-class Readings(NamedTuple):
-    """Readings (n,) of one segment: controller time [s], number, joints (n, j)."""
-
-    t: Floats
-    seq: Ints
-    q: Floats
-
-
 @dataclass(frozen=True)
 class JointStream:
     """The robot's data. ``step``: smallest change (or change of a change) of each joint, its quantisation."""
@@ -142,16 +134,17 @@ class JointStream:
             host[segment == k] = self.clocks[k].to_host_ns(t_s[segment == k])
         return host
 
-    def between(self, segment: int, start_s: float, end_s: float) -> Readings:
-        """Return the readings between two controller times, of those that were kept."""
+    def between(self, segment: int, start_s: float, end_s: float) -> tuple[Floats, Ints, Floats]:
+        """Return the readings of a segment between two controller times, of those that were kept.
+
+        These are controller times (n,) [s], numbers (n,) and joints (n, j).
+        """
         spans = enumerate(self.all_readings.spans)
         batches = [self.all_readings.load(k) for k, (s, a, b) in spans if s == segment and a <= end_s and b >= start_s]
-        t, seq, q = map(
-            np.concatenate,
-            zip((np.empty(0), np.empty(0, np.int64), np.empty((0, len(self.step)))), *batches, strict=True),
-        )
+        nothing = np.empty(0), np.empty(0, np.int64), np.empty((0, len(self.step)))
+        t, seq, q = map(np.concatenate, zip(nothing, *batches, strict=True))
         inside = (t >= start_s) & (t <= end_s)
-        return Readings(t[inside], seq[inside], q[inside])
+        return t[inside], seq[inside], q[inside]
 
 
 _BACK = b'"kind":"robot-back"'
@@ -317,7 +310,7 @@ class JointReader:
             self._inputs[-1].add(t, batch.columns["inputs"])
         self._bin(t, batch.q)
         if self.keeps:
-            self._all_readings.append(Readings(t, seq, batch.q), (segment, float(t[0]), self._latest_s))
+            self._all_readings.append((t, seq, batch.q), (segment, float(t[0]), self._latest_s))
 
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:

@@ -185,7 +185,11 @@ def observations(
             outcome = measure(line_pass, channels, surveyed.joints, any_clock, reach, line_points)
         driven += [] if outcome is None else [outcome]
     counts = [dwell.n_samples for dwell in dwells if not dwell.reason] + [line_pass.n_samples for line_pass in driven]
-    table = table_of(by_kind, driven, surveyed.joints, name)
+    tables = [_of_dwells(dwells, kind, surveyed.joints, name) for kind, dwells in by_kind.items()]
+    for number, line_pass in enumerate(driven, start=1):
+        source = [f"{name} pass {number}.{row}" for row in range(1, len(line_pass.table) + 1)]
+        tables += [line_pass.table.replace(source=source)] if not line_pass.reason else []
+    table = ObservationTable.joined(tables)
     t_host_ns = (1e9 * table.time).astype(np.int64)
     read = THERMOMETERS.keys() & surveyed.thermometers.keys()
     simulated = any(box.simulated for box in surveyed.idents.values())
@@ -220,20 +224,6 @@ def _measured(dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, surveyed:
         else:
             dwells[i] = measured(dwell, read, sensor, surveyed.joints, usual)
     return without_noisy(dwells)
-
-
-def table_of(
-    by_kind: Mapping[str, Sequence[Dwell]], passes: Sequence[LinePass], joints: JointStream, name: str
-) -> ObservationTable:
-    """Return a table with one row per dwell without a reason, by kind of observation, then all rows of the passes.
-
-    ``name`` is the session's name for ``source``.
-    """
-    tables = [_of_dwells(dwells, kind, joints, name) for kind, dwells in by_kind.items()]
-    for number, line_pass in enumerate(passes, start=1):
-        source = [f"{name} pass {number}.{row}" for row in range(1, len(line_pass.table) + 1)]
-        tables += [line_pass.table.replace(source=source)] if not line_pass.reason else []
-    return ObservationTable.joined(tables)
 
 
 def _of_dwells(dwells: Sequence[Dwell], kind: str, joints: JointStream, name: str) -> ObservationTable:

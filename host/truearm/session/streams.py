@@ -267,7 +267,7 @@ class BoxReader:
         bounds = _bounds(frames.table)
         if self._continues(frames.table[: bounds[-1]]):
             bounds = [0, bounds[-1]]
-        self._held = frames.held(bounds[-1])
+        self._held = Frames(frames.table[bounds[-1] :].copy(), frames.contents[bounds[-1] :])
         return self._use(frames, bounds)
 
     def finish(self) -> list[Blocks]:

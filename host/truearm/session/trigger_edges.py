@@ -78,30 +78,19 @@ def match(expected_s: Floats, level: NDArray[np.bool_], changes: Changes) -> Mat
     return Matched(change, unseen, n - alone.size - unseen + changes.level.size - alone.size - stray, stray)
 
 
-class EdgeFit(NamedTuple):
-    """The clock from the edges, how many contradict the others, and how much later falling edges are seen than rising ones.
-
-    ``to_box_ns`` (k,): the part of the bound at the clock's nodes that is between controller and box. ``falling_later_ns``:
-    at least and at most; NaN if only one direction is usable.
-    """
-
-    clock: RobotClock
-    to_box_ns: Floats
-    rejected: int
-    falling_later_ns: tuple[float, float]
-
-
 def fit_edges(
+    report: EdgeReport,
     arrivals: RobotClock,
     edges: NDArray[Any],
     before_s: Floats,
     after_s: Floats,
     span_s: tuple[float, float],
     wander: float = WANDER,
-) -> EdgeFit:
-    """Fit the clock to edges (n,) of EDGE between readings before and after (n,) [s]; n ≥ 1.
+) -> tuple[RobotClock, EdgeReport]:
+    """Return the clock from edges (n,) of EDGE between readings before and after (n,) [s], n ≥ 1, and the complete report.
 
-    ``arrivals`` only converts the short time between these readings. ``wander``: of the host's clock.
+    ``arrivals``, of which ``span_s`` is the time, converts the short time between these readings, and is compared with the
+    result. ``wander``: of the host's clock.
     """
     course_wander = COURSE_WANDER if wander == WANDER else None
     stamps, until_ns = arrivals.stamps(after_s), arrivals.to_host_ns(after_s) - arrivals.to_host_ns(before_s)
@@ -117,25 +106,32 @@ def fit_edges(
     directions = [clock_of(rows[:, k]) for k in (edges["rising"], ~edges["rising"]) if k.any()]
     agreeing = ~np.isin(stamps, np.concatenate([clock.wrong for clock in directions]))
     rows, rising = rows[:, agreeing], edges["rising"][agreeing]
-    clock = likely = directions[0]
+    widest = likely = directions[0]
     later = (np.nan, np.nan)
     for _ in range(ROUNDS if len(directions) == 2 else 0):
-        if len(clock.steady) > 1:  # a clock stepped
+        if len(widest.steady) > 1:  # a clock stepped
             break
-        later = _falling_later(clock, rows, rising)
+        later = _falling_later(widest, rows, rising)
         smallest, largest = sorted(later)
         middle = 0.5 * (smallest + largest)
-        clock, likely = (clock_of(rows + _delayed(rising, *d)) for d in ((smallest, largest), (middle, middle)))
+        widest, likely = (clock_of(rows + _delayed(rising, *d)) for d in ((smallest, largest), (middle, middle)))
     nodes = np.linspace(*span_s, max(2, round((span_s[1] - span_s[0]) / NODE_S) + 1))
-    (centre_ns, reach), (host_ns, _) = (fitted.to_time(arrivals.stamps(nodes)) for fitted in (clock, likely))
+    (centre_ns, reach), (host_ns, _) = (fitted.to_time(arrivals.stamps(nodes)) for fitted in (widest, likely))
     to_box_ns = reach + np.abs(host_ns - centre_ns) + 0.5 * SHORTEST_DELAY_NS
     nearest = np.clip(np.searchsorted(edges["host_ns"], host_ns), 1, len(edges) - 1)
     box_ns = np.maximum(edges["bound_ns"][nearest - 1], edges["bound_ns"][nearest])
-    return EdgeFit(
-        RobotClock(arrivals.t_ref_s, likely, nodes, to_box_ns + box_ns, source="edges"),
-        to_box_ns,
-        len(edges) - rising.size + clock.wrong.size,
-        later,
+    clock = RobotClock(arrivals.t_ref_s, likely, nodes, to_box_ns + box_ns, source="edges")
+    rejected = len(edges) - rising.size + widest.wrong.size
+    centre_s = np.array([0.5 * sum(span_s)])
+    return clock, replace(
+        report,
+        used=len(edges) - rejected,
+        rejected=rejected,
+        falling_later_ns=later,
+        to_box_ns=float(np.median(to_box_ns)),
+        bound_ns=float(np.max(clock.bound_ns)),
+        shortest_latency_ns=float((arrivals.to_host_ns(centre_s) - clock.to_host_ns(centre_s))[0]),
+        in_use=float(np.median(clock.bound_ns)) <= float(np.median(arrivals.bound_ns)) + LATENCY_NS,
     )
 
 
@@ -204,20 +200,9 @@ def _of_segment(
         return arrivals, report
     changes, paired = track.changes(number), matched.change >= 0
     change = matched.change[paired]
-    fitted = fit_edges(arrivals, edges[paired], changes.before_s[change], changes.after_s[change], span_s, wander)
-    middle = np.array([0.5 * sum(span_s)])
-    in_use = float(np.median(fitted.clock.bound_ns)) <= float(np.median(arrivals.bound_ns)) + LATENCY_NS
-    report = replace(
-        report,
-        used=matched.paired - fitted.rejected,
-        rejected=fitted.rejected,
-        falling_later_ns=fitted.falling_later_ns,
-        to_box_ns=float(np.median(fitted.to_box_ns)),
-        bound_ns=float(np.max(fitted.clock.bound_ns)),
-        shortest_latency_ns=float((arrivals.to_host_ns(middle) - fitted.clock.to_host_ns(middle))[0]),
-        in_use=in_use,
-    )
-    return (fitted.clock if in_use else arrivals), report
+    readings_s = changes.before_s[change], changes.after_s[change]
+    clock, report = fit_edges(report, arrivals, edges[paired], *readings_s, span_s, wander)
+    return (clock if report.in_use else arrivals), report
 
 
 def _followed(track: InputTrack, expected_s: Floats, rising: NDArray[np.bool_]) -> tuple[int | None, bool, Matched]:
