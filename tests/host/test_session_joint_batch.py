@@ -145,6 +145,13 @@ def stream_of(messages):
     return reader.finish()
 
 
+def assert_same_stream(ours, theirs):
+    for name in ("readings", "malformed", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz", "reports"):
+        assert repr(getattr(ours, name)) == repr(getattr(theirs, name))  # NaN is not equal to itself
+    for name, column in vars(theirs.bins).items():
+        np.testing.assert_array_equal(getattr(ours.bins, name), column)
+
+
 @pytest.mark.parametrize("odd_line", [b"", b"nonsense", b'{"t":8,"q":[1,2]}'])
 def test_a_reader_of_columns_reads_what_a_reader_of_lines_reads(tmp_path, odd_line):
     """Also where a line of a copy is not a reading: its neighbours have no columns."""
@@ -152,10 +159,7 @@ def test_a_reader_of_columns_reads_what_a_reader_of_lines_reads(tmp_path, odd_li
     lines = [m for m in messages if m.topic != COLUMNS]
     ours, theirs = stream_of(messages), stream_of(lines)
     assert (ours.readings, ours.malformed, ours.restarts) == (3000 - bool(odd_line), bool(odd_line), 1)
-    for name in ("readings", "malformed", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz", "reports"):
-        assert repr(getattr(ours, name)) == repr(getattr(theirs, name))  # NaN is not equal to itself
-    for name, column in vars(theirs.bins).items():
-        np.testing.assert_array_equal(getattr(ours.bins, name), column)
+    assert_same_stream(ours, theirs)
 
 
 def test_readings_of_numbers_are_columns_alone(tmp_path):
@@ -168,10 +172,7 @@ def test_readings_of_numbers_are_columns_alone(tmp_path):
     assert list(open_session(tmp_path / "copy.mcap").messages()) == numbers
     ours, theirs = stream_of(numbers), stream_of(lines)
     assert (ours.readings, ours.restarts) == (3000, 1)
-    for name in ("readings", "malformed", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz", "reports"):
-        assert repr(getattr(ours, name)) == repr(getattr(theirs, name))
-    for name, column in vars(theirs.bins).items():
-        np.testing.assert_array_equal(getattr(ours.bins, name), column)
+    assert_same_stream(ours, theirs)
     place = [message.topic for message in numbers].index(READINGS)
     fewer = 3000 - len(unpack(numbers[place].data))
     numbers[place] = numbers[place]._replace(data=b"\xa0")
@@ -243,13 +244,10 @@ def batch_of(first: int, joints: int = 2, **more: float):
     return parse_lines([json.dumps(row).encode() for row in rows], [10 * MS * row["seq"] for row in rows])
 
 
-def test_messages_are_decoded_together_as_one_by_one():
+@pytest.mark.parametrize("other", [batch_of(4, joints=3), batch_of(4, robot_mode=7), batch_of(5, joints=1)])
+def test_messages_are_decoded_together_as_one_by_one_if_their_columns_are_alike(other):
     batches = [batch_of(k) for k in (0, 4, 8, 9)]
     assert_same(unpack(*map(pack, batches)), concatenate(batches))
-
-
-@pytest.mark.parametrize("other", [batch_of(4, joints=3), batch_of(4, robot_mode=7), batch_of(5, joints=1)])
-def test_messages_with_other_columns_are_not_joined(other):
     assert unpack(pack(other)) is not None
     assert unpack(pack(batch_of(1)), pack(other)) is None
 
