@@ -30,7 +30,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
@@ -486,9 +486,7 @@ class RecordWalk:
         body = self._file.read(length)
         try:
             if opcode == Opcode.DATA_END:
-                if length != _LIMITS[opcode]:
-                    return None
-                self.crc, self._data_end = int.from_bytes(body, "little"), offset
+                self.crc, self._data_end = parse(DataEnd, body).data_section_crc, offset
             elif opcode == Opcode.METADATA:
                 name, entries, proven = parse_metadata(body)
                 self._keep(session.metadata, name, entries, proven)
