@@ -57,11 +57,10 @@ def session(tmp_path_factory):
 def test_edges_tie_the_robot_to_the_box_whatever_its_input_does(session):
     path, world, box = session
     found = surveyed(path)
-    (clock,), (report,) = found.joints.clocks, found.joints.reports
+    (report,) = found.joints.reports
     edges = report.edges
     assert edges.input == INPUT
     assert edges.in_use
-    assert clock.source == "edges"
     assert edges.inverted
     assert edges.falling_later_ns[0] <= 290e3 <= edges.falling_later_ns[1]
     assert 500 <= edges.used <= 700

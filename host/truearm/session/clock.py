@@ -87,7 +87,6 @@ TICK_NS = 1000  # device time is in whole microseconds, rounded down
 class DeviceClock:
     """The clock of one segment."""
 
-    segment: int
     clock: Clock
     least_bound_ns: float  # half the shortest round trip: a lower bound would mean that the clocks are no crystals
 
@@ -145,7 +144,7 @@ def fit_clock(
     if clock is None:
         return None
     rtt = _round_trips(sane)
-    device = DeviceClock(segment, clock, max(0.0, 0.5 * int(np.min(rtt))))
+    device = DeviceClock(clock, max(0.0, 0.5 * int(np.min(rtt))))
     middle = np.array([int(t1[0] + t1[-1]) // 2])
     report = ClockReport(
         segment=segment,
@@ -184,8 +183,7 @@ class RobotClock:
     t_ref_s: float
     clock: Clock
     node_s: Floats  # (k,) ascending
-    bound_ns: Floats  # (k,) of the error; for "arrivals" excluding the link's shortest latency, which is unknown
-    source: str = "arrivals"  # or "edges", of a trigger wire
+    bound_ns: Floats  # (k,) of the error; of arrivals excluding the link's shortest latency, which is unknown
 
     def stamps(self, t_robot_s: Floats) -> Ints:
         """Return controller times (n,) [s] as whole ns from ``t_ref_s``."""
@@ -249,7 +247,7 @@ class RobotClockReport:
 
 @dataclass
 class Arrivals:
-    """Collects (controller time, arrival) of one segment; keeps the fastest reading of each second, and sums.
+    """Collects (controller time, arrival) of one segment from its first reading; keeps the fastest of each second, and sums.
 
     Clocks with rates 45 ppm apart drift by 45 µs in a second, which would make its first readings seem the fastest.
     Cells are kept so that the drift is removed first: 10 MB in six hours.
@@ -257,8 +255,6 @@ class Arrivals:
 
     t_ref_s: float
     host_ref_ns: int
-    readings: int = 0
-    first_s: float = float("inf")
     last_s: float = float("-inf")
     _cells: list[Floats] = field(default_factory=list)  # (6, n) each, see ``seconds``
 
@@ -268,9 +264,7 @@ class Arrivals:
         latency = (t_host_ns - self.host_ref_ns - np.rint(1e9 * dt).astype(np.int64)).astype(np.float64)
         rows = np.stack([np.floor(CELLS * dt), dt, latency, np.ones(dt.size), dt, latency])
         self._cells.append(_merged(rows))
-        self.readings += dt.size
-        self.first_s = min(self.first_s, float(t_robot_s[0]))
-        self.last_s = max(self.last_s, float(t_robot_s[-1]))
+        self.last_s = float(t_robot_s[-1])
 
     def seconds(self) -> Floats:
         """Return rows (6, k) by second: its number; dt [s] and latency [ns] of the fastest reading; number of readings,
@@ -307,16 +301,16 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
 
     height, mean_height = latency - offset_at(dt), latency_sum / n - offset_at(dt_sum / n)
     nodes = arrivals.t_ref_s + dt[np.flatnonzero(np.diff(np.floor(dt / NODE_S), prepend=-np.inf))]
-    nodes = np.concatenate([[arrivals.first_s], nodes[1:], [arrivals.last_s]])
+    nodes = np.concatenate([[arrivals.t_ref_s], nodes[1:], [arrivals.last_s]])
     nodes = nodes[np.append(np.diff(nodes) > 0.5 * NODE_S, True)]  # where readings are missing, nodes may be close
-    nodes[0] = arrivals.first_s
+    nodes[0] = arrivals.t_ref_s
     around = np.searchsorted(dt, nodes[:, None] - arrivals.t_ref_s + [-AROUND_S, AROUND_S])
     bound = np.array([_bound(height[a:b], mean_height[a:b]) for a, b in around])
     half = np.flatnonzero(np.diff(np.floor(second / AROUND_S), prepend=-np.inf))
     report = RobotClockReport(
         segment=segment,
-        readings=arrivals.readings,
-        t_robot_s=(arrivals.first_s, arrivals.last_s),
+        readings=int(n.sum()),
+        t_robot_s=(arrivals.t_ref_s, arrivals.last_s),
         rate_ppm=float(PPM.of(fitted.rate)),
         jitter_ns=float(np.median(np.add.reduceat(mean_height * n, half) / np.add.reduceat(n, half))),
         bound_ns=float(np.max(bound)),

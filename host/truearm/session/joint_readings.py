@@ -52,8 +52,7 @@ class Changes:
 class InputTrack:
     """Collects the changes of the inputs in one segment of controller time."""
 
-    readings: int = 0  # readings with inputs
-    _last: tuple[float, int] | None = None
+    last: tuple[float, int] | None = None  # time and inputs of the newest reading that has them
     _times: Floats = field(default_factory=lambda: np.empty((0, 2)))  # (k, 2) before and after
     _bits: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))
 
@@ -63,10 +62,9 @@ class InputTrack:
         t, bits = t[with_inputs], bits[with_inputs]
         if not t.size:
             return
-        self.readings += t.size
-        if self._last is not None:
-            t, bits = np.append(self._last[0], t), np.append(self._last[1], bits)
-        self._last = (float(t[-1]), int(bits[-1]))
+        if self.last is not None:
+            t, bits = np.append(self.last[0], t), np.append(self.last[1], bits)
+        self.last = (float(t[-1]), int(bits[-1]))
         changed = np.flatnonzero((bits[1:] != bits[:-1]) & (t[1:] > t[:-1]))[:, None] + [0, 1]
         self._times = np.concatenate([self._times, t[changed]])[:MOST_CHANGES]
         self._bits = np.concatenate([self._bits, bits[changed]])[:MOST_CHANGES]
@@ -205,7 +203,8 @@ class SegmentedReadings:
             return []
         batch, self._batches = concatenate(self._batches), []
         if self.period_s is None:
-            self.period_s = float(np.median(np.abs(np.diff(batch.t)))) if len(batch) > 1 else 0.0
+            period_s = float(np.median(np.abs(np.diff(batch.t)))) if len(batch) > 1 else 0.0
+            self.period_s = period_s if period_s < NOTED_S else 0.0  # noted one by one: each is a bin of its own
         back = [t_ns for t_ns in self._returns_ns if t_ns <= batch.arrival_ns[-1]]
         self._returns_ns = self._returns_ns[len(back) :]
         first = [0] if self._segments == 0 else []
@@ -231,7 +230,6 @@ class JointReader:
         self._bins = Spool()
         self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the open bin
         self._last_seq: int | None = None  # of the segment
-        self._latest_s = -np.inf
         self._previous_bin_s = -np.inf
         self._bin_s, self._gap_s = BIN_S, READING_GAP_S
         self._step: Floats = np.empty(0)  # smallest change between readings
@@ -250,8 +248,8 @@ class JointReader:
             self._take(segment, batch)
         self._close_bin()
         fits = [fit_robot_clock(k, arrivals) for k, arrivals in enumerate(self._arrivals)]
-        readings = sum(arrivals.readings for arrivals in self._arrivals)
-        spans = sum(arrivals.last_s - arrivals.first_s for arrivals in self._arrivals)
+        readings = sum(report.readings for _, report in fits)
+        spans = sum(report.t_robot_s[1] - report.t_robot_s[0] for _, report in fits)
         return JointStream(
             readings=readings,
             malformed=self._order.malformed,
@@ -279,20 +277,19 @@ class JointReader:
         """Take readings of one segment."""
         if not self._step.size:
             self._step = self._fast_step = np.full(batch.q.shape[1], np.inf)
-            period = self._order.period_s or 0.0
-            if period >= NOTED_S:  # noted one by one: each is a bin of its own, and nothing is known in between
-                period = 0.0
-            self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
+            period_s = self._order.period_s or 0.0
+            self._bin_s, self._gap_s = max(BIN_S, 4.0 * period_s), max(READING_GAP_S, 5.0 * period_s)
         self._numbered &= bool(np.all(batch.seq != UNNUMBERED))
         t, seq = batch.t, batch.seq
         if segment == len(self._arrivals):
-            if self._last_seq is not None and t[0] > self._latest_s and seq[0] > self._last_seq:
+            if self._last_seq is not None and t[0] > self._arrivals[-1].last_s and seq[0] > self._last_seq:
                 self.lost += int(seq[0]) - self._last_seq - 1  # the robot continued counting while nobody listened
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(batch.arrival_ns[0])))
             self._inputs.append(InputTrack())
-            self._latest_s, self._previous_bin_s, self._last_seq = -np.inf, -np.inf, None
-        highest = np.maximum.accumulate(np.append(self._latest_s, t))
+            self._previous_bin_s, self._last_seq = -np.inf, None
+        arrivals = self._arrivals[-1]
+        highest = np.maximum.accumulate(np.append(arrivals.last_s, t))
         number_before = np.append(seq[0] - 1 if self._last_seq is None else self._last_seq, seq[:-1])
         late, doubled = t < highest[:-1], (t == highest[:-1]) & (seq == number_before)
         keep = ~late & ~doubled
@@ -301,16 +298,15 @@ class JointReader:
         batch = batch[keep]
         t, seq = batch.t, batch.seq
         self.lost += int(np.maximum(np.diff(seq, prepend=number_before[0]) - 1, 0).sum())
-        self._latest_s = float(highest[-1])
         if not len(batch):
             return
         self._last_seq = int(seq[-1])
-        self._arrivals[-1].add(t, batch.arrival_ns)
+        arrivals.add(t, batch.arrival_ns)
         if "inputs" in batch.columns:
             self._inputs[-1].add(t, batch.columns["inputs"])
         self._bin(t, batch.q)
         if self.keeps:
-            self._all_readings.append((t, seq, batch.q), (segment, float(t[0]), self._latest_s))
+            self._all_readings.append((t, seq, batch.q), (segment, float(t[0]), arrivals.last_s))
 
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:

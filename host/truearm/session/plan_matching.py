@@ -60,14 +60,12 @@ class Marks:
     rows: list[PlanRow] = field(default_factory=list)
     mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
     kinds: dict[str, int] = field(default_factory=dict)
-    malformed: int = 0
 
     def feed(self, topic: str, t_host_ns: int, data: bytes) -> None:
-        """Take one message of either topic."""
+        """Take one message of either topic; one that is malformed is ignored."""
         try:
             document = msgspec.json.decode(data, type=dict[str, Any])
         except (msgspec.MsgspecError, ValueError, RecursionError):
-            self.malformed += 1
             return
         if topic == "/plan":
             self._plan(document)
@@ -80,9 +78,7 @@ class Marks:
 
     def _plan(self, document: Mapping[str, Any]) -> None:
         q, move = document.get("q"), document.get("move", Move.DWELL)
-        if not are_joints(q) or move not in tuple(Move) or (self.rows and len(self.rows[0].q) != len(q)):
-            self.malformed += 1
-        else:
+        if are_joints(q) and move in tuple(Move) and (not self.rows or len(self.rows[0].q) == len(q)):
             self.rows.append(PlanRow([float(value) for value in q], _fittings(document), move))
 
     def with_plan(self, plan: Plan) -> Marks:

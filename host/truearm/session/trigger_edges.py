@@ -120,7 +120,7 @@ def fit_edges(
     to_box_ns = reach + np.abs(host_ns - centre_ns) + 0.5 * SHORTEST_DELAY_NS
     nearest = np.clip(np.searchsorted(edges["host_ns"], host_ns), 1, len(edges) - 1)
     box_ns = np.maximum(edges["bound_ns"][nearest - 1], edges["bound_ns"][nearest])
-    clock = RobotClock(arrivals.t_ref_s, likely, nodes, to_box_ns + box_ns, source="edges")
+    clock = RobotClock(arrivals.t_ref_s, likely, nodes, to_box_ns + box_ns)
     rejected = len(edges) - rising.size + widest.wrong.size
     centre_s = np.array([0.5 * sum(span_s)])
     return clock, replace(
@@ -192,7 +192,7 @@ def _of_segment(
     expected_s = arrivals.to_robot_s(edges["host_ns"])
     sent = (expected_s >= span_s[0]) & (expected_s <= span_s[1])  # while the controller sent readings
     edges, expected_s = edges[sent], expected_s[sent]
-    if not len(edges) or not track.readings:
+    if not len(edges) or track.last is None:
         return arrivals, None
     number, inverted, matched = _followed(track, expected_s, edges["rising"])
     report = EdgeReport(number, inverted, len(edges), *matched[1:])
