@@ -75,7 +75,7 @@ def from_the_wire(data: bytes, ident: Ident) -> int:
     splitter, found = FrameSplitter(), []
     for at in range(0, len(data), 4096):
         frames = splitter.push(data[at : at + 4096])
-        found += [Message("/box/adc", at, payload) for is_frame, payload in frames if is_frame]
+        found += [Message("/box/adc", at, payload) for elements, payload in frames if elements]
     return n_samples(BoxReader(ident), [columns_of(found)])
 
 

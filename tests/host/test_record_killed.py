@@ -14,7 +14,7 @@ from record_real import box_on_a_socket, serve_robot
 from test_record_command import RIG
 
 from truearm.cli.main import main
-from truearm.record.frame_splitter import frame_head, payload_of
+from truearm.record.frame_splitter import frame_of
 from truearm.record.links import HostClock
 from truearm.session.session_file import open_session
 from truearm_wire.messages import HEARTBEAT
@@ -79,7 +79,7 @@ def test_at_any_moment(tmp_path, capsys, n):
         first = runs.index(found[0]) if found else 0
         assert found == runs[first : first + len(found)]
         # opening a port throws away what came before
-        assert {frame_head(payload_of(run))[0] for run in runs[:first]} <= {HEARTBEAT}
+        assert {frame_of(run)[0][0] for run in runs[:first]} <= {HEARTBEAT}
         times = [m.t_host_ns for m in session.messages() if m.topic.startswith("/box/")]
         begin_ns = int(session.metadata["session"]["monotonic_ns"])
         last_ns = max(times, default=begin_ns)

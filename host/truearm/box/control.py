@@ -14,11 +14,11 @@ import cbor2
 
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.progress import step
-from truearm.record.frame_splitter import FrameCount, FrameSplitter, frame_head
+from truearm.record.frame_splitter import FrameCount, FrameSplitter
 from truearm.record.links import Clock, Link
 from truearm.record.requests import NAMES, RETRIES, SECOND, NoAnswerError, Requests
 from truearm.session.box_ident import Ident, load_document
-from truearm.session.frames import Data, data_frame, fields_of
+from truearm.session.frames import Data, data_of, named_elements
 from truearm_wire import messages as wire
 from truearm_wire.cbor import CborError, encode
 
@@ -29,7 +29,7 @@ _READ_S = 0.05
 
 
 class Sent(NamedTuple):
-    """A frame sent by the box and its arrival time on the host; ``data`` for samples, else the elements by name."""
+    """A frame sent by the box and its arrival time on the host; ``data``: of samples; ``fields``: the elements by name."""
 
     t_host_ns: int
     kind: int
@@ -140,27 +140,22 @@ class BoxControl:
 
     def _pump(self, timeout_s: float) -> None:
         for t_host_ns, data in self._link.read(min(timeout_s, _READ_S)):
-            for is_frame, item in self._splitter.push(data):
-                if is_frame:
-                    self._take(t_host_ns, item)
-                else:
+            for frame, item in self._splitter.push(data):
+                if frame is None:
                     self.console_bytes += len(item)
+                else:
+                    self._take(t_host_ns, frame)
 
-    def _take(self, t_host_ns: int, payload: bytes) -> None:
-        kind, seq = frame_head(payload)
-        if seq is not None and not self.frame_count.take(seq):
+    def _take(self, t_host_ns: int, frame: list[Any]) -> None:
+        kind, seq = frame[:2]
+        if not self.frame_count.take(seq):
             self.frame_count.clear()  # of a restarted box
-        if kind == wire.DATA:
-            data = data_frame(payload)
-            if data is not None:
-                self._waiting.append(Sent(t_host_ns, kind, data, {}))
-            return
-        fields = None if kind is None else fields_of(kind, payload)
-        if kind is None or fields is None:
+        fields = named_elements(frame)
+        if fields is None:
             return
         if kind in (wire.IDENT, wire.REPLY, wire.ERROR):
             self._requests.take(kind, fields)
             return
         if kind == wire.HEARTBEAT:
             self.heartbeat = fields
-        self._waiting.append(Sent(t_host_ns, kind, None, fields))
+        self._waiting.append(Sent(t_host_ns, kind, data_of(frame) if kind == wire.DATA else None, fields))

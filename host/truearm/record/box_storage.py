@@ -1,7 +1,7 @@
 """Store what a box sends, exactly and in order, then evaluate it.
 
 Only what the recording itself needs is evaluated: the ident (for the streams' names, the boot id and faults), answers to
-commands, clock exchanges, and ``seq`` for counting losses. This takes about 11 µs per data frame, 5 of them for the file.
+commands, clock exchanges, and ``seq`` for counting losses. This takes about 9 µs per data frame, 5 of them for the file.
 
 A box that restarts shows a new boot id in its ident or heartbeat, or its frame count steps back. After the latter,
 ``suspect`` asks the recorder to have the box identify itself, and its boot id decides.
@@ -19,13 +19,13 @@ from typing import Any
 import msgspec
 
 from truearm.errors import ProtocolError
-from truearm.record.frame_splitter import FrameCount, FrameSplitter, frame_head
+from truearm.record.frame_splitter import FrameCount, FrameSplitter
 from truearm.record.operator import Counters, Operator
 from truearm.record.requests import Requests
 from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import Ident
-from truearm.session.frames import Data, data_frame, fields_of
+from truearm.session.frames import Data, conforms, data_of, named_elements
 from truearm.session.samples import counts_of, shown
 from truearm.units import MDEGC
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, TEMPERATURE
@@ -106,9 +106,9 @@ class BoxStorage:
         # itself ended.
         t_console_ns = t_host_ns if self.heard_ns is None or data[:1] != b"\0" else self.heard_ns
         self.heard_ns = self.spoke_ns = t_host_ns
-        for is_frame, item in self._splitter.push(data):
-            if is_frame:
-                self._take_frame(t_host_ns, item)
+        for frame, item in self._splitter.push(data):
+            if frame is not None:
+                self._take_frame(t_host_ns, frame, item)
             else:
                 self._take_console(t_console_ns, item)
             t_console_ns = t_host_ns
@@ -138,9 +138,9 @@ class BoxStorage:
         self.counters.console_bytes += len(data)
         self.writer.add("/box/console", t_host_ns, data)
 
-    def _take_frame(self, t_host_ns: int, payload: bytes) -> None:
-        kind, seq = frame_head(payload)
-        data = data_frame(payload) if kind == DATA else None
+    def _take_frame(self, t_host_ns: int, frame: list[Any], payload: bytes) -> None:
+        kind, seq = frame[:2]
+        data = data_of(frame) if kind == DATA and conforms(frame) else None
         if data is not None and (data.stream <= _LARGEST_UNNAMED_STREAM or data.stream in self._streams):
             n_bytes = len(data.samples)
             topic, sample_bytes = self._streams.get(data.stream) or (f"/box/stream{data.stream}", n_bytes + 1)
@@ -152,9 +152,9 @@ class BoxStorage:
                 self._preview(t_host_ns, data)
             self.operator.block(t_host_ns, data)
             return
-        self.writer.add(_TOPICS.get(kind or DATA, "/box/other"), t_host_ns, payload)
+        self.writer.add(_TOPICS.get(kind, "/box/other"), t_host_ns, payload)
         self._count(seq)
-        if kind in _TOPICS and (fields := fields_of(kind, payload)) is not None:
+        if kind in _TOPICS and (fields := named_elements(frame)) is not None:
             self._interpret(t_host_ns, kind, fields)
 
     def _preview(self, t_host_ns: int, data: Data) -> None:
@@ -167,9 +167,9 @@ class BoxStorage:
             )
             self.writer.add(PREVIEW + stream.name, t_host_ns, msgspec.json.encode(row))
 
-    def _count(self, seq: int | None) -> None:
+    def _count(self, seq: int) -> None:
         self.counters.frames += 1
-        if seq is not None and not self._frame_count.take(seq):
+        if not self._frame_count.take(seq):
             self.suspect = True
         self.counters.lost_frames, self.counters.odd_frames = self._frame_count.lost, self._frame_count.odd
 

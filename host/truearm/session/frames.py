@@ -142,9 +142,14 @@ def conforms(frame: list[Any]) -> bool:
 def fields_of(kind: int, payload: bytes) -> dict[str, Any] | None:
     """Return the elements of a frame by name; None if it is not of this kind, or violates the specification."""
     frame = decode(payload)
-    if frame is None or frame[0] != kind or kind not in wire.LAYOUT or not conforms(frame):
+    return None if frame is None or frame[0] != kind else named_elements(frame)
+
+
+def named_elements(frame: list[Any]) -> dict[str, Any] | None:
+    """Return the elements of a frame by name; None if its type is not known, or it violates the specification."""
+    if frame[0] not in wire.LAYOUT or not conforms(frame):
         return None
-    return dict(zip(wire.names(kind), frame[1:], strict=False))
+    return dict(zip(wire.names(frame[0]), frame[1:], strict=False))
 
 
 def is_boot(frame: list[Any]) -> bool:
