@@ -30,7 +30,7 @@ from truearm.box.configuration_schema import (
 from truearm.box.control import BoxControl
 from truearm.disk import parse_toml
 from truearm.errors import ConfigError, ProtocolError
-from truearm.schema import Table, Text, load_toml, raising, read
+from truearm.schema import Table, Text, hint, load_toml, raising, read
 from truearm.text import one_line
 from truearm.units import NS
 from truearm_wire.config import OSRS
@@ -185,10 +185,18 @@ def with_assignment(config: Values, text: str) -> Values:
     by_number, by_name = tables_of(changed, range(len(names))), tables_of(changed, names)
     tables = {path: (values, table) for path, values, table in chain(by_number, by_name)}
     if prefix not in tables:
-        listed = ", ".join([*SUBTABLES, *(f"channel.{channel}" for channel in names)])
+        listed = ", ".join(path for path, *_ in tables_of(config, names) if path)
         raise ConfigError(f"{prefix[:60]!r} is not a table of the configuration; its tables are {listed}")
     values, table = tables[prefix]
-    is_text = any(key.name == name and isinstance(key.value, Text) for key in config_keys(table))
+    keys = {key.name: key for key in config_keys(table)}
+    if name not in keys:
+        nested = [] if prefix else [f"{title}.…" for title in (*SUBTABLES, "channel.NAME", "channel.NAME.calibration")]
+        raise ConfigError(f"unknown key {path[:60]!r}; {hint(name, [*keys, *nested])}")
+    is_text = isinstance(keys[name].value, Text)
+    if not value and keys[name].needed and not is_text:
+        field = keys[name].called
+        example = f", such as the {keys[name].format(values[field])} that it has" if field in values else ""
+        raise ConfigError(f"{path}: needs a value{example}; it cannot be removed")
     with raising(ConfigError, prefix):
         settings = table.parse({name: _text(value) if is_text else _number(value)})
     entries = revised(values, settings)
