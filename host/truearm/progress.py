@@ -8,31 +8,16 @@ other callers do not share it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 T = TypeVar("T")
 Advance = Callable[[float], None]  # takes the completed share of a step, 0 to 1
 
 
-class Running(Protocol):
-    """A step in progress."""
-
-    def advance(self, share: float) -> None:
-        """Receive the completed share of the step, 0 to 1."""
-
-    def end(self) -> None:
-        """Receive the end of the step."""
-
-
-class Listener(Protocol):
-    """Receives steps; steps may be nested."""
-
-    def begin(self, name: str) -> Running:
-        """Receive the beginning of a step."""
-
-
+# receives the name of a step that begins, and makes a context that ends with it; steps may be nested
+Listener = Callable[[str], AbstractContextManager[Advance]]
 _LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
@@ -53,11 +38,8 @@ def step(name: str) -> Iterator[Advance]:
     if listener is None:
         yield lambda _: None
         return
-    running = listener.begin(name)
-    try:
-        yield running.advance
-    finally:
-        running.end()
+    with listener(name) as advance:
+        yield advance
 
 
 def steps_of(items: Sequence[T], name: str) -> Iterator[T]:

@@ -1,5 +1,7 @@
 """A conversation with the box in virtual time: every command, pages, refusals, lost answers, a hostile peer."""
 
+from contextlib import contextmanager
+
 import cbor2
 import pytest
 from tests.end_to_end.levels import LEVELS, lab_of
@@ -155,19 +157,16 @@ def test_answers_to_others_are_not_ours():
 
 
 def test_waiting_for_an_answer_is_a_step_that_a_terminal_shows():
-    class Heard(list):
-        def begin(self, what):
-            self.append(what)
-            return self
+    @contextmanager
+    def hear(what):
+        heard.append(what)
+        try:
+            yield None
+        finally:
+            heard.append("end")
 
-        def advance(self, share):
-            raise AssertionError
-
-        def end(self):
-            self.append("end")
-
-    heard = Heard()
-    with listening(heard), pytest.raises(NoAnswerError):
+    heard = []
+    with listening(hear), pytest.raises(NoAnswerError):
         talk(lambda request: b"").command(wire.STOP)
     step, end = heard
     assert ("'stop'" in step, end) == (True, "end")

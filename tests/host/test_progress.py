@@ -3,6 +3,7 @@
 import io
 import re
 import shutil
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,15 +20,13 @@ SESSION = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
 class Heard(list):
     """A listener that records its calls."""
 
-    def begin(self, what):
+    @contextmanager
+    def __call__(self, what):
         self.append(what)
-        return self
-
-    def advance(self, share):
-        self.append(share)
-
-    def end(self):
-        self.append("end")
+        try:
+            yield self.append
+        finally:
+            self.append("end")
 
 
 def test_listeners_hear_of_steps_shares_and_failures():
@@ -50,7 +49,7 @@ def drawn(stream, quiet_s, monkeypatch):
     """Return what is drawn of a step within another one, half of which is done."""
     monkeypatch.setattr(progress_line, "QUIET_S", quiet_s)
     listener = Shown(Console(file=stream, force_terminal=True, width=100))
-    with listening(listener), step("planning\x1b[2J [bold]a"), step("choosing poses") as advance:
+    with listening(listener.running), step("planning\x1b[2J [bold]a"), step("choosing poses") as advance:
         advance(0.5)
         listener.refresh()
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", stream.getvalue())
@@ -73,7 +72,7 @@ def test_a_terminal_that_goes_away_stops_nothing():
         def write(self, text):
             raise OSError
 
-    with listening(Shown(Console(file=Gone(), force_terminal=True))), step("working"):
+    with listening(Shown(Console(file=Gone(), force_terminal=True)).running), step("working"):
         pass
 
 
@@ -83,16 +82,14 @@ class Depth:
     def __init__(self):
         self.open, self.begun = 0, []
 
-    def begin(self, what):
+    @contextmanager
+    def __call__(self, what):
         self.begun.append((self.open, what))
         self.open += 1
-        return self
-
-    def advance(self, share):
-        pass
-
-    def end(self):
-        self.open -= 1
+        try:
+            yield lambda share: None
+        finally:
+            self.open -= 1
 
 
 @pytest.fixture(scope="module")

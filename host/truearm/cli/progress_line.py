@@ -5,34 +5,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import NamedTuple
 
 from rich.console import Console, RenderableType
-from rich.progress import Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from truearm.progress import listening
+from truearm.progress import Advance, listening
 from truearm.text import one_line
 
 QUIET_S = 2.0  # shorter steps are not shown
 PER_SECOND = 2.0  # times that they are drawn
-
-
-class RunningStep(NamedTuple):
-    """A step that is under way."""
-
-    shown: Shown
-    task: TaskID
-
-    def advance(self, share: float) -> None:
-        """Set the share that is done, 0 to 1."""
-        self.shown.update(self.task, total=1.0, completed=share)
-
-    def end(self) -> None:
-        """End the step."""
-        self.shown.remove_task(self.task)
-        if not self.shown.tasks:  # others may draw on the terminal now
-            with suppress(OSError):
-                self.shown.stop()
 
 
 class Shown(Progress):
@@ -50,11 +31,19 @@ class Shown(Progress):
             redirect_stdout=sys.stdout.isatty(),
         )
 
-    def begin(self, name: str) -> RunningStep:
-        """Begin a step; the first one starts the drawing."""
+    @contextmanager
+    def running(self, name: str) -> Iterator[Advance]:
+        """Show a step while it is under way; the first one starts the drawing."""
         with suppress(OSError):
             self.start()
-        return RunningStep(self, self.add_task(one_line(name), total=None))
+        task = self.add_task(one_line(name), total=None)
+        try:
+            yield lambda share: self.update(task, total=1.0, completed=share)
+        finally:
+            self.remove_task(task)
+            if not self.tasks:  # others may draw on the terminal now
+                with suppress(OSError):
+                    self.stop()
 
     def refresh(self) -> None:
         """Draw the steps."""
@@ -69,5 +58,5 @@ class Shown(Progress):
 @contextmanager
 def shown_progress() -> Iterator[None]:
     """Show the progress of steps inside this context on standard error, a terminal."""
-    with listening(Shown(Console(stderr=True))):
+    with listening(Shown(Console(stderr=True)).running):
         yield
