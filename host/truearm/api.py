@@ -43,7 +43,7 @@ from truearm.workflows.calibration import Calibration, Identification, read_cali
 from truearm.workflows.identify import IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, completed_rigs, read_sources
 from truearm.workflows.plan import BallBarOptions, Budget
-from truearm.workflows.requests import CorrectOptions
+from truearm.workflows.requests import CorrectOptions, Section
 from truearm.workflows.session_observations import channel_samples, is_session, joint_readings
 from truearm.workflows.session_parts import session_parts
 from truearm.workflows.validate import Validation, validated
@@ -582,7 +582,7 @@ def correct_poses(
     targets = floats("poses", poses, None, 4, 4, or_one=True)
     _check_rigid("poses", targets)
     near_joints = _joints("home", home, result)
-    options = CorrectOptions(Method(method), own_frames=own_frames, near=near_joints)
+    options = CorrectOptions(Method(method), own_frames=own_frames, home=near_joints)
     return correct.corrected_poses(result, targets, options, partial)
 
 
@@ -688,7 +688,7 @@ def error_map(
     True
     """
     a, b = joints
-    section = maps.Section((a, b), _joints("at", at, result), cell, own_frames)
+    section = Section((a, b), _joints("at", at, result), cell, own_frames)
     return maps.mapped(result, section)
 
 

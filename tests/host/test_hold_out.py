@@ -29,9 +29,9 @@ MANY = bars(*((f"b{i % 2}", f"c{i % 3}", f"s{i % 9}", 2 + i % 2) for i in range(
 @pytest.mark.parametrize(("table", "pairings"), [(ONE_LONG_BAR, 3), (MANY, 18)], ids=["three", "eighteen"])
 def test_the_proposal_leaves_every_pairing_in_the_fit(table, pairings):
     proposed = proposed_hold_out(table)
-    assert proposed.combinations == pairings
-    held = held_out_rows(table, [str(proposed.fraction)], proposed.seed)
-    assert held.sum() == proposed.rows == round(proposed.fraction * len(table))
+    assert proposed["combinations"] == pairings
+    held = held_out_rows(table, [str(proposed["fraction"])], proposed["seed"])
+    assert held.sum() == proposed["rows"] == round(proposed["fraction"] * len(table))
     names = np.stack([table.bar, table.chuck, table.sphere], axis=1)
     for pairing in np.unique(names, axis=0):
         mine = np.all(names == pairing, axis=1)

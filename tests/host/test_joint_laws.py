@@ -482,7 +482,7 @@ def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
     files = MapFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "map.csv", tmp_path / "map.svg")
     outside = Finding("joints-outside", {"joints": ["joint1"]})
     assert outside in findings_of(map_files(found, files, section))
-    section = section._replace(at=(0.8, *section.at[1:]))
+    section = replace(section, at=(0.8, *section.at[1:]))
     some = mapped(found, section)
     q, limits = some.q[reached], np.array([found.table.q.min(axis=0), found.table.q.max(axis=0)])
     beyond = ((q < limits[0] - 0.051) | (q > limits[1] + 0.051)).any(axis=1)
@@ -605,7 +605,7 @@ def test_beyond_the_covered_range_curves_fade_to_the_geometry_and_correct_says_s
     (tmp_path / "targets.csv").write_text("\n".join(lines) + "\n")
     files = CorrectFiles(tmp_path / "result.json", tmp_path / "targets.csv", tmp_path / "corrected.csv")
     done = correct_file(found, files, CorrectOptions())
-    (outside,) = [finding.values for finding in done.findings if finding.code == "targets-outside"]
+    (outside,) = [entry["values"] for entry in done["findings"] if entry["code"] == "targets-outside"]
     assert (outside["curves"], outside["places"]) == (True, "rows 3, 4, 5")
 
 

@@ -21,18 +21,19 @@ from tests.host.urscript_machine import run_urscript
 from truearm.correct.correction import MARGIN, MOST_TURN
 from truearm.correct.methods import JointMoves
 from truearm.correct.model_pair import ModelPair
+from truearm.correct.programs import corrected_text
 from truearm.correct.programs.languages import language_of
 from truearm.errors import InputError
 from truearm.findings import Finding
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.workflows import correct_program as correct_program_module
-from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, ProgramRefused, correct_program
+from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, correct_program
 from truearm.workflows.requests import ProgramOptions
 
 Q = correct_bench.good_poses(12)
 POSES = correct_bench.nominal_poses(Q)
-HERE = CalibrationFrames("base", "tool0", brought=True, own=False)
+HERE = CalibrationFrames("base", "tool0", brought=True, own_frames=False)
 TOOLS = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.005, 0.02, 0.03, 0.0, 0.05), (0.01, 0.0, 0.03, 0.0, 0.0, 1.0)]
 OBJECTS = [
     ((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
@@ -62,7 +63,7 @@ def program(*lines):
 
 
 def corrected(text, **options):
-    """Return the corrected text. Raises ProgramRefused."""
+    """Return the corrected text. Raises InputError."""
     (text,) = outcome(text, **options).contents.values()
     return text.decode("latin-1")
 
@@ -223,10 +224,10 @@ def test_a_move_that_is_not_certain_is_refused(form):
     """The others are corrected; ``partial`` writes them, and leaves the refused ones."""
     *lines, codes = REFUSED[form]
     text = program(*lines, f"movej({written(Q[3])})", f"movel({six(POSES[4])})")
-    with pytest.raises(ProgramRefused) as caught:
+    with pytest.raises(InputError) as caught:
         corrected(text)
-    assert {move.line: move.reason.name for move in caught.value.refused} == codes
-    assert all(move.reason.text() for move in caught.value.refused)
+    assert {move["line"]: move["reason"] for move in caught.value.finding.values["refused"]} == codes
+    assert all(move["text"] for move in caught.value.finding.values["refused"])
     after = corrected(text, partial=True).splitlines()
     before = text.splitlines()
     assert after[-3] != before[-3]  # the joint move
@@ -239,9 +240,9 @@ def test_a_configuration_that_nothing_determines_needs_home(program_kind):
     elbow = np.array((-0.4247, 0.0277, 2.2586, 1.1040, 1.1720, -2.5915))
     module_text = module([], [f"MoveJ {robtarget_at(elbow)},v100,fine,tool0;"])
     text = program(f"movej({six(POSES[1])})") if program_kind == "script" else module_text
-    with pytest.raises(ProgramRefused) as caught:
+    with pytest.raises(InputError) as caught:
         outcome(text, home=None)
-    assert [move.reason.name for move in caught.value.refused] == ["configuration"]
+    assert [move["reason"] for move in caught.value.finding.values["refused"]] == ["configuration"]
     done = outcome(text, home=Q[1])
     assert "home-decides" in [note.code for note in done.notes]
     assert done.configurations.n_targets == 1
@@ -348,12 +349,12 @@ def check_moves(text):
     before, after = (Controller(CHAIN, DESIGN, Q[0]) for _ in range(2))
     try:
         done = outcome(text, partial=True)
-    except ProgramRefused as refusal:
-        return {move.line for move in refusal.refused}
+    except InputError as refusal:
+        return {move["line"] for move in refusal.finding.values["refused"]}
     lines = run(text, before).lines
     run(next(iter(done.contents.values())).decode("latin-1"), after)
     wrong = (missed(before.moves, after.moves) > 1e-6).any(axis=1)
-    refused = {move.line for move in done.refused}
+    refused = {move["line"] for move in done.refused}
     assert {line for line, is_wrong in zip(lines, wrong, strict=True) if is_wrong} <= refused
     return refused
 
@@ -471,8 +472,8 @@ def test_a_name_that_would_not_be_used_is_refused(text, options):
 def test_the_place_of_a_value_that_is_computed_is_named():
     with pytest.raises(InputError) as caught:
         corrected(program("W = get_actual_tcp_pose()", "V = pose_trans(W, p[0,0,0.1,0,0,0])", "movel(V)"))
-    (reason,) = [move.reason for move in caught.value.refused if move.reason.name == "run-time"]
-    assert reason.values["where"].endswith("line 2")
+    (reason,) = [move for move in caught.value.finding.values["refused"] if move["reason"] == "run-time"]
+    assert reason["values"]["where"].endswith("line 2")
 
 
 UNWATCHED = ["ConfL\\Off;", "ConfJ\\Off;", f"MoveAbsJ {jointtarget_at(flipped(Q[1]))}\\NoEOffs,v100,fine,t0;"]
@@ -622,9 +623,9 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_in_writing_is_found_before_anything_is_written(monkeypatch, fault):
     text = program(f"W = {six(POSES[1])}", "movej(W)", f"movel({six(POSES[2])})", f"movej({written(Q[3])})")
-    real = correct_program_module.changes_of
+    real = corrected_text.changes_of
     monkeypatch.setattr(
-        correct_program_module, "changes_of", lambda *given: FAULTS[fault](*real(*given)[:2]) + real(*given)[2:]
+        corrected_text, "changes_of", lambda *given: FAULTS[fault](*real(*given)[:2]) + real(*given)[2:]
     )
     with pytest.raises(InputError) as caught:
         corrected(text)

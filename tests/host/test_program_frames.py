@@ -57,10 +57,10 @@ def test_a_calibration_in_base_link_corrects_a_script_as_one_in_base_does(tmp_pa
     given.write_text("\n".join(["def p():", *(f" movej({six(pose)})" for pose in forward(chain, nominal, q)), "end"]))
     texts, notes = [], []
     for turned, names in (
-        (0.0, CalibrationFrames("base", "flange", brought=True, own=False)),
-        (half_a_turn, CalibrationFrames("base_link", "tool0", brought=False, own=False)),
-        (half_a_turn, CalibrationFrames("base_link", "tool0", brought=False, own=True)),
-        (0.0, CalibrationFrames("base_link_inertia", "tool0", brought=False, own=False)),
+        (0.0, CalibrationFrames("base", "flange", brought=True, own_frames=False)),
+        (half_a_turn, CalibrationFrames("base_link", "tool0", brought=False, own_frames=False)),
+        (half_a_turn, CalibrationFrames("base_link", "tool0", brought=False, own_frames=True)),
+        (0.0, CalibrationFrames("base_link_inertia", "tool0", brought=False, own_frames=False)),
     ):
         how = HowCorrected(ModelPair(chain, nominal + turned, truth + turned), "newton", 1, q[0], MARGIN)
         done = correct_program(given, how, names, ProgramOptions(tools={"": (0.0,) * 6}))
@@ -150,7 +150,7 @@ def test_an_irb_120_computed_here_goes_where_it_should(tmp_path):
     path = tmp_path / "p.mod"
     path.write_text("\n".join(["MODULE m", *data, "PROC main()", *moves, "ENDPROC", "ENDMODULE"]))
     how = HowCorrected(ModelPair(chain, chain.params_nominal, truth), "newton", 1, None, MARGIN)
-    names = CalibrationFrames("base_link", "tool0", brought=False, own=False)
+    names = CalibrationFrames("base_link", "tool0", brought=False, own_frames=False)
     told = robtargets(text_of(correct_program(path, how, names, ProgramOptions())))
     before = [np.abs(off(true_irb120(one), goal)).max() for one, goal in zip(q, targets, strict=True)]
     reached = np.array([true_irb120(solved(pose, near)) for pose, near in zip(told, q, strict=True)])
@@ -194,7 +194,7 @@ def test_programs_of_kuka_and_fanuc_arms_go_where_they_should(language):
     asked = POSES[1:5] @ tool
     files = {"krl": krl_program, "ls": ls_program}[language](asked)
     how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, None, MARGIN)
-    names = CalibrationFrames("base", "tool0", brought=True, own=False)
+    names = CalibrationFrames("base", "tool0", brought=True, own_frames=False)
     options = ProgramOptions(joint_moves=JointMoves.KEEP, tools={} if language == "krl" else {"ut1": TOOL_1})
     contents = {name: text.encode() for name, text in files.items()}
     done = workflow.correct_program(contents, language, how, names, options)

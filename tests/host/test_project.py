@@ -161,7 +161,7 @@ def test_the_devices_that_init_offers_are_a_valid_rig(project):
         (("--model", "ur55"), "ur5"),
         (("--model", "ur5e", "--bars-mm", "370,370"), "given-twice"),
         (("--model", "ur5e", "--bars-mm", "460;610"), "wrong-value"),
-        (("--model", "ur5e", "--bars-mm", "0.37"), "give lengths from 50 to 5000 mm"),
+        (("--model", "ur5e", "--bars-mm", "0.37"), "lengths from 50 to 5000 mm"),
         (("--model", "ur5e", "--measured-with", "ruler"), "'ruler'"),
         (("--model", "ur5e", "--base", "a"), "URDF"),
         (("--model", "ur5e", "--ball-mm", "20"), "no-effect"),

@@ -49,10 +49,10 @@ class TestEarlier:
         )
         for path in (first, second):
             before = earlier(path)
-            assert (before.first, before.out, before.part) == (first, tmp_path / "s.3.mcap", 3)
+            assert (before.first, before.out, before.number) == (first, tmp_path / "s.3.mcap", 3)
             assert before.rows == ROWS
             assert before.mounted == {"bar": "b61"}
-            assert before.taken == (("dwell", 0), ("dwell", None), ("line", 7), ("dwell", 1))
+            assert before.stops == (("dwell", 0), ("dwell", None), ("line", 7), ("dwell", 1))
             assert before.setup["osr"] == "2048"
         course = SessionProgress(before.rows)
         gone_on(course, before)
@@ -68,7 +68,7 @@ class TestEarlier:
             assert main(["record", "--resume", str(first), "--box", "/dev/nothing"]) == 2
             said = capsys.readouterr().err
             ended(said, "in-use", place="s.2.mcap")
-        assert earlier(first).part == 3
+        assert earlier(first).number == 3
 
     def test_a_session_that_is_still_being_written_is_not_overwritten(self, tmp_path, capsys):
         out = tmp_path / "s.mcap"
@@ -94,7 +94,7 @@ class TestEarlier:
         session(first, ("dwell", {"pose": 2}))
         assert session_parts(first) == [first]
         before = earlier(first)
-        assert (before.taken, before.out) == ((("dwell", 2),), tmp_path / "s.3.mcap")
+        assert (before.stops, before.out) == ((("dwell", 2),), tmp_path / "s.3.mcap")
         assert before.begun == open_session(first).metadata["session"]["utc_ns"]
         assert earlier(part).first == part
 
@@ -102,7 +102,7 @@ class TestEarlier:
         """Its recorder was killed: its intact part counts."""
         path = session(tmp_path / "s.mcap", *[("dwell", {"pose": k}) for k in range(2)])
         path.write_bytes(path.read_bytes()[:-60])
-        assert earlier(path).taken == (("dwell", 0), ("dwell", 1))
+        assert earlier(path).stops == (("dwell", 0), ("dwell", 1))
 
     def test_a_damaged_file_that_is_continued_is_named(self, tmp_path, monkeypatch, capsys):
         """Other commands refuse it, and what recover makes of it does not name its further parts."""
@@ -116,7 +116,7 @@ class TestEarlier:
             assert (f"{path}: is damaged or has no end" in said) == damaged
             assert (f"--resume {tmp_path / 's-recovered.mcap'}" in said) == damaged
         assert main(["session", "recover", str(path)]) == 0
-        assert earlier(tmp_path / "s-recovered.mcap").taken == (("dwell", 0),)
+        assert earlier(tmp_path / "s-recovered.mcap").stops == (("dwell", 0),)
         assert earlier(tmp_path / "s-recovered.mcap").damaged == ()
 
     @pytest.mark.parametrize("of", ["", ".", "..", "/", "x/..", "none.mcap", "a\0b", "s.mcap"])

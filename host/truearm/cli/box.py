@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -166,11 +167,13 @@ def put(changes: tuple[str, ...], *, box: str | None = None, dry_run: bool = Fal
     dry_run
         Show what would change, and change nothing.
     """
-    texts = _read(changes)
+    edits = [_edit(change) for change in changes]  # read before the box is asked
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
-        previous = configuration.checked_config(connected)
-        config = _changed(previous, texts)
+        previous = config = configuration.checked_config(connected)
+        for edit in edits:
+            config = edit(config)
+        configuration.check_ratios(check(config))
         changed = configuration.change_lines(previous, config)
         stored = bool(changed) and not dry_run
         if stored:
@@ -180,25 +183,14 @@ def put(changes: tuple[str, ...], *, box: str | None = None, dry_run: bool = Fal
     return Answer({"changes": changed, "stored": stored, "config": config}, [*changed, f"{device}: {outcome}"])
 
 
-def _read(changes: Sequence[str]) -> list[tuple[str, str | None]]:
-    """(name of a file, its text) or (KEY=VALUE, None) of each argument."""
-    texts: list[tuple[str, str | None]] = []
-    for change in changes:
-        is_value = "=" in change and not Path(change).is_file()
-        if "=" not in change and not change.endswith(".toml") and not Path(change).exists():
-            raise ConfigError(f"{change[:60]!r} is neither KEY=VALUE, such as osr=2048, nor a file")
-        texts.append((change, None if is_value else read_text(Path(change), configuration.MAX_BYTES, ConfigError)))
-    return texts
-
-
-def _changed(config: dict[str, Any], texts: list[tuple[str, str | None]]) -> dict[str, Any]:
-
-    for name, text in texts:
-        config = (
-            configuration.with_assignment(config, name) if text is None else configuration.with_file(config, text, name)
-        )
-    configuration.check_ratios(check(config))
-    return config
+def _edit(change: str) -> Callable[[configuration.Values], configuration.Values]:
+    """Return what changes a configuration according to a file or KEY=VALUE. Raises ConfigError."""
+    path = Path(change)
+    if "=" in change and not path.is_file():
+        return partial(configuration.with_assignment, text=change)
+    if not change.endswith(".toml") and not path.exists():
+        raise ConfigError(f"{change[:60]!r} is neither KEY=VALUE, such as osr=2048, nor a file")
+    return partial(configuration.with_file, text=read_text(path, configuration.MAX_BYTES, ConfigError), name=change)
 
 
 @command(app)
@@ -292,8 +284,7 @@ def gauge(options: GaugeOptions) -> None:
 class _Terminal:
     """The operator of ``gauge`` at standard input and output."""
 
-    def say(self, text: str) -> None:
-        click.echo(text)
+    say = staticmethod(click.echo)
 
     def ask(self, prompt: str) -> str | None:
         click.echo(prompt, nl=False)

@@ -32,9 +32,10 @@ import inspect
 import math
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
@@ -58,7 +59,8 @@ ARGUMENTS, EMPTY = "Arguments", inspect.Parameter.empty
 HEADING = re.compile(rf"^({ARGUMENTS}|Options|{EXPERT})\n-+\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\w[\w, ]*)(?: : (.+))?\n((?: {4}.*\n)*)", re.MULTILINE)
 EXAMPLE = re.compile(r"^(?=Examples?:\n)", re.MULTILINE)  # whose lines the help page must not join
-OPTIONS = {"robot": "model", "bars": "bar", "tools": "tool", "works": "work", "joints": "vary"}  # of arguments
+# options of arguments with other names
+OPTIONS = {"robot": "model", "bars": "bar", "tools": "tool", "works": "work", "joints": "vary", "lengths": "bars_mm"}
 SCALES = {scale.suffix: scale for scale in vars(units).values() if isinstance(scale, units.Scale) and scale.suffix}
 
 
@@ -96,7 +98,7 @@ class Answer:
 
     These are ``lines``, or findings with the ``tables`` of ``--details`` and the files that were ``written``; findings and
     files are the document's by default.
-    ``more`` says how to get the rest. ``end`` is the exit code, or the error that is raised after printing.
+    ``details_hint`` says how to get the rest. ``end`` is the exit code, or the error that is raised after printing.
     """
 
     document: Any
@@ -104,7 +106,7 @@ class Answer:
     findings: Sequence[Finding] | None = None
     tables: Iterable[Table | str] = ()
     written: Iterable[Path | str | None] | None = None
-    more: str | None = None
+    details_hint: str | None = None
     end: ExitCode | TruearmError = ExitCode.DONE
 
     def show(self, as_json: bool, details: bool | None) -> None:
@@ -117,10 +119,10 @@ class Answer:
             print_lines(self.lines)
         else:
             usual = "" if details is None else "All notes and tables: --details"
-            more = usual if self.more is None else self.more
+            hint = usual if self.details_hint is None else self.details_hint
             findings = findings_of(self.document) if self.findings is None else self.findings
             written = self.document.get("written", ()) if self.written is None else self.written
-            show(findings, self.tables if details else None, written, more)
+            show(findings, self.tables if details else None, written, hint)
         if isinstance(self.end, TruearmError):
             raise self.end
         if self.end is not ExitCode.DONE:
@@ -209,10 +211,13 @@ def _parameter(argument: str, name: str, hint: Any, default: Any, is_option: boo
     """Return a parameter ``name``; ``default``, in SI, is EMPTY if it is required."""
     kind, rules = (hint.__origin__, hint.__metadata__) if hasattr(hint, "__metadata__") else (hint, ())
     kind = get_args(kind)[0] if type(None) in get_args(kind) else kind
-    has_several, reader = get_origin(kind) is tuple, None if kind is str else options.READERS.get(argument)
+    has_several, of_text = get_origin(kind) is tuple, None if kind is str else options.READERS.get(argument)
     scale = SCALES.get(name.removeprefix(f"{argument}_"), units.ONE)
-    if reader is not None:
-        kind, has_several, default, scale = str, argument in options.REPEATED, None, units.ONE
+    reader: Callable[[Any], Any] | None = None
+    if of_text is not None:
+        reader = partial(of_text.read, f"--{name.replace('_', '-')}")
+        kind, has_several, scale = str, of_text.named, units.ONE
+        default = default if isinstance(default, str) else None
     elif has_several:
         kind = get_args(kind)[0]
     if scale.factor != 1.0:
@@ -227,7 +232,7 @@ def _parameter(argument: str, name: str, hint: Any, default: Any, is_option: boo
         words["default"] = str(default) if isinstance(default, StrEnum) else default
     if is_option:
         flags = {"is_flag": kind is bool or None, "multiple": has_several, "show_default": default != ""}
-        complete = completed(builtin_names()) if name == "model" else None
+        complete = _completed if name == "model" else None
         declared: click.Parameter = click.Option(
             [name, f"--{name.replace('_', '-')}"], metavar=metavar, shell_complete=complete, **flags, **words
         )
@@ -251,20 +256,16 @@ def _type(kind: Any, rules: Sequence[Any], scale: units.Scale) -> Any:
     return click.Path(path_type=Path) if kind is Path else kind
 
 
-def completed(names: Collection[str]) -> Callable[[click.Context, click.Parameter, str], list[Any]]:
-    """Return a function that completes a partly typed option value from ``names``."""
-    return lambda _, __, incomplete: [name for name in names if name.startswith(incomplete)]
+def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[Any]:
+    """Return the built-in robots whose names begin as a partly typed option value."""
+    return [name for name in builtin_names() if name.startswith(incomplete)]
 
 
 def fill(kind: Callable[..., R], values: Mapping[str, Any]) -> R:
     """Return a record of the values of its fields, and of those of records in it."""
-    fields: dict[str, Any] = {}
-    for name, hint in hints_of(kind).items():
-        if is_record(hint):
-            fields[name] = fill(hint, values)
-        elif name in values:
-            fields[name] = values[name]
-    return kind(**fields)
+    hints = hints_of(kind)
+    records = {name: fill(hint, values) for name, hint in hints.items() if is_record(hint)}
+    return kind(**{name: values[name] for name in hints.keys() & values.keys()} | records)
 
 
 def stem_of(name: str) -> str:

@@ -21,9 +21,9 @@ def correct(
     files: CorrectFiles,
     *,
     options: CorrectOptions,
-    home: tuple[float, ...] | None = None,
     payload: Any = None,
     allow_unusable: bool = False,
+    details: bool = False,
     json: bool = False,
 ) -> Answer:
     """Correct targets so that the real robot reaches them.
@@ -88,20 +88,20 @@ def correct(
     from truearm.cli.details import correction_tables, refused_lines
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.correct import correct_file
-    from truearm.workflows.correct_program import ProgramRefused
 
     if options.program.mark and not options.program.partial:
         raise InputError("needs-option", place="--mark", needed="--partial")
     calibration = read_usable(files.result, files.robot, allow_unusable, payload)
-    home_joints = joints_of("--home", home, calibration.chain)
+    home = joints_of(options.home, calibration.chain)
     try:
-        done = correct_file(calibration, files, replace(options, near=home_joints, document=json))
-    except ProgramRefused as exc:
-        for line in refused_lines(exc.refused):
+        document = correct_file(calibration, files, replace(options, home=home, document=details or json))
+    except InputError as exc:
+        for line in refused_lines(exc.finding.values.get("refused", ())):
             click.echo(line, err=True)
         raise
     if not json:
-        print_lines(refused_lines(done.refused))
-    end = ExitCode.INCOMPLETE if done.refused else ExitCode.DONE
-    written = files.out, files.report
-    return Answer(done.document, findings=done.findings, tables=correction_tables(done), written=written, end=end)
+        print_lines(refused_lines(document["refused"]))
+    end = ExitCode.INCOMPLETE if document["refused"] else ExitCode.DONE
+    return Answer(
+        document, tables=correction_tables(document) if details else (), written=(files.out, files.report), end=end
+    )

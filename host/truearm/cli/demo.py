@@ -82,4 +82,6 @@ def demo(
     ]
     if open:
         click.launch(str(page))
-    return Answer({"report": str(page), "result": identification.document}, findings=answers, written=[page], more="")
+    return Answer(
+        {"report": str(page), "result": identification.document}, findings=answers, written=[page], details_hint=""
+    )

@@ -5,21 +5,20 @@ So what is printed and what is stored cannot differ.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from truearm.findings import option
+import numpy as np
+
+from truearm.findings import Reason, option
 from truearm.report.law_findings import law_steps
 from truearm.report.result_findings import has_little_freedom
 from truearm.report.result_words import direction_text, kind_name, parameter_table
 from truearm.report.tables import ErrorRow, Table, error_table
 from truearm.text import counted, one_line
-from truearm.types import BAR_MOUNTED, MOUNTING, Floats, rms_of_columns
-from truearm.units import MM_S, ONE, UM, UNITS, URAD, Scale, number
-
-if TYPE_CHECKING:
-    from truearm.workflows.correct import CorrectedFile
-    from truearm.workflows.correction_findings import Refused
+from truearm.types import BAR_MOUNTED, MOUNTING, rms_of_columns
+from truearm.units import MM_S, ONE, UM, UNITS, URAD, Scale
 
 Document = Mapping[str, Any]
 
@@ -175,32 +174,34 @@ def _number(value: float | None, form: str, scale: Scale = ONE) -> str:
 MOST_REFUSED = 30  # shown one by one
 
 
-def correction_tables(done: CorrectedFile) -> Iterator[Table | str]:
+def correction_tables(document: Document) -> Iterator[Table | str]:
     """Return the errors of the first targets, and their RMS."""
     from truearm.workflows.correct import SHOWN
 
-    error_before, error_after = done.correction.before, done.correction.after
-    names = [*done.places[:SHOWN], "RMS"]
-    errors = [[*column[:SHOWN], rms_of_columns(column)] for column in (error_before, error_after)]
-    cells = map(_error_cells, *errors)
+    targets = document["targets"]
+    columns = [f"error_{time}_{unit}" for unit in ("mm", "deg") for time in ("before", "after")]
+    errors = np.array([[target[column] for column in columns] for target in targets], dtype=float)
+    rows = [(target["place"].partition(" ")[2], *row) for target, row in zip(targets, errors, strict=False)][:SHOWN]
     titles = ("target", "before [mm]", "after [mm]", "before [deg]", "after [deg]")
-    yield Table(titles, ((name, *row) for name, row in zip(names, cells, strict=True)))
-    if len(done.places) > SHOWN:
-        yield f"RMS over these and {len(done.places) - SHOWN} more"
+    yield Table(titles, map(_error_cells, [*rows, ("RMS", *rms_of_columns(errors))]))
+    if len(targets) > SHOWN:
+        yield f"RMS over these and {len(targets) - SHOWN} more"
 
 
-def refused_lines(refused: Sequence[Refused]) -> list[str]:
+def _error_cells(row: Sequence[Any]) -> tuple[str, ...]:
+    place, *errors = row
+    digits = ".4f", ".4f", ".5f", ".5f"
+    return place, *("-" if math.isnan(error) else f"{error:{form}}" for error, form in zip(errors, digits, strict=True))
+
+
+def refused_lines(refused: Sequence[Document]) -> list[str]:
     """Return the statements of a program that move the robot or may move it and are not corrected, their number first."""
     if not refused:
         return []
     rows = [
-        f"  {one_line(move.file)} line {move.line}: {one_line(move.statement)}: {move.reason.text(option)}"
+        f"  {one_line(move['file'])} line {move['line']}: {one_line(move['statement'])}: "
+        f"{Reason(move['reason'], move['values']).text(option)}"
         for move in refused[:MOST_REFUSED]
     ]
     hidden_moves = [f"  and {counted(len(refused) - MOST_REFUSED, 'more move')}"] * (len(refused) > MOST_REFUSED)
     return [f"{counted(len(refused), 'move')} not corrected:", *rows, *hidden_moves]
-
-
-def _error_cells(*errors: Floats) -> list[str]:
-    """Return errors of position and orientation without and with the correction."""
-    return [*(number(error[0], "m", 4) for error in errors), *(number(error[1], "rad", 5) for error in errors)]

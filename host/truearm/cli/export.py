@@ -41,4 +41,4 @@ def export(files: ExportFiles) -> Answer:
     exported = export_file(files)
     written = [path for path in (files.out, files.curves_out) if path is not None]
     document = {"format": files.format, "findings": entries(exported.findings), "written": list(map(str, written))}
-    return Answer(document, written=written)
+    return Answer(document)

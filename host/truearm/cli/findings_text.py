@@ -21,11 +21,11 @@ def show(
     findings: Sequence[Finding],
     tables: Iterable[Table | str] | None = None,
     written: Iterable[Path | str | None] = (),
-    more: str = "All notes and tables: --details",
+    hint: str = "All notes and tables: --details",
 ) -> None:
     """Print findings and the files that were written.
 
-    Without ``tables``, notes are left out, and what is more than MAX_LINES lines; ``more`` says where they are. With
+    Without ``tables``, notes are left out, and what is more than MAX_LINES lines; ``hint`` says where they are. With
     them, advice follows the tables.
     """
     # No markup, because names come from files. Into a pipe, rich would wrap at 80 columns.
@@ -33,7 +33,7 @@ def show(
     console = Console(markup=False, highlight=False, emoji=False, width=width)
     files = [f"Written: {one_line(str(path))}" for path in written if path is not None]
     if tables is None:
-        lines: list[str | Table] = [*_short(findings, console, MAX_LINES - len(files), more)]
+        lines: list[str | Table] = [*_short(findings, console, MAX_LINES - len(files), hint)]
     else:
         advice = [finding for finding in findings if finding.severity is Severity.ADVICE]
         lines = [*(_text(finding) for finding in findings if finding not in advice), *tables, *map(_text, advice)]
@@ -41,7 +41,7 @@ def show(
         console.print(_printed(line) if isinstance(line, Table) else line)
 
 
-def _short(findings: Sequence[Finding], console: Console, room: int, more: str) -> list[str]:
+def _short(findings: Sequence[Finding], console: Console, room: int, hint: str) -> list[str]:
     """Return all findings but notes, in at most ``room`` lines."""
     texts = [_text(finding) for finding in findings if finding.severity is not Severity.NOTE]
     shown: list[str] = []
@@ -52,7 +52,7 @@ def _short(findings: Sequence[Finding], console: Console, room: int, more: str) 
             break
         shown.append(text)
     hidden = len(texts) - len(shown)
-    return [*shown, f"{counted(hidden, 'more finding')}. {more}" if hidden else more] if more else shown
+    return [*shown, f"{counted(hidden, 'more finding')}. {hint}" if hidden else hint] if hint else shown
 
 
 def _text(finding: Finding) -> str:

@@ -130,6 +130,6 @@ def identify(
         findings=[_located(finding, paths) for finding in identification.findings],
         tables=result_tables(document),
         written=(*results, table_out, report),
-        more="Parameters, residuals and all notes: --details, or --report report.html",
+        details_hint="Parameters, residuals and all notes: --details, or --report report.html",
         end=ExitCode.DONE if document["usable"] else ExitCode.UNUSABLE,
     )

@@ -6,6 +6,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,7 @@ import click
 
 from truearm.bounds import OneOf, Within
 from truearm.cli.command import Answer, command
-from truearm.cli.options import branch_given, numbers_of
+from truearm.cli.options import READERS
 from truearm.cli.project import typed
 from truearm.errors import Argument, InputError
 from truearm.file_names import missing_file
@@ -21,14 +22,13 @@ from truearm.model.builtin import builtin_names
 from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.record.robots.sources import check_address
 from truearm.units import MM
+from truearm.workflows.requests import FirstRig, SocketSeats
 
 RIG_OPTIONS = ("chucks", "spheres", "bars_mm", "measured_with")
 OWN_OPTIONS: dict[str, tuple[str, ...]] = {  # of each method
     "ball-bar": (*RIG_OPTIONS, "minutes"),
     "sockets": ("ball_xyz_mm", "ball_mm", "table_mm", "places", "seats"),
 }
-PARTS = Within(1, 9)  # of a kind: more than a table or a flange has room for
-LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
 INSTRUMENTS_HELP = ", ".join(f"{name}: {MM.text(sigma)}" for name, sigma in INSTRUMENTS.items())
 
 
@@ -42,17 +42,10 @@ def init(
     tip: str = "",
     branch: str | None = None,
     address: str | None = None,
-    box: str | None = None,
-    chucks: Annotated[int, PARTS] = 3,
-    spheres: Annotated[int, PARTS] = 3,
-    bars_mm: str | None = None,
-    measured_with: Annotated[str | None, OneOf((NOTHING, *INSTRUMENTS))] = None,
+    box: str = "",
+    rig: FirstRig,
     method: Annotated[str, OneOf(tuple(OWN_OPTIONS))] = "ball-bar",
-    ball_mm: Annotated[float, Within(4.0, 100.0)] = 20.0,
-    ball_xyz_mm: str = "0,0,100",
-    table_mm: Annotated[float, Within(-5000.0, 5000.0)] = 0.0,
-    places: Annotated[int, Within(2, 20)] = 6,
-    seats: Annotated[int, Within(4, 100)] = 12,
+    sockets: SocketSeats,
     minutes: Annotated[float, Within(0.0, 1000.0)] = 30.0,
 ) -> Answer:
     """Create a project: truearm.toml, rig.toml and a first plan.
@@ -73,7 +66,7 @@ def init(
     Arguments
     ---------
     folder : FOLDER
-        Folder of the project; created if missing.
+        Folder of the project; created if missing. Default: this folder.
 
     Options
     -------
@@ -91,7 +84,7 @@ def init(
     method
         Measure with a ball-bar, or with a ball on the end that is put into printed sockets.
     ball_xyz_mm : X,Y,Z
-        Sockets: the ball's centre in the frame of the robot's end.
+        Sockets: the ball's centre in the frame of the robot's end. Default: 0,0,100.
 
     Expert options
     --------------
@@ -106,108 +99,67 @@ def init(
     json
     """
     from truearm.findings import entries, findings_of, option
-    from truearm.workflows.project import ProjectWanted, create
+    from truearm.workflows.project import create
     from truearm.workflows.project_file import Project
-    from truearm.workflows.socket_project import BLOCK, DRAWING, SocketsWanted
+    from truearm.workflows.socket_project import BLOCK, DRAWING
 
-    sockets = None
-    methods = (
-        (names, f"it is for --method {other_method}")
-        for other_method, names in OWN_OPTIONS.items()
-        if other_method != method
-    )
-    files = ((RIG_OPTIONS, folder / Project.rig), (("minutes",), folder / Project.plan))
-    existing = ((names, f"{path} already exists and is kept") for names, path in files if path.exists())
-    for names, reason in (*methods, *existing):
-        for name in names:
-            if typed(context, name) is not None:
-                raise InputError("no-effect", place=Argument(name), reason=reason)
-    if method == "sockets":
-        x, y, z = numbers_of("--ball-xyz-mm", ball_xyz_mm, 3) or (0.0, 0.0, 0.0)
-        ball = MM.to_si(x), MM.to_si(y), MM.to_si(z)
-        sockets = SocketsWanted(MM.to_si(0.5 * ball_mm), ball, MM.to_si(table_mm), places, seats)
+    with_sockets = method == "sockets"
+    other_method = "ball-bar" if with_sockets else "sockets"
+    unused = dict.fromkeys(OWN_OPTIONS[other_method], f"it is for --method {other_method}")
+    for names, path in ((RIG_OPTIONS, folder / Project.rig), (("minutes",), folder / Project.plan)):
+        unused |= dict.fromkeys(names if path.exists() else (), f"{path} already exists and is kept")
+    for name, reason in unused.items():
+        if typed(context, name) is not None:
+            raise InputError("no-effect", place=Argument(name), reason=reason)
+    if len(set(rig.lengths)) < len(rig.lengths):
+        raise InputError("given-twice", place=Argument("bars_mm"), what="a length")
     asking = robot is None and sys.stdin is not None and sys.stdin.isatty()
     if robot is None and not asking:
         raise InputError("--model is missing: give a built-in robot, a robot file or a URDF (see truearm init --help)")
 
-    def ask(option_text: str | None, question: str, read: Callable[[str], str], default: str = "") -> str:
+    def ask(option_text: str | None, question: str, check: Callable[[str], object], default: str = "") -> str:
         """Return what was given or is answered; a wrong answer is asked for again."""
-        if option_text is not None or not asking:
-            return read(default if option_text is None else option_text)
-        while True:
+        while asking and option_text is None:
             try:
-                return read(click.prompt(question, default=default, err=True).strip())
+                answer: str = click.prompt(question, default=default, err=True).strip()
+                check(answer)
+                return answer
             except InputError as exc:
                 click.echo(f"  {exc}", err=True)
+        check(default if option_text is None else option_text)
+        return default if option_text is None else option_text
 
-    model = ask(robot, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", _model, "ur5e")
-    project = Project(
-        model=_from_folder(model, folder),
-        base=base,
-        tip=tip,
-        branch=branch or "",
-        address=ask(
-            address, "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)", _address
-        ),
-        box=box or "",
+    model = ask(robot, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", _check_model, "ur5e")
+    if Path(model).is_file() and not Path(model).is_absolute() and not (folder / model).is_file():
+        model = Path(os.path.relpath(model, folder)).as_posix()
+    address_question = "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)"
+    address = ask(address, address_question, lambda text: check_address(text) if text else None)
+    measured_question = f"What chucks, spheres and bars are measured with: {NOTHING}, or {INSTRUMENTS_HELP}"
+    instruments = OneOf((NOTHING, *INSTRUMENTS))
+    instrument = NOTHING if with_sockets else rig.measured_with
+    instrument = ask(instrument, measured_question, lambda text: instruments.check("measured_with", text), NOTHING)
+    bounds = READERS["branch"].read("--branch", branch) if branch else None
+    project = Project(model=model, base=base, tip=tip, branch=branch or "", address=address, box=box)
+    created = create(
+        folder, project, replace(rig, measured_with=instrument), sockets if with_sockets else None, bounds, minutes
     )
-    instrument = ask(
-        NOTHING if sockets else measured_with,
-        f"What chucks, spheres and bars are measured with: {NOTHING}, or {INSTRUMENTS_HELP}",
-        _instrument,
-        NOTHING,
-    )
-    bounds = branch_given(branch) if branch else None
-    request = ProjectWanted(
-        project, _lengths(bars_mm or ""), instrument, chucks, spheres, minutes or None, bounds, sockets
-    )
-    created = create(folder, request)
-    controller = [] if created.controller is None else [created.controller]
     step = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
+    controller = [] if created.controller is None else [created.controller]
     lines = [finding.text(option) for finding in controller]
     lines += [f"{path.name:<16}{path}" for path in created.written]
     lines += [finding.text(option) for finding in findings_of(created.plan)[:1]] if created.plan else []
     measuring = f"put what you measured of the rig into {folder / project.rig}"
     printing = f"print {folder / BLOCK} and place it as {folder / DRAWING} shows"
-    lines.append(f"\nnext: {printing if sockets else measuring}; then {step}")
+    lines.append(f"\nnext: {printing if with_sockets else measuring}; then {step}")
     document = {"written": [str(path) for path in created.written], "plan": created.plan}
     return Answer({**document, "findings": entries(controller)}, lines)
 
 
-def _from_folder(model: str, folder: Path) -> str:
-    """A robot's file as truearm.toml names it: by its way from the project's folder; names of built-in robots as they are."""
-    is_relative = Path(model).is_file() and not Path(model).is_absolute() and not (folder / model).is_file()
-    return Path(os.path.relpath(model, folder)).as_posix() if is_relative else model
-
-
-def _model(text: str) -> str:
-    """Return the name of a robot that exists; the links of a URDF are chosen later."""
+def _check_model(text: str) -> None:
+    """Raise InputError unless a robot exists; the links of a URDF are chosen later."""
     from truearm.model.robot_file import is_urdf, load_robot
 
     if not is_urdf(text):
         load_robot(text)
     elif not Path(text).is_file():
         raise missing_file(Path(text))
-    return text
-
-
-def _address(text: str) -> str:
-    if text:
-        check_address(text)
-    return text
-
-
-def _instrument(text: str) -> str:
-    if text not in (NOTHING, *INSTRUMENTS):
-        raise InputError(f"{text[:40]} is not one of {NOTHING}, {', '.join(INSTRUMENTS)}")
-    return text
-
-
-def _lengths(text: str) -> tuple[float, ...]:
-    values = (numbers_of("--bars-mm", text) or ()) if text else ()
-    for value in values:
-        if not SHORTEST_BAR_MM <= value <= LONGEST_BAR_MM:
-            raise InputError(f"--bars-mm {text[:40]}: give lengths from {SHORTEST_BAR_MM:g} to {LONGEST_BAR_MM:g} mm")
-    if len(set(values)) < len(values):
-        raise InputError("given-twice", place=f"--bars-mm {text[:40]}", what="a length")
-    return tuple(map(MM.to_si, values))

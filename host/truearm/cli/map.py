@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from truearm.bounds import CELL
 from truearm.cli.command import Answer, command
 from truearm.cli.options import joints_of
 from truearm.errors import InputError
-from truearm.workflows.requests import MapFiles
+from truearm.workflows.requests import MapFiles, Section
 
 if TYPE_CHECKING:
     from truearm.types import Payload
 
 
 @command(title="map")
-def map_(
-    files: MapFiles,
-    *,
-    joints: tuple[int, int] = (2, 3),
-    at: tuple[float, ...] | None = None,
-    cell: Annotated[float, CELL] = 0.025,
-    task: tuple[float, float] | None = None,
-    within: tuple[float, float, float, float] | None = None,
-    own_frames: bool = False,
-    payload: Payload | None = None,
-    allow_unusable: bool = False,
-) -> Answer:
+def map_(files: MapFiles, *, section: Section, payload: Payload | None = None, allow_unusable: bool = False) -> Answer:
     """Map the error of the uncalibrated robot over a section of its workspace, with the uncertainty of the map.
 
     Example:
@@ -56,10 +45,9 @@ def map_(
         Range of the search for --task, along the section's axes [mm]. Default: the whole section.
     """
     from truearm.workflows.calibration import read_usable
-    from truearm.workflows.map import MapTask, Section, map_files
+    from truearm.workflows.map import map_files
 
-    if task is None and within is not None:
+    if section.task is None and section.within is not None:
         raise InputError("needs-option", place="--within", needed="--task WxH")
     calibration = read_usable(files.result, files.robot, allow_unusable, payload)
-    section = Section(joints, joints_of("--at", at, calibration.chain), cell, own_frames)
-    return Answer(map_files(calibration, files, section, None if task is None else MapTask(task, within)))
+    return Answer(map_files(calibration, files, replace(section, at=joints_of(section.at, calibration.chain))))

@@ -111,14 +111,12 @@ import re
 import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import chain, cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from truearm import option_defaults
-from truearm.bounds import Within
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names, names_with_branch
 from truearm.plan.criteria import Criterion
@@ -136,7 +134,6 @@ if TYPE_CHECKING:
     from truearm.workflows.inputs import Sources
 
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
-LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
 TEXTS = {
     "robots": ", ".join(builtin_names()),
     "branches": ", ".join(names_with_branch()),
@@ -165,15 +162,14 @@ def rigs_of(texts: Sequence[str]) -> dict[str, Path]:
     """
     files: dict[str, Path] = {}
     for text in texts:
-        name, equals, file = text.partition("=")
-        named = bool(equals) and re.fullmatch(rf"[\w-]{{1,{LONGEST_NAME}}}", name, re.ASCII) is not None
-        name, path = (name, Path(file)) if named else ("", Path(text))
-        if name in files:
-            problem = f"rig {name} is given twice" if name else "several rigs need names, --rig NAME=FILE"
+        match = re.fullmatch(r"(?:([\w-]{1,64})=)?(.*)", text, re.ASCII | re.DOTALL)  # a name as in a table
+        name, file = ("", text) if match is None else (match[1] or "", match[2])
+        if name in files or (files and "" in (name, *files)):
+            problem = (
+                f"rig {name} is given twice" if name in files and name else "several rigs need names, --rig NAME=FILE"
+            )
             raise InputError(f"--rig {text}: {problem}")
-        files[name] = path
-    if "" in files and len(files) > 1:
-        raise InputError(f"--rig {files['']}: several rigs need names; write --rig NAME=FILE")
+        files[name] = Path(file)
     return files
 
 
@@ -191,158 +187,158 @@ def command_line(context: click.Context) -> str:
     return shlex.join(["truearm", *(context.obj or [])])
 
 
-def numbers_of(option: str, text: str, count: int | None = None) -> tuple[float, ...]:
-    """Return the numbers of an option, separated by commas. Raises InputError."""
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
-    if not values or (count is not None and (len(values) != count or not all(map(math.isfinite, values)))):
-        raise InputError(
-            "wrong-value", place=option, value=text[:60], form=f"{count or 'one or more'} numbers, separated by commas"
-        )
+def joints_of(shown: tuple[float, ...] | None, arm: Chain) -> tuple[float, ...] | None:
+    """Return the joints [rad, m] of an option in deg and mm; those of mimic joints may be missing. Another number is kept."""
+    from truearm.model.mimic import units_of
+
+    units = units_of(len(shown or ()), arm.joint_units, arm.mimics)
+    return shown and tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=False))
+
+
+# Parsers of an option's text: they raise ValueError for a text in another form.
+
+
+def numbers_of(text: str) -> tuple[float, ...]:
+    """Return finite numbers that commas separate."""
+    values = tuple(map(float, text.split(",")))
+    if not all(map(math.isfinite, values)):
+        raise ValueError(text)
     return values
 
 
 def payload_of(text: str) -> Payload:
-    """Return the payload of the option. Raises InputError."""
+    """Return a payload from KG,X,Y,Z, or KG alone, with the centre in mm."""
     from truearm.types import Payload
 
-    mass, *centre = numbers_of("--payload", text)
-    if len(centre) not in (0, 3):
-        raise InputError(
-            "wrong-value", place="--payload", value=text[:60], form="KG, or KG,X,Y,Z with the centre in mm"
-        )
-    x, y, z = map(MM.to_si, centre or (0.0, 0.0, 0.0))
-    return Payload(mass, (x, y, z))
+    mass, x, y, z = numbers_of(text if "," in text else f"{text},0,0,0")
+    return Payload(mass, (MM.to_si(x), MM.to_si(y), MM.to_si(z)))
 
 
-def spans_of(
-    option: str, text: str, scale: Scale, count: int | None = None
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the lower and upper ends in SI of an option "LOW:HIGH,LOW:HIGH,…" in a unit, as many as ``count`` says if it
-    does. Raises InputError.
-    """
-    try:
-        spans = [(float(low), float(high)) for low, high in (span.split(":") for span in text.split(","))]
-    except ValueError:
-        spans = []
-    rising = all(low < high and math.isfinite(high - low) for low, high in spans)
-    if len(spans) != (count or len(spans) or 1) or not rising:
-        times = f"{count} times " if count else ""
-        form = f"{times}LOW:HIGH in {scale.suffix}, LOW below HIGH, separated by commas"
-        raise InputError("wrong-value", place=option, value=text[:60], form=form)
-    return tuple(scale.to_si(low) for low, _ in spans), tuple(scale.to_si(high) for _, high in spans)
+def spans_of(scale: Scale, text: str, count: int | None = None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the lower and upper ends in SI of LOW:HIGH,LOW:HIGH,… in a unit."""
+    spans = [numbers_of(span.replace(":", ",")) for span in text.split(",")]
+    if len(spans) != (count or len(spans)) or not all(low < high for low, high in spans):
+        raise ValueError(text)
+    lower, upper = zip(*spans, strict=True)
+    return tuple(map(scale.to_si, lower)), tuple(map(scale.to_si, upper))
 
 
-def joints_of(option: str, shown: Sequence[float] | None, arm: Chain) -> tuple[float, ...] | None:
-    """Return the joints [rad, m] of an option in deg and mm; those of mimic joints may be missing. Raises InputError."""
-    from truearm.model.mimic import units_of
-
-    if shown is None:
-        return None
-    units = units_of(len(shown), arm.joint_units, arm.mimics)
-    if len(shown) != len(units) or not all(map(math.isfinite, shown)):
-        text = ",".join(f"{value:g}" for value in shown)
-        raise InputError(
-            "wrong-value", place=option, value=text[:60], form=f"{len(units)} numbers, separated by commas"
-        )
-    return tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=True))
-
-
-def frame_of(option: str, text: str) -> Six:
-    """Return position [m] and rotation vector [rad] of an option in mm and deg. Raises InputError."""
-    x, y, z, rx, ry, rz = numbers_of(option, text, 6)
+def frame_of(text: str) -> Six:
+    """Return position [m] and rotation vector [rad] from a text in mm and deg."""
+    x, y, z, rx, ry, rz = numbers_of(text)
     if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:
-        raise InputError("wrong-value", place=option, value=text, form="x, y, z in mm and a rotation vector in deg")
+        raise ValueError(text)
     return MM.to_si(x), MM.to_si(y), MM.to_si(z), DEG.to_si(rx), DEG.to_si(ry), DEG.to_si(rz)
 
 
-def branch_given(text: str) -> Branch:
-    """Return the joint bounds [rad] of the option in deg. Raises InputError."""
+def branch_of(text: str) -> Branch:
+    """Return joint bounds [rad] from a text in deg."""
     import numpy as np
 
     from truearm.model.workspace import Branch
 
-    lower, upper = spans_of("--branch", text, DEG)
+    lower, upper = spans_of(DEG, text)
     return Branch(np.array(lower), np.array(upper))
 
 
 def region_of(text: str) -> Region:
-    """Return the box [m] of the option in mm. Raises InputError."""
+    """Return a box [m] from a text in mm."""
     import numpy as np
 
     from truearm.plan.region import Region
 
-    lower, upper = spans_of("--region", text, MM, 3)
+    lower, upper = spans_of(MM, text, 3)
     return Region(np.array(lower), np.array(upper))
 
 
 def span_of(text: str) -> tuple[float, ...]:
-    """Return u0, u1, v0, v1 [m] of the option in mm. Raises InputError."""
-    return tuple(chain.from_iterable(zip(*spans_of("--within", text, MM, 2), strict=True)))
+    """Return u0, u1, v0, v1 [m] from a text in mm."""
+    (u0, v0), (u1, v1) = spans_of(MM, text, 2)
+    return u0, u1, v0, v1
 
 
 def size_of(text: str) -> tuple[float, float]:
-    """Return the width and height [m] of the option in mm. Raises InputError."""
-    match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)x([0-9]{1,6}(?:\.[0-9]{1,6})?)", text)
-    if match is None or min(float(match[1]), float(match[2])) <= 0.0:
-        raise InputError("wrong-value", place="--task", value=text[:40], form="width and height in mm, such as 300x200")
-    return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
+    """Return a width and a height [m] from a text in mm."""
+    width, height = numbers_of(text.replace("x", ","))
+    if not 0.0 < min(width, height) <= max(width, height) <= LARGEST_MM:
+        raise ValueError(text)
+    return MM.to_si(width), MM.to_si(height)
 
 
 def joint_pair(text: str) -> tuple[int, int]:
-    """Return the numbers of the two joints of the option. Raises InputError."""
-    match = re.fullmatch(r"([1-9][0-9]?),([1-9][0-9]?)", text)
-    if match is None:
-        raise InputError("wrong-value", place="--vary", value=text[:40], form="two joints, such as 2,3")
-    return int(match[1]), int(match[2])
+    """Return the numbers of two joints."""
+    first, second = map(int, text.split(","))
+    return first, second
 
 
 def renames_of(text: str) -> tuple[tuple[str, str], ...]:
-    """Return the titles of columns with those of a file. Raises InputError."""
+    """Return the titles of columns with those of a file."""
     from truearm.record.robots.joint_table import parse_renames
 
     return parse_renames(text)
 
 
-def scaled_numbers(option: str, rule: Within, scales: Sequence[Scale], text: str) -> tuple[float, ...]:
-    """Return the numbers in SI of an option, one in each of several units, or any number in one. Raises InputError."""
-    values = numbers_of(option, text, len(scales) if len(scales) > 1 else None)
-    rule.check(option.removeprefix("--").replace("-", "_"), values)
-    return tuple(scale.to_si(value) for scale, value in zip(cycle(scales), values, strict=False))
+def scaled_numbers(scales: tuple[Scale, ...], lowest: float, highest: float, text: str) -> tuple[float, ...]:
+    """Return numbers in SI within bounds, one in each of several units, or any number in one."""
+    values = numbers_of(text)
+    if not all(lowest <= value <= highest for value in values):
+        raise ValueError(text)
+    units = scales * len(values) if len(scales) == 1 else scales
+    return tuple(scale.to_si(value) for scale, value in zip(units, values, strict=True))
 
 
-def named_frames(option: str, texts: Sequence[str]) -> dict[str, Six]:
-    """Return frames of an option in mm and deg by name, "" for one without a name. Raises InputError."""
-    frames: dict[str, Six] = {}
-    for text in texts:
-        name, equals, pose = text.rpartition("=")
-        if equals and not name.isidentifier():
-            raise InputError(
-                f"{option} {text[:60]}: {name[:40]!r} is not a name of a tool or work object; use letters, digits and _"
-            )
-        if name.lower() in frames:
-            raise InputError("given-twice", place=f"{option} {text[:60]}", what="it")
-        frames[name.lower()] = frame_of(option, pose)
-    return frames
+class Reader(NamedTuple):
+    """How an option is read: the ``form`` of its text, and what makes a value of it. ``named``: NAME=TEXT, several times."""
+
+    form: str
+    parse: Callable[[str], Any]
+    named: bool = False
+
+    def read(self, option: str, typed: Any) -> Any:
+        """Return the value of a text, or those of NAME=TEXT by name, "" for one without a name. Raises InputError."""
+        if not self.named:
+            return self._value(option, typed)
+        values: dict[str, Any] = {}
+        for text in typed:
+            name, equals, value = text.rpartition("=")
+            if equals and not name.isidentifier():
+                reason = f"{name[:40]!r} is not a name of a tool or work object; use letters, digits and _"
+                raise InputError(f"{option} {text[:60]}: {reason}")
+            if name.lower() in values:
+                raise InputError("given-twice", place=f"{option} {text[:60]}", what="it")
+            values[name.lower()] = self._value(option, value)
+        return values
+
+    def _value(self, option: str, text: str) -> Any:
+        try:
+            return self.parse(text)
+        except InputError:
+            raise
+        except (ValueError, OverflowError):
+            raise InputError("wrong-value", place=option, value=text[:60], form=self.form) from None
 
 
-READERS: dict[str, Callable[[Any], Any]] = {  # of arguments that are no texts, from those of the command line
-    "at": partial(numbers_of, "--at"),
-    "columns": renames_of,
-    "home": partial(numbers_of, "--home"),
-    "joints": joint_pair,
-    "region": region_of,
-    "task": size_of,
-    "within": span_of,
-    "flange": partial(frame_of, "--flange"),
-    "tools": partial(named_frames, "--tool"),
-    "works": partial(named_frames, "--work"),
-    "branch": branch_given,
-    "payload": payload_of,
-    "tolerance": partial(scaled_numbers, "--tolerance", Within(0.0), (MM, DEG)),
-    "masses": partial(scaled_numbers, "--masses-kg", Within(0.0, 1e4), (KG,)),
-    "gear_periods": partial(scaled_numbers, "--gear-periods-deg", Within(0.1, 3600.0), (DEG,)),
+NUMBERS = "finite numbers, separated by commas"
+SPANS = "LOW:HIGH in {}, LOW below HIGH, separated by commas"
+POSE = "6 numbers: x, y, z in mm and a rotation vector in deg"
+READERS = {  # of arguments that are no texts
+    "at": Reader(NUMBERS, numbers_of),
+    "home": Reader(NUMBERS, numbers_of),
+    "columns": Reader("", renames_of),
+    "joints": Reader("two joints, such as 2,3", joint_pair),
+    "branch": Reader(SPANS.format("deg"), branch_of),
+    "region": Reader("3 times " + SPANS.format("mm"), region_of),
+    "within": Reader("2 times " + SPANS.format("mm"), span_of),
+    "task": Reader("width and height in mm, such as 300x200", size_of),
+    "flange": Reader(POSE, frame_of),
+    "tools": Reader(POSE, frame_of, named=True),
+    "works": Reader(POSE, frame_of, named=True),
+    "payload": Reader("KG, or KG,X,Y,Z with the centre in mm", payload_of),
+    "tolerance": Reader(
+        "a length in mm and an angle in deg, 0 or more", partial(scaled_numbers, (MM, DEG), 0.0, math.inf)
+    ),
+    "masses": Reader(f"{NUMBERS}, from 0 to 10000", partial(scaled_numbers, (KG,), 0.0, 1e4)),
+    "gear_periods": Reader(f"{NUMBERS}, from 0.1 to 3600", partial(scaled_numbers, (DEG,), 0.1, 3600.0)),
+    "ball_xyz": Reader("x, y, z in mm", partial(scaled_numbers, (MM, MM, MM), -LARGEST_MM, LARGEST_MM)),
+    "lengths": Reader("lengths from 50 to 5000 mm", partial(scaled_numbers, (MM,), 50.0, 5000.0)),
 }
-REPEATED = ("tools", "works")  # fields that are read from several texts

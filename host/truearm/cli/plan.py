@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 from truearm.bounds import MINUTES, POSES
@@ -21,7 +20,7 @@ app = CommandGroup(
 def _answer(document: dict[str, Any]) -> Answer:
     from truearm.cli.details import plan_tables
 
-    return Answer(document, tables=plan_tables(document), written=map(Path, document["written"]))
+    return Answer(document, tables=plan_tables(document))
 
 
 @command(app, "ballbar")

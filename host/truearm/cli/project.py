@@ -76,8 +76,8 @@ class ProjectCommand(click.Command):
         files = [parameter.name for parameter in self.params if not parameter.opts[0].startswith("-")]
         if files[:1] == ["result"] and len(files) == 2:
             words, *_ = self.make_parser(ctx).parse_args(list(args))
-            first, further = (words.get(name) for name in files)
-            further = [further] if isinstance(further, str) else further if isinstance(further, list | tuple) else []
+            first = words.get(files[0])
+            further = [file for file in _values(words.get(files[1])) if isinstance(file, str)]  # else none was typed
             takes_more = not further or isinstance(words[files[1]], list | tuple)
             kind = kind_of(Path(first)) if isinstance(first, str) else "result"
             if kind != "result" and any(kind_of(Path(file)) == "result" for file in further):
@@ -94,8 +94,7 @@ class ProjectCommand(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command. Raises InputError for nan, inf and "-", which click accepts, and for a file of another kind."""
         for parameter in self.params:
-            argument = ctx.params[parameter.name]
-            for value in argument if isinstance(argument, list | tuple) else (argument,):
+            for value in _values(ctx.params[parameter.name]):
                 if isinstance(value, float) and not math.isfinite(value):
                     raise InputError(f"{parameter.opts[0]} must be a finite number, is {value}")
                 if value in ("-", Path("-")) and parameter.type.name == "path":
@@ -107,8 +106,8 @@ class ProjectCommand(click.Command):
             word
             for parameter in self.params
             if ctx.get_parameter_source(parameter.name) is ParameterSource.DEFAULT_MAP
-            if ctx.params[parameter.name] is not None
-            for word in _words(parameter, ctx.params[parameter.name])
+            for value in _values(ctx.params[parameter.name])
+            for word in (*(flag for flag in parameter.opts[:1] if flag.startswith("-")), str(value))
         ]
         project_result = ctx.meta.get(RESULT_TAKEN, [])
         if project_result or project_words:
@@ -164,11 +163,9 @@ def typed(context: click.Context, name: str) -> Any:
     return context.params[name] if context.get_parameter_source(name) is ParameterSource.COMMANDLINE else None
 
 
-def _words(option: Any, value: Any) -> Sequence[str]:
-    """Return an option as words of a command line."""
-    flag = [option.opts[0]] if option.opts[0].startswith("-") else []
-    values = value if isinstance(value, list | tuple) else [value]
-    return [word for item in values for word in (*flag, str(item))]
+def _values(value: Any) -> Sequence[Any]:
+    """Return the values of a parameter: several, one, or none."""
+    return value if isinstance(value, list | tuple) else () if value is None else (value,)
 
 
 ROBOT = "model base tip"
@@ -196,11 +193,11 @@ def defaults(folder: Path) -> dict[str, Any]:
 
     Raises InputError for an invalid truearm.toml.
     """
-    project_and_home = project_of(folder)
     tree: dict[str, Any] = {}
-    if project_and_home is None:
+    project, home = project_of(folder) or (None, folder)
+    if project is None:
         return tree
-    answers = _answers(*project_and_home, folder)
+    answers = _answers(project, home, folder)
     for command, names in DEFAULTS.items():
         branch = tree
         for word in command.split():
@@ -219,52 +216,44 @@ def project_model(folder: Path) -> str:
 def _answers(project: Project, home: Path, folder: Path) -> dict[str, Answer]:
     """Return the values of parameters by name, or by command and name."""
 
-    def shown(path: Path) -> str:
-        return os.path.relpath(path, folder)
+    from truearm.workflows import project as project_files
 
-    def there(name: str) -> Answer:
+    def shown(path: Path | None) -> str | None:
+        return None if path is None else os.path.relpath(path, folder)
+
+    def existing(name: str) -> Answer:
         return lambda: shown(home / name) if (home / name).exists() else None
 
     def text(value: str) -> Answer:
         return lambda: value or None
 
-    def project_file(function: str, *arguments: Any) -> Answer:
-        """Return what a function of ``workflows.project``, which is slow to import, finds or names: files or a file."""
-
-        def answer() -> Any:
-            from truearm.workflows import project as project_files
-
-            files = getattr(project_files, function)(*arguments)
-            return [shown(path) for path in files] or None if isinstance(files, list) else files and shown(files)
-
-        return answer
+    def sessions() -> list[str | None]:
+        return [shown(path) for path in project_files.sessions_of(recordings)]
 
     recordings, results = home / project.sessions, home / project.results
-    sessions = project_file("sessions_of", recordings)
     model = home / project.model
     return {
-        "model": text(shown(model) if model.is_file() else project.model),
+        "model": text(os.path.relpath(model, folder) if model.is_file() else project.model),
         **{name: text(getattr(project, name)) for name in ("base", "tip", "branch", "address", "box", "operator")},
-        **{name: there(getattr(project, name)) for name in ("plan", "rig", "table")},
+        **{name: existing(getattr(project, name)) for name in ("plan", "rig", "table")},
         "session": lambda: (sessions() or [None])[-1],
-        "inputs": (lambda: [shown(home / project.table)]) if project.table else sessions,
+        "inputs": (lambda: [shown(home / project.table)]) if project.table else lambda: sessions() or None,
         "identify rig": lambda: [shown(home / project.rig)] if project.table else None,  # a session has its own
-        "result": project_file("result_in_use", results),
-        "record out": project_file("new_file", recordings, ".mcap"),
-        "identify out": project_file("new_file", results, ".json"),
-        "report out": project_file("new_file", results, ".html"),
-        "plan out": project_file("new_plan", home / project.plan),
+        "result": lambda: shown(project_files.result_in_use(results)),
+        "record out": lambda: shown(project_files.new_file(recordings, ".mcap")),
+        "identify out": lambda: shown(project_files.new_file(results, ".json")),
+        "report out": lambda: shown(project_files.new_file(results, ".html")),
+        "plan out": lambda: shown(project_files.new_plan(home / project.plan)),
     }
 
 
 def missing_file(parameter: str, command: str, folder: Path) -> str | None:
     """Return the message for a command without its argument ``parameter``, a result or sessions; None outside a project."""
     has_default = parameter in ("result", "inputs", "session") and (parameter, command) != ("inputs", "validate")
-    project_and_home = project_of(folder) if has_default else None
-    if project_and_home is None:
+    project, home = (project_of(folder) if has_default else None) or (None, folder)
+    if project is None:
         return None
-    project, home = project_and_home
     is_result = parameter == "result"
-    place = os.path.relpath(home / (project.results if is_result else project.sessions), folder)
     noun, source = ("result", "truearm identify") if is_result else ("session", "truearm record")
+    place = os.path.relpath(home / (project.results if is_result else project.sessions), folder)
     return f"the folder {place} (truearm.toml) holds no {noun} yet; make one with {source}, or name the file of another"

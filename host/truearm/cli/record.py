@@ -74,10 +74,10 @@ def record(request: RecordOptions) -> Answer:
     end: ExitCode | IncompleteError = ExitCode.INTERRUPTED if interrupted else ExitCode.DONE
     if recorded.trouble:
         click.echo(recorded.trouble, err=True)
-    if interrupted and not recorded.kept:
+    if interrupted and not recorded.is_kept:
         click.echo("interrupted before the box had started; nothing was recorded", err=True)
     elif recorded.missing:
-        data_place = f"; the received data are in {recorded.out}" if recorded.kept else "; nothing was recorded"
-        named = recorded.kept and str(recorded.out) in recorded.missing
+        data_place = f"; the received data are in {recorded.out}" if recorded.is_kept else "; nothing was recorded"
+        named = recorded.is_kept and str(recorded.out) in recorded.missing
         end = IncompleteError(recorded.missing if named else f"{recorded.missing}{data_place}")
     return Answer(recording_document(recorded), end=end)

@@ -41,4 +41,4 @@ def read(address: str, *, robot: str, out: Path = Path("robot.toml"), force: boo
     from truearm.workflows.controller_model import read_controller
 
     finding = read_controller(address, robot, out, force)
-    return Answer({"findings": entries([finding]), "written": [str(out)]}, written=[out])
+    return Answer({"findings": entries([finding]), "written": [str(out)]})

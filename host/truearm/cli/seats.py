@@ -55,4 +55,4 @@ def seats(
     names = joint_names(joints, NO_ROBOT if named else robot)
     options = FileOptions(topic, names, allow_damaged, columns)
     finding = fill_seats(table, source, options, rest_s, DEG.to_si(rest_deg))
-    return Answer({"findings": entries([finding]), "written": [str(table)]}, written=[table])
+    return Answer({"findings": entries([finding]), "written": [str(table)]})

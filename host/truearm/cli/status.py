@@ -29,7 +29,7 @@ def status() -> Answer:
     if file is None:
         raise InputError("no-project", file=FILE)
     state = state_of(file)
-    following, why = _next(state)
+    following, why = next(_steps(state))
     return Answer({**state, "next": following, "why": why}, [*_lines(state), f"next      {following} ({why})"])
 
 
@@ -49,7 +49,7 @@ def _lines(state: State) -> Iterator[str]:
 
 
 def _shown(file: str, current: str = os.curdir) -> str:
-    """Return the name of a file or folder relative to this folder, which is ``here``."""
+    """Return the name of a file or folder relative to this folder."""
     path = os.path.relpath(file)
     return current if path == os.curdir else path
 
@@ -68,51 +68,40 @@ def _result(row: State) -> str:
     return f"{_shown(row['file'])}, {'simulated, ' * row['simulated']}{outcome(row['status'])}{why}{held}"
 
 
-def _next(state: State) -> tuple[str, str]:
-    """Return the command that comes next, and why."""
-    sessions, results = state["sessions"], state["results"]
-    results = [result for result in results if not result["simulated"]] or results  # a rehearsal counts for nothing
+def _steps(state: State) -> Iterator[tuple[str, str]]:
+    """Yield commands, the next one first, each with the reason."""
+    sessions, results, project = state["sessions"], state["results"], state["project"]
     if state["rig"] is None:
-        rig = state["project"]["rig"]
-        return f"write {rig}", f"the rig is not described yet; {page('Build and measure the rig')}"
+        yield f"write {project['rig']}", f"the rig is not described yet; {page('Build and measure the rig')}"
     if seats := state["seats"]:
         measured, hold_out = seats["file"], f"place={seats['last_place']}"
         if seats["noted"] < seats["rows"]:
             why = f"{seats['rows'] - seats['noted']} rows have no joints yet; delete a row that you do not measure"
-            return f"write the joints of each seat of places.csv into {_shown(measured)}, or truearm seats LOG", why
-    elif step := _next_of_sessions(state):
-        return step
+            yield f"write the joints of each seat of places.csv into {_shown(measured)}, or truearm seats LOG", why
     else:
+        if not sessions and state["plan"] is None:
+            yield "truearm plan ballbar --minutes 30", "there is no plan yet"
+        if not sessions:
+            yield "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
+        if any(row["written"] for row in sessions):
+            yield "type q and Enter in truearm record", "the recording is under way"
+        for row in sessions:
+            if not row["complete"]:
+                yield f"truearm session recover {_shown(row['file'])}", "its recording was cut off"
+        for row in sessions:
+            if robot := row["other_robot"]:
+                why = f"it was recorded for {one_line(robot)}, and truearm identify reads all sessions there"
+                yield f"move {_shown(row['file'])} out of {project['sessions']}", why
         measured, hold_out = sessions[-1]["file"], "0.2"
+    results = [result for result in results if not result["simulated"]] or results  # a rehearsal counts for nothing
     if not results or os.stat(results[-1]["file"]).st_mtime < os.stat(measured).st_mtime:
-        return f"truearm identify --hold-out {hold_out}", f"{Path(measured).name} is not identified yet"
+        yield f"truearm identify --hold-out {hold_out}", f"{Path(measured).name} is not identified yet"
     result = results[-1]
     if result["status"] != "converged" or result["unusable_because"] is not None:
         why = "is not usable" if result["status"] == "converged" else "did not converge"
         command = f"inspect {_shown(measured)}" if seats is None else "identify --details"
-        return f"truearm {command}", f"the last fit {why}"
+        yield f"truearm {command}", f"the last fit {why}"
     if result["simulated"]:
-        return "truearm record", "the last result says nothing about a real robot: its session is simulated"
-    return (
-        f"truearm correct {_shown(result['file'])} PROGRAM --out CORRECTED",
-        "the robot is identified; if no rows were held out, judge it first with truearm validate",
-    )
-
-
-def _next_of_sessions(state: State) -> tuple[str, str] | None:
-    """Return what comes next until a session is recorded, and why; None if it is."""
-    sessions = state["sessions"]
-    if not sessions and state["plan"] is None:
-        return "truearm plan ballbar --minutes 30", "there is no plan yet"
-    if not sessions:
-        return "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
-    if any(row["written"] for row in sessions):
-        return "type q and Enter in truearm record", "the recording is under way"
-    cut = next((row["file"] for row in sessions if not row["complete"]), None)
-    if cut is not None:
-        return f"truearm session recover {_shown(cut)}", "its recording was cut off"
-    foreign = next((row for row in sessions if row["other_robot"]), None)
-    if foreign is not None:
-        why = f"it was recorded for {one_line(foreign['other_robot'])}, and truearm identify reads all sessions there"
-        return f"move {_shown(foreign['file'])} out of {state['project']['sessions']}", why
-    return None
+        yield "truearm record", "the last result says nothing about a real robot: its session is simulated"
+    corrected = f"truearm correct {_shown(result['file'])} PROGRAM --out CORRECTED"
+    yield corrected, "the robot is identified; if no rows were held out, judge it first with truearm validate"

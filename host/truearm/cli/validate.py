@@ -62,4 +62,4 @@ def validate(
         raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))
     files = IdentifyFiles(robot, sources, report=report, command=command_line(context), force=force)
     document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
-    return Answer(document, tables=error_tables(document), written=[report], more="Errors by region: --details")
+    return Answer(document, tables=error_tables(document), written=[report], details_hint="Errors by region: --details")

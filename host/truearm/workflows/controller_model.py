@@ -16,15 +16,10 @@ from truearm.errors import Argument, InputError, LinkError, RobotError
 from truearm.export.dh import dh_rows
 from truearm.export.link_frames import link_frames
 from truearm.findings import Finding
+from truearm.model import controller_kinematics
 from truearm.model.builtin import builtin_text
 from truearm.model.chain import forward
-from truearm.model.controller_kinematics import (
-    JOINTS,
-    ControllerKinematics,
-    kinematics_of_conf,
-    kinematics_of_info,
-    kinematics_of_yaml,
-)
+from truearm.model.controller_kinematics import JOINTS, ControllerKinematics
 from truearm.model.elementary_transforms import SIX
 from truearm.model.poses import apart, six_of
 from truearm.model.robot import CONTROLLER, Robot, parse_robot
@@ -60,7 +55,11 @@ def read_controller(source: str, model: str, out: Path, force: bool = False) -> 
         content = read_text(Path(source), MAX_BYTES, InputError)
         try:
             is_conf = "delta_theta" in content
-            kinematics = kinematics_of_conf(content, _drawn_rows(drawing)) if is_conf else kinematics_of_yaml(content)
+            kinematics = (
+                controller_kinematics.kinematics_of_conf(content, _drawn_rows(drawing))
+                if is_conf
+                else controller_kinematics.kinematics_of_yaml(content)
+            )
         except RobotError as exc:
             raise exc.within(Path(source)) from exc
     written, differences = controller_text(text, drawing, kinematics)
@@ -82,7 +81,7 @@ def _controller_kinematics(address: str) -> ControllerKinematics:
     """Return the kinematics of the controller at ``rtde://host``. Raises LinkError, RobotError, with the address."""
     content = kinematics_info(address)
     try:
-        return kinematics_of_info(content)
+        return controller_kinematics.kinematics_of_info(content)
     except RobotError as exc:
         raise exc.within(address) from exc
 
@@ -115,15 +114,10 @@ def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics)
         raise RobotError(text, Argument("robot"))
     described = link_frames(chain, design, design)
     rows = dh_rows(described._replace(links=kinematics.links), described, hayati=True)
-    values = {
-        f"{table}.{key}": value
-        for table, pose in (("base", rows.base), ("tool", rows.tool))
-        for (key, _), value in zip(SIX, six_of(pose), strict=True)
-    }
-    columns = zip(
-        ("offset", "d", "a", "alpha", "beta"), (rows.theta, rows.d, rows.a, rows.alpha, rows.beta), strict=True
-    )
-    values |= {f"joint{i + 1}.{key}": column[i] for key, column in columns for i in range(JOINTS)}
+    columns = {"offset": rows.theta, "d": rows.d, "a": rows.a, "alpha": rows.alpha, "beta": rows.beta}
+    values = {f"joint{i + 1}.{key}": column[i] for key, column in columns.items() for i in range(JOINTS)}
+    for table, pose in (("base", rows.base), ("tool", rows.tool)):
+        values |= {f"{table}.{key}": value for (key, _), value in zip(SIX, six_of(pose), strict=True)}
     usual = dict(zip(chain.parameter_names, design, strict=True))
     written = _with_set(
         text, {key: float(values.get(key, value)) for key, value in usual.items()}, kinematics.checksums

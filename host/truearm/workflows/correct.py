@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from truearm.correct.target_table import check_is_table, format_corrected, read_
 from truearm.disk import check_new_folder, check_outputs, check_writable, read_bytes, write_atomic, write_folder
 from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.finding_texts import UNDETERMINED
-from truearm.findings import Finding, ordered
+from truearm.findings import Finding, entries, ordered
 from truearm.model.chain import Chain, forward
 from truearm.model.poses import frame_of, inverted
 from truearm.model.robot_file import RobotChoice, load_robot
@@ -27,10 +27,10 @@ from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.types import Floats
 from truearm.workflows.calibration import Calibration, check_joints, chosen_mountings, mounting_values, undetermined
-from truearm.workflows.correct_program import CalibrationFrames, Corrected, HowCorrected, correct_program
+from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, correct_program
 from truearm.workflows.correction_findings import (
+    Corrected,
     CorrectedTargets,
-    Refused,
     comparison,
     correction_findings,
     document_of,
@@ -42,23 +42,11 @@ SHOWN = 12  # targets printed one by one
 NOTHING = 1e-7  # m, rad: less than the last digit that is printed
 
 
-@dataclass(frozen=True)
-class CorrectedFile:
-    """A table or a program that was corrected and written; ``places`` are its rows or lines.
-
-    ``document`` holds all of it as JSON (docs/reference/target-format.md); empty if it was not requested.
-    """
-
-    correction: Correction
-    places: tuple[str, ...]
-    findings: tuple[Finding, ...]
-    document: Mapping[str, Any]
-    refused: tuple[Refused, ...] = ()
-
-
 @step("correcting")
-def correct_file(calibration: Calibration, files: CorrectFiles, options: CorrectOptions) -> CorrectedFile:
-    """Correct a table or a program by the calibration of ``files.result`` and write it.
+def correct_file(calibration: Calibration, files: CorrectFiles, options: CorrectOptions) -> dict[str, Any]:
+    """Correct a table or a program by the calibration of ``files.result`` and write it; return what was done as JSON.
+
+    Without ``options.document`` and a report, its targets are left out.
 
     Raises InputError with a one-line message, and then writes nothing.
     """
@@ -80,51 +68,40 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         tool0 = tool0_in_flange(files.robot, chain)
         frames = CalibrationFrames(chain.base_frame, chain.end_frame, is_brought, options.own_frames, tool0)
         done = correct_program(programs.contents, programs.language, method, frames, options.program)
-    correction = done.targets.correction
-    places = tuple(place.partition(" ")[2] for place in done.targets.places)
-    page = ""
+    spread, configurations = comparison(calibration, method.pair, done.configurations)
     stated = [
-        *correction_findings(calibration, done.targets, done.moves, done.refused),
+        *correction_findings(calibration, done),
         _frames(calibration, options.own_frames),
         *calibration.payload_findings(),
-        *undetermined(calibration, correction.q[:SHOWN], options.own_frames),
+        *undetermined(calibration, done.targets.correction.q[:SHOWN], options.own_frames),
         *done.notes,
+        *spread,
     ]
-    configurations = None
-    if done.configurations is not None:
-        spread, configurations = comparison(calibration, method.pair, done.configurations)
-        stated.append(spread)
-    stated = ordered(stated, calibration.simulated)
-    document: Mapping[str, Any] = {}
+    names = {"file": files.targets.name, "out": files.out.name, "result": files.result.name}
+    findings = entries(ordered(stated, calibration.simulated))
+    document = {"refused": done.refused, "findings": findings, "configurations": configurations}
     if options.document or files.report is not None:
-        names = {"file": files.targets.name, "out": files.out.name, "result": files.result.name}
-        document = document_of(
-            calibration, method.pair, done.targets, done.moves, stated, done.refused, names, configurations
-        )
-        if files.report is not None:
-            page = render(document, correction_scene(calibration, method.pair, done.targets, document))
+        document |= document_of(calibration, method.pair, done, names)
+    page = ""
+    if files.report is not None:
+        page = render(document, correction_scene(calibration, method.pair, done.targets, document))
     if is_folder:
         write_folder(files.out, done.contents)
     else:
         write_atomic(files.out, done.contents[files.targets.name])
     if files.report is not None:
         write_atomic(files.report, page)
-    return CorrectedFile(correction, places, tuple(stated), document, done.refused)
+    return document
 
 
 def _refuse_for_table(targets: Path, options: ProgramOptions) -> None:
     """Raise InputError for an option that would have no effect on a table."""
-    program_options = {
-        "joint_moves": options.joint_moves is not None,
-        "strict": options.strict,
-        "partial": options.partial,
-        "unchanged": bool(options.unchanged),
-        "flange": options.flange is not None,
-    }
-    for option in (name for name, has_value in program_options.items() if has_value):
-        raise InputError(f"{targets}: is a table, and ", Argument(option), " is for programs; leave it out")
-    for option in (name for name, poses in (("tool", options.tools), ("work", options.works)) if any(poses)):
-        raise InputError(f"{targets}: is a table, which names none; give ", Argument(option), " without a name")
+    for name in ("joint_moves", "strict", "partial", "unchanged", "flange"):
+        if getattr(options, name) != getattr(ProgramOptions, name):
+            raise InputError(f"{targets}: is a table, and ", Argument(name), " is for programs; leave it out")
+    for name, poses in (("tool", options.tools), ("work", options.works)):
+        if any(poses):
+            raise InputError(f"{targets}: is a table, which names none; give ", Argument(name), " without a name")
 
 
 def corrected_poses(
@@ -151,7 +128,7 @@ def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
         raise InputError(Argument("steps"), text, " or ".join(with_steps()))
     removed = chosen_mountings(calibration, options.own_frames)
     pair = ModelPair(calibration.chain, calibration.nominal, calibration.identified, removed)
-    home = check_joints("home", options.near, calibration.chain)
+    home = check_joints("home", options.home, calibration.chain)
     return HowCorrected(pair, options.method, options.steps, home, options.margin, calibration.simulated)
 
 

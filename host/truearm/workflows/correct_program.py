@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +15,8 @@ from truearm.correct.correction import Configuration, Correction, at_tools, corr
 from truearm.correct.inverse import Origins, inverse, several_fit, solutions, within
 from truearm.correct.methods import JointMoves, Method
 from truearm.correct.model_pair import ModelPair, believed
+from truearm.correct.programs import corrected_text
 from truearm.correct.programs.census import Census
-from truearm.correct.programs.corrected_text import (
-    COMMENTS,
-    CONFIGURED,
-    Joints,
-    changed_files,
-    changes_of,
-    due_numbers,
-    marks_of,
-    remarks_of,
-)
 from truearm.correct.programs.data import Place
 from truearm.correct.programs.languages import ProgramLanguage, read_programs
 from truearm.correct.programs.order import MOST_ORIGINS, preceding
@@ -41,10 +32,10 @@ from truearm.model.poses import Six, apart, frame_of, inverted
 from truearm.text import counted
 from truearm.types import Floats
 from truearm.workflows.correction_findings import (
+    Corrected,
     CorrectedMoves,
     CorrectedTargets,
     OtherConfigurations,
-    Refused,
     configuration_notes,
 )
 from truearm.workflows.requests import ProgramOptions
@@ -56,23 +47,17 @@ MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
 MOST_COMPARED = 20  # targets that are corrected in all configurations of the arm
 
 
-class ProgramRefused(InputError):
-    """Programs with moves that cannot be corrected with certainty; ``refused`` names them."""
-
-    refused: Sequence[Refused] = ()
-
-
 class CalibrationFrames(NamedTuple):
     """The frames of a calibration.
 
-    ``brought``: defined by a robot that is not a URDF. ``own``: targets are in the robot's own frames. ``tool0``: the
+    ``brought``: defined by a robot that is not a URDF. ``own_frames``: targets are in the robot's own frames. ``tool0``: the
     pose (4, 4) in the end frame of the link of this name, if a URDF has it there.
     """
 
     base: str
     end: str
     brought: bool
-    own: bool
+    own_frames: bool
     tool0: Floats | None = None
 
 
@@ -91,21 +76,6 @@ class HowCorrected(NamedTuple):
         return correct(
             self.pair, ends, self.method, self.steps, oriented=oriented, configuration=configuration, margin=self.margin
         )
-
-
-class Corrected(NamedTuple):
-    """Corrected targets and straight moves, with the ``contents`` of the table or the program files by name.
-
-    ``refused``: what was left unchanged; ``notes``: remarks. ``configurations``: targets in the arm's other configurations, if
-    only ``home`` determines theirs.
-    """
-
-    targets: CorrectedTargets
-    moves: CorrectedMoves = CorrectedMoves()
-    configurations: OtherConfigurations | None = None
-    refused: tuple[Refused, ...] = ()
-    notes: tuple[Finding, ...] = ()
-    contents: Mapping[str, bytes] = {}
 
 
 class Visit(NamedTuple):
@@ -144,10 +114,10 @@ class Solution:
         return {goal: self.commanded[row] for goal, row in self.rows.items() if row < self.n_poses}
 
     @property
-    def joints(self) -> dict[Goal, Joints]:
+    def joints(self) -> dict[Goal, corrected_text.Joints]:
         """The joint readings of each goal before and after the correction."""
         q_nominal, q = (q[:, self.motors] for q in (self.correction.q_nominal, self.correction.q))
-        return {goal: Joints(q_nominal[row], q[row]) for goal, row in self.rows.items()}
+        return {goal: corrected_text.Joints(q_nominal[row], q[row]) for goal, row in self.rows.items()}
 
 
 @uncollected()
@@ -160,12 +130,12 @@ def correct_program(
 ) -> Corrected:
     """Correct the program files of one robot, by name.
 
-    Raises ProgramRefused if a move cannot be corrected, InputError if the files are no valid program.
+    Raises InputError if a move cannot be corrected, with these as ``refused``, or if the files are no valid program.
     """
     programs = read_programs(language, [Source(name, data) for name, data in files.items()], _surroundings(options))
     title = next(iter(files)) if len(files) == 1 else counted(len(files), "program file")
     _check_moves(title, programs, method.pair, options)
-    if options.mark and language not in COMMENTS:
+    if options.mark and language not in corrected_text.COMMENTS:
         raise InputError("no-effect", place=Argument("mark"), reason="such a program has no comments beside moves")
     frames = _controller_frames(language, names, options, method.pair)
     joints_change = options.joint_moves is JointMoves.CORRECT
@@ -179,10 +149,8 @@ def correct_program(
     if not places and not refused:
         raise InputError("no-move", place=title, kept=True)
     if not places or (refused and not options.partial):
-        good, entries = n_moves - len(refused) if places else 0, [move.entry() for move in refused]
-        error = ProgramRefused("uncertain-moves", place=title, good=good, n=n_moves, refused=entries)
-        error.refused = refused
-        raise error
+        good = n_moves - len(refused) if places else 0
+        raise InputError("uncertain-moves", place=title, good=good, n=n_moves, refused=refused)
     _check_frames(programs, options)
     written = _written(censuses, solution, language, options, method.simulated)
     labels, rows = [_label(programs, *place) for place in places], np.array(list(places.values()))
@@ -237,15 +205,16 @@ def _check_moves(title: str, programs: Sequence[Program], pair: ModelPair, optio
         raise InputError("joint-moves", place=lines[0], lines=len(lines))
 
 
-def _refused(programs: Sequence[Program]) -> list[Refused]:
-    """Return the moves that are not corrected."""
-    refused: list[Refused] = []
+def _refused(programs: Sequence[Program]) -> list[dict[str, Any]]:
+    """Return the moves that are not corrected, and why, as JSON."""
+    refused = []
     for program in programs:
-        for move in program.moves:
-            if move.reason is not None:
+        for move, reason in ((move, move.reason) for move in program.moves):
+            if reason is not None:
                 source, statement = program.files[move.place.file], program.statement(move)
                 shown = statement if len(statement) <= 60 else f"{statement[:57]}..."
-                refused.append(Refused(source.name, source.line(move.place.offset), shown, move.reason))
+                place = {"file": source.name, "line": source.line(move.place.offset), "statement": shown}
+                refused.append({**place, "reason": reason.name, "text": reason.text(), "values": dict(reason.values)})
     return refused
 
 
@@ -303,7 +272,7 @@ def _solution(visits: Sequence[Visit], method: HowCorrected, frames: tuple[Frame
     requested = np.concatenate([target_poses(goals[:n]), believed(pair, hints[n:])])
     ends = base @ requested @ inverted(tools)
     quarters = np.full((len(goals), N_JOINTS), np.nan)
-    quarters[:, CONFIGURED] = _rows_of([goal.quarters or (np.nan,) * 3 for goal in goals], 3)
+    quarters[:, corrected_text.CONFIGURED] = _rows_of([goal.quarters or (np.nan,) * 3 for goal in goals], 3)
     quadrants = np.full(hints.shape, np.nan)
     quadrants[:, chain.motors] = quarters
     direct: NDArray[np.bool_] = np.asarray(np.isfinite(hints).all(axis=1))
@@ -361,7 +330,7 @@ def _turns_fit(visit: Visit, language: str, q_nominal: Floats, q: Floats) -> boo
         return all((q < 0.0) == sign or abs(q) < 1e-3 for q, sign in zip(q_nominal, signs, strict=True))
     if language == "ls":
         turned = np.floor((q_nominal + np.pi) / (2.0 * np.pi)) != np.floor((q + np.pi) / (2.0 * np.pi))
-        return not turned[list(CONFIGURED)].any()
+        return not turned[list(corrected_text.CONFIGURED)].any()
     return True
 
 
@@ -370,7 +339,9 @@ def _turns_fit(visit: Visit, language: str, q_nominal: Floats, q: Floats) -> boo
 
 def _corrected_rows(censuses: Sequence[Census], solution: Solution, joints: bool) -> dict[tuple[int, Place], int]:
     """Return the row of each place of a program whose numbers change, in the order of the text."""
-    due = [(number, due_numbers(census, solution.wanted, joints)) for number, census in enumerate(censuses)]
+    due = [
+        (number, corrected_text.due_numbers(census, solution.wanted, joints)) for number, census in enumerate(censuses)
+    ]
     rows = {(number, place): solution.rows[goal] for number, places in due for place, (goal, *_) in places.items()}
     return dict(sorted(rows.items()))
 
@@ -440,10 +411,12 @@ def _written(
     files: dict[str, bytes] = {}
     change = solution.wanted, solution.joints, options.joint_moves is JointMoves.CORRECT
     for census in censuses:
-        changes = changes_of(census, *change) + (marks_of(census.program) if options.mark else [])
-        changes += remarks_of(census.program, changes, Finding("simulated").text()) if simulated else []
+        changes = corrected_text.changes_of(census, *change) + (
+            corrected_text.marks_of(census.program) if options.mark else []
+        )
+        changes += corrected_text.remarks_of(census.program, changes, Finding("simulated").text()) if simulated else []
         names = [source.name for source in census.program.files]
-        files |= zip(names, changed_files(census.program, changes), strict=True)
+        files |= zip(names, corrected_text.changed_files(census.program, changes), strict=True)
     again = read_programs(language, [Source(name, data) for name, data in files.items()], _surroundings(options))
     faults = ["the corrected files are other programs"] * (len(again) != len(censuses))
     faults += [difference(census.program, program, *change) for census, program in zip(censuses, again, strict=False)]
@@ -471,7 +444,7 @@ def _controller_frames(
     """
     q = np.zeros((1, len(pair.chain.joints)))
     axis = believed(pair, q)[0, :3, :3].T @ joint_jacobian(pair.chain, pair.nominal, q)[0, 3:, -1]  # in the end frame
-    robot_frame = SAME if names.own and names.brought else None
+    robot_frame = SAME if names.own_frames and names.brought else None
     tool0 = None if names.tool0 is None else Frame(names.tool0, "tool0 (as in the URDF)")
     base = _given(options.works.get("")) or base_of(language, names.base) or robot_frame
     flange = _given(options.flange) or tool0 or flange_of(language, names.end, names.brought, axis) or robot_frame

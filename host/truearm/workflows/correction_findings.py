@@ -17,7 +17,7 @@ from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
-from truearm.findings import Finding, Reason, entries
+from truearm.findings import Finding
 from truearm.model.poses import apart, inverted, position_and_rotation
 from truearm.report.correction_page import STRAIGHT
 from truearm.strict_json import number_or_null
@@ -30,20 +30,6 @@ COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 2
-
-
-class Refused(NamedTuple):
-    """A move that is not corrected, and why."""
-
-    file: str
-    line: int
-    statement: str
-    reason: Reason
-
-    def entry(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        reason = {"reason": self.reason.name, "text": self.reason.text(), "values": dict(self.reason.values)}
-        return {"file": self.file, "line": self.line, "statement": self.statement, **reason}
 
 
 class CorrectedTargets(NamedTuple):
@@ -89,6 +75,21 @@ class OtherConfigurations(NamedTuple):
     tools: Floats
 
 
+class Corrected(NamedTuple):
+    """Corrected targets and straight moves, with the ``contents`` of the table or the program files by name.
+
+    ``refused``: what was left unchanged, as JSON; ``notes``: remarks. ``configurations``: targets in the arm's other
+    configurations, if only ``home`` determines theirs.
+    """
+
+    targets: CorrectedTargets
+    moves: CorrectedMoves = CorrectedMoves()
+    configurations: OtherConfigurations | None = None
+    refused: Sequence[Mapping[str, Any]] = ()
+    notes: tuple[Finding, ...] = ()
+    contents: Mapping[str, bytes] = {}
+
+
 def _expected_errors(
     calibration: Calibration, pair: ModelPair, q: Floats, tools: Floats
 ) -> tuple[Floats, tuple[str, ...]]:
@@ -111,19 +112,18 @@ def _expected_errors(
 
 
 def comparison(
-    calibration: Calibration, pair: ModelPair, configurations: OtherConfigurations
-) -> tuple[Finding, dict[str, Any]]:
+    calibration: Calibration, pair: ModelPair, configurations: OtherConfigurations | None
+) -> tuple[list[Finding], dict[str, Any] | None]:
     """Compare corrections and expected errors over the arm's configurations, as a finding and as JSON."""
+    if configurations is None:
+        return [], None
     expected = _expected_errors(calibration, pair, configurations.q, configurations.tools)[0][:, 0]
-    shift = float(configurations.shift.max(initial=0.0))
-    low, high = (float(bound(expected, initial=start)) for bound, start in ((np.min, np.inf), (np.max, -np.inf)))
-    names = ("correction_spread_mm", shift), ("expected_min_mm", low), ("expected_max_mm", high)
-    figures = {"targets": configurations.n_targets, **{name: number_or_null(MM.of(length)) for name, length in names}}
-    lengths = [figures[name] for name, _ in names]
-    values = {
-        name: None if mm is None else {"mm": mm} for name, mm in zip(("spread", "least", "most"), lengths, strict=True)
-    }
-    return Finding("other-configurations", values), figures
+    ends = configurations.shift.max(initial=0.0), expected.min(initial=np.inf), expected.max(initial=-np.inf)
+    spread, lowest, highest = (number_or_null(MM.of(float(length))) for length in ends)
+    lengths = {"spread": spread, "least": lowest, "most": highest}
+    figures = {"correction_spread_mm": spread, "expected_min_mm": lowest, "expected_max_mm": highest}
+    values = {name: None if mm is None else {"mm": mm} for name, mm in lengths.items()}
+    return [Finding("other-configurations", values)], {"targets": configurations.n_targets, **figures}
 
 
 def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
@@ -146,10 +146,9 @@ def _number(document: Mapping[str, Any], entry: str, name: str) -> float:
     return float((document.get(entry) or {}).get(name) or 0.0)
 
 
-def correction_findings(
-    calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves, refused: Sequence[Refused] = ()
-) -> list[Finding]:
+def correction_findings(calibration: Calibration, corrected: Corrected) -> list[Finding]:
     """Return what was corrected, and what the operator must know before the program is run."""
+    targets, refused = corrected.targets, corrected.refused
     done, places = targets.correction, targets.places
     rms_before, rms_after = ({"mm": float(MM.of(rms(error[:, 0])))} for error in (done.before, done.after))
     values = {"point": targets.error_point(calibration.chain.end_frame), "before": rms_before, "after": rms_after}
@@ -167,7 +166,7 @@ def correction_findings(
         has_curves = any(isinstance(law, CurveKnots) for law in calibration.stored.laws)
         values_outside = {"n": int(rows.size), "joints": joints, "places": _several(places, rows), "curves": has_curves}
         findings.append(Finding("targets-outside", values_outside))
-    return [*findings, *_move_findings(moves)]
+    return [*findings, *_move_findings(corrected.moves)]
 
 
 def _move_findings(moves: CorrectedMoves) -> Iterator[Finding]:
@@ -177,13 +176,8 @@ def _move_findings(moves: CorrectedMoves) -> Iterator[Finding]:
         if bent.size:
             worst = int(bent[np.argmax(drive.deviation[bent])])
             lengths = {"limit": {"mm": MM.of(STRAIGHT)}, "worst": {"mm": float(MM.of(drive.deviation[worst]))}}
-            values = {
-                **lengths,
-                "n": int(bent.size),
-                "places": _several(moves.places, bent),
-                "place": moves.places[worst],
-            }
-            yield Finding("moves-bent", values)
+            values = {"n": int(bent.size), "places": _several(moves.places, bent), "place": moves.places[worst]}
+            yield Finding("moves-bent", {**lengths, **values})
         if blocked.size:
             yield Finding("moves-bent", {"n": int(blocked.size), "places": _several(moves.places, blocked)})
     if moves.unchecked:
@@ -191,20 +185,13 @@ def _move_findings(moves: CorrectedMoves) -> Iterator[Finding]:
 
 
 def document_of(
-    calibration: Calibration,
-    pair: ModelPair,
-    targets: CorrectedTargets,
-    moves: CorrectedMoves,
-    stated: Sequence[Finding],
-    refused: Sequence[Refused],
-    names: Mapping[str, str],
-    configurations: Mapping[str, Any] | None = None,
+    calibration: Calibration, pair: ModelPair, corrected: Corrected, names: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return a correction, what is expected of it, and its findings as JSON (docs/reference/target-format.md).
+    """Return a correction, and what is expected of it, as JSON (docs/reference/target-format.md).
 
     ``names``: of the targets' ``file``, of the corrected one, ``out``, and of the ``result``.
     """
-    unexplained = unexplained_error(calibration.document)
+    targets, unexplained = corrected.targets, unexplained_error(calibration.document)
     expected, relative_to = _expected_errors(calibration, pair, targets.correction.q, targets.tools)
     chain = calibration.chain
     return {
@@ -219,11 +206,8 @@ def document_of(
         "unexplained_mrad": float(MRAD.of(unexplained[1])),
         "expected_relative_to": relative_to,
         "error_point": targets.error_point(chain.end_frame),
-        "findings": entries(stated),
-        "refused": [move.entry() for move in refused],
-        "configurations": configurations,
         "targets": _target_entries(calibration, targets, expected),
-        "moves": _move_entries(moves, calibration.joint_units),
+        "moves": _move_entries(corrected.moves, calibration.joint_units),
     }
 
 
@@ -245,6 +229,8 @@ def _target_entries(calibration: Calibration, targets: CorrectedTargets, expecte
             "shift_mrad": number_or_null(MRAD.of(np.linalg.norm(shift[i, 3:]))),
             "error_before_mm": float(MM.of(done.before[i, 0])),
             "error_after_mm": float(MM.of(done.after[i, 0])),
+            "error_before_deg": number_or_null(DEG.of(done.before[i, 1])),
+            "error_after_deg": number_or_null(DEG.of(done.after[i, 1])),
             "expected_mm": number_or_null(MM.of(expected[i, 0])),
             "expected_mrad": number_or_null(MRAD.of(expected[i, 1])),
             **_limit_entry(limits[i], units),

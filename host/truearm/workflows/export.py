@@ -113,19 +113,17 @@ def export_file(files: ExportFiles) -> ExportedRobot:
     over = None if files.over is None else _poses_of(files.over, calibration.chain)
     robot = exported(calibration, files.format, over, files.own_frames, files.adjust)
     curves = files.curves_out
-    table = None if curves is None else curve_table(_curves(calibration, curves), calibration.simulated)
+    table, laws = "", calibration.stored.laws
+    if curves is not None:
+        if not any(isinstance(law, CurveKnots) for law in laws):
+            text = f"{curves}: the result has no error curves; identify with "
+            raise InputError(text, Argument("joint_laws"), " auto")
+        sampled = sampled_curves(calibration.chain, laws, calibration.identified, calibration.covariance)
+        table = curve_table(sampled, calibration.simulated)
     write_atomic(files.out, robot.text)
-    if curves is not None and table is not None:
+    if curves is not None:
         write_atomic(curves, table)
     return robot
-
-
-def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
-    """Return the error curves of the joints. Raises InputError if the result has none."""
-    laws = calibration.stored.laws
-    if not any(isinstance(law, CurveKnots) for law in laws):
-        raise InputError(f"{curves}: the result has no error curves; identify with ", Argument("joint_laws"), " auto")
-    return sampled_curves(calibration.chain, laws, calibration.identified, calibration.covariance)
 
 
 def curve_table(curves: Sequence[SampledCurve], simulated: bool = False) -> str:
@@ -163,14 +161,15 @@ def exported(
     mounted = Finding("file-mountings", {**values, "contained": contained})
     findings = [*export_findings(form, fitted, over is None), *calibration.payload_findings(), mounted]
     remarks = [*([Finding("simulated")] if calibration.simulated else []), mounted]
+    source = calibration.robot
     robot = RobotToWrite(
         chain=calibration.chain,
         nominal=calibration.nominal,
         params=fitted.params,
         mountings=not own_frames,
         comment="\n".join([MARK, *(one_line(finding.text()) for finding in remarks)]),
-        urdf=_urdf_text(calibration),
-        drawing=calibration.robot.drawing,
+        urdf=read_text(Path(source.file), MAX_BYTES, InputError) if source.is_urdf else None,
+        drawing=source.drawing,
     )
     try:
         text = written(form, robot)
@@ -180,12 +179,6 @@ def exported(
         texts = [finding.text() for finding in export_findings(form, fitted)[::-1]]
         raise RobotError(" ".join([f"{exc}.", *texts])) from exc
     return ExportedRobot(form, text, tuple(ordered(findings, calibration.simulated)), fitted)
-
-
-def _urdf_text(calibration: Calibration) -> str | None:
-    """Return the robot's source text if it is a URDF."""
-    robot = calibration.robot
-    return read_text(Path(robot.file), MAX_BYTES, InputError) if robot.is_urdf else None
 
 
 def _fitted(calibration: Calibration, form: str, adjust: Sequence[str], over: Floats | None) -> FormatFit:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from truearm.disk import check_new_folder, sha256, working_folder
 from truearm.errors import InputError, WriteError
@@ -49,8 +49,7 @@ def export_session_files(request: ExportSession) -> dict[str, dict[str, Any]]:
             os.replace(tables_folder, out)
     except OSError as exc:
         raise WriteError(f"{out}: cannot be written: {system_reason(exc)}; nothing was exported") from exc
-    tables: dict[str, dict[str, Any]] = document["tables"]
-    return tables
+    return cast("dict[str, dict[str, Any]]", document["tables"])
 
 
 def _export(
@@ -58,16 +57,16 @@ def _export(
 ) -> dict[str, Any]:
     """Write all tables; return the contents of session.json."""
     survey, not_paired = surveyed(session), ""
-    tables: dict[str, tuple[ArrowTable, list[str]]] = {}
+    tables, titles = dict[str, ArrowTable](), dict[str, list[str]]()
     try:
         for name, columns in _tables(session, survey, rig, units):
             file = f"{name}.{request.format}"
             if file not in tables:
-                tables[file] = ArrowTable(folder / file, columns), list(columns)
-            tables[file][0].write(columns)
+                tables[file], titles[file] = ArrowTable(folder / file, columns), list(columns)
+            tables[file].write(columns)
     except InputError as exc:  # no observations; the rest is useful without them
         not_paired = one_line(str(exc))
-    for table, _ in tables.values():
+    for table in tables.values():
         table.close()
     return {
         "session": session.path.name,
@@ -80,7 +79,7 @@ def _export(
         "readings_malformed": survey.joints.malformed,
         "readings_lost": survey.joints.lost,
         "not_paired": not_paired,
-        "tables": {file: {"rows": table.rows, "columns": titles} for file, (table, titles) in tables.items()},
+        "tables": {file: {"rows": table.rows, "columns": titles[file]} for file, table in tables.items()},
     }
 
 

@@ -5,7 +5,7 @@ Each arm writes files of its own, whole. A further run does only what is missing
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
@@ -19,14 +19,13 @@ from truearm.errors import Argument, InputError, TruearmError
 from truearm.exit_codes import ExitCode
 from truearm.file_names import system_reason
 from truearm.kinds.csv_cells import csv_text
-from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.report.result_findings import verdict
 from truearm.text import counted
 from truearm.workflows.certificates import Issue
 from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
 from truearm.workflows.inputs import Sources, hashed_inputs
-from truearm.workflows.project import new_file, result_document, results_of, sessions_of
+from truearm.workflows.project import new_file, result_document, results_of, robot_of, sessions_of
 from truearm.workflows.project_file import Project, read_project
 from truearm.workflows.project_folder import FILE
 from truearm.workflows.report import report_files
@@ -78,16 +77,16 @@ def identified_arm(home: Path, options: FleetOptions) -> Arm:
     row = Arm(str(home))
     try:
         project = read_project(home / FILE)
-        model = home / project.model
         row = replace(row, robot=Path(project.model).stem, serial=project.serial)
-        name = str(model) if model.is_file() else project.model
-        choice = RobotChoice(name, project.base or None, project.tip or None)
-        files = IdentifyFiles(choice, sources_of(project, home))
+        files = IdentifyFiles(robot_of(project, home), sources_of(project, home))
         result = _earlier_result(home / project.results, files, options)
         if result is None:
             result = new_file(home / project.results, ".json")
             identify_files(replace(files, results=(result,)), options.hold_out, DEFAULTS)
-        row = replace(row, result=str(result), **_outcome(result_document(result)))
+        document = result_document(result)
+        change, code = document["mean_change"] or {}, ExitCode.DONE if document["usable"] else ExitCode.UNUSABLE
+        row = replace(row, result=str(result), code=code, verdict=verdict(document).text())
+        row = replace(row, before_mm=change.get("mean_before_mm"), after_mm=change.get("mean_after_mm"))
         page = result.with_suffix(".html")
         if options.reports and not page.exists():
             report_files(result, replace(files, command=f"truearm report {result.name}"), page, Issue(project))
@@ -107,13 +106,6 @@ def _earlier_result(folder: Path, files: IdentifyFiles, options: FleetOptions) -
         if (document.get("inputs"), document.get("made_with")) == (inputs, made_with):
             return path
     return None
-
-
-def _outcome(document: Mapping[str, Any]) -> dict[str, Any]:
-    change = document["mean_change"] or {}
-    errors = {f"{name}_mm": change.get(f"mean_{name}_mm") for name in ("before", "after")}
-    code = ExitCode.DONE if document["usable"] else ExitCode.UNUSABLE
-    return {"code": code, "verdict": verdict(document).text(), **errors}
 
 
 @contextmanager

@@ -438,7 +438,7 @@ def identified(
         made_with={"hold_out": selection.hold_out, **vars(options)},
         held_out_by=selection.held_out_by,
         all_held_out=[] if held_out is None else all_held_out(table, held_out),
-        hold_out_proposal=proposal and proposal._asdict(),
+        hold_out_proposal=proposal,
     )
     calibration = calibration_of(result, robot, chain.name, "the identification")
     result = msgspec.structs.replace(result, findings=tuple(entries(calibration.findings)))

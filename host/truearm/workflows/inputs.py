@@ -31,15 +31,7 @@ from truearm.session.labels_file import labels_path, read_labels
 from truearm.text import listed, one_line
 from truearm.types import DOUBTFUL, Rig, Rigs, SocketDistance, rigs_by_name
 from truearm.units import NS, UM, US
-from truearm.workflows.session_observations import (
-    Say,
-    SessionOptions,
-    attached_rig,
-    is_session,
-    nothing_observed,
-    observations_of_opened,
-    silent,
-)
+from truearm.workflows import session_observations
 from truearm.workflows.session_parts import SETUP, first_stem, is_part, open_finished
 
 if TYPE_CHECKING:
@@ -62,7 +54,7 @@ class Sources:
     noise: Path | None = None
     allow_damaged: bool = False
     line_points: int | None = None
-    say: Say = silent
+    say: session_observations.Say = session_observations.silent
 
     @property
     def files(self) -> list[Path]:
@@ -128,12 +120,13 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     noise = None if sources.noise is None else read_noise(sources.noise)
     rigs = {name: read_rig(rig) if isinstance(rig, Path) else rig for name, rig in sources.rigs.items()}
     named_rigs = {name: with_noise(rig, noise) for name, rig in rigs.items()}
-    sessions = {path: open_finished(path, sources.allow_damaged) for path in inputs if is_session(path)}
+    sessions = {
+        path: open_finished(path, sources.allow_damaged) for path in inputs if session_observations.is_session(path)
+    }
     session_rig = {
         path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, named_rigs).items()
     }
-    tables: list[ObservationTable] = []
-    sessions_read: list[_SessionRead] = []
+    tables, sessions_read = list[ObservationTable](), list[_SessionRead]()
     for path in inputs:
         if path in sessions:
             sessions_read.append(_read_session(sessions[path], chain, session_rig[path], sources, robot))
@@ -190,7 +183,7 @@ def _completed(rig: Rig, table: ObservationTable) -> Rig:
     return rig
 
 
-def _say_distances_twice(rigs: Mapping[str, Rig], say: Say) -> None:
+def _say_distances_twice(rigs: Mapping[str, Rig], say: session_observations.Say) -> None:
     """Say which measured distances of sockets are in several rigs, as if they had been measured several times."""
     names: dict[SocketDistance, list[str]] = {}
     for name, rig in rigs.items():
@@ -204,7 +197,7 @@ def _say_distances_twice(rigs: Mapping[str, Rig], say: Say) -> None:
             )
 
 
-def _say_doubts(table: ObservationTable, rig: Rig, chain: Chain, say: Say) -> None:
+def _say_doubts(table: ObservationTable, rig: Rig, chain: Chain, say: session_observations.Say) -> None:
     """Say which rows the devices of the rig cannot have measured."""
     for name, kind in kinds().items():
         for sentence in kind.doubts(table.select(table.kind == name), rig, chain) if kind.doubts else ():
@@ -224,10 +217,10 @@ def _read_session(
     session: Session, chain: Chain | None, assigned: Assigned, sources: Sources, robot: Robot | None
 ) -> _SessionRead:
     path, (name, rig) = session.path, assigned
-    options = SessionOptions(
+    options = session_observations.SessionOptions(
         sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say
     )
-    result = observations_of_opened(session, rig, options)
+    result = session_observations.observations_of_opened(session, rig, options)
     table = result.table
     if chain is not None and len(table):
         expected = len(chain.joints)
@@ -262,7 +255,7 @@ def _read_session(
         lines_rejected=line_reasons,
         with_bar=result.with_bar,
     )
-    nothing = nothing_observed(path, reasons, line_reasons, result.survey.marks.plan() is not None)
+    nothing = session_observations.nothing_observed(path, reasons, line_reasons, result.survey.marks.plan() is not None)
     return _SessionRead(table.replace(rig=name), count, recording_of(session, result, count), nothing)
 
 
@@ -351,34 +344,25 @@ def session_rigs(sessions: Mapping[Path, Session], named_rigs: Mapping[str, Rig]
     """Return name and rig of every session; ``named_rigs`` holds those that the user named, by name.
 
     If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
-    a name. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
+    a name. Sessions recorded with the same rig share the name of the first one. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
     """
     if "" in named_rigs:
         return dict.fromkeys(sessions, ("", named_rigs[""]))
-    recorded = {
-        path: attached_rig(session, path) for path, session in sessions.items() if session_name(path) not in named_rigs
-    }
-    for path, rig in recorded.items():
+    assigned, recorded = dict[Path, Assigned](), dict[str, Rig]()
+    for path, session in sessions.items():
+        name = session_name(path)
+        if name in named_rigs:
+            assigned[path] = name, named_rigs[name]
+            continue
+        rig = session_observations.attached_rig(session, path)
         if rig is None:
-            name = f" {session_name(path)}=FILE" * bool(named_rigs)
-            raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"), name)
-    recorded_rigs = {path: rig for path, rig in recorded.items() if rig is not None}
-    if not named_rigs and all(rig == next(iter(recorded_rigs.values())) for rig in recorded_rigs.values()):
-        return {path: ("", rig) for path, rig in recorded_rigs.items()}
-    named = {
-        path: (session_name(path), named_rigs[session_name(path)]) for path in sessions if path not in recorded_rigs
-    }
-    return named | _named_apart(recorded_rigs)
-
-
-def _named_apart(recorded_rigs: Mapping[Path, Rig]) -> dict[Path, Assigned]:
-    """Return each session's own rig under the session's name; sessions recorded with the same rig share the first
-    one's.
-    """
-    named: dict[Path, Assigned] = {}
-    for path, rig in recorded_rigs.items():
-        label = next((name for name, named_rig in named.values() if named_rig == rig), session_name(path))
-        if any(name == label and named_rig != rig for name, named_rig in named.values()):
-            raise InputError(f"{path}: another session is also named {label} but has another rig; rename one of them")
-        named[path] = label, rig
-    return named
+            raise RigError(
+                f"{path}: was recorded without a rig; give one as ", Argument("rig"), f" {name}=FILE" * bool(named_rigs)
+            )
+        name = next((label for label, earlier_rig in recorded.items() if earlier_rig == rig), name)
+        if recorded.setdefault(name, rig) != rig:
+            raise InputError(f"{path}: another session is also named {name} but has another rig; rename one of them")
+        assigned[path] = name, rig
+    if not named_rigs and len(recorded) == 1:
+        return {path: ("", rig) for path, (_, rig) in assigned.items()}
+    return assigned

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,37 +23,14 @@ from truearm.text import one_line
 from truearm.types import Floats
 from truearm.units import MM, key, number
 from truearm.workflows.calibration import Calibration, check_joints, chosen_mountings, undetermined, unseen_within
-from truearm.workflows.requests import MapFiles
+from truearm.workflows.requests import MapFiles, Section
 from truearm.workflows.scene import map_scene
 
 SOME = 12  # cells at which the reason for an unknown error is sought
 
 
-class Section(NamedTuple):
-    """The section of the workspace to map.
-
-    ``joints``: the two that span it, counted from 1. ``at``: position of the joints (j,) [rad, m]; None for the middle
-    of the fitted readings, and then only cells within these. The elbow is
-    as there. ``cell`` [m]: size of a cell. ``own_frames``: leave out how base and tool were mounted.
-    """
-
-    joints: tuple[int, int] = (2, 3)
-    at: tuple[float, ...] | None = None
-    cell: float = 0.025
-    own_frames: bool = False
-
-
-class MapTask(NamedTuple):
-    """A task of a width and a height [m] for which to find the best place, ``within`` u0, u1, v0, v1 [m] or anywhere."""
-
-    size: tuple[float, float]
-    within: tuple[float, float, float, float] | None = None
-
-
 @step("mapping the errors")
-def map_files(
-    calibration: Calibration, files: MapFiles, section: Section, task: MapTask | None = None
-) -> dict[str, Any]:
+def map_files(calibration: Calibration, files: MapFiles, section: Section) -> dict[str, Any]:
     """Make a map by the calibration of ``files.result``, write the requested files, and return its axes and findings.
 
     Raises InputError with a one-line message.
@@ -61,8 +38,8 @@ def map_files(
     outputs = [("map", files.out), ("picture", files.picture_out), ("page", files.report)]
     check_outputs(outputs, files.force, [files.result, *files.robot.files])
     grid = mapped(calibration, section)
-    region = None if task is None else best_region(grid, *task.size, task.within)
-    findings = map_findings(calibration, section, grid, task, region)
+    region = None if section.task is None else best_region(grid, *section.task, section.within)
+    findings = map_findings(calibration, section, grid, region)
     if files.out is not None:
         write_atomic(files.out, _table(grid, calibration))
     if files.picture_out is not None:
@@ -86,19 +63,13 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     """Return the map of a section. Raises InputError for joints that the robot does not have or cannot reach."""
     pair, chain = _pair(calibration, section.own_frames), calibration.chain
     q, readings = check_joints("at", section.at, calibration.chain), calibration.stored.joint_range
-    if q is None:
-        q = (
-            np.zeros(len(chain.joints))
-            if readings is None
-            else 0.5 * (np.array(readings.lower) + np.array(readings.upper))
-        )
-        q[min(section.joints) : max(section.joints) - 1] = (
-            0.0  # between the two: elsewhere their axes may not be parallel
-        )
     a, b = section.joints
+    if q is None:
+        q = np.zeros(len(chain.joints)) if readings is None else np.mean([readings.lower, readings.upper], axis=0)
+        q[min(a, b) : max(a, b) - 1] = 0.0  # between the two: elsewhere their axes may not be parallel
     if min(a, b) < 1 or max(a, b) > q.size or a == b:
         raise InputError(Argument("joints"), f" {a},{b}: must be two joints between 1 and {q.size}")
-    varied = section.joints[0] - 1, section.joints[1] - 1
+    varied = a - 1, b - 1
     for i, joint in enumerate(chain.joints):
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
             raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits; give a reading within them")
@@ -116,14 +87,10 @@ def _within_readings(grid: ErrorMap) -> ErrorMap:
     covered = ~np.isnan(grid.error) & ~np.asarray(grid.outside)
     if not covered.any():
         return grid
-    rows, columns = (
-        slice(covered_lines[0], covered_lines[-1] + 1)
-        for covered_lines in map(np.flatnonzero, (covered.any(1), covered.any(0)))
-    )
-    only = covered[rows, columns]
+    rows, columns = (slice(lines.min(), lines.max() + 1) for lines in np.nonzero(covered))
     cells = {name: getattr(grid, name)[rows, columns] for name in ("q", "point", "error", "sigma", "outside")}
-    for values in (cells[name] for name in ("q", "point", "error", "sigma")):
-        values[~only] = np.nan
+    for name in ("q", "point", "error", "sigma"):
+        cells[name][~covered[rows, columns]] = np.nan
     return replace(grid, u=grid.u[columns], v=grid.v[rows], **cells)
 
 
@@ -182,11 +149,7 @@ def axis(direction: Floats) -> str:
 
 
 def map_findings(
-    calibration: Calibration,
-    section: Section,
-    grid: ErrorMap,
-    task: MapTask | None = None,
-    region: BestRectangle | None = None,
+    calibration: Calibration, section: Section, grid: ErrorMap, region: BestRectangle | None = None
 ) -> list[Finding]:
     """Return the errors over the section, what limits them, and the best place for a task."""
     reached = ~np.isnan(grid.error)
@@ -194,8 +157,8 @@ def map_findings(
     n_outside = 0 if grid.outside is None else int((grid.outside & reached).sum())
     values = {"least": _mm(error.min()), "most": _mm(error.max()), "rms": _mm(Figures.of(error).rms)}
     findings = [Finding("map-error", {**values, "cells": error.size, "cell": _mm(section.cell)})]
-    if task is not None:
-        findings.append(_task(grid, region, task))
+    if section.task is not None:
+        findings.append(_task(grid, region, section.task))
     if sigma.size:
         ends = {"least": _mm(sigma.min()), "most": _mm(sigma.max())}
         findings.append(Finding("map-sigma", {**ends, "relative_to": list(unseen_within(calibration)[1])}))
@@ -203,20 +166,15 @@ def map_findings(
         findings.append(Finding("map-sigma-unknown", {"n": error.size - sigma.size, "cells": error.size}))
         findings += undetermined(calibration, grid.q[np.isnan(grid.sigma) & reached][:SOME], section.own_frames)
     findings += [Finding("joints-outside", {"n": n_outside})] if n_outside else []
-    if joints := _outside_everywhere(calibration, grid.q[reached]):
+    outside = calibration.outside(grid.q[reached])
+    everywhere = np.flatnonzero([] if outside is None else outside.all(axis=0)).tolist()
+    if joints := [calibration.chain.joints[joint].name for joint in everywhere]:
         findings.append(Finding("joints-outside", {"joints": joints}))
     return ordered([*findings, *calibration.payload_findings()], calibration.simulated)
 
 
-def _outside_everywhere(calibration: Calibration, q: Floats) -> list[str]:
-    """Return the joints whose readings are outside the fitted ones at all q (n, j)."""
-    outside = calibration.outside(q)
-    names = [joint.name for joint in calibration.chain.joints]
-    return [] if outside is None else [name for name, out in zip(names, outside.T, strict=True) if out.all()]
-
-
-def _task(grid: ErrorMap, region: BestRectangle | None, task: MapTask) -> Finding:
-    size = "x".join(f"{MM.of(side):g}" for side in task.size)
+def _task(grid: ErrorMap, region: BestRectangle | None, task: tuple[float, float]) -> Finding:
+    size = "x".join(f"{MM.of(side):g}" for side in task)
     if region is None:
         return Finding("task-nowhere", {"task": size})
     names = [axis(direction) for direction in grid.axes]

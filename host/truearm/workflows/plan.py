@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast
 
@@ -104,7 +104,6 @@ class BallBarOptions(PoseOptions, Checked):
 @step("planning")
 def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
-    _check(files)
     knowledge = _read_knowledge(files)
     planned = planned_ball_bar(knowledge, budget, options, files.result is not None)
     route = planned.route
@@ -130,7 +129,7 @@ def _pairings(knowledge: Knowledge, plan: Plan) -> dict[str, Any]:
     table, bars = bar_table(knowledge, plan), list(dict.fromkeys(plan.bar.tolist()))
     proposals = [(f"bar={bar}", 0) for bar in bars] if len(bars) > 1 else []
     if proposed := proposed_hold_out(table):
-        proposals.insert(0, (str(proposed.fraction), proposed.seed))
+        proposals.insert(0, (str(proposed["fraction"]), proposed["seed"]))
     pairings = [{**dict(zip(BAR_MOUNTED, names, strict=True)), "poses": poses} for names, poses in of_pairing.items()]
     hold_outs = [_hold_out(knowledge, table, words, seed) for words, seed in proposals]
     return {"pairings": pairings, "hold_outs": hold_outs}
@@ -151,17 +150,18 @@ def _hold_out(knowledge: Knowledge, table: ObservationTable, words: str, seed: i
 
 def _curves(knowledge: Knowledge, plan: Plan) -> list[dict[str, Any]]:
     """Return what planned poses will show of error curves."""
-    documents = []
-    for curve in curve_forecasts(knowledge, bar_table(knowledge, plan)):
-        ranges = [
-            {"lower_deg": DEG.of(span.lower), "upper_deg": DEG.of(span.upper), "sigma_mrad": MRAD.of(span.sigma)}
-            for span in curve.ranges
-        ]
-        unseen = [[DEG.of(end) for end in span] for span in curve.unseen]
-        documents.append(
-            {"joint": curve.joint, "ranges": ranges, "sigma_mrad": MRAD.of(curve.sigma), "unseen_deg": unseen}
-        )
-    return documents
+    return [
+        {
+            "joint": curve.joint,
+            "ranges": [
+                {"lower_deg": DEG.of(span.lower), "upper_deg": DEG.of(span.upper), "sigma_mrad": MRAD.of(span.sigma)}
+                for span in curve.ranges
+            ],
+            "sigma_mrad": MRAD.of(curve.sigma),
+            "unseen_deg": [list(map(DEG.of, span)) for span in curve.unseen],
+        }
+        for curve in curve_forecasts(knowledge, bar_table(knowledge, plan))
+    ]
 
 
 def _visits(budget: Budget, options: BallBarOptions) -> Visits:
@@ -197,7 +197,6 @@ def planned_ball_bar(knowledge: Knowledge, budget: Budget, options: BallBarOptio
 @step("planning")
 def plan_line_files(files: PlanFiles, options: LineOptions, region: Region | None = None) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
-    _check(files)
     knowledge = _read_knowledge(files)
     target = _target(knowledge, options.target)
     planned = plan_lines(
@@ -219,10 +218,11 @@ def plan_line_files(files: PlanFiles, options: LineOptions, region: Region | Non
 @step("planning")
 def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message."""
-    _check(files)
     knowledge = _read_knowledge(files)
     limits = _limits(options.reserve, files.result is not None)
-    pairing = Pairing(*(_named(noun, getattr(options, noun), knowledge.rig.mounted()[noun]) for noun in BAR_MOUNTED))
+    pairing = Pairing(
+        *(_named(noun, getattr(options, noun), list(knowledge.rig.mounted()[noun])) for noun in BAR_MOUNTED)
+    )
     site = make_site(knowledge, limits, Sizes(), options.seed)
     route = plan_approaches(site, pairing, options, Pace(dwell=options.dwell))
     _write(files, knowledge, route.visits, route.stops, options.dwell)
@@ -249,22 +249,13 @@ def knowledge_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> K
     return replace(knowledge, params=params, rig_values=values, free=robot.free, prior=prior, deciding=deciding)
 
 
-def _named(noun: str, name: str | None, have: Iterable[str]) -> str:
-    """Return one of the rig's names, by default the first."""
-    names = list(have)
-    if not names or (name is not None and name not in names):
-        raise InputError(*_not_in_rig(noun, name, names))
-    return names[0] if name is None else name
-
-
-def _not_in_rig(noun: str, name: str | None, have: Sequence[str]) -> tuple[str, ...]:
-    """Return the message for a name that the rig does not have, or has to be chosen."""
-    if not have:
-        return (f"the rig has no {noun}; add a [[{noun}]] to it",)
-    listed = ", ".join(have)
-    if name is None:
-        return f"the rig has several {noun}s; choose one of {listed} with ", Argument(noun)
-    return Argument(noun), f" {name}: is not in the rig; use one of {listed}"
+def _named(noun: str, name: str | None, names: Sequence[str]) -> str:
+    """Return one of the rig's names, by default the first. Raises InputError."""
+    if not names:
+        raise InputError(f"the rig has no {noun}; add a [[{noun}]] to it")
+    if name is not None and name not in names:
+        raise InputError("not-in-rig", place=Argument(noun), what=noun, name=name, names=names)
+    return name or names[0]
 
 
 def _limits(reserve: float | None, is_identified: bool) -> Limits:
@@ -292,25 +283,22 @@ def _places(planned: LinePlan, knowledge: Knowledge, point: Floats) -> list[dict
 
 def _target(knowledge: Knowledge, name: str | None) -> str:
     """Return the target's name; "" for the end's origin if the rig has no target."""
-    have = list(knowledge.rig.targets)
-    if name is None and len(have) <= 1:
-        return have[0] if have else ""
-    if name not in have:
-        raise InputError(*_not_in_rig("target", name, have))
-    return name
-
-
-def _check(files: PlanFiles) -> None:
-    """Check that no output replaces an input or another output, and that all suffixes are known. Raises InputError."""
-    for path in files.program_out:
-        check_suffix(path.suffix.lower())
-    read = [*files.robot.files, files.rig, files.result, *files.measured]
-    outputs = [("plan", files.out), ("rig", files.rig_out), *(("program", path) for path in files.program_out)]
-    check_outputs(outputs, files.force, filter(None, read))
+    names = list(knowledge.rig.targets)
+    if name is None and len(names) > 1:
+        raise InputError(f"the rig has several targets; choose one of {', '.join(names)} with ", Argument("target"))
+    return _named("target", name, names) if names or name else ""
 
 
 def _read_knowledge(files: PlanFiles) -> Knowledge:
-    """Return robot, rig, model and earlier measurements, from files. Raises PlanError if no program can be for the robot."""
+    """Return robot, rig, model and earlier measurements, from files.
+
+    Raises InputError if an output would replace an input or another output, and PlanError if no program can be for the robot.
+    """
+    for path in files.program_out:
+        check_suffix(path.suffix.lower())
+    inputs = [*files.robot.files, files.rig, files.result, *files.measured]
+    outputs = [("plan", files.out), ("rig", files.rig_out), *(("program", path) for path in files.program_out)]
+    check_outputs(outputs, files.force, filter(None, inputs))
     result = None if files.result is None else read_calibration(files.result, files.robot)
     robot = files.robot.load() if result is None else result.robot
     for path in files.program_out:

@@ -22,27 +22,12 @@ from truearm.workflows.project_folder import FILE
 
 if TYPE_CHECKING:
     from truearm.findings import Finding
+    from truearm.model.robot_file import RobotChoice
     from truearm.model.workspace import Branch
     from truearm.types import BallBar, Point, Rig
-    from truearm.workflows.socket_project import SocketsWanted
+    from truearm.workflows.requests import FirstRig, SocketSeats
 
-PLAN_MINUTES = 30.0
 GAIN_SIGMA = 1e-3  # of a conditioner (docs/how-to/rig.md)
-
-
-class ProjectWanted(NamedTuple):
-    """The user's input to ``init``: lengths of the bars [m]; what measured chucks, spheres and bars, one of
-    ``INSTRUMENTS`` or ``NOTHING``; or ``sockets`` instead of a ball-bar.
-    """
-
-    project: Project
-    bars: tuple[float, ...] = ()
-    measured_with: str = NOTHING
-    chucks: int = 3
-    spheres: int = 3
-    minutes: float | None = PLAN_MINUTES  # of the first plan; None: no plan is made
-    branch: Branch | None = None  # of the robot; None: the one of its file
-    sockets: SocketsWanted | None = None
 
 
 class Created(NamedTuple):
@@ -101,6 +86,14 @@ def result_in_use(folder: Path) -> Path | None:
     return next(measured, newest_first[0] if newest_first else None)
 
 
+def robot_of(project: Project, home: Path) -> RobotChoice:
+    """Return the robot of a project in a folder, which may not exist yet."""
+    from truearm.model.robot_file import RobotChoice
+
+    model = Path(os.path.normpath(home / project.model))
+    return RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
+
+
 def by_time(files: Iterable[Path]) -> list[Path]:
     """Return files by the time of their last change: names need not be dates. Files of the same time are by name."""
     return sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.name))
@@ -125,14 +118,16 @@ def new_plan(path: Path) -> Path:
 
 
 @step("making the project")
-def create(folder: Path, request: ProjectWanted) -> Created:
-    """Write truearm.toml, rig.toml and a first plan into a folder; for sockets also what they are made and noted with.
+def create(
+    folder: Path, project: Project, first: FirstRig, sockets: SocketSeats | None, branch: Branch | None, minutes: float
+) -> Created:
+    """Write truearm.toml, rig.toml and a first plan into a folder, or with ``sockets`` what they are made and noted with.
 
+    ``branch``: of the robot, None for that of its file. ``minutes``: of the first plan, 0 for none.
     Existing files are not overwritten. Raises InputError for a folder that is already a project, and whatever loading
     the robot and planning raise; then nothing is written.
     """
     from truearm.kinds.rig_file import read_rig
-    from truearm.model.robot_file import RobotChoice
     from truearm.plan.branches import branch_of
     from truearm.plan.first_rig import first_rig
     from truearm.workflows.controller_model import ROBOT_FILE, controller_choice
@@ -140,12 +135,10 @@ def create(folder: Path, request: ProjectWanted) -> Created:
     from truearm.workflows.requests import PlanFiles
     from truearm.workflows.socket_project import SEATS, plan_sockets
 
-    project = request.project
     paths = {"project": folder / FILE, "rig": folder / project.rig, "plan": folder / project.plan}
     if paths["project"].exists():
         raise InputError(f"{paths['project']} already exists; edit it, or use another folder")
-    model = Path(os.path.normpath(folder / project.model))  # the folder may not exist yet
-    choice = RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
+    choice = robot_of(project, folder)
     with _workplace(folder) as new:
         read, controller = controller_choice(choice.robot or "", project.address, new)
         if read is not None:
@@ -155,9 +148,9 @@ def create(folder: Path, request: ProjectWanted) -> Created:
                 raise InputError("file-exists", place=paths["robot"])
         robot = choice.load()
         plan = None
-        if request.sockets is not None:
-            bounded = robot if request.branch is None else replace(robot, branch=branch_of(robot, request.branch))
-            contents, plan = plan_sockets(bounded, request.sockets, project.name or robot.chain.name)
+        if sockets is not None:
+            bounded = robot if branch is None else replace(robot, branch=branch_of(robot, branch))
+            contents, plan = plan_sockets(bounded, sockets, project.name or robot.chain.name)
             for name, content in contents.items():
                 if (folder / name).exists():
                     raise InputError(f"{folder / name} already exists; move it, or use another folder")
@@ -169,13 +162,13 @@ def create(folder: Path, request: ProjectWanted) -> Created:
             rig = paths["rig"]
             if not rig.exists():
                 rig = new / project.rig
-                bounded = replace(robot, branch=branch_of(robot, request.branch))
-                first = _as_known(first_rig(bounded, request.chucks, request.spheres), request)
-                write_atomic(rig, _rig_text(first, project.name or robot.chain.name))
+                bounded = replace(robot, branch=branch_of(robot, branch))
+                points = first_rig(bounded, first.chucks, first.spheres)
+                write_atomic(rig, _rig_text(_as_measured(points, first), project.name or robot.chain.name))
             read_rig(rig)
-            if request.minutes is not None and not paths["plan"].exists():
-                files = PlanFiles(choice, rig, branch=request.branch, out=new / project.plan)
-                plan = plan_ball_bar_files(files, Budget(minutes=request.minutes), BallBarOptions())
+            if minutes and not paths["plan"].exists():
+                files = PlanFiles(choice, rig, branch=branch, out=new / project.plan)
+                plan = plan_ball_bar_files(files, Budget(minutes=minutes), BallBarOptions())
         write_atomic(new / FILE, format_project(project))
         for name in (project.sessions, project.results):
             (folder / name).mkdir(parents=True, exist_ok=True)
@@ -211,35 +204,32 @@ def _move(new: Path, files: list[Path]) -> None:
         raise
 
 
-def _as_known(rig: Rig, request: ProjectWanted) -> Rig:
+def _as_measured(rig: Rig, first: FirstRig) -> Rig:
     """Return a first rig with the available bars and the accuracy of its measurements.
 
     If nothing is measured, the first bar still has to be, by calliper, because lengths need a scale; the others by tape.
     """
     from truearm.plan.first_rig import bars
 
-    sigma = INSTRUMENTS.get(request.measured_with)
-    chucks, spheres = (
-        {name: replace(point, sigma=sigma) for name, point in points.items()} for points in (rig.chucks, rig.spheres)
-    )
-    rig_bars = bars(*request.bars) if request.bars else rig.bars
-    first, other_sigma = (INSTRUMENTS["calliper"], INSTRUMENTS["tape"]) if sigma is None else (sigma, sigma)
-    sigmas = [first] + [other_sigma] * (len(rig_bars) - 1)
-    bars_measured = {
-        bar.name: replace(bar, zero_sigma=sigma, gain_sigma=GAIN_SIGMA)
-        for bar, sigma in zip(rig_bars.values(), sigmas, strict=True)
+    sigma = INSTRUMENTS.get(first.measured_with or NOTHING)
+    scale_sigma, other_sigma = (INSTRUMENTS["calliper"], INSTRUMENTS["tape"]) if sigma is None else (sigma, sigma)
+    chucks = {name: replace(chuck, sigma=sigma) for name, chuck in rig.chucks.items()}
+    spheres = {name: replace(sphere, sigma=sigma) for name, sphere in rig.spheres.items()}
+    measured = {
+        bar.name: replace(bar, zero_sigma=other_sigma if number else scale_sigma, gain_sigma=GAIN_SIGMA)
+        for number, bar in enumerate((bars(*first.lengths) if first.lengths else rig.bars).values())
     }
-    return replace(rig, chucks=chucks, spheres=spheres, bars=bars_measured)
+    return replace(rig, chucks=chucks, spheres=spheres, bars=measured)
 
 
 def _rig_text(rig: Rig, name: str) -> str:
     """Format a rig file for people: in mm, with an explanation of each part."""
     template = files("truearm.workflows").joinpath("rig_template.toml").read_text(encoding="utf-8")
-    chucks, spheres = (
-        "\n".join(_point_text(kind, point) for point in points.values())
-        for kind, points in (("chuck", rig.chucks), ("sphere", rig.spheres))
-    )
-    return template.format(name=name, chucks=chucks, spheres=spheres, bars="\n".join(map(_bar_text, rig.bars.values())))
+    points = {
+        f"{noun}s": "\n".join(_point_text(noun, point) for point in getattr(rig, f"{noun}s").values())
+        for noun in ("chuck", "sphere")
+    }
+    return template.format(name=name, **points, bars="\n".join(map(_bar_text, rig.bars.values())))
 
 
 def _point_text(kind: str, point: Point) -> str:
@@ -256,32 +246,24 @@ def _bar_text(bar: BallBar) -> str:
 
 def state_of(path: Path) -> dict[str, Any]:
     """Return what a project has, as JSON; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
+    from truearm.plan.plan_file import read_plan
+    from truearm.workflows.socket_project import seats_noted
+
     project, home = read_project(path), path.parent
-    rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
+    rig, plan, seats = (
+        home / name if name and (home / name).exists() else None for name in (project.rig, project.plan, project.table)
+    )
     return {
         "format": "truearm-status",
         "project": vars(project),
         "folder": str(home),
         "rig": str(rig) if rig else None,
         "plan": str(plan) if plan else None,
-        "poses": _poses(plan),
-        "seats": _seats(home, project),
+        "poses": int(read_plan(plan).dwells.sum()) if plan else 0,
+        "seats": {"file": str(seats), **seats_noted(seats)} if seats else None,
         "sessions": [_session(path, project) for path in sessions_of(home / project.sessions)],
         "results": [_result(path) for path in results_of(home / project.results)],
     }
-
-
-def _seats(home: Path, project: Project) -> dict[str, Any] | None:
-    from truearm.workflows.socket_project import seats_noted
-
-    path = home / project.table
-    return {"file": str(path), **seats_noted(path)._asdict()} if project.table and path.exists() else None
-
-
-def _poses(plan: Path | None) -> int:
-    from truearm.plan.plan_file import read_plan
-
-    return 0 if plan is None else int(read_plan(plan).dwells.sum())
 
 
 def _session(path: Path, project: Project) -> dict[str, Any]:
@@ -306,17 +288,16 @@ def _session(path: Path, project: Project) -> dict[str, Any]:
 def _result(path: Path) -> dict[str, Any]:
     from truearm.estimate.result_file import read_result
 
-    document, held_out, unusable = result_document(path), None, None
     try:
-        read_result(path)
-        status, unusable = str(document["status"]), document.get("unusable_because")
-        held_out = (document.get("held_out") or {}).get("rms_mm")
+        result = read_result(path)
     except (TruearmError, ValueError, OSError) as exc:
-        status = f"cannot be read: {exc}"
+        document = result_document(path)
+        unread = {"held_out_rms_mm": None, "status": f"cannot be read: {exc}", "unusable_because": None}
+        return {"file": str(path), **unread, "simulated": bool(document.get("simulated"))}
     return {
         "file": str(path),
-        "held_out_rms_mm": held_out,
-        "status": status,
-        "unusable_because": unusable,
-        "simulated": bool(document.get("simulated")),
+        "held_out_rms_mm": (result.held_out or {}).get("rms_mm"),
+        "status": result.status,
+        "unusable_because": result.unusable_because,
+        "simulated": result.simulated,
     }

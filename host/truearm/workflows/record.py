@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
-
-import numpy as np
 
 from truearm.box.configuration_schema import MODULATOR_NS
 from truearm.box.readiness import Purpose
@@ -25,7 +23,7 @@ from truearm.live.state import LiveState
 from truearm.live.view import showing
 from truearm.plan.plan_file import check_against_rig, read_plan
 from truearm.record import recorder
-from truearm.record.links import Clock, HostClock
+from truearm.record.links import HostClock
 from truearm.record.operator import Counters, RecordSummary
 from truearm.record.ports import BoxPort
 from truearm.record.reopening import Reopening
@@ -33,7 +31,7 @@ from truearm.record.robots.sources import open_source
 from truearm.record.session_writer import SessionWriter
 from truearm.record.write_lock import is_held
 from truearm.session.dwells import POSE_TOLERANCE, needs_decision
-from truearm.session.observations import SyncResult
+from truearm.session.plan_matching import distances
 from truearm.session.session_file import open_session
 from truearm.text import counted, one_line
 from truearm.types import Move, Plan, Rig
@@ -55,17 +53,14 @@ _SWITCH_INTERVAL_S = 2e-4
 
 @dataclass(frozen=True)
 class RecordingWork:
-    """What to record, read from files and checked for consistency. ``rows``: the plan as in ``/plan``."""
+    """What to record, read from files and checked for consistency; ``setup`` is stored for the parts that continue it."""
 
     out: Path
     robot: str | None
-    osr: int
-    rows: list[dict[str, Any]]
-    rig_toml: bytes | None
     rig: Rig | None
-    mounted: dict[str, str]
     setup: dict[str, str]
     earlier_session: Earlier | None
+    options: recorder.RecordOptions
 
 
 @dataclass(frozen=True)
@@ -74,7 +69,7 @@ class Recorded:
 
     out: Path
     summary: RecordSummary
-    kept: bool
+    is_kept: bool
     trouble: str
     missing: str  # why the recording is incomplete, "" if it is complete
     dwells: RecordedDwells | None = None  # of a recording with a robot and a rig
@@ -84,8 +79,12 @@ class Recorded:
 def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], None]) -> Recorded:
     """Record until the end; the operator's display goes to ``output``, and warnings before the start to ``say``. Raises InputError, LinkError, IncompleteError."""
     work = _work(request)
-    for path in () if work.earlier_session is None else work.earlier_session.damaged:
-        say(damaged_part(path))
+    for path in work.earlier_session.damaged if work.earlier_session else ():
+        name, copy = one_line(str(path)), one_line(str(recovered_name(path)))
+        say(
+            f"{name}: is damaged or has no end, so other commands refuse it and its further parts; to avoid this, end this "
+            f"recording, run truearm session recover {name}, and record with --resume {copy}"
+        )
     device = choose_box(request.box, output)
     controller = controller_state(work.robot, request.project_model)
     for finding in controller.findings:
@@ -95,26 +94,14 @@ def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], 
     return replace(_record(device, work, request, output), findings=controller.findings)
 
 
-def damaged_part(path: Path) -> str:
-    """Return that a part of the session that is continued is damaged, and what to do."""
-    name, out = one_line(str(path)), one_line(str(recovered_name(path)))
-    return (
-        f"{name}: is damaged or has no end, so other commands refuse it and its further parts; to avoid this, end this recording, "
-        f"run truearm session recover {name}, and record with --resume {out}"
-    )
-
-
 def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
     """Return how many dwells of a recording give no observation, and what to do; "" if every pose gave one."""
-    if dwells is None or not (dwells.need_decision or dwells.lost):
-        return ""
-    if dwells.need_decision:
-        count = (
-            f"{counted(dwells.need_decision, 'dwell')} {'needs' if dwells.need_decision == 1 else 'need'} a decision"
-        )
-        return f"{count}: decide what was mounted with truearm session relabel {session}"
-    count = counted(dwells.lost, "visited pose")
-    return f"{count} of the plan gave no observation; truearm inspect {session} says why"
+    if dwells is not None and dwells.need_decision:
+        count = f"{counted(dwells.need_decision, 'dwell')} {'needs' if dwells.need_decision == 1 else 'need'}"
+        return f"{count} a decision: decide what was mounted with truearm session relabel {session}"
+    if dwells is not None and dwells.lost:
+        return f"{counted(dwells.lost, 'visited pose')} of the plan gave no observation; truearm inspect {session} says why"
+    return ""
 
 
 def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
@@ -143,28 +130,21 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
     """Record, and find out what is missing; a signal ends the recording, but not that question."""
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     clock = HostClock()
-    progress = SessionProgress(work.rows, dict(work.mounted))
+    options = replace(work.options, head=[(SETUP, work.setup)])
+    progress = SessionProgress(list(options.plan), dict(options.mounted or {}))
     if work.earlier_session is not None and request.plan is None:
         gone_on(progress, work.earlier_session)
     state = LiveState(progress, work.rig, work.robot is not None, _purpose(work, device), request.unchecked)
+    robot = nullcontext() if work.robot is None else closing(open_source(work.robot, clock))
     with (
         closing(Reopening(BoxPort(device, clock))) as link,
-        _robot_link(work.robot, clock) as robot_link,
+        robot as robot_link,
         asked_to_stop() as interrupted,
     ):
         with (
             SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
             showing(state, request.plain, output),
         ):
-            options = recorder.RecordOptions(
-                plan=work.rows,
-                rig_toml=work.rig_toml,
-                mounted=work.mounted,
-                osr=work.osr,
-                duration_s=request.duration,
-                patience_s=request.patience,
-                head=[(SETUP, work.setup)],
-            )
             try:
                 summary = recorder.record(
                     link, writer, clock, robot=robot_link, options=options, operator=state, interrupted=interrupted
@@ -175,14 +155,10 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
                 place = "" if isinstance(exc, WriteError) else f"; everything received until then is in {writer.path}"
                 raise IncompleteError(exc, place) from exc
         dwells = None
-        if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
+        if writer.kept and work.robot is not None and work.rig is not None and (options.plan or options.mounted):
             dwells = recorded_dwells(writer.path)
         reasons = [what_is_missing(summary, work.robot is not None), unsettled(dwells, writer.path)]
         return Recorded(writer.path, summary, writer.kept, state.trouble, "; ".join(filter(None, reasons)), dwells)
-
-
-def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:
-    return nullcontext() if url is None else closing(open_source(url, clock))
 
 
 def nearest_osr(rate: float) -> int:
@@ -227,36 +203,43 @@ def _work(request: RecordOptions) -> RecordingWork:
     if request.project_model:
         setup["model"] = Path(request.project_model).name
     if request.resume is not None:
-        setup |= {"of": continued.first.name, "part": str(continued.part), "begun": continued.begun}
-    rows = continued.rows if plan is None else plan_rows(plan)
-    earlier_session = None if request.resume is None else continued
-    return RecordingWork(out, robot, osr, rows, rig_toml, rig, typed or continued.mounted, setup, earlier_session)
+        setup |= {"of": continued.first.name, "part": str(continued.number), "begun": continued.begun}
+    options = recorder.RecordOptions(
+        plan=continued.rows if plan is None else plan_rows(plan),
+        rig_toml=rig_toml,
+        mounted=typed or continued.mounted,
+        osr=osr,
+        duration_s=request.duration,
+        patience_s=request.patience,
+    )
+    return RecordingWork(out, robot, rig, setup, None if request.resume is None else continued, options)
 
 
 def _purpose(work: RecordingWork, device: str) -> Purpose:
     """Return the purpose according to the plan, else to what is mounted, else to the rig."""
-    moves = {row.get("move", Move.DWELL) for row in work.rows}
-    if work.rows:
-        ball_bar, line = Move.DWELL in moves, Move.LINE in moves
-    elif work.mounted:
-        ball_bar, line = "bar" in work.mounted, "line" in work.mounted
-    else:
-        ball_bar, line = bool(work.rig and work.rig.bars), bool(work.rig and work.rig.lines)
-    return Purpose(ball_bar, line, work.osr, device)
+    options, rig = work.options, work.rig or Rig()
+    moves = {row.get("move", Move.DWELL) for row in options.plan}
+    mounted: Mapping[str, Any] = options.mounted or {"bar": rig.bars, "line": rig.lines}
+    if moves:
+        return Purpose(Move.DWELL in moves, Move.LINE in moves, options.osr, device)
+    return Purpose(bool(mounted.get("bar")), bool(mounted.get("line")), options.osr, device)
 
 
 def plan_rows(plan: Plan) -> list[dict[str, Any]]:
     """Return the messages of ``/plan``, one per row."""
-    return [_plan_row(plan, pose) for pose in range(len(plan))]
-
-
-def _plan_row(plan: Plan, pose: int) -> dict[str, Any]:
-    row: dict[str, Any] = {"pose": pose, **{name: str(getattr(plan, name)[pose]) for name in plan.IDS}}
-    if plan.move[pose] != Move.DWELL:
-        row["move"] = str(plan.move[pose])
-    if plan.lines[pose]:
-        row |= {"line": str(plan.line[pose]), "target": str(plan.target[pose]), "speed_m_s": float(plan.speed[pose])}
-    return row | {"q": plan.q[pose].tolist()}
+    rows = []
+    for pose in range(len(plan)):
+        row = {"pose": pose, **{name: str(getattr(plan, name)[pose]) for name in plan.IDS}}
+        if plan.move[pose] != Move.DWELL:
+            row["move"] = str(plan.move[pose])
+        if plan.lines[pose]:
+            row |= {
+                "line": str(plan.line[pose]),
+                "target": str(plan.target[pose]),
+                "speed_m_s": float(plan.speed[pose]),
+            }
+        rows.append(row | {"q": plan.q[pose].tolist()})
+    return rows
 
 
 @dataclass(frozen=True)
@@ -280,29 +263,25 @@ def recorded_dwells(session: Path) -> RecordedDwells | None:
         rig = attached_rig(open_session(session), session)
         if rig is None or not rig.bars:
             return None
-        return counted_dwells(observations_of_session(session, rig, SessionOptions(may_be_empty=True)))
+        result = observations_of_session(session, rig, SessionOptions(may_be_empty=True))
     except TruearmError:  # identify reports what is wrong with it
         return None
-
-
-def counted_dwells(result: SyncResult) -> RecordedDwells:
-    """Return the account of a session's dwells."""
-    plan, counts = result.survey.marks.plan(), Counter[str]()
-    visited: dict[int, bool] = {}  # whether a pose of the plan gave an observation
+    plan, reasons = result.survey.marks.plan(), Counter[str]()
+    is_measured: dict[int, bool] = {}  # whether a pose of the plan gave an observation
     for dwell in result.dwells:
-        if plan is None and dwell.reason == "too short":
-            continue
         if plan is not None:
-            gaps = np.max(np.abs(plan.q - dwell.q), axis=1) if plan.q.shape[1] == dwell.q.size else np.array([np.inf])
-            pose = int(gaps.argmin())
-            if gaps[pose] > POSE_TOLERANCE:
+            distance = distances(dwell.q, plan)
+            if distance.min() > POSE_TOLERANCE:
                 continue
-            visited[pose] = visited.get(pose, False) or not dwell.reason
-        counts[dwell.reason] += 1
-    total, usable = counts.total(), counts.pop("", 0)
-    words = sum(counts.pop(reason) for reason in list(counts) if needs_decision(reason, plan is not None))
-    lost = sum(not is_measured for is_measured in visited.values())
-    return RecordedDwells(total, usable, words, dict(sorted(counts.items())), lost)
+            pose = int(distance.argmin())
+            is_measured[pose] = is_measured.get(pose, False) or not dwell.reason
+        elif dwell.reason == "too short":
+            continue
+        reasons[dwell.reason] += 1
+    total, usable = reasons.total(), reasons.pop("", 0)
+    undecided = sum(reasons.pop(reason) for reason in list(reasons) if needs_decision(reason, plan is not None))
+    lost = list(is_measured.values()).count(False)
+    return RecordedDwells(total, usable, undecided, dict(sorted(reasons.items())), lost)
 
 
 FLOODED = "the robot sent more than could be stored"
@@ -320,7 +299,7 @@ def recording_document(recorded: Recorded) -> dict[str, Any]:
     """Return a recording as JSON; ``dwells`` is None where it has no robot or no rig with a ball-bar."""
     summary = recorded.summary
     return {
-        "out": str(recorded.out) if recorded.kept else None,
+        "out": str(recorded.out) if recorded.is_kept else None,
         "duration_s": summary.duration_s,
         "ended": summary.reason,
         "why": summary.text,
@@ -328,7 +307,7 @@ def recording_document(recorded: Recorded) -> dict[str, Any]:
         "faults": summary.faults,
         "dwells": None if recorded.dwells is None else asdict(recorded.dwells),
         "missing": recorded.missing,
-        "findings": entries(_findings(recorded)) if recorded.kept else [],
+        "findings": entries(_findings(recorded)) if recorded.is_kept else [],
     }
 
 

@@ -9,7 +9,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +17,15 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, Words, mountings
 from truearm.live.session_progress import check_mounted
+from truearm.model.robot import Robot
 from truearm.progress import step
+from truearm.session.dwells import POSE_TOLERANCE, Dwell
 from truearm.session.labels_file import labels_path, write_labels
+from truearm.session.observations import Survey, SyncResult, observations
 from truearm.session.plan_matching import Pairing, distances, match_plan, pairing_of
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.session_observations import recorded_rig, surveyed
 from truearm.workflows.session_parts import open_finished, session_parts
-
-if TYPE_CHECKING:
-    from truearm.model.robot import Robot
-    from truearm.session.dwells import Dwell
-    from truearm.session.observations import Survey, SyncResult
 
 
 @step("examining the session")
@@ -54,16 +52,18 @@ def relabel(
     named = dict(pair for text in mounted for pair in _named(text, rig, stops))
     chances = None if robot is None else chances_of(robot, rig, stops)
     likely = [(None, 0.0) if chances is None else chances.likeliest(k) for k in range(len(stops))]
-    labels = [_label(stop, trust, named.get(stop.place), *pair) for stop, pair in zip(stops, likely, strict=True)]
+    labelled = [
+        (stop, _label(stop, trust, named.get(stop.place), *pair)) for stop, pair in zip(stops, likely, strict=True)
+    ]
     left_out = [
         {"session": stop.place[0].name, "dwell": stop.place[1], "detail": label.detail}
-        for stop, label in zip(stops, labels, strict=True)
+        for stop, label in labelled
         if not (label.mounted or stop.dwell.reason)
     ]
     saved = paths if trust or mounted else []
     for path in saved:
-        settled = [label for stop, label in zip(stops, labels, strict=True) if stop.place[0] == path]
-        write_labels(path, settled, trust or "named", "" if robot is None else robot.chain.name)
+        labels = [label for stop, label in labelled if stop.place[0] == path]
+        write_labels(path, labels, trust or "named", "" if robot is None else robot.chain.name)
     return {
         "sessions": [path.name for path in paths],
         "saved": [str(labels_path(path)) for path in saved],
@@ -88,12 +88,13 @@ def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing
     }
     detail = "; ".join(f"{source} {words}" for source, words in statements.items() if words)
     rows = sorted(stop.rows, key=lambda row: pairing_of(row[1]) != pairing)  # one that was planned with this pairing
-    mounted = {} if pairing is None else dict(zip(BAR_MOUNTED, pairing, strict=True))
+    mounted = dict(zip(BAR_MOUNTED, pairing or (), strict=False))
     if pairing is not None and rows and pairing_of(rows[0][1]) == pairing:
         mounted = dict(rows[0][1])
     label = DwellLabel(stop.dwell.start_host_ns, stop.dwell.end_host_ns, mounted, rows[0][0] if rows else None)
-    label = label._replace(detail="" if pairing else detail)
-    return label._replace(probability=p) if pairing and pairing == likely else label
+    if pairing is None:
+        return label._replace(detail=detail)
+    return label._replace(probability=p) if pairing == likely else label
 
 
 def _named(text: str, rig: Rig, stops: Sequence[Stop]) -> list[tuple[tuple[Path, int], Pairing]]:
@@ -133,9 +134,6 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
 
     They are measured as if one bar had been mounted all the time: the sensor's readings do not depend on it.
     """
-    from truearm.session.dwells import POSE_TOLERANCE
-    from truearm.session.observations import observations
-
     dwells, plan = survey.dwells, survey.marks.plan()
     bar = max(rig.bars.values(), key=lambda bar: bar.travel).name
     mounted = dict(zip(BAR_MOUNTED, (bar, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
@@ -150,18 +148,17 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
     words = [pairing_of(pairing) for _, pairing in survey.marks.mountings]
     stops, begin = list[Stop](), 0
     for k, i in enumerate(numbers):
+        rows, pairings = list[tuple[int, dict[str, str]]](), dict[Pairing, None]()
         end = bisect_right(times, dwells[i].start_host_ns)
-        typed, confirmed = tuple(filter(None, words[begin:end])), words[end - 1] if end else None
-        rows, planned, begin = list[tuple[int, dict[str, str]]](), list[Pairing | None](), end
         if plan is not None:
             distance, pose = distances(dwells[i].q, plan), matches.poses[k]
             poses = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= POSE_TOLERANCE)].tolist()
             rows = [(plan.rows[p], plan.mounted[p]) for p in sorted(poses, key=lambda p: p != pose)]
-            alike = [] if pose is None else poses if k in matches.ambiguous else [pose]
-            planned = [pairing_of(plan.mounted[p]) for p in alike]
-        stops.append(
-            Stop((path, i + 1), measured[i], rows, tuple(dict.fromkeys(filter(None, planned))), typed, confirmed)
-        )
+            planned = [] if pose is None else poses if k in matches.ambiguous else [pose]
+            pairings = dict.fromkeys(filter(None, (pairing_of(plan.mounted[p]) for p in planned)))
+        typed, confirmed = tuple(filter(None, words[begin:end])), words[end - 1] if end else None
+        stops.append(Stop((path, i + 1), measured[i], rows, tuple(pairings), typed, confirmed))
+        begin = end
     return stops
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from truearm import option_defaults
-from truearm.bounds import ITERATIONS, REPEATABILITY, SEED, OneOf, Within
+from truearm.bounds import CELL, ITERATIONS, REPEATABILITY, SEED, OneOf, Within
 from truearm.correct.methods import JointMoves, Method
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
@@ -72,6 +72,27 @@ class PlanFiles:
     def outputs(self) -> list[Path]:
         """Every file to write."""
         return [path for path in (self.out, self.rig_out, *self.program_out) if path is not None]
+
+
+@dataclass(frozen=True)
+class FirstRig:
+    """A project's first rig: its chucks and spheres, the lengths of its bars [m], and what these are measured with (None: not asked yet)."""
+
+    chucks: Annotated[int, Within(1, 9)] = 3  # more than a table or a flange has room for
+    spheres: Annotated[int, Within(1, 9)] = 3
+    lengths: tuple[float, ...] = ()
+    measured_with: Annotated[str | None, OneOf((option_defaults.NOTHING, *option_defaults.INSTRUMENTS))] = None
+
+
+@dataclass(frozen=True)
+class SocketSeats:
+    """Seats in printed sockets to plan: the ball's diameter, its centre on the end, the height of the table in the base frame [m]."""
+
+    ball: Annotated[float, Within(0.004, 0.1)] = 0.02
+    ball_xyz: tuple[float, float, float] = (0.0, 0.0, 0.1)
+    table: Annotated[float, Within(-5.0, 5.0)] = 0.0
+    places: Annotated[int, Within(2, 20)] = 6
+    seats: Annotated[int, Within(4, 100)] = 12  # at each place
 
 
 @dataclass(frozen=True)
@@ -220,6 +241,24 @@ class MapFiles:
 
 
 @dataclass(frozen=True)
+class Section:
+    """The section of the workspace to map.
+
+    ``joints``: the two that span it, counted from 1. ``at``: position of the joints (j,) [rad, m]; None for the middle
+    of the fitted readings, and then only cells within these. The elbow is
+    as there. ``cell`` [m]: size of a cell. ``own_frames``: leave out how base and tool were mounted. ``task``: width and
+    height [m] of a task for which to find the best place, ``within`` u0, u1, v0, v1 [m] or anywhere.
+    """
+
+    joints: tuple[int, int] = (2, 3)
+    at: tuple[float, ...] | None = None
+    cell: Annotated[float, CELL] = 0.025
+    own_frames: bool = False
+    task: tuple[float, float] | None = None
+    within: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True)
 class CorrectFiles:
     """Input and output files of ``truearm correct``."""
 
@@ -258,7 +297,7 @@ class CorrectOptions:
     """How to correct.
 
     ``own_frames``: targets are in the robot's own base and flange frames. ``margin``: targets with a smaller singular
-    value are refused. ``near``: joints (j,) [rad, m] near those of the first target. ``program``: how to correct a program,
+    value are refused. ``home``: joints (j,) [rad, m] near those of the first target. ``program``: how to correct a program,
     which contains its own frames; of a table, the tool and the work object "" are those of its targets. ``document``:
     compute what is expected of each target, as a report does too.
     """
@@ -267,7 +306,7 @@ class CorrectOptions:
     steps: Annotated[int, Within(1, 50)] = 1
     own_frames: bool = False
     margin: Annotated[float, Within(0.0001, 1.0)] = option_defaults.MARGIN
-    near: tuple[float, ...] | None = None
+    home: tuple[float, ...] | None = None
     program: ProgramOptions = ProgramOptions()
     document: bool = False
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +20,8 @@ from truearm.report.residual_rows import row_name
 from truearm.report.scene_view import MOST_POINTS, Points, Scene
 from truearm.types import Floats, Rigs, rigs_by_name, thinned
 from truearm.units import MM
-from truearm.workflows.calibration import Calibration
+from truearm.workflows.calibration import Calibration, Identification
 from truearm.workflows.correction_findings import COVERAGE, CorrectedTargets
-
-if TYPE_CHECKING:
-    from truearm.workflows.calibration import Identification
 
 FEWEST = 4  # poses between which errors are predicted
 BEFORE, AFTER, EXPECTED = "error before", "residual after", "expected after (k = 2)"

@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,7 +190,8 @@ def matching(names: Sequence[str], argument: str, patterns: Sequence[str]) -> Ma
     nothing.
     """
     mask = np.zeros(len(names), dtype=bool)
-    for pattern in (pattern.strip() for text in patterns for pattern in _parts(text, names)):
+    # a joint of a URDF may have a comma in its name
+    for pattern in (pattern.strip() for text in patterns for pattern in ([text] if text in names else text.split(","))):
         matches = np.array([fnmatchcase(name, pattern) for name in names])
         if not matches.any():
             raise InputError(
@@ -198,11 +199,6 @@ def matching(names: Sequence[str], argument: str, patterns: Sequence[str]) -> Ma
             )
         mask |= matches
     return mask
-
-
-def _parts(text: str, names: Sequence[str]) -> list[str]:
-    """Split patterns at commas; a joint of a URDF may have a comma in its name."""
-    return [text] if text in names else text.split(",")
 
 
 def _near(pattern: str, names: Sequence[str]) -> str:
@@ -264,21 +260,10 @@ SEEDS = 8  # number of seeds tried
 LEFT = 0.5  # at least this share of the rows of each combination
 
 
-class HoldOutProposal(NamedTuple):
-    """A share of the rows, drawn by a seed.
+def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> dict[str, Any] | None:
+    """Return the first share of the rows that leaves enough of everything to fit, as JSON; None if there are too few poses.
 
-    It holds out ``rows`` rows and leaves at least half of each of the ``combinations`` of names.
-    """
-
-    fraction: float
-    seed: int
-    rows: int
-    combinations: int
-
-
-def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> HoldOutProposal | None:
-    """Return the first share of the rows that leaves enough of everything to fit; None if there are too few poses.
-
+    It is drawn by ``seed``, holds out ``rows`` rows, and leaves at least half of each of the ``combinations`` of names.
     ``unused`` (n,) are rows that are not judged, such as copies.
     """
     combination = _combinations(table)
@@ -289,7 +274,7 @@ def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> Ho
         held = held_out_rows(table, [str(fraction)], seed)
         if held is not None and np.all(np.bincount(combination[~held], minlength=size.size) >= LEFT * size):
             judged = held if unused is None else held & ~unused
-            return HoldOutProposal(fraction, seed, int(judged.sum()), size.size)
+            return {"fraction": fraction, "seed": seed, "rows": int(judged.sum()), "combinations": size.size}
     return None
 
 
@@ -308,11 +293,9 @@ def named_columns(table: ObservationTable) -> list[str]:
 
 def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
     """Return the names without any row left in the fit: ``sphere=s1``."""
-    lost_names = []
-    for column in named_columns(table):
-        lost = np.setdiff1d(table[column][held], table[column][~held])
-        lost_names += [f"{column}={name}" for name in lost.tolist() if name]
-    return lost_names
+    columns = {column: table[column] for column in named_columns(table)}
+    lost_names = ((column, np.setdiff1d(names[held], names[~held])) for column, names in columns.items())
+    return [f"{column}={name}" for column, names in lost_names for name in names.tolist() if name]
 
 
 def _combinations(table: ObservationTable) -> NDArray[np.intp]:

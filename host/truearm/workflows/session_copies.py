@@ -17,7 +17,6 @@ from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
-from truearm.session.session_file import Session
 from truearm.workflows.session_parts import open_finished
 
 
@@ -36,22 +35,17 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
     if is_whole(opened):
         return None
     check_writable(out, force, inputs=[session], kind="session")
-    return _write(session, opened, out, {"source": session.name, "sha256": sha256(session)})
-
-
-def _write(path: Path, opened: Session, out: Path, provenance: dict[str, str]) -> Recovered:
-    """Write next to ``out`` and rename, so that ``out`` is always complete."""
+    provenance = {"source": session.name, "sha256": sha256(session)}
     try:
         with working_folder(out.parent) as folder:
-            partial = folder / "session.mcap"
+            partial = folder / "session.mcap"  # beside ``out``, and renamed: ``out`` is always complete
             recovered = recover_session(opened, partial, provenance)
             if not recovered.topics and not opened.metadata:
-                raise SessionError(f"{path}: contains nothing that can be recovered; record again")
+                raise SessionError(f"{session}: contains nothing that can be recovered; record again")
             os.replace(partial, out)
     except (OSError, WriteError) as exc:
-        raise WriteError(
-            f"{out}: cannot be written: {system_reason(exc)}; {path} is unchanged", exc.strerror or ""
-        ) from exc
+        reason = f"{out}: cannot be written: {system_reason(exc)}; {session} is unchanged"
+        raise WriteError(reason, exc.strerror or "") from exc
     return recovered
 
 

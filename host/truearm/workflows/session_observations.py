@@ -25,7 +25,7 @@ from truearm.workflows.session_parts import SUFFIX, open_finished
 if TYPE_CHECKING:
     from truearm.session.observations import Survey, SyncResult
     from truearm.session.session_file import Session, Source
-    from truearm.session.session_tables import Batch, Columns
+    from truearm.session.session_tables import Columns
     from truearm.types import BallBar, Plan, Rig
 
 RIG = "rig.toml"
@@ -168,13 +168,13 @@ def channel_samples(paths: Sequence[Path], channel: str, allow_damaged: bool = F
     """
     channels: dict[str, None] = {}
     times, values = [np.zeros(0)], [np.zeros(0)]
-    for table, columns in _batches(paths, allow_damaged):
-        if table.startswith("box_"):
-            channels |= dict.fromkeys(title.removesuffix(COUNTS) for title in columns if title.endswith(COUNTS))
-            if channel + COUNTS in columns:
-                titles = [title for title in columns if title.startswith(f"{channel}_") and title != channel + COUNTS]
-                times.append(_host_seconds(columns))
-                values.append(columns[min(titles, key=_rank, default=channel + COUNTS)].astype(float))
+    for t, columns in _tables("box_", paths, allow_damaged):
+        channels |= dict.fromkeys(title.removesuffix(COUNTS) for title in columns if title.endswith(COUNTS))
+        if channel + COUNTS in columns:
+            titles = [title for title in columns if title.startswith(f"{channel}_") and title != channel + COUNTS]
+            ranks = {title: (not title.endswith("_m"), not title.endswith("_calibrated")) for title in titles}
+            times.append(t)
+            values.append(columns[min(titles, key=ranks.__getitem__, default=channel + COUNTS)].astype(float))
     if channel not in channels:
         names = ", ".join(sorted(channels)) or "none"
         raise InputError(Argument("channel"), f": the session has no samples of {channel!r}; its channels are {names}")
@@ -184,34 +184,24 @@ def channel_samples(paths: Sequence[Path], channel: str, allow_damaged: bool = F
 def joint_readings(paths: Sequence[Path], allow_damaged: bool = False) -> tuple[Floats, Floats]:
     """Return the host times (n,) [s] and the joint readings (n, j) [rad, m] of a session."""
     times, readings = [], []
-    for table, columns in _batches(paths, allow_damaged):
-        if table.startswith("joints"):
-            q = [column for title, column in columns.items() if title[:1] == "q" and title[1:2].isdigit()]
-            times.append(_host_seconds(columns))
-            readings.append(np.column_stack(q))
+    for t, columns in _tables("joints", paths, allow_damaged):
+        times.append(t)
+        joints = [column for title, column in columns.items() if title[:1] == "q" and title[1:2].isdigit()]
+        readings.append(np.column_stack(joints))
     if not times:
         raise InputError("no-joint-readings", place=paths[0])
     return np.concatenate(times), np.concatenate(readings)
 
 
-def _batches(paths: Sequence[Path], allow_damaged: bool) -> Iterator[Batch]:
-    from truearm.session.session_tables import tabulate
+def _tables(kind: str, paths: Sequence[Path], allow_damaged: bool) -> Iterator[tuple[Floats, Columns]]:
+    """Yield parts of a kind of table: host times [s], as in an ObservationTable, NaN where unknown, and all columns."""
+    from truearm.session.session_tables import UNKNOWN, tabulate
 
     for path in paths:
-        yield from tabulate(surveyed(open_finished(path, allow_damaged)))
-
-
-def _rank(title: str) -> int:
-    """Return how far a column of a channel is from a calibrated value."""
-    return 0 if title.endswith("_m") else 1 if title.endswith("_calibrated") else 2
-
-
-def _host_seconds(columns: Columns) -> Floats:
-    """Return host times [s], as in an ObservationTable; NaN where unknown."""
-    from truearm.session.session_tables import UNKNOWN
-
-    time = columns["host_time_ns"]
-    return np.where(time == UNKNOWN, np.nan, 1e-9 * time)
+        for name, columns in tabulate(surveyed(open_finished(path, allow_damaged))):
+            if name.startswith(kind):
+                time = columns["host_time_ns"]
+                yield np.where(time == UNKNOWN, np.nan, 1e-9 * time), columns
 
 
 def temperature_warning(result: SyncResult, rig: Rig) -> str:
@@ -223,9 +213,9 @@ def temperature_warning(result: SyncResult, rig: Rig) -> str:
     table = result.table.select(result.table.kind == "ball_bar")
     streams = (stream for ident in result.survey.idents.values() for stream in ident.streams.values())
     channels = (channel for stream in streams for channel in stream.channels if channel.name == LVDT)
-    noted = [channel.calibrated_degc for channel in channels if math.isfinite(channel.calibrated_degc)]
+    noted = (channel.calibrated_degc for channel in channels if math.isfinite(channel.calibrated_degc))
     unread = ~np.isfinite(table.bar_temperature)
-    warmer = table.temperature[unread] - (noted[0] if noted else np.nan)
+    warmer = table.temperature[unread] - next(noted, np.nan)
     largest = float(warmer[np.nanargmax(np.abs(warmer))]) if np.isfinite(warmer).any() else 0.0
     if abs(largest) < FAR:
         return ""

@@ -35,13 +35,13 @@ class Earlier:
 
     first: Path
     out: Path
-    part: int
+    number: int
     begun: str  # when, according to the first part
     setup: Mapping[str, str]
     rows: list[dict[str, Any]] = field(default_factory=list)
     rig_toml: bytes | None = None
     mounted: dict[str, str] = field(default_factory=dict)
-    taken: tuple[tuple[str, int | None], ...] = ()  # dwells and lines, with their rows of the plan, None if not in it
+    stops: tuple[tuple[str, int | None], ...] = ()  # dwells and lines, with their rows of the plan, None if not in it
     damaged: tuple[Path, ...] = ()  # parts that other commands refuse
 
 
@@ -149,7 +149,7 @@ def earlier(path: Path) -> Earlier:
 
 def gone_on(progress: SessionProgress, earlier_parts: Earlier) -> None:
     """Count what was taken before."""
-    for move, pose in earlier_parts.taken:
+    for move, pose in earlier_parts.stops:
         progress.note(move, pose if type(pose) is int and 0 <= pose < len(progress.rows) else None)
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import shlex
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, assert_never
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -82,29 +82,20 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
     """
     scheme, usual_port, rate = PROTOCOLS[options.protocol]
     world, machine, box = _lab(options, rate, say)
-    folder = options.out
     robot_port = usual_port if options.robot_port is None else options.robot_port
     remedy = "other ports with ", Argument("port"), " and ", Argument("robot_port")
-    box_port, device, listener = _listening(options, box, robot_port, remedy)
-    robot_end = RtdeServer(listener, rate) if options.protocol == "rtde" else listener
-    say(f"{_visits_of(world)}. Record them with\n")
-    say(
-        f"  truearm record --box {device} --address {scheme}://127.0.0.1:{listener.number} "
-        f"--plan {shlex.quote(str(folder / 'plan.csv'))} --rig {shlex.quote(str(folder / 'rig.toml'))} "
-        f"--out {shlex.quote(str(folder / SESSION))}\n"
-    )
-    goes_on = "; its controller goes on, so end the recording with q" if options.protocol == "rtde" else ""
-    ended = f"the robot's program has ended{goes_on}"
-    with closing(robot_end), closing(box_port), closing(box):
-        serve(
-            world,
-            box,
-            box_port,
-            robot_end,
-            started=lambda: say("connected: time starts"),
-            ended=lambda: say(ended),
-            pace=machine.pace,
+    with _listening(options, box, robot_port, remedy) as (box_port, device, listener):
+        robot_end = RtdeServer(listener, rate) if options.protocol == "rtde" else listener
+        plan, rig, session = (shlex.quote(str(options.out / name)) for name in ("plan.csv", "rig.toml", SESSION))
+        say(f"{_visits_of(world)}. Record them with\n")
+        say(
+            f"  truearm record --box {device} --address {scheme}://127.0.0.1:{listener.number} "
+            f"--plan {plan} --rig {rig} --out {session}\n"
         )
+        goes_on = "; its controller goes on, so end the recording with q" if options.protocol == "rtde" else ""
+        ended = f"the robot's program has ended{goes_on}"
+        started = partial(say, "connected: time starts")
+        serve(world, box, box_port, robot_end, started=started, ended=partial(say, ended), pace=machine.pace)
 
 
 def simulate_fast(options: SimulateOptions, say: Say) -> None:
@@ -140,21 +131,12 @@ def record_virtually(
     writer = SessionWriter(out / SESSION, lab.clock, overwrite=True)
     # An exception in the middle of a grant would leave the box's process waiting for its counterpart.
     name = f"recording {counted(round(world.duration / 60), 'minute')} in virtual time"
+    rig_toml, head = (out / "rig.toml").read_bytes(), [(SETUP, {"model": model})]
+    options = RecordOptions(plan=plan_rows(world.controller.plan), rig_toml=rig_toml, osr=osr, head=head)
     with asked_to_stop() as interrupted, step(name) as advance:
-        rows, rig_toml, head = (
-            plan_rows(world.controller.plan),
-            (out / "rig.toml").read_bytes(),
-            [(SETUP, {"model": model})],
-        )
-        options = RecordOptions(plan=rows, rig_toml=rig_toml, osr=osr, head=head)
+        operator, robot = Confirming(lab, advance), lab.robot_link
         summary = record(
-            lab.box_link,
-            writer,
-            lab.clock,
-            robot=lab.robot_link,
-            options=options,
-            operator=Confirming(lab, advance),
-            interrupted=interrupted,
+            lab.box_link, writer, lab.clock, robot=robot, options=options, operator=operator, interrupted=interrupted
         )
     if summary.file_losses:
         raise IncompleteError("; ".join(summary.file_losses))
@@ -186,25 +168,26 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
                 say(f"{line[:40]!r} is not a position; type one from {span}, or q")
         return False
 
-    box_port, device, unused = _listening(options, box, 0, ("another port with ", Argument("port")))
-    say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --box {device}\n")
-    say(f"and set the reference here: type a position from {span}; q ends.")
-    with closing(unused), closing(box_port), closing(box):
+    with _listening(options, box, 0, ("another port with ", Argument("port"))) as (box_port, device, unused):
+        say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --box {device}\n")
+        say(f"and set the reference here: type a position from {span}; q ends.")
         serve(stage, box, box_port, unused, stop=set_by_hand, pace=machine.pace)
 
 
+@contextmanager
 def _listening(
     options: SimulateOptions, box: SimulatedBox, robot_port: int, remedy: tuple[str | Argument, ...]
-) -> tuple[Port | Terminal, str, Port]:
-    """Return the box's port and its name, and another port. Raises LinkError, and then closes the box."""
-    try:
-        box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
-        robot_listener = Port.listen("127.0.0.1", robot_port)
-    except OSError as exc:
-        box.close()
-        raise LinkError(f"cannot listen: {exc.strerror}; choose ", *remedy) from exc
-    device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
-    return box_port, device, robot_listener
+) -> Iterator[tuple[Port | Terminal, str, Port]]:
+    """Open the box's port, with its name, and another port; closes them and the box. Raises LinkError."""
+    with closing(box):
+        try:
+            box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
+            robot_listener = Port.listen("127.0.0.1", robot_port)
+        except OSError as exc:
+            raise LinkError(f"cannot listen: {exc.strerror}; choose ", *remedy) from exc
+        device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
+        with closing(robot_listener), closing(box_port):
+            yield box_port, device, robot_listener
 
 
 def _lab(
@@ -275,22 +258,17 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
 
 def hardware(level: Level, say: Say, *, fast: bool = False) -> Hardware:
     """Return what runs as the box, and report it. Raises LinkError, InputError if emulator or MicroPython cannot be used."""
-    match level:
-        case Level.VM:
-            try:
-                interpreter = micropython.find()
-            except micropython.InterpreterError as exc:
-                raise InputError(str(exc)) from exc
-            say(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
-            return Hardware(partial(VmBox, interpreter), None, Pace())
-        case Level.CHIP:
-            node.ready()
-            say(f"firmware: {node.image()} in an emulated RP2040")
-            return Hardware(
-                partial(ChipBox, prompt=not fast), CHIP_STEP_NS, replace(EMULATED, delayed=lambda: say(DELAYED))
-            )
-        case _:
-            assert_never(level)
+    if level is Level.CHIP:
+        node.ready()
+        say(f"firmware: {node.image()} in an emulated RP2040")
+        pace = replace(EMULATED, delayed=lambda: say(DELAYED))
+        return Hardware(partial(ChipBox, prompt=not fast), CHIP_STEP_NS, pace)
+    try:
+        interpreter = micropython.find()
+    except micropython.InterpreterError as exc:
+        raise InputError(str(exc)) from exc
+    say(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
+    return Hardware(partial(VmBox, interpreter), None, Pace())
 
 
 def parse_fault(text: str) -> Fault:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.distance import pdist
@@ -23,9 +23,10 @@ from truearm.model.robot import Robot
 from truearm.plan.forecast import Aim, Knowledge, forecast, planned_table
 from truearm.plan.socket_block import SocketBlock
 from truearm.plan.socket_places import Site, plans_of_sites
-from truearm.types import Rig, Triple
+from truearm.types import Rig
 from truearm.units import DEG, MM
 from truearm.workflows.plan import forecast_document, knowledge_of
+from truearm.workflows.requests import SocketSeats
 
 SEAT_NOISE = np.sqrt(3.0) * Rig().seat_sigma  # m, of all coordinates
 SEATS, PLACES, BLOCK, DRAWING = "seats.csv", "places.csv", "socket.stl", "places.svg"
@@ -51,45 +52,20 @@ sigma_mm = 0.1
 """
 
 
-class SocketsWanted(NamedTuple):
-    """What to plan: the ball's ``radius`` and position on the end [m], the table's height in the base frame [m], the
-    number of places, and of seats at each.
-    """
+def plan_sockets(robot: Robot, request: SocketSeats, name: str) -> tuple[dict[str, str | bytes], dict[str, Any]]:
+    """Plan seats in printed sockets: the files by name (rig, plan, table to fill in, block, drawing), and the forecast as JSON.
 
-    radius: float
-    ball: Triple
-    table: float = 0.0
-    places: int = 6
-    seats: int = 12
-
-
-class SeatsNoted(NamedTuple):
-    """How far a table of seats is filled in: its rows, those with joints, and the last place."""
-
-    rows: int
-    noted: int
-    last_place: str
-
-
-class SocketPlan(NamedTuple):
-    """The files of a project by name (rig, plan, table to fill in, block and drawing), and the ``forecast`` as JSON."""
-
-    files: dict[str, str | bytes]
-    forecast: dict[str, Any]
-
-
-def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
-    """Plan seats in printed sockets. Raises PlanError.
+    Raises PlanError.
 
     The first plan is taken that predicts every place from the others as well as a ball repeats in its socket, or else
     the best one.
     """
-    block = SocketBlock(request.radius)
-    ball = ", ".join(f"{MM.of(x):g}" for x in request.ball)
+    block = SocketBlock(0.5 * request.ball)
+    ball = ", ".join(f"{MM.of(x):g}" for x in request.ball_xyz)
     rig_text = RIG.format(name=name, ball=ball, distance=MM.of(block.distance))
     rig = parse_rig(rig_text, "rig.toml")
     knowledge, plans = _within_tolerances(knowledge_of(robot, rig)), []
-    for sites in plans_of_sites(robot, request.ball, block, request.table, request.places, request.seats):
+    for sites in plans_of_sites(robot, request.ball_xyz, block, request.table, request.places, request.seats):
         tables = _tables(sites)
         worst = _between_places(knowledge, tables)
         plans.append((worst, sites, tables))
@@ -127,7 +103,7 @@ def plan_sockets(robot: Robot, request: SocketsWanted, name: str) -> SocketPlan:
     facts["span"] = {"mm": MM.of(float(pdist([site.place for site in sites]).max(initial=0.0)))}
     if predicted.cartesian is not None:
         facts |= {name: {"mm": document[f"cartesian_{key}_mm"]} for name, key in (("rms", "rms"), ("largest", "worst"))}
-    return SocketPlan(files, {**document, "findings": entries([Finding("planned-seats", facts)])})
+    return files, {**document, "findings": entries([Finding("planned-seats", facts)])}
 
 
 def _within_tolerances(knowledge: Knowledge) -> Knowledge:
@@ -155,12 +131,13 @@ def _between_places(knowledge: Knowledge, tables: list[ObservationTable]) -> flo
     return float(np.max(np.where(np.isnan(errors), np.inf, errors)))
 
 
-def seats_noted(path: Path) -> SeatsNoted:
-    """Return how far a table of seats is filled in. Raises InputError for a file that is no such table."""
+def seats_noted(path: Path) -> dict[str, Any]:
+    """Return the rows of a table of seats, those with joints, and its last place. Raises InputError for another file."""
     header, rows = read_cells(read_text(path, MAX_BYTES, InputError), str(path))
     joints = [index for index, title in enumerate(header) if title.startswith("q")]
     noted = sum(all(row.cells[index] for index in joints) for row in rows)
-    return SeatsNoted(len(rows), noted, rows[-1].cells[header.index("place")] if rows and "place" in header else "")
+    last_place = rows[-1].cells[header.index("place")] if rows and "place" in header else ""
+    return {"rows": len(rows), "noted": noted, "last_place": last_place}
 
 
 def stl(block: SocketBlock) -> bytes:
