@@ -1,7 +1,9 @@
-"""One end of a TCP connection that sends what it is given and closes."""
+"""A robot that sends what it is given: one end of a TCP connection, and a link in memory."""
 
 import socket
 import threading
+
+from truearm.errors import LinkClosed
 
 
 class Peer:
@@ -19,3 +21,28 @@ class Peer:
         with peer:
             peer.sendall(self._data)
         self._listener.close()
+
+
+class Played:
+    """A link that delivers pieces, then nothing or its end."""
+
+    name = "played"
+
+    def __init__(self, pieces, ends=True):
+        self.pieces, self.ends = list(pieces), ends
+
+    def __call__(self, *_, **__):
+        return self
+
+    def read(self, timeout_s):
+        if self.pieces:
+            return [(0, self.pieces.pop(0))]
+        if self.ends:
+            raise LinkClosed("played: the end")
+        return []
+
+    def write(self, data):
+        return 0
+
+    def close(self):
+        pass

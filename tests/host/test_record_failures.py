@@ -11,7 +11,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box
+from record_real import PATIENCE_S, box_on_a_socket
 from test_record_command import posix
 from tests.refusals import shown
 
@@ -102,34 +102,16 @@ def test_interrupted_before_the_box_answered(out):
 
 
 class TestTheBoxGoes:
-    @staticmethod
-    @contextmanager
-    def mortal_box(seconds):
-        """Return a box that dies together with its port."""
-        listener = socket.create_server(("127.0.0.1", 0))
-        stop = threading.Event()
-        lab, box = real_time_box()
-
-        def die():
-            while not box.blocks:  # it lives for a time after its start, which a busy computer delays
-                time.sleep(0.01)
-            time.sleep(seconds)
-            stop.set()
-
-        def serve():
-            peer, _ = listener.accept()
-            listener.close()
-            threading.Thread(target=die, daemon=True).start()
-            with peer:
-                play(box, lab, peer.fileno(), stop)
-
-        thread = threading.Thread(target=serve, daemon=True)
-        thread.start()
-        yield f"socket://127.0.0.1:{listener.getsockname()[1]}"
-        thread.join(PATIENCE_S)
-
     def test_for_good(self, out, capsys):
-        with self.mortal_box(0.8) as device:
+        with box_on_a_socket() as (box, device):
+
+            def die():
+                while not box.blocks:  # it lives for a time after its start, which a busy computer delays
+                    time.sleep(0.01)
+                time.sleep(0.8)
+                box.link.on_write = lambda raw: (_ for _ in ()).throw(OSError)  # play() ends: the connection is closed
+
+            threading.Thread(target=die, daemon=True).start()
             assert main(["record", "--box", device, "--out", str(out), "--duration-s", "4"]) == 4
         said = capsys.readouterr()
         *lines, gone = said.err.splitlines()

@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mutations import bytes_changed, is_clear, parts_changed
 from ros_bags import joint_state, write_bag
+from tcp_peer import Played
 
-from truearm.errors import InputError, LinkClosed, LinkError
+from truearm.errors import InputError, LinkError
 from truearm.record.joint_lines import MAX_LINE, JointLines
 from truearm.record.robots import rtde
 from truearm.record.robots.sources import FileOptions, readings_of_file
@@ -37,31 +38,6 @@ class Clock:
     def now_ns(self):
         self.t_ns += 50_000_000
         return self.t_ns
-
-
-class Played:
-    """A link that delivers pieces, then nothing or its end."""
-
-    name = "played"
-
-    def __init__(self, pieces, ends=True):
-        self.pieces, self.ends = list(pieces), ends
-
-    def __call__(self, *_, **__):
-        return self
-
-    def read(self, timeout_s):
-        if self.pieces:
-            return [(0, self.pieces.pop(0))]
-        if self.ends:
-            raise LinkClosed("played: the end")
-        return []
-
-    def write(self, data):
-        return 0
-
-    def close(self):
-        pass
 
 
 def cut(rng, data):

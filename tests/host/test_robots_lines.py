@@ -12,7 +12,7 @@ import pytest
 from record_files import events, topics
 from record_real import box_on_a_socket
 from tests.host.findings_bench import listed
-from tests.host.tcp_peer import Peer
+from tests.host.tcp_peer import Peer, Played
 from tests.refusals import refused, shown
 
 from truearm.cli.main import main
@@ -395,25 +395,11 @@ def test_addresses_that_are_none(url):
         open_source(url, HostClock())
 
 
-class Played:
-    """A link in memory."""
-
-    name = "played"
-
-    def __init__(self, *pieces):
-        self.pieces = list(pieces)
-
-    def read(self, timeout_s):
-        if not self.pieces:
-            raise LinkClosed("played: the end")
-        return [(len(self.pieces), self.pieces.pop(0))]
-
-
 @pytest.mark.parametrize("size", [1, 3, 7, 1000])
 def test_how_the_stream_is_cut_does_not_matter(size):
     sent = b"t_s,q1_deg\n1,90\n" + b'{"names":{"q":"p"}}\n{"t":1,"p":[2]}\n' + b"y" * 9000 + b"\n2,180\n"
     pieces = [sent[i : i + size] for i in range(0, len(sent), size)]
-    link = LinesLink(Played(*pieces), HostClock(), LineDialect({}))
+    link = LinesLink(Played(pieces), HostClock(), LineDialect({}))
     got = b"".join(data for _ in range(len(pieces)) for _, data in link.read(0.0))
     assert [parse_line(line).q for line in got.splitlines() if parse_line(line)] == [[90 * DEG], [2.0], [math.pi]]
 
