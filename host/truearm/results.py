@@ -593,11 +593,6 @@ class Estimate(Displayed):
         return self.claim.chi2_reduced <= self.chi2_band[1]
 
     @property
-    def has_little_freedom(self) -> bool:
-        """Return whether there are fewer degrees of freedom than parameters: residuals then show no accuracy."""
-        return self.chi2_freedom < self.rank
-
-    @property
     def used(self) -> NDArray[np.bool_]:
         """Return a mask (n,) of the fitted rows that were not left out as outliers.
 

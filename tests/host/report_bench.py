@@ -3,19 +3,22 @@
 import html
 import math
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
 import numpy as np
 from scipy import stats
 
-from truearm.findings import Finding
+from truearm.estimate.result_document import result_of
+from truearm.estimate.result_file import Input, RobotFrames
+from truearm.findings import Finding, entries
 from truearm.kinds import NAMES
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
-from truearm.report.calibration_page import CalibrationPage
+from truearm.report import calibration_page
 from truearm.report.certificate import MOST, Certificate, Recording, facts_of, more, sensor_facts
+from truearm.report.residual_rows import rows_by_kind
 from truearm.report.scene_view import Points, Scene
 from truearm.results import Estimate, Figures, HeldOut, NullDirection, PredictedError
 from truearm.workflows.certificates import ALWAYS_EXCLUDED
@@ -43,6 +46,37 @@ def puma_names():
 
 def unit(name):
     return {"gain": "1", "x": "m", "y": "m", "z": "m"}.get(name.rpartition(".")[2], "rad")
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a page is made from; ``longitude`` (n,) [rad] is that of the rows of ``table``."""
+
+    estimate: Estimate
+    table: ObservationTable
+    longitude: np.ndarray
+    title: str = "puma560"
+    subtitle: str = "poses.csv"
+    facts: tuple = ()
+    command: str = ""
+    predicted: PredictedError | None = None
+    certificate: Certificate | None = None
+    findings: tuple = ()
+    scene: Scene | None = None
+
+    @property
+    def document(self):
+        """The content of result.json."""
+        robot = RobotFrames(self.title, "base", "tool", ("rad",) * 6)
+        inputs = (Input("observations", self.subtitle, ""),)
+        document = result_of(self.estimate, self.table, robot, self.predicted, inputs=inputs).document
+        return {**document, "findings": entries(self.findings)}
+
+
+def render(page):
+    """Return the page as HTML text."""
+    rows = rows_by_kind(page.estimate, page.table, page.longitude)
+    return calibration_page.render(page.document, rows, (), page.facts, page.command, page.certificate, page.scene)
 
 
 def make_page(n=1600, kind="ball_bar", seed=0, **changes):
@@ -98,9 +132,7 @@ def make_page(n=1600, kind="ball_bar", seed=0, **changes):
         names = {column: np.array(["front", "left", "right"])[index % 3]}
     names |= {"bar": "b46", "shell": "b46-c1", "source": [f"session.mcap dwell {i}" for i in range(n)]}
     table = ObservationTable(q=np.zeros((n, 6)), kind=kind, value=0.46, **names)
-    page = CalibrationPage(
-        title="Calibration of a PUMA 560",
-        subtitle="46 cm shells",
+    page = Page(
         estimate=estimate,
         table=table,
         longitude=rng.uniform(-np.pi, np.pi, n) if kind == "ball_bar" else np.full(n, np.nan),
@@ -183,10 +215,11 @@ def both(a, b):
 
 
 def cells_of(text, label):
-    """Return the header and the rows of the table with that label, as text."""
-    table = re.search(rf'aria-label="{label}"><table.*?</table>', text, re.S).group()
-    rows = re.findall(r"<tr.*?</tr>", table, re.S)
-    return [[html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row)] for row in rows]
+    """Return the header and the rows of each table with that label, as text."""
+    tables = re.findall(rf'aria-label="{label}"><table.*?</table>', text, re.S)
+    rows = (re.findall(r"<tr.*?</tr>", table, re.S) for table in tables)
+    cell = r"<t[hd][^>]*>(.*?)</t[hd]>"
+    return [[[html.unescape(text).strip() for text in re.findall(cell, row)] for row in table] for table in rows]
 
 
 RECORDINGS = tuple(
@@ -320,6 +353,13 @@ def full_page():
                     "apply": "bar.b46.zero",
                     "with_change": {"mm": 0.084},
                     "as_given": {"mm": 43.0},
+                },
+            ),
+            Finding(
+                "tool-error",
+                {
+                    **{"rms": {"mm": 0.064}, "largest": {"mm": 0.112}, "n": 20, "relative": True, "row": "y.csv row 7"},
+                    **dict.fromkeys(("parameters", "unnamed", "scatter", "faults", "names")),
                 },
             ),
             Finding("no-law", {"tried": 0, "none": True}),

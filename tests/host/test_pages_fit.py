@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, printed
-from report_bench import CERTIFICATE, full_page, make_page, view
+from report_bench import CERTIFICATE, full_page, make_page, render, view
 
 from truearm.box.gauge_places import Place, Places
 from truearm.box.gauge_result import calibrate, gauge_page
 from truearm.box.requests import GaugeOptions
 from truearm.findings import Finding, entries
-from truearm.report import calibration_page, correction_page
+from truearm.report import correction_page
 from truearm.report.map_picture import Cells, map_picture
 from truearm.report.validation_findings import validation_findings
 from truearm.session.box_ident import Channel, Ident
@@ -27,7 +27,7 @@ LONG = "truearm report 2026-11-26-monday.result.json sessions/2026-11-26-monday.
 def unusable():
     """The report of a fit that did not converge, made by a long command."""
     findings = (Finding("not-converged", {"message": LONG}),) * 2
-    return calibration_page.render(make_page(100, command=LONG, findings=findings))
+    return render(make_page(100, command=LONG, findings=findings))
 
 
 def gauge():
@@ -112,7 +112,7 @@ def pages(tmp_path_factory):
     """By name, the file of each kind of page."""
     folder = tmp_path_factory.mktemp("pages")
     made = {
-        "report.html": calibration_page.render(replace(full_page(), scene=view())),
+        "report.html": render(replace(full_page(), scene=view())),
         "unusable.html": unusable(),
         "gauge.html": gauge(),
         "validation.html": validation(),

@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from browser import PICTURES, needs_browser, probed
-from report_bench import Strict, drawings, full_page, titles
-
-from truearm.report.calibration_page import render
+from report_bench import Strict, drawings, full_page, render, titles
 
 # --- the page in a browser
 
@@ -58,7 +56,8 @@ def test_everything_at_once_is_one_sound_page():
 
 
 UNITLESS = {
-    *("observations", "rig", "fitted rows", "held-out rows", "row", "observation"),  # names and counts
+    *("row", "rows"),  # names and counts
+    *("before", "after"),  # the first column names the unit
     *("parameter", "nominal", "value", "change", "sigma", "unit"),  # a column names the unit
 }
 

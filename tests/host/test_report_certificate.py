@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from browser import needs_printer, printed
 from identify_bench import exact_lengths
-from report_bench import full_page
+from report_bench import full_page, render
 from result_schema import signed
 from session_stream import RIG, session, write_session
 
@@ -22,7 +22,6 @@ from truearm.cli.main import main
 from truearm.estimate.prediction import nominal_error
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
-from truearm.report.calibration_page import render
 from truearm.report.certificate import facts_of, sensor_facts
 from truearm.report.page_text import size
 from truearm.session.session_file import open_session

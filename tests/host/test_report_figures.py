@@ -7,11 +7,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from report_bench import HOSTILE, SIGMA, drawings, make_page
+from report_bench import HOSTILE, SIGMA, drawings, make_page, render
 from scipy import integrate, stats
 
 from truearm.report import svg
-from truearm.report.calibration_page import render
 from truearm.report.figures import MAX_POINTS, by_order
 from truearm.report.map_picture import Cells, map_picture
 from truearm.report.page_parts import tiles

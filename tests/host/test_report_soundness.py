@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from report_bench import HOSTILE, Strict, drawings, make_page
+from report_bench import HOSTILE, Strict, both, drawings, make_page, render
 
 from truearm.findings import Finding
-from truearm.report.calibration_page import render
+from truearm.report.figures import figures_of
+from truearm.report.residual_rows import rows_by_kind
 from truearm.results import NullDirection
 
 
@@ -21,7 +22,6 @@ def test_names_from_files_stay_text():
     estimate = replace(
         e,
         parameter_names=names,
-        status=HOSTILE,
         message=HOSTILE,
         solver=HOSTILE,
         null_space=(NullDirection((HOSTILE,), (1.0,)),),
@@ -37,7 +37,7 @@ def test_names_from_files_stay_text():
         subtitle=HOSTILE,
         estimate=estimate,
         table=replace(page.table, **columns),
-        facts=((HOSTILE, HOSTILE),),
+        facts=((HOSTILE, HOSTILE),) * 2,
         command=HOSTILE,
         findings=(Finding("not-converged", {"message": HOSTILE}),),
     )
@@ -86,7 +86,10 @@ def test_odd_residuals_make_a_page(residual):
 
 @pytest.mark.parametrize("fitted", [1, 0, 2])
 def test_few_fitting_rows_make_a_page(fitted):
-    page = make_page(2)
+    """Of a kind, no row may be fitted; of all, at least one is."""
+    page = both(make_page(2), make_page(2, "seat"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        Strict(render(replace(page, estimate=replace(page.estimate, fitted=np.arange(2) < fitted))))
+        Strict(render(replace(page, estimate=replace(page.estimate, fitted=np.arange(4) < max(fitted, 1)))))
+        rows, *_ = rows_by_kind(page.estimate, page.table, page.longitude)
+        assert figures_of(rows._replace(fitted=np.arange(2) < fitted))

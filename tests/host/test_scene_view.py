@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from browser import needs_browser, probed
 from puma_bench import CHAIN, DESIGN, RIG, ROBOT, TRUTH, random_table
-from report_bench import HOSTILE, Strict, make_page
+from report_bench import HOSTILE, Strict, make_page, render
 
 import truearm
 from truearm.model.chain import forward, point_forward
 from truearm.model.rotation import rotation
-from truearm.report.calibration_page import render
 from truearm.report.scene_view import view_section
 from truearm.types import Device, Point, rms
 from truearm.workflows.scene import AFTER, BEFORE, EXPECTED, calibration_scene

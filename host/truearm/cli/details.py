@@ -1,4 +1,4 @@
-"""The tables of ``--details``: of a result, a plan, a session and a correction, from the documents that ``--json`` prints.
+"""The tables of ``--details``: of a plan, a session and a correction, from the documents that ``--json`` prints.
 
 So what is printed and what is stored cannot differ.
 """
@@ -12,60 +12,13 @@ from typing import Any
 import numpy as np
 
 from truearm.findings import Reason, option
-from truearm.report.law_findings import law_steps
-from truearm.report.result_findings import has_little_freedom
-from truearm.report.result_words import direction_text, kind_name, parameter_table
-from truearm.report.tables import ErrorRow, Table, error_table
+from truearm.report.result_tables import direction_text
+from truearm.report.tables import Table
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED, MOUNTING, rms_of_columns
 from truearm.units import MM_S, ONE, UM, UNITS, URAD, Scale
 
 Document = Mapping[str, Any]
-
-MOST_DIRECTIONS = 6
-
-
-def result_tables(document: Document) -> Iterator[Table | str]:
-    """Return the parameters, the combinations that are unidentifiable, the errors and the joint laws."""
-    free = (row for row in document["parameters"] if row["free"] and not row.get("law"))
-    yield parameter_table(free)
-    for field, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
-        directions = document[field]
-        if directions:
-            are = "is" if len(directions) == 1 else "are"
-            yield f"{counted(len(directions), 'combination')} of parameters {are} {words}; weights in m, rad and 1:"
-        for direction in directions[:MOST_DIRECTIONS]:
-            yield f"  {direction_text(direction['weights'], direction['names'])}"
-        if len(directions) > MOST_DIRECTIONS:
-            yield f"  and {len(directions) - MOST_DIRECTIONS} more ({field} in the JSON result)"
-    for suffix in document["residual_units"]:
-        yield _error_table(document, suffix)
-        yield from law_steps(document, suffix)
-
-
-def _error_table(document: Document, suffix: str) -> Table:
-    """Return the errors in the unit of ``suffix``: of the fitted rows, of each kind, of the held-out rows."""
-    key_before, key_after = f"rms_before_{suffix}", f"rms_after_{suffix}"
-    entries = [entry for entry in document["observations"] if entry[key_after] is not None]
-    says_nothing = has_little_freedom(document)
-    fitted = [("fitted, RMS", {**document, "fitted": sum(entry["fitted"] for entry in entries)})] if entries else []
-    fitted += [(f"  {_kind_of(entry)}", entry) for entry in entries] if len(document["observations"]) > 1 else []
-    rows: list[ErrorRow] = [
-        (words, (entry[key_before], None if says_nothing else entry[key_after]), entry["fitted"])
-        for words, entry in fitted
-    ]
-    held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
-    if n := held_out.get(f"n_{suffix}"):
-        for figure, words in (("rms", "RMS"), ("mean", "mean"), ("max", "largest")):
-            errors = [errors.get(f"{figure}_{suffix}") for errors in (held_out_before, held_out)]
-            rows.append((f"held out, {words}", errors, n))
-    return error_table(suffix, ("before", "after"), rows)
-
-
-def _kind_of(entry: Mapping[str, Any]) -> str:
-    """Return a kind of observation, and its rig if there are several."""
-    return one_line(f"{entry['rig']}: {kind_name(entry['kind'])}" if entry["rig"] else kind_name(entry["kind"]))
-
 
 PLANNED_LINES = ("line", "from/mm ", "to/mm ", "rotation_rad ", "expected error/mm")
 HOLD_OUTS = ("can be held out", "poses", "rank of the fitted", "none left with ")

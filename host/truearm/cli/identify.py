@@ -111,7 +111,7 @@ def identify(
     table_out : FILE
         Write all observations as one table (.csv).
     """
-    from truearm.cli.details import result_tables
+    from truearm.report.result_tables import result_tables
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.selection import is_drawn
 

@@ -174,7 +174,7 @@ def before_after(rows: ResidualRows) -> Figure:
     return plot.figure("Before and after", f"95 % of the rows lie below {', '.join(p95)}.")
 
 
-def law_figures(curves: tuple[SampledCurve, ...]) -> list[Figure]:
+def law_figures(curves: Iterable[SampledCurve]) -> list[Figure]:
     """Return two pictures per curve: over the joint's readings and, if it is long enough, over cycles per turn."""
     pairs = ((_over_readings(curve), _over_cycles(curve)) for curve in curves)
     return [figure for pair in pairs for figure in pair if figure is not None]

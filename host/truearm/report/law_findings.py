@@ -7,9 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from truearm.findings import Finding
-from truearm.report.tables import Table
 from truearm.text import counted, one_line
-from truearm.units import SUFFIXES
 
 SMALL_SHARE = 0.5  # of the range of a sag: it is extrapolated by more than it was measured
 
@@ -75,8 +73,6 @@ def _kept(law: Mapping[str, Any]) -> Finding:
 Document = Mapping[str, Any]
 MOST_GAPS = 4  # named
 
-STEPS = {"geometry": "geometry", "sag": "with sag", "curves": "with curves", "laws": "with joint laws"}
-
 
 def intervals_text(intervals: Sequence[Sequence[float]]) -> str:
     """Return ascending intervals [deg] as their whole range and its widest gaps."""
@@ -90,18 +86,3 @@ def intervals_text(intervals: Sequence[Sequence[float]]) -> str:
     listed = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in named)
     smaller_gaps = f" and {counted(len(gaps) - len(named), 'smaller gap')}" * (len(gaps) > len(named))
     return f"{text} except {listed} deg{smaller_gaps}"
-
-
-def law_steps(document: Document, suffix: str) -> list[Table]:
-    """Return the fits with joint laws by their errors in a suffix's unit; empty if only geometry was fitted."""
-    laws = document["joint_laws"]
-    rows = []
-    for step in laws["steps"] if laws else ():
-        held = (step["held_out"] or {}).get(f"mean_{suffix}")
-        rows.append((STEPS[step["name"]], _number(step.get(f"rms_after_{suffix}")), _number(held)))
-    titles = f"joint laws [{SUFFIXES[suffix].symbol}]", "fitted, RMS", "held out, mean"
-    return [Table(titles, rows, "fits")] if len(rows) > 1 else []
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"

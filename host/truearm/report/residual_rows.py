@@ -19,7 +19,7 @@ from truearm.estimate.circumstances import sessions
 from truearm.estimate.measured_order import mountings
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
-from truearm.report.result_words import PARTS, kind_name
+from truearm.report.result_tables import COMPONENTS, kind_name
 from truearm.results import Estimate
 from truearm.types import Floats, Indices
 from truearm.units import DEG, shown, symbol, title
@@ -102,7 +102,7 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
             residual, residual_before = (
                 shown(residual[si][mask], si) for residual in (estimate.residual, estimate.residual_before)
             )
-            component = PARTS.get(si, si) if len(units) > 1 else ""
+            component = COMPONENTS.get(si, si) if len(units) > 1 else ""
             columns = (
                 wrapped[mask],
                 estimate.fitted[mask],

@@ -12,7 +12,7 @@ from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.findings import Finding, ordered
 from truearm.report.law_findings import law_findings, scatter_terms
-from truearm.report.result_words import kind_name
+from truearm.report.result_tables import has_little_freedom, kind_name
 from truearm.results import Gain, Unusable, chi2_text
 from truearm.text import counted, listed, one_line
 from truearm.types import DOUBTFUL, NEED_DECISION
@@ -185,12 +185,6 @@ def little_freedom(document: Document) -> list[Finding]:
     rig = any(parameter["of"] == "rig" and parameter["free"] for parameter in document["parameters"])
     values = {"freedom": round(document["chi2_freedom"]), "rank": document["rank"], "rig": rig}
     return [Finding("little-freedom", values)]
-
-
-def has_little_freedom(document: Document) -> bool:
-    """Return whether there are fewer degrees of freedom than fitted parameters: residuals then show no accuracy."""
-    freedom = document["chi2_freedom"]
-    return freedom is not None and bool(freedom < document["rank"])
 
 
 def _doubts(document: Document) -> Iterator[Finding]:

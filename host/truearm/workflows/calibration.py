@@ -26,7 +26,7 @@ from truearm.model.robot_file import NO_ROBOT, RobotChoice, is_urdf, load_robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
 from truearm.report.result_findings import result_findings
-from truearm.report.result_words import direction_text, parameter_table
+from truearm.report.result_tables import direction_text, parameter_table
 from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of
 from truearm.strict_json import number_or_null
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, Rigs, SagMasses

@@ -13,7 +13,7 @@ from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import Estimate, PredictedError
+from truearm.results import Estimate
 from truearm.types import Floats, Rigs, rigs_by_name
 
 if TYPE_CHECKING:
@@ -31,31 +31,17 @@ def write_page(
     """Write the page, completely or not at all; ``recordings`` are the sessions read. Raises InputError if it cannot be
     written.
     """
-    from truearm.report.calibration_page import CalibrationPage, render
+    from truearm.report.calibration_page import render
     from truearm.report.certificate import facts_of
-    from truearm.report.law_findings import law_steps
-    from truearm.report.residual_rows import row_name
+    from truearm.report.residual_rows import rows_by_kind
     from truearm.workflows.scene import calibration_scene
 
-    table, estimate, predicted = identification.table, identification.estimate, identification.predicted
-    document = identification.document
-    files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
-    page = CalibrationPage(
-        title=f"Calibration of {identification.chain.name}",
-        subtitle=", ".join(files),
-        estimate=estimate,
-        table=table,
-        longitude=longitudes(identification.chain, identification.rig, table, estimate),
-        command=command,
-        predicted=predicted if predicted and _leads(predicted, estimate) else None,
-        law_steps=tuple(step for suffix in document["residual_units"] for step in law_steps(document, suffix)),
-        curves=_curves(identification),
-        facts=(*facts_of(recordings), *_facts(table)),
-        certificate=certificate,
-        findings=identification.findings,
-        scene=None if identification.estimate.unusable else calibration_scene(identification),
-    )
-    write_atomic(path, render(page))
+    table, estimate = identification.table, identification.estimate
+    rows = rows_by_kind(estimate, table, longitudes(identification.chain, identification.rig, table, estimate))
+    facts = (*facts_of(recordings), *_facts(table))
+    scene = None if estimate.unusable else calibration_scene(identification)
+    page = render(identification.document, rows, _curves(identification), facts, command, certificate, scene)
+    write_atomic(path, page)
 
 
 def _curves(identification: Identification) -> tuple[SampledCurve, ...]:
@@ -67,13 +53,6 @@ def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
     """Return label and value of the facts about the rows of each kind."""
     rows_of_kinds = ((kind, table.select(table.kind == name)) for name, kind in kinds().items())
     return tuple(fact for kind, rows in rows_of_kinds if kind.facts and len(rows) for fact in kind.facts(rows))
-
-
-def _leads(predicted: PredictedError, estimate: Estimate) -> bool:
-    """Return whether the error of the tool to expect follows from the parameters."""
-    if estimate.without_bad_rows is not None:
-        return False
-    return not estimate.unexplained or predicted.exceeds(estimate.unexplained)
 
 
 def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
