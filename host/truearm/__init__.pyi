@@ -28,6 +28,7 @@ from truearm.errors import SessionError as SessionError
 from truearm.errors import TableError as TableError
 from truearm.errors import TargetError as TargetError
 from truearm.errors import TruearmError as TruearmError
+from truearm.estimate.result_file import ParameterEstimate as ParameterEstimate
 from truearm.findings import Finding as Finding
 from truearm.kinds.table import ObservationTable as ObservationTable
 from truearm.model.robot import Robot as Robot
@@ -44,7 +45,6 @@ from truearm.types import Rig as Rig
 from truearm.types import SocketDistance as SocketDistance
 from truearm.workflows.calibration import Calibration as Calibration
 from truearm.workflows.calibration import Identification as Identification
-from truearm.workflows.calibration import ParameterEstimate as ParameterEstimate
 from truearm.workflows.export import ExportedRobot as ExportedRobot
 from truearm.workflows.identify import IdentifyOptions as IdentifyOptions
 from truearm.workflows.plan import BallBarOptions as BallBarOptions

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truearm.estimate.result_file import Parameter, Result, checksum, parse_result
+from truearm.estimate.result_file import ParameterEstimate, Result, checksum, parse_result
 from truearm.kinds.columns import ORIGINS, identifiers
 
 RMS = ("rms_before", "rms_after")
@@ -32,7 +32,7 @@ def check_schema(result: dict[str, Any]) -> None:
     assert set(result) == FIELDS | each(*BY_UNIT)
     assert parse_result(json.dumps(result), "r.json").document == result
     for parameter in result["parameters"]:
-        assert set(parameter) - {"law"} == set(Parameter.__struct_fields__) - {"law"}
+        assert set(parameter) - {"law"} == set(ParameterEstimate.__struct_fields__) - {"law"}
         assert (parameter["sigma"] is None) == (not parameter["seen"])
     free = [p["name"] for p in result["parameters"] if p["free"]]
     assert result["free"] == result["covariance"]["names"] == free

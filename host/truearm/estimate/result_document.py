@@ -16,9 +16,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.kind_errors import errors_by_kind
 from truearm.estimate.mean_error import gain_of
-from truearm.estimate.result_file import Covariance, Parameter, Result, RobotFrames
+from truearm.estimate.result_file import Covariance, ParameterEstimate, Result, RobotFrames
 from truearm.estimate.scatter import is_of_arm
 from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.kinds.table import ObservationTable
@@ -181,14 +180,22 @@ def residual_units(estimate: Estimate) -> list[str]:
 
 
 def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
-    entries = []
+    """Return how many rows of each rig and kind were fitted and held out, with their errors; rows left out are in none."""
+    unfitted = ~(estimate.fitted | estimate.left_out) if estimate.left_out.size else ~estimate.fitted
     columns = [column for column in identifiers() if column not in ORIGINS]
-    for rows in errors_by_kind(estimate, table):
-        counts = {"fitted": int(rows.fitted.sum()), "held_out": int(rows.held_out.sum())}
-        names = {f"{column}s": len(set(table[column][rows.fitted].tolist()) - {""}) for column in columns}
-        errors = {"rms_before": rows.before, "rms_after": rows.after, "rms_held_out": rows.judged}
+    entries = []
+    for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
+        rows = (table.rig == rig) & (table.kind == kind)
+        fitted, held_out = rows & estimate.used, rows & unfitted
+        errors = {
+            "rms_before": Figures.by_unit(estimate.residual_before, fitted),
+            "rms_after": Figures.by_unit(estimate.residual, fitted),
+            "rms_held_out": Figures.by_unit(estimate.residual, held_out),
+        }
+        counts = {"fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
+        names = {f"{column}s": len(set(table[column][fitted].tolist()) - {""}) for column in columns}
         rms = {name: {si: figures.rms for si, figures in by_unit.items()} for name, by_unit in errors.items()}
-        entries.append({"rig": rows.rig, "kind": rows.kind, **counts, **names, **_entries(units, **rms)})
+        entries.append({"rig": rig, "kind": kind, **counts, **names, **_entries(units, **rms)})
     return entries
 
 
@@ -197,7 +204,7 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
     owner = np.where(np.arange(len(names)) < estimate.n_robot_parameters, "robot", "rig")
     sigma = np.where(determined, estimate.sigma, np.nan)
     columns = (names, estimate.units, estimate.nominal, estimate.value, sigma, estimate.free, determined, owner)
-    entries = [dict(zip(Parameter.__struct_fields__, row)) for row in zip(*columns, strict=True)]
+    entries = [dict(zip(ParameterEstimate.__struct_fields__, row)) for row in zip(*columns, strict=True)]
     for i in estimate.law_parameters:
         entries[i]["law"] = True
     return entries

@@ -152,8 +152,18 @@ class LawsEntry(Struct, frozen=True):
     noise: Figures = {}
 
 
-class Parameter(Struct, frozen=True, kw_only=True):
-    """A parameter in its SI unit, before and after; ``sigma`` is null unless it is free and identifiable."""
+class ParameterEstimate(Struct, frozen=True, kw_only=True):
+    """A parameter in its SI unit, before and after; ``sigma`` is None unless it is free and the observations determine it.
+
+    ``of`` is "robot" or "rig". ``value`` is None if it does not exist, ``seen`` is False if ``sigma`` is None.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> length = truearm.read_result("result.json").parameters["link2.x"]
+    >>> length.unit, length.free, length.of, length.sigma > 0.0
+    ('m', True, 'robot', True)
+    """
 
     name: Name
     unit: Name
@@ -236,7 +246,7 @@ class Result(Struct, frozen=True, kw_only=True):
     folds: tuple[Entry, ...] = ()
     predicted_error: Entry | None = None
     joint_laws: LawsEntry | None = None
-    parameters: Annotated[tuple[Parameter, ...], Meta(max_length=20_000)]
+    parameters: Annotated[tuple[ParameterEstimate, ...], Meta(max_length=20_000)]
     covariance: Covariance
     sessions: tuple[Entry, ...] = ()
     copies: tuple[Entry, ...] = ()

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from truearm.arguments import converted, floats
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.result_file import Result, read_result
+from truearm.estimate.result_file import ParameterEstimate, Result, read_result
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
@@ -28,39 +28,11 @@ from truearm.model.rotation import rotation_vector
 from truearm.report.result_findings import result_findings
 from truearm.report.result_tables import direction_text, parameter_table
 from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of
-from truearm.strict_json import number_or_null
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, Rigs, SagMasses
 from truearm.units import DEG, MM, UNITS
 
 NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: farther is outside
 ROUNDED = 1e-4  # rad, m: a reading at a joint's limit that was written with few digits
-
-
-class ParameterEstimate(NamedTuple):
-    """A parameter in its SI unit; ``sigma`` is None if it was held fixed or the observations do not determine it.
-
-    ``of`` is "robot" or "rig". ``seen`` is False if ``sigma`` is None.
-
-    Examples
-    --------
-    >>> import truearm
-    >>> length = truearm.read_result("result.json").parameters["link2.x"]
-    >>> length.unit, length.free, length.of, length.sigma > 0.0
-    ('m', True, 'robot', True)
-    """
-
-    name: str
-    unit: str
-    nominal: float
-    value: float
-    sigma: float | None
-    free: bool
-    of: str
-
-    @property
-    def seen(self) -> bool:
-        """Whether the observations determine it."""
-        return self.sigma is not None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,7 +72,8 @@ class Calibration(Displayed):
         return f"{' '.join(finding.text() for finding in first)} ({self.chain.name})"
 
     def _columns(self) -> Mapping[str, Any]:
-        return {name: self.stored.column(name) for name in ParameterEstimate._fields}
+        names = (name for name in ParameterEstimate.__struct_fields__ if name not in ("law", "seen"))
+        return {name: self.stored.column(name) for name in names}
 
     def forward(self, q: ArrayLike) -> Floats:
         """Return the poses (n, 4, 4) of the identified robot's end, with its joint laws, at joint readings q (n, j), or one.
@@ -123,9 +96,7 @@ class Calibration(Displayed):
     @property
     def parameters(self) -> Mapping[str, ParameterEstimate]:
         """All parameters by name, the robot's first, then the rig's."""
-        columns = (column.tolist() for column in self._columns().values())
-        rows = (ParameterEstimate(*row) for row in zip(*columns, strict=True))
-        return {row.name: row._replace(sigma=number_or_null(row.sigma)) for row in rows}
+        return {entry.name: entry for entry in self.stored.parameters}
 
     def carrying(self, mass: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Calibration:
         """Return the calibration of the robot with a payload: its mass [kg], and its centre [m] in the end frame.

@@ -264,7 +264,8 @@ def _missing_rig(inputs: Sequence[Input], rig: Rigs) -> str | None:
 
 def _identified_rig(calibration: Calibration) -> dict[str, float]:
     """Return the identified values of the rig, by name."""
-    return {name: p.value for name, p in calibration.parameters.items() if p.of == "rig" and math.isfinite(p.value)}
+    parameters = calibration.stored.parameters
+    return {entry.name: entry.value for entry in parameters if entry.of == "rig" and entry.value is not None}
 
 
 def _allowed(calibration: Calibration) -> tuple[Effect, ...]:
