@@ -18,6 +18,7 @@ from truearm.text import counted, listed, one_line
 from truearm.units import SUFFIXES, UNITS
 
 _OPTIONAL = re.compile(r"\[([^\[\]]*)\]")
+_NAME = re.compile(r"\{(\w+)")
 _ABSENT: tuple[Any, ...] = (None, "", (), [], {}, False)
 
 
@@ -67,6 +68,21 @@ class Finding:
     def entry(self) -> dict[str, Any]:
         """Return the finding as JSON."""
         return {"code": self.code, "severity": self.severity.value, "text": self.text(), "values": dict(self.values)}
+
+
+def stated(code: str, *sources: Mapping[str, Any], **values: Any) -> Finding:
+    """Return a finding with the ``values``, and with those of ``sources`` (the first has precedence) that its text names.
+
+    Numbers with a unit become a quantity: "rms_mm" and "rms_deg" are {"mm": …, "deg": …} under the name "rms".
+    """
+    names = {*_NAME.findall(" ".join(STATEMENTS[code][1:]))} - {*values}
+    for source in reversed(sources):
+        values |= {name: source[name] for name in names if name in source}
+        for key, value in source.items():
+            name, _, suffix = key.rpartition("_")
+            if name in names - {*source} and suffix in SUFFIXES and isinstance(value, float | int | None):
+                values[name] = values.get(name) if value is None else {**(values.get(name) or {}), suffix: value}
+    return Finding(code, values)
 
 
 @dataclass(frozen=True)

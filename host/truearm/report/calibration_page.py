@@ -10,32 +10,13 @@ from typing import Any
 
 from truearm.estimate.law_curves import SampledCurve
 from truearm.findings import findings_of
+from truearm.report import page_parts as page
+from truearm.report import result_tables
 from truearm.report.certificate import Certificate, Facts, certificate_section
 from truearm.report.figures import figures_of, law_figures
-from truearm.report.page_parts import (
-    fact_list,
-    folded,
-    html_page,
-    making,
-    paragraph,
-    pictures,
-    section,
-    sentences,
-    table,
-    tiles,
-)
 from truearm.report.page_text import ABSENT, figures
 from truearm.report.residual_rows import ResidualRows
 from truearm.report.result_findings import sizes
-from truearm.report.result_tables import (
-    combinations,
-    errors_of_fit,
-    has_little_freedom,
-    law_steps,
-    outlier_table,
-    parameter_table,
-    residual_words,
-)
 from truearm.report.scene_view import Scene
 from truearm.text import counted
 from truearm.units import SUFFIXES
@@ -61,23 +42,23 @@ def render(
     ``document`` is the content of result.json, ``rows`` are its observations by kind. ``facts`` are labels and values
     about the recording, ``command`` is the command that makes the page again, ``certificate`` is page one.
     """
-    steps = (step for suffix in document["residual_units"] for step in law_steps(document, suffix))
+    steps = (step for suffix in document["residual_units"] for step in result_tables.law_steps(document, suffix))
     blocks = (
-        section("Residuals", *_residuals(document, rows)),
-        section("Parameters", *_parameters(document["parameters"])),
-        section("Joint laws", *map(table, steps), pictures(law_figures(curves))),
-        section("Unidentifiable and weakly identifiable combinations", *_combinations(document)),
-        section("The recording", fact_list(facts)),
-        making(command, _facts(document)),
+        page.section("Residuals", *_residuals(document, rows)),
+        page.section("Parameters", *_parameters(document["parameters"])),
+        page.section("Joint laws", *map(page.table, steps), page.pictures(law_figures(curves))),
+        page.section("Unidentifiable and weakly identifiable combinations", *_combinations(document)),
+        page.section("The recording", page.fact_list(facts)),
+        page.making(command, _facts(document)),
     )
     files = dict.fromkeys(entry["name"] for entry in document["inputs"] if entry["role"] == "observations")
-    return html_page(
+    return page.html_page(
         "truearm",
         f"Calibration of {document['robot']['name']}",
         ", ".join(files),
         blocks,
         findings_of(document),
-        figures=tiles(_tiles(document)),
+        figures=page.tiles(_tiles(document)),
         certificate=certificate_section(certificate) if certificate else "",
         scene=scene,
     )
@@ -88,7 +69,7 @@ def _tiles(document: Document) -> Iterator[tuple[str, str, list[tuple[str, str]]
     before, raw = (sizes(document, name) for name in ("rms_before", "rms_raw"))
     placed = " with base and tool fitted" * (before != raw)
     yield "old", "RMS before", _figures(before), f"{counted(n_fitted, 'fitted observation')}, the nominal robot{placed}"
-    if not has_little_freedom(document):
+    if not result_tables.has_little_freedom(document):
         yield "fit", "RMS after", _figures(sizes(document, "rms_after")), "the same observations, identified parameters"
     if judged := document["held_out"]:
         means, largest = (_figures(sizes(judged, name)) for name in ("mean", "max"))
@@ -110,11 +91,11 @@ def _figures(errors: Mapping[str, float]) -> list[tuple[str, str]]:
 
 def _residuals(document: Document, rows: Sequence[ResidualRows]) -> Iterator[str]:
     kinds = dict.fromkeys(entry["kind"] for entry in document["observations"])
-    yield paragraph(" ".join(map(residual_words, kinds)))
-    yield from (table(errors_of_fit(document, suffix)) for suffix in document["residual_units"])
+    yield page.paragraph(" ".join(map(result_tables.residual_words, kinds)))
+    yield from (page.table(result_tables.errors_of_fit(document, suffix)) for suffix in document["residual_units"])
     if outliers := document["suspect"]:
-        yield table(outlier_table(outliers))
-    yield pictures(
+        yield page.table(result_tables.outlier_table(outliers))
+    yield page.pictures(
         figure._replace(title=f"{figure.title} · {rows_of_kind.title}") if len(rows) > 1 else figure
         for rows_of_kind in rows
         for figure in figures_of(rows_of_kind)
@@ -124,18 +105,21 @@ def _residuals(document: Document, rows: Sequence[ResidualRows]) -> Iterator[str
 def _parameters(entries: Sequence[Document]) -> Iterator[str]:
     robot = [entry for entry in entries if entry["of"] == "robot" and not entry.get("law")]
     rig = [entry for entry in entries if entry["of"] == "rig"]
-    yield paragraph(
+    yield page.paragraph(
         "A single parameter may differ from the drawing because of how the fixtures are mounted, or because it "
         "takes over the error of a parameter that is held fixed; judge the arm by its predictions."
     )
-    yield table(parameter_table(robot), "numbers")
+    yield page.table(result_tables.parameter_table(robot), "numbers")
     if rig:
-        yield folded(f"{counted(len(rig), 'parameter')} of the rig", table(parameter_table(rig), "numbers"))
+        yield page.folded(
+            f"{counted(len(rig), 'parameter')} of the rig",
+            page.table(result_tables.parameter_table(rig), "numbers"),
+        )
 
 
 def _combinations(document: Document) -> Iterator[str]:
-    for heading, remark, texts in combinations(document, MAX_DIRECTIONS, MAX_TERMS):
-        yield paragraph(heading) + sentences(texts, "directions") + paragraph(remark)
+    for heading, remark, texts in result_tables.combinations(document, MAX_DIRECTIONS, MAX_TERMS):
+        yield page.paragraph(heading) + page.sentences(texts, "directions") + page.paragraph(remark)
 
 
 def _facts(document: Document) -> Facts:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from truearm.findings import Finding
+from truearm.findings import Finding, stated
 from truearm.text import counted, one_line
 
 SMALL_SHARE = 0.5  # of the range of a sag: it is extrapolated by more than it was measured
@@ -57,17 +57,12 @@ def scatter_terms(sizes: Mapping[str, float]) -> list[str]:
 
 
 def _kept(law: Mapping[str, Any]) -> Finding:
-    values = {
-        "joint": law["joint"],
-        "term": law["term"],
-        "rms": {"mrad": float(f"{law['rms_mrad']:.2g}")},
-        "nats": law["nats"],
-    }
+    rms = {"mrad": float(f"{law['rms_mrad']:.2g}")}
     if law["term"] != "curve":
-        return Finding("law-kept", values)
+        return stated("law-kept", law, rms=rms)
     periods = [f"{period['cycles']:.0f} ({period['amplitude_mrad']:.2g} mrad)" for period in law["periods"]]
-    values |= {"covered": intervals_text(law["covered_deg"]), "periods": periods, "short": not periods}
-    return Finding("law-kept", {**values, "resolution": law["resolution_cycles"]})
+    values = {"covered": intervals_text(law["covered_deg"]), "periods": periods, "short": not periods}
+    return stated("law-kept", law, rms=rms, **values, resolution=law["resolution_cycles"])
 
 
 Document = Mapping[str, Any]

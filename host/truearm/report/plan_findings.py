@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from truearm import option_defaults
-from truearm.findings import Finding, ordered
+from truearm.findings import Finding, ordered, stated
 from truearm.report.result_findings import held_frames
 
 Document = Mapping[str, Any]
@@ -19,30 +19,27 @@ def forecast_findings(document: Document, n_checks: int = 0) -> list[Finding]:
 
 def _planned(document: Document) -> Finding:
     rms, largest = document["cartesian_rms_mm"], document["cartesian_worst_mm"]
-    values = {
-        **{name: document.get(name) for name in ("poses", "mounts", "via_points")},
-        "visits": document["visits"] if document.get("visits", 1) > 1 else None,
-        "checks": document.get("check_poses"),
-        "lines": len(document.get("lines", ())),
-        "minutes": round(document["minutes"]),
-        "rms": None if rms is None else {"mm": rms},
-        "largest": None if rms is None else {"mm": largest},
-        "relative": rms is not None and document["cartesian_relative"],
-    }
-    return Finding("planned", values)
+    return stated(
+        "planned",
+        document,
+        visits=document["visits"] if document.get("visits", 1) > 1 else None,
+        checks=document.get("check_poses"),
+        lines=len(document.get("lines", ())),
+        minutes=round(document["minutes"]),
+        rms=None if rms is None else {"mm": rms},
+        largest=None if rms is None else {"mm": largest},
+        relative=rms is not None and document["cartesian_relative"],
+    )
 
 
 def _limits(document: Document, n_checks: int) -> Iterator[Finding]:
     unseen, weak, defaults = document["null_space"], document["hardly_seen"], document["defaults"]
-    yield Finding(
-        "planned-rank",
-        {"rank": document["rank"], "rows": document["rows"], "unseen": len(unseen), "weak": len(weak)},
-    )
+    yield stated("planned-rank", document, unseen=len(unseen), weak=len(weak))
     if "poses" in document and document["poses"] < document["rank"] + len(unseen):
         yield Finding("few-poses", {"n": document["poses"]})
     yield from held_frames(defaults)
     if defaults["lost"] or defaults["believed"]:
-        yield Finding("planned-held", {name: defaults[name] for name in ("lost", "believed")})
+        yield stated("planned-held", defaults)
     checks = document.get("check_poses", 0)
     if n_checks not in (option_defaults.CHECK_POSES, checks):
         yield Finding("fewer-checks", {"asked": n_checks, "planned": checks, "visits": document["visits"] > 1})
@@ -50,5 +47,4 @@ def _limits(document: Document, n_checks: int) -> Iterator[Finding]:
 
 def approach_findings(document: Document) -> list[Finding]:
     """Return what ``plan characterize`` planned."""
-    values = {name: document[name] for name in ("poses", "via_points", "bar", "chuck", "sphere")}
-    return [Finding("planned-approaches", {**values, "minutes": round(document["minutes"])})]
+    return [stated("planned-approaches", document, minutes=round(document["minutes"]))]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 from typing import Any
 
-from truearm.findings import Finding, ordered
+from truearm.findings import Finding, ordered, stated
 from truearm.report.tables import Table
 from truearm.text import counted, one_line
 from truearm.units import MM, MRAD, MS, UM, S, Scale
@@ -29,7 +29,6 @@ def repeatability_findings(document: Document) -> list[Finding]:
         if band["visits"]
     ]
     verdict = {
-        **{name: document[name] for name in ("visits", "poses", "sides", "bar")},
         "along": interval(spread["along_m"], MM),
         "alone": interval(spread["unexplained_m"], MM),
         "backlash": interval(largest, MRAD),
@@ -51,7 +50,7 @@ def repeatability_findings(document: Document) -> list[Finding]:
         "over": floor and floor["tau_s"],
     }
     findings = [
-        Finding("repeatability", verdict),
+        stated("repeatability", document, **verdict),
         Finding("noise-to-use", to_use),
         *([] if spread["backlash_explains"] else [Finding("backlash-varies", misfit)]),
         Finding("settling-measured", {**begin, "bands": bands}),

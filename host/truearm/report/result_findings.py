@@ -6,11 +6,11 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from statistics import NormalDist
-from typing import Any, assert_never
+from typing import Any
 
 from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
-from truearm.findings import Finding, ordered
+from truearm.findings import Finding, ordered, stated
 from truearm.report.law_findings import law_findings, scatter_terms
 from truearm.report.result_tables import has_little_freedom, kind_name
 from truearm.results import Gain, Unusable, chi2_text
@@ -119,25 +119,17 @@ def _judged(errors: Document) -> dict[str, Any]:
 
 
 def _unusable(because: Unusable, document: Document) -> Finding:
-    error_after = sizes(document, "rms_after")
-    match because:
-        case Unusable.NOT_CONVERGED:
-            return Finding("not-converged", {"message": document["message"]})
-        case Unusable.NO_FREEDOM:
-            return Finding("no-freedom")
-        case Unusable.WRONG_INPUTS:
-            return Finding("wrong-inputs", {"after": error_after, "large": False})
-        case Unusable.RESIDUALS:
-            return Finding("wrong-inputs", {"after": error_after, "large": True})
-        case Unusable.SCALE:
-            scale = document["scale"]
-            ratio = max(scale["factor"], 1.0 / scale["factor"]) if scale["factor"] > 0.0 else 1.0
-            unit = [units for factor, units in UNIT_RATIOS.items() if abs(ratio / factor - 1.0) < SAME_RATIO]
-            return Finding("robot-scale", {**scale, "unit": unit})
-        case Unusable.WORSE:
-            return Finding("worse-than-nominal", _change(document["mean_change"]))
-        case never:
-            assert_never(never)
+    if because is Unusable.WORSE:
+        return Finding("worse-than-nominal", _change(document["mean_change"]))
+    if because is Unusable.SCALE:
+        scale = document["scale"]
+        ratio = max(scale["factor"], 1.0 / scale["factor"]) if scale["factor"] > 0.0 else 1.0
+        unit = [units for factor, units in UNIT_RATIOS.items() if abs(ratio / factor - 1.0) < SAME_RATIO]
+        return Finding("robot-scale", {**scale, "unit": unit})
+    if because in (Unusable.WRONG_INPUTS, Unusable.RESIDUALS):
+        large = because is Unusable.RESIDUALS
+        return Finding("wrong-inputs", {"after": sizes(document, "rms_after"), "large": large})
+    return stated("not-converged" if because is Unusable.NOT_CONVERGED else "no-freedom", document)
 
 
 # the inputs
@@ -333,17 +325,9 @@ def _fault(fault: Document) -> Finding:
         for size in fault["sizes"]
         if None not in (size["value"], size["sigma"])
     ]
-    values = {
-        "what": _cause(first),
-        "size": sizes,
-        "rows": _rows(first),
-        "others": [f"{_cause(rival)}{', ' if rival['first'] else ''}{_rows(rival)}" for rival in further_rivals],
-        "aliases": [cause(name) for name in fault["aliases"]],
-        "chi2_drop": fault["chi2_drop"],
-        "freedom": fault["freedom"],
-        "gain": _gain(first),
-    }
-    return Finding("fault", values)
+    rivals = [f"{_cause(rival)}{', ' if rival['first'] else ''}{_rows(rival)}" for rival in further_rivals]
+    values = {"what": _cause(first), "size": sizes, "rows": _rows(first), "others": rivals, "gain": _gain(first)}
+    return stated("fault", fault, **values, aliases=[cause(name) for name in fault["aliases"]])
 
 
 def _rows(rival: Document) -> str:
@@ -402,26 +386,18 @@ def _sessions(document: Document) -> Iterator[Finding]:
             "dwells": count["dwells"],
             "last": count["dwells"] + stops if stops else None,
             "stops": stops,
-            "rejected": _rejected(rejected),
+            "rejected": [f"{n} {reason}" for reason, n in rejected.items()],
             "relabelled": count["labels"],
         }
-        lines = {
-            "lines": count["lines"],
-            "lines_used": str(count["lines_used"]),
-            "lines_rejected": _rejected(count["lines_rejected"]),
-        }
-        values = {"session": count["session"], "both": has_dwells and has_lines, **lines}
-        values |= dwells if has_dwells else dict.fromkeys(dwells)
-        yield Finding("session", values)
+        values = dwells if has_dwells else dict.fromkeys(dwells)
+        lines_rejected = [f"{n} {reason}" for reason, n in count["lines_rejected"].items()]
+        lines = {"lines_used": str(count["lines_used"]), "lines_rejected": lines_rejected}
+        yield stated("session", count, **values, **lines, both=has_dwells and has_lines)
         n = sum(number for reason, number in rejected.items() if reason in NEED_DECISION)
         if has_dwells and n:
             none_fits = not count["used"] and set(rejected) == {DOUBTFUL}
             values = {"session": count["session"], "n": n, "dwells": count["dwells"], "path": [count["session"]]}
             yield Finding("doubtful-dwells", {**values, "none_fits": none_fits})
-
-
-def _rejected(reasons: Mapping[str, int]) -> list[str]:
-    return [f"{n} {reason}" for reason, n in reasons.items()]
 
 
 def tool_error(document: Document) -> list[Finding]:
@@ -437,9 +413,8 @@ def tool_error(document: Document) -> list[Finding]:
     if shown is None:
         if predicted is None:
             return [Finding("tool-error-unpredictable")]
-        errors = {"rms": {"mm": predicted["rms_mm"]}, "largest": {"mm": predicted["max_mm"]}}
-        place = {"n": predicted["n"], "relative": predicted["relative"], "row": predicted["at"]}
-        return [Finding("tool-error", {**errors, **place, **decomposition})]
+        largest = {"mm": predicted["max_mm"]}
+        return [stated("tool-error", predicted, largest=largest, row=predicted["at"], **decomposition)]
     bad, tool = document["without_bad_rows"], predicted["rms_mm"] if predicted else None
     has_faults, error = document["faults"] and not document.get("applied"), sizes(shown, "mean")
     noise = "The declared noise does not explain the residuals"
@@ -513,29 +488,24 @@ def identified(document: Document) -> Finding:
     rows: dict[str, int] = {}
     for entry in document["observations"]:
         rows[entry["kind"]] = rows.get(entry["kind"], 0) + entry["fitted"]
-    values = {
-        "robot": document["robot"]["name"],
-        "rank": document["rank"],
-        "n_free": document["n_free"],
-        "rows": ", ".join(counted(n, f"{kind_name(kind)} row") for kind, n in rows.items() if n),
-        "held_out": sum(entry["held_out"] for entry in document["observations"]),
-        "unseen": len(document["null_space"]),
-        "weak": len(document["hardly_seen"]),
-    }
-    return Finding("identified", values)
+    return stated(
+        "identified",
+        document,
+        robot=document["robot"]["name"],
+        rows=", ".join(counted(n, f"{kind_name(kind)} row") for kind, n in rows.items() if n),
+        held_out=sum(entry["held_out"] for entry in document["observations"]),
+        unseen=len(document["null_space"]),
+        weak=len(document["hardly_seen"]),
+    )
 
 
 def _prior(document: Document) -> str:
-    match Prior(document["prior"]):
-        case Prior.NONE:
-            return "without a prior"
-        case Prior.WHERE_NEEDED:
-            believed = listed(document["defaults"]["believed"])
-            return f"with a weak prior on {believed}, weakly identifiable here"
-        case Prior.WEAK | Prior.WIDE as name:
-            return f"with a {name} prior ({', '.join(tolerances(name))}) on the robot's parameters"
-        case never:
-            assert_never(never)
+    prior = Prior(document["prior"])
+    if prior is Prior.NONE:
+        return "without a prior"
+    if prior is Prior.WHERE_NEEDED:
+        return f"with a weak prior on {listed(document['defaults']['believed'])}, weakly identifiable here"
+    return f"with a {prior} prior ({', '.join(tolerances(prior))}) on the robot's parameters"
 
 
 def _loss(document: Document) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from truearm.findings import Finding, ordered
+from truearm.findings import Finding, ordered, stated
 from truearm.text import counted, faster, one_line
 from truearm.types import MOUNTING, NEED_DECISION
 from truearm.units import NS, UM, US
@@ -13,6 +13,7 @@ from truearm.units import NS, UM, US
 Document = Mapping[str, Any]
 
 LOSSES = {  # the counters of a finding
+    "lost-on-link": ("frames_lost", "samples_lost"),
     "lost-in-box": ("samples_overrun", "overruns", "dropped"),
     "box-faults": ("converter_faults", "crc_errors", "converter_resets", "thermometer_errors", "restarts"),
     "missing-stop-pulses": ("missing_stops",),
@@ -26,7 +27,6 @@ REJECTED = {  # the reasons of a finding
     "rejected-unlabelled": ("no plan match", "ambiguous"),
     "rejected-line": ("too long", "not along the line"),
 }
-UNUSED_EDGES = ("unseen", "unclear", "rejected", "stray")
 
 
 def session_findings(document: Document) -> list[Finding]:
@@ -76,19 +76,10 @@ def _verdict(document: Document) -> Finding:
 
 
 def _recording(document: Document) -> Finding:
-    robot, bounds = document["robot"], [report["bound_ns"] for report in document["clock"]]
-    return Finding(
-        "recording",
-        {
-            "file": document["file"],
-            "duration": {"s": document["duration_s"]},
-            "streams": [
-                f"{counted(stream['samples'], 'sample')} of {stream['name']}" for stream in document["streams"]
-            ],
-            "readings": robot["readings"],
-            "clock": _us(max(bounds, default=None)),
-        },
-    )
+    streams = [f"{counted(stream['samples'], 'sample')} of {stream['name']}" for stream in document["streams"]]
+    bounds = [report["bound_ns"] for report in document["clock"]]
+    clock = _us(max(bounds, default=None))
+    return stated("recording", document, document["robot"], streams=streams, clock=clock)
 
 
 def _file(document: Document) -> Iterator[Finding]:
@@ -109,36 +100,29 @@ def damage_finding(damage: Mapping[str, Any]) -> Finding:
 
 def _losses(losses: Document) -> Iterator[Finding]:
     """Return what did not arrive, by what to do about it, and all other counters."""
-    counters = {**losses["box"], **losses}
-    names = {"lost-on-link": ("frames_lost", "samples_lost"), **LOSSES}
-    values: dict[str, dict[str, Any]] = {code: {name: counters.get(name, 0) for name in names[code]} for code in names}
-    missing = losses["samples_missing"]
+    counters, missing, stated_names = (
+        {**losses["box"], **losses},
+        losses["samples_missing"],
+        {"samples_missing", *RECEIVED},
+    )
     periods = [f"{gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"] if missing]
-    values["lost-on-link"] |= {"periods": periods, "missing": missing}
-    findings = [Finding(code, counts) for code, counts in values.items() if any(counts.values())]
-    yield from findings
-    named = {name for counts in values.values() for name in counts} | {"samples_missing", *RECEIVED}
-    further_counts = [
-        f"{count} {name.replace('_', ' ')}"
-        for name, count in counters.items()
-        if name not in named and isinstance(count, int) and count
-    ]
-    received = {name: losses[name] for name in RECEIVED}
-    yield Finding("received", {**received, "complete": not findings, "counts": further_counts})
+    complete = True
+    for code, names in LOSSES.items():
+        counts: dict[str, Any] = {name: counters.get(name, 0) for name in names}
+        counts |= {"periods": periods, "missing": missing} if code == "lost-on-link" else {}
+        stated_names.update(names)
+        if any(counts.values()):
+            complete = False
+            yield Finding(code, counts)
+    further = {name: n for name, n in counters.items() if name not in stated_names and isinstance(n, int) and n}
+    texts = [f"{n} {name.replace('_', ' ')}" for name, n in further.items()]
+    yield stated("received", losses, complete=complete, counts=texts)
 
 
 def _clock(reports: Iterable[Document]) -> Iterator[Finding]:
     for report in reports:
-        yield Finding(
-            "box-clock",
-            {
-                "segment": report["segment"],
-                "offset": NS.to_si(report["offset_ns"]),
-                "rate": faster(report["rate_ppm"], 3),
-                **{name: _us(report[f"{name}_ns"]) for name in ("bound", "half_asymmetry", "rtt_min", "rtt_median")},
-                **{name: report[name] for name in ("exchanges", "rejected")},
-            },
-        )
+        offset, rate = NS.to_si(report["offset_ns"]), faster(report["rate_ppm"], 3)
+        yield stated("box-clock", _in_us(report), offset=offset, rate=rate)
         for change in report["changes"]:
             begin, end = (US.to_si(stamp) for stamp in change["device_us"])
             yield Finding("clock-stepped", {"change": _us(change["by_ns"]), "begin": begin, "end": end})
@@ -148,26 +132,19 @@ def _robot(document: Document) -> Iterator[Finding]:
     robot = document["robot"]
     if not robot["readings"]:
         return
-    names = ("readings", "joints", "rate_hz", "lost", "gaps", "late", "duplicated", "malformed", "restarts")
-    values = {name: robot[name] for name in names}
     is_bad = any(robot[name] for name in ("lost", "gaps", "malformed", "restarts"))
-    yield Finding("joint-readings-lost" if is_bad else "joint-readings", values)
+    yield stated("joint-readings-lost" if is_bad else "joint-readings", robot)
     for report in () if document["metadata"]["joints-added"] else robot["clock"]:
         if report["edges"] is not None:
-            yield from _edges(report["edges"])
-        yield Finding("robot-clock", {"rate": faster(report["rate_ppm"], 3), "jitter": _us(report["jitter_ns"])})
+            yield _edges(report["edges"])
+        yield stated("robot-clock", _in_us(report), rate=faster(report["rate_ppm"], 3))
 
 
-def _edges(edges: Document) -> Iterator[Finding]:
-    names = ("edges", "used", "input", "in_use", "inverted", *UNUSED_EDGES)
-    values: dict[str, Any] = {name: edges[name] for name in names}
+def _edges(edges: Document) -> Finding:
     if not edges["used"]:
-        yield Finding("trigger-unseen", values)
-        return
-    low, high = edges["falling_later_ns"]
-    values |= {name: _us(edges[f"{name}_ns"]) for name in ("to_box", "bound", "shortest_latency")}
-    values |= {"least": _us(low), "most": _us(high), "arrivals": not edges["in_use"]}
-    yield Finding("trigger", values)
+        return stated("trigger-unseen", edges)
+    least, most = map(_us, edges["falling_later_ns"])
+    return stated("trigger", _in_us(edges), least=least, most=most, arrivals=not edges["in_use"])
 
 
 def _rejected(document: Document) -> Iterator[Finding]:
@@ -225,6 +202,13 @@ def _notes(document: Document) -> Iterator[Finding]:
     if settling:
         values |= {"median": {"s": settling[len(settling) // 2]}, "longest": {"s": settling[-1]}}
     yield Finding("stops", {"median": None, **values})
+
+
+def _in_us(entry: Document) -> dict[str, Any]:
+    """Return an entry with its times in µs instead of ns."""
+    times = {name for name, time in entry.items() if name.endswith("_ns") and isinstance(time, float | int)}
+    converted = {f"{name[:-2]}us": US.of(NS.to_si(entry[name])) for name in times}
+    return converted | {name: value for name, value in entry.items() if name not in times}
 
 
 def _us(time_ns: float | None) -> dict[str, float] | None:

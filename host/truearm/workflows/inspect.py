@@ -37,32 +37,23 @@ GONE = (b'"link-lost"', b'"box-gone"')  # counted however short the silence was
 
 
 class Contents:
-    """Takes what only inspection wants of messages as they pass: their times, and the texts of box and robot.
-
-    ``silences``: when the box sent nothing at all, as its link was lost or it hung. They are pairs of host times [ns], of
-    the last message before and of the first one after, or of the session's last message.
-    """
+    """Takes what only inspection wants of messages as they pass: their times, and the texts of box and robot."""
 
     def __init__(self) -> None:
         self.first_ns, self.last_ns = 2**63 - 1, 0
         self.console: list[bytes] = []  # the first texts of the box
         self.robot_bytes = 0  # of what is no joint reading
         self.other_joints = 0  # readings with a different number of joints, which the recorder did not accept
-        self.silences: list[tuple[int, int]] = []
-        self._box_ns = np.empty(0, np.int64)  # of the box's last message
+        self._box_ns: list[Ints] = []  # of the box's messages
         self._gone_ns: list[int] = []  # the recorder reported that it lost the box
-        self._watched = False
 
     def watched(self, batches: Iterator[Messages]) -> Iterator[Messages]:
         """Yield the same messages; they are taken the first time."""
-        if self._watched:
-            yield from batches
-            return
-        self._watched = True
+        is_first = not self._box_ns
         for messages in batches:
-            self._take(messages)
+            if is_first:
+                self._take(messages)
             yield messages
-        self._box_heard(np.array([self.last_ns]))
 
     def _take(self, messages: Messages) -> None:
         self.first_ns = int(messages.t_host_ns.min(initial=self.first_ns))
@@ -75,15 +66,18 @@ class Contents:
         events = messages.rows("/events".__eq__).tolist()
         losses = [row for row in events if any(kind in messages.payload(row) for kind in GONE)]
         self._gone_ns += messages.t_host_ns[losses].tolist()
-        self._box_heard(messages.t_host_ns[messages.rows(lambda topic: topic.startswith("/box/"))])
+        self._box_ns.append(messages.t_host_ns[messages.rows(lambda topic: topic.startswith("/box/"))])
 
-    def _box_heard(self, t_ns: Ints) -> None:
-        """Take the times of the box's messages, at the end that of the session's last message."""
-        t_ns = np.append(self._box_ns, t_ns)
-        losses_before = np.searchsorted(self._gone_ns, t_ns)
-        silent = np.flatnonzero((np.diff(t_ns) > SILENT_NS) | ((np.diff(losses_before) > 0) & (np.diff(t_ns) > 0)))
-        self.silences += zip(t_ns[silent].tolist(), t_ns[silent + 1].tolist(), strict=True)
-        self._box_ns = t_ns[-1:]
+    @property
+    def silences(self) -> list[tuple[int, int]]:
+        """Return when the box sent nothing at all, as its link was lost or it hung: pairs of host times [ns].
+
+        They are of the last message before and of the first one after, or of the session's last message.
+        """
+        t_ns = np.concatenate([*self._box_ns, [self.last_ns]]).astype(np.int64)
+        steps_ns, losses = np.diff(t_ns), np.diff(np.searchsorted(self._gone_ns, t_ns))
+        silent = np.flatnonzero((steps_ns > SILENT_NS) | ((losses > 0) & (steps_ns > 0)))
+        return list(zip(t_ns[silent].tolist(), t_ns[silent + 1].tolist(), strict=True))
 
 
 @step("inspecting the session")
@@ -176,41 +170,35 @@ def _measured(session: Session, survey: Survey) -> dict[str, Any]:
     """Return dwells by the joint readings and passes along lines; with a rig also their outcome."""
     from truearm.session.observations import observations
 
-    dwells: dict[str, Any] = {
-        "found": len(survey.dwells),
-        "rejected": dict(sorted(Counter(dwell.reason for dwell in survey.dwells if dwell.reason).items())),
-        "mountings": 0,
-        **dict.fromkeys(("observations", "samples_used", "not_paired")),
-        "table": _dwell_rows(survey, survey.dwells),
-    }
-    planned = sum(row.move == Move.LINE for row in survey.marks.rows)
-    passes: dict[str, Any] = {"planned": planned, "found": None, "rejected": {}, "points": None, "table": []}
-    document = {"dwells": dwells, "passes": passes}
+    result, problem = None, "no rig is attached"
     try:
-        rig = attached_rig(session, session.path)
-        if rig is None:
-            dwells["not_paired"] = "no rig is attached"
-            return document
-        result = observations(survey, rig, labels=read_labels(session.path))
+        if (rig := attached_rig(session, session.path)) is not None:
+            result, problem = observations(survey, rig, labels=read_labels(session.path)), ""
     except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
-        dwells["not_paired"] = one_line(str(exc))
-        return document
-    usable = [dwell for dwell in result.dwells if not dwell.reason]
-    dwells |= {
-        "rejected": result.reasons,
-        "mountings": result.n_mountings,
-        "observations": len(usable),
-        "samples_used": result.samples_used,
-        "clock_bound_ns": max((dwell.clock_bound_ns for dwell in usable), default=None),
-        "table": _dwell_rows(survey, result.dwells),
+        problem = one_line(str(exc))
+    dwells = survey.dwells if result is None else result.dwells
+    usable = [dwell for dwell in dwells if not dwell.reason]
+    reasons = Counter(dwell.reason for dwell in dwells if dwell.reason)
+    bounds = (dwell.clock_bound_ns for dwell in usable)
+    return {
+        "dwells": {
+            "found": len(survey.dwells),
+            "rejected": dict(sorted(reasons.items())) if result is None else result.reasons,
+            "mountings": result.n_mountings if result else 0,
+            "observations": len(usable) if result else None,
+            "samples_used": result and result.samples_used,
+            "clock_bound_ns": max(bounds, default=None) if result else None,
+            "not_paired": problem or None,
+            "table": _dwell_rows(survey, dwells),
+        },
+        "passes": {
+            "planned": sum(row.move == Move.LINE for row in survey.marks.rows),
+            "found": len(result.passes) if result else None,
+            "rejected": result.pass_reasons if result else {},
+            "points": sum(len(line_pass.table) for line_pass in result.passes) if result else None,
+            "table": _pass_rows(result.passes) if result else [],
+        },
     }
-    passes |= {
-        "found": len(result.passes),
-        "rejected": result.pass_reasons,
-        "points": sum(len(line_pass.table) for line_pass in result.passes),
-        "table": _pass_rows(result.passes),
-    }
-    return document
 
 
 def _dwell_rows(survey: Survey, dwells: Sequence[Dwell]) -> list[dict[str, Any]]:
