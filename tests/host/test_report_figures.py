@@ -120,9 +120,8 @@ def test_the_largest_of_many_residuals_are_drawn():
     residual[17] = 5e-3
     page = replace(page, estimate=replace(page.estimate, residual={"m": residual}))
     longitude = drawings(render(page))[1]
-    marks = [path.get("d") for path in longitude.iterfind("path") if "dots" in path.get("class")]
-    points = [point for d in marks for point in re.findall(r"M[\d.]+ ([\d.]+)h0", d)]
-    assert len(points) <= 2 * MAX_POINTS
+    points = [circle.get("cy") for circle in longitude.iterfind("g/circle")]
+    assert MAX_POINTS < len(points) <= 2 * MAX_POINTS
     assert min(map(float, points)) < 60.0  # near the top, which is at 30 of 300; all others are about 142
 
 

@@ -21,8 +21,7 @@ from truearm.text import counted
 from truearm.types import Floats, Indices, Mask, rms
 from truearm.units import DEG, MRAD, title
 
-MAX_TIPS = 3000  # points with a tooltip each (about 120 B); with more points, none has one
-MAX_POINTS = 12000  # points drawn at all; with more, the largest tenth and an even selection of the others
+MAX_POINTS = 2000  # drawn of a set of rows, 120 B each; of more, the largest tenth and an even selection of the others
 MAX_MARKS = 100  # changes of mount or session that are marked
 STRETCHES = 24  # sections of the order of measurement, each with its mean
 FINEST_BIN = 1e-6  # in display units; noise-free residuals are rounding errors or exactly zero
@@ -96,8 +95,8 @@ def by_longitude(rows: ResidualRows) -> Figure | None:
     if not (finite & rows.fitted).any():
         return None
     x, y = rows.longitude, rows.residual
-    low, high = _deg_range(x[finite])
-    plot = svg.Plot(svg.linear_axis("longitude [deg]", low, high, 60.0), svg.linear_axis(rows.name, *_reach(y[finite])))
+    longitudes = svg.linear_axis("longitude [deg]", x[finite].min(), x[finite].max(), 60.0)
+    plot = svg.Plot(longitudes, svg.linear_axis(rows.name, *_reach(y[finite])))
     chosen, interval = np.flatnonzero(finite & rows.fitted), np.floor(x / LONGITUDE_BIN_DEG)
     _draw_residuals(plot, rows, x, finite, "{}°", [chosen[interval[chosen] == k] for k in np.unique(interval[chosen])])
     caption = (
@@ -114,9 +113,6 @@ def _draw_residuals(
     y = rows.residual
     for css, name, chosen in _sets(rows):
         drawn_rows = _drawn(y, shown & chosen)
-        if drawn_rows.size > MAX_TIPS:
-            plot.dots(x[drawn_rows], y[drawn_rows], css, name)
-            continue
         tips = (
             f"{s[:60]}: {figures(v)} {rows.unit} at {tip.format(number(a, 0))}"
             for s, v, a in zip(rows.source[drawn_rows], y[drawn_rows], x[drawn_rows], strict=True)
@@ -128,10 +124,6 @@ def _draw_residuals(
         error = float(y[group].std(ddof=1) / math.sqrt(group.size))
         plot.line([centre, centre], [mean - 2 * error, mean + 2 * error], "mean line")
     plot.line(centres, means, "mean line", "mean ± 2 s.e.")
-
-
-def _deg_range(longitude: Floats) -> tuple[float, float]:
-    return 60.0 * math.floor(longitude.min() / 60.0), 60.0 * math.ceil(longitude.max() / 60.0)
 
 
 def _reach(values: Floats) -> tuple[float, float]:

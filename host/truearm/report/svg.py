@@ -140,11 +140,6 @@ class Plot:
         )
         self.draw(f'<g class="{css}">{"".join(circles)}</g>', css, name)
 
-    def dots(self, x: ArrayLike, y: ArrayLike, css: str, name: str = "") -> None:
-        """Draw points without tooltips, as the round ends of zero-length strokes: a tenth of the size of circles."""
-        points = "".join(f"M{num(a)} {num(b)}h0" for a, b in zip(self.px(x), self.py(y), strict=True))
-        self.draw(f'<path class="{css} dots" d="{points}"/>', css, name)
-
     def bars(self, edges: ArrayLike, heights: ArrayLike, css: str, tips: Iterable[str], name: str = "") -> None:
         """Draw bars between neighbouring edges, from the bottom of the plot."""
         x, y, floor = self.px(edges), self.py(heights), self.height - self.bottom

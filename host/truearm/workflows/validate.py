@@ -211,15 +211,15 @@ def validated(
             errors[si] = RowErrors(nominal.error[si], error, due[si], rows, observed)
     fitted = {entry.sha256 for entry in stored.inputs}
     hashes = [entry for entry in inputs if entry.role == "observations"]
-    figures, expected_errors = _figures(errors, judging), {si: e.expected() for si, e in errors.items()}
-    regions = _regions(calibration, table, errors, judging)
-    expected_rms = {
-        si: expected_errors[si]["rms"] for si in expected_errors if not math.isnan(expected_errors[si]["rms"])
-    }
+    named_regions = _named_regions(calibration, table)
+    whole, *regions = (_region(name, rows & judging, errors) for name, rows in (("", judging), *named_regions))
+    regions = [region for region in regions if region.n >= LEAST_ROWS]
+    expected_errors = {si: e.expected() for si, e in errors.items()}
+    expected_rms = {si: sizes["rms"] for si, sizes in expected_errors.items() if not math.isnan(sizes["rms"])}
     expected_entries = {
-        key(name, si): shown(value, si) for si in expected_errors for name, value in expected_errors[si].items()
+        key(name, si): shown(value, si) for si, sizes in expected_errors.items() for name, value in sizes.items()
     }
-    n_judging = int(judging.sum())
+    n_judging = whole.n
     n_unseen = int(np.any([e.rows & ~e.observed for e in errors.values()], axis=0).sum())
     document: dict[str, Any] = {
         "simulated": all_rows.simulated or calibration.simulated,
@@ -232,7 +232,7 @@ def validated(
         "identified_from": [entry.name for entry in hashes if entry.sha256 in fitted],
         "residual_units": [UNITS[si].scale.suffix for si in errors],
         **{key("reference", si): _reference(calibration.document, si) for si in errors},
-        **_figure_entries(*figures),
+        **_figure_entries(whole),
         "placed": nominal is not raw,
         **{key("rms_drawing", si): drawn and shown(rms(drawn.error[si][e.rows]), si) for si, e in errors.items()},
         **{key("rms_raw", si): shown(rms(raw.error[si][e.rows]), si) for si, e in errors.items()},
@@ -245,15 +245,23 @@ def validated(
         "chi2_limit": test and test.limit / test.freedom,
         "chi2_freedom": test and test.freedom,
         "faults": fault_entries(faults, table),
-        "worst_region": _worst_region(errors, _named_regions(calibration, table)),
-        "regions": [_region_entry(region) for region in regions],
+        "worst_region": _worst_region(errors, named_regions),
+        "regions": [
+            {
+                "region": region.name,
+                "rows": region.n,
+                **_figure_entries(region),
+                **{key("rms_expected", si): shown(rms, si) for si, rms in region.expected.items()},
+            }
+            for region in regions
+        ],
     }
     document = without_nan(document)
     findings = validation_findings(document, calibration.payload_findings(payloads_of(rig, table.select(judging))))
     words = next(finding.text() for finding in findings if finding.code != "simulated")
     counts = n_judging, judging.size - n_judging, n_settled, n_unseen
     document |= {"verdict": words, "findings": entries(findings)}
-    return Validation(words, *counts, *figures, expected_rms, regions, document)
+    return Validation(words, *counts, whole.before, whole.after, expected_rms, tuple(regions), document)
 
 
 def _missing_rig(inputs: Sequence[Input], rig: Rigs) -> str | None:
@@ -342,40 +350,35 @@ class RowErrors(NamedTuple):
 
 def _worst_region(errors: Mapping[str, RowErrors], regions: Sequence[tuple[str, Mask]]) -> str | None:
     """Return the region where the errors exceed the expected ones most, if by more than elsewhere, beyond chance."""
-    worst: tuple[float, str] | None = None
+    excesses: list[tuple[float, str | None]] = [(0.0, None)]
     for e in errors.values():
         ratio = e.identified**2 / np.maximum(e.explained, 1e-300)
         for name, inside in regions:
             region, elsewhere = ratio[e.observed & inside], ratio[e.observed & ~inside]
-            if min(region.size, elsewhere.size) < LEAST_ROWS:
-                continue
-            excess = region.mean() - elsewhere.mean()
-            error = math.sqrt(region.var() / region.size + elsewhere.var() / elsewhere.size)
-            if excess > BETTER * error and (worst is None or excess > worst[0]):
-                worst = float(excess), name
-    return worst[1] if worst else None
+            if min(region.size, elsewhere.size) >= LEAST_ROWS:
+                excess = float(region.mean() - elsewhere.mean())
+                error = math.sqrt(region.var() / region.size + elsewhere.var() / elsewhere.size)
+                excesses += [(excess, name)] * (excess > BETTER * error)
+    return max(excesses, key=lambda excess: excess[0])[1]
 
 
-def _figures(errors: Mapping[str, RowErrors], rows: Mask) -> tuple[ByUnit, ByUnit]:
-    """Return figures of some rows in each unit, without and with the calibration."""
-    nominal = {si: Figures.of(e.nominal[rows & e.rows]) for si, e in errors.items()}
-    return nominal, {si: Figures.of(e.identified[rows & e.rows]) for si, e in errors.items()}
+def _region(name: str, rows: Mask, errors: Mapping[str, RowErrors]) -> ValidationRegion:
+    """Return the errors of some rows (n,), and what is expected of them."""
+    before = {si: Figures.of(e.nominal[rows & e.rows]) for si, e in errors.items()}
+    after = {si: Figures.of(e.identified[rows & e.rows]) for si, e in errors.items()}
+    due = {si: _root_mean(e.explained[rows & e.rows]) for si, e in errors.items()}
+    return ValidationRegion(name, int(rows.sum()), before, after, due)
 
 
-def _figure_entries(nominal: ByUnit, identified: ByUnit) -> dict[str, float]:
+def _figure_entries(region: ValidationRegion) -> dict[str, float]:
     """Return figures for display; NaN if no row has such an error."""
     entries = {
         key(f"{figure}_{state}", si): shown(getattr(errors[si], figure), si)
-        for state, errors in (("before", nominal), ("after", identified))
-        for si in identified
+        for state, errors in (("before", region.before), ("after", region.after))
+        for si in errors
         for figure in ("rms", "mean", "max")
     }
-    return entries | {key("n", si): figures.n for si, figures in identified.items()}
-
-
-def _region_entry(region: ValidationRegion) -> dict[str, Any]:
-    due = {key("rms_expected", si): shown(rms, si) for si, rms in region.expected.items()}
-    return {"region": region.name, "rows": region.n, **_figure_entries(region.before, region.after), **due}
+    return entries | {key("n", si): figures.n for si, figures in region.after.items()}
 
 
 def _root_mean(square: Floats) -> float:
@@ -389,20 +392,8 @@ def _reference(document: Mapping[str, Any], si: str) -> float | None:
     return value if held_out is None else held_out.get(key("rms", si))
 
 
-def _regions(
-    calibration: Calibration, table: ObservationTable, errors: Mapping[str, RowErrors], judging: Mask
-) -> tuple[ValidationRegion, ...]:
-    """Return the groups named by the rows, and four parts of the space by the position of the end."""
-    regions = []
-    for name, inside in _named_regions(calibration, table):
-        rows = inside & judging
-        if rows.sum() >= LEAST_ROWS:
-            due = {si: _root_mean(e.explained[rows & e.rows]) for si, e in errors.items()}
-            regions.append(ValidationRegion(name, int(rows.sum()), *_figures(errors, rows), due))
-    return tuple(regions)
-
-
 def _named_regions(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
+    """Return the groups named by the rows, and four parts of the space by the position of the end."""
     regions = []
     for column in regions_of_kinds():
         names = [str(name) for name in np.unique(table[column]) if name]
