@@ -1,6 +1,6 @@
 """What an identification finds: the Estimate and its parts. All are in SI units and frozen.
 
-The unit in an annotation is that of the number in result.json (``files.result_document``).
+The unit in an annotation is that of the number in result.json (``estimate.result_document``).
 
 Shapes: ``n`` rows, ``p`` parameters of the problem.
 """
@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated, Any, NamedTuple, assert_never
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,9 +143,6 @@ class Addition:
     text: str = ""  # what to do, as an instruction to a person
 
 
-STATUSES = ("converged", "max_iterations", "stalled")
-
-
 class Unusable(StrEnum):
     """Why a fit is not usable."""
 
@@ -183,17 +180,8 @@ class DriftWith(StrEnum):
     @property
     def ending(self) -> str:
         """Return the suffix of the names of these parameters."""
-        match self:
-            case DriftWith.TIME:
-                return ".drift"
-            case DriftWith.TEMPERATURE:
-                return ".thermal_drift"
-            case DriftWith.DIRECTION:
-                return ".backlash"
-            case DriftWith.MOVE:
-                return ".settling"
-            case never:
-                assert_never(never)
+        endings = {"time": ".drift", "temperature": ".thermal_drift", "direction": ".backlash", "move": ".settling"}
+        return endings[self]
 
     @property
     def has_offset(self) -> bool:
@@ -516,7 +504,7 @@ class Estimate(Displayed):
     ('converged', True)
     """
 
-    status: str  # one of STATUSES
+    status: str  # "converged" | "max_iterations" | "stalled"
     message: str
     solver: str
     iterations: int

@@ -66,9 +66,14 @@ def render(
 
 def _tiles(document: Document) -> Iterator[tuple[str, str, list[tuple[str, str]], str]]:
     n_fitted = sum(entry["fitted"] for entry in document["observations"])
-    before, raw = (sizes(document, name) for name in ("rms_before", "rms_raw"))
-    placed = " with base and tool fitted" * (before != raw)
-    yield "old", "RMS before", _figures(before), f"{counted(n_fitted, 'fitted observation')}, the nominal robot{placed}"
+    error_before, raw = (sizes(document, name) for name in ("rms_before", "rms_raw"))
+    placed = " with base and tool fitted" * (error_before != raw)
+    yield (
+        "old",
+        "RMS before",
+        _figures(error_before),
+        f"{counted(n_fitted, 'fitted observation')}, the nominal robot{placed}",
+    )
     if not result_tables.has_little_freedom(document):
         yield "fit", "RMS after", _figures(sizes(document, "rms_after")), "the same observations, identified parameters"
     if judged := document["held_out"]:

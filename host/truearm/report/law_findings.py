@@ -25,7 +25,7 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding("no-law", {"tried": len(dropped), "none": not dropped})
         return
     for law in kept_laws:
-        yield _kept(law)
+        yield _law_kept(law)
     if dropped:
         names = [f"{law['joint']} {law['term']} {round(law['nats'], 1) + 0.0:.1f}" for law in dropped]
         yield Finding("no-law", {"dropped": ", ".join(map(one_line, names))})
@@ -56,7 +56,7 @@ def scatter_terms(sizes: Mapping[str, float]) -> list[str]:
     return terms
 
 
-def _kept(law: Mapping[str, Any]) -> Finding:
+def _law_kept(law: Mapping[str, Any]) -> Finding:
     rms = {"mrad": float(f"{law['rms_mrad']:.2g}")}
     if law["term"] != "curve":
         return stated("law-kept", law, rms=rms)

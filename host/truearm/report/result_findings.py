@@ -408,8 +408,7 @@ def tool_error(document: Document) -> list[Finding]:
     """
     if document["status"] != "converged" or not document["usable"]:
         return []
-    predicted, shown = document["predicted_error"], document["unexplained"]
-    decomposition = _parts(document)
+    predicted, shown, decomposition = document["predicted_error"], document["unexplained"], _decomposition(document)
     if shown is None:
         if predicted is None:
             return [Finding("tool-error-unpredictable")]
@@ -424,17 +423,16 @@ def tool_error(document: Document) -> list[Finding]:
         "range": listed([f"{shown[f'low_{suffix}']:.4f} to {shown[f'high_{suffix}']:.4f}" for suffix in error]),
         **_judged(shown),
         "tool": None if tool is None else {"mm": tool},
-        "tool_n": predicted["n"] if predicted else None,
+        "tool_n": predicted and predicted["n"],
         **decomposition,
     }
     if bad is not None:
         return [Finding("tool-error-bad-rows", {**values, "moves": {"mm": bad["tool_moves_mm"]}})]
-    if tool is not None and tool > (shown.get("mean_mm") or 0.0):
-        return [Finding("tool-error-by-sigmas", values)]
-    return [Finding("tool-error-shown", values)]
+    by_sigmas = tool is not None and tool > (shown.get("mean_mm") or 0.0)
+    return [Finding("tool-error-by-sigmas" if by_sigmas else "tool-error-shown", values)]
 
 
-def _parts(document: Document) -> dict[str, Any]:
+def _decomposition(document: Document) -> dict[str, Any]:
     """Return the parts of the tool's error; None for what is not known or not there."""
     claim = document.get("claim")
     if claim is None or document["predicted_error"] is None:

@@ -78,7 +78,7 @@ def calibration_certificate(
         f"Certificate of {'a simulated ' * identification.table.simulated}calibration",
         _decision(issue.tolerance, tool, f" (k = {COVERAGE:g}) at the tool in the measured region", problem),
         (
-            ("What", _what(identification, issue, recordings, "result")),
+            ("What", _subject(identification, issue, recordings, "result")),
             ("Error of the tool in the measured region", errors),
             ("Observations and independent validation", tuple(rows)),
             ("Reference", _reference(identification.rig, identification.table, recordings)),
@@ -107,7 +107,7 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
             issue.tolerance, error, f", twice the RMS error of {rows}", calibration.stored.unusable_because, reused
         ),
         (
-            ("What", _what(calibration, issue, recordings, "validated result")),
+            ("What", _subject(calibration, issue, recordings, "validated result")),
             (
                 f"Errors of {counted(validation.n, 'independent ' * (not reused) + 'measurement')}",
                 (*errors, ("measured region", _region(calibration, table))),
@@ -120,7 +120,7 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
     )
 
 
-def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording], result: str) -> Facts:
+def _subject(calibration: Calibration, issue: Issue, recordings: Sequence[Recording], result: str) -> Facts:
     project, checksum = issue.project, str(calibration.document.get("checksum", ""))[:12]
     version = calibration.document.get("truearm_version", "of unknown version")
     payloads = calibration.stored.payloads

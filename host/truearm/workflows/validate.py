@@ -399,10 +399,10 @@ def _named_regions(calibration: Calibration, table: ObservationTable) -> list[tu
         names = [str(name) for name in np.unique(table[column]) if name]
         if len(names) > 1:
             regions += [(f"{column}={name}", table[column] == name) for name in names]
-    return regions + _parts(calibration, table)
+    return regions + _quarters(calibration, table)
 
 
-def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
+def _quarters(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
     """Return near and far, low and high: halves by the distance of the end from the base frame's z axis, and by its
     height.
     """
