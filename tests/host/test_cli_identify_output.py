@@ -11,7 +11,7 @@ from identify_bench import MUKCA, ROOT, SIGMA, identified
 from result_schema import BY_UNIT, FIELDS, check_schema
 from tests.host.findings_bench import stated
 
-from truearm.estimate.result_file import Parameter
+from truearm.estimate.result_file import ParameterEstimate
 from truearm.findings import option
 from truearm.kinds.table import ObservationTable
 from truearm.types import Rig
@@ -39,7 +39,7 @@ def test_every_field_is_documented() -> None:
         "places role sha256 base_frame end_frame joint_units fitted weights upper units source distance weight o1 o4 at"
     )
     figures = {f"{figure}_mm" for figure in (*BY_UNIT, "rms_held_out", "mean", "max", "n")}
-    for field in {*FIELDS, *Parameter.__struct_fields__, *nested.split(), *figures}:
+    for field in {*FIELDS, *ParameterEstimate.__struct_fields__, *nested.split(), *figures}:
         assert f"`{field}`" in text, field
 
 
