@@ -17,7 +17,7 @@ from PIL import Image
 
 import truearm
 from truearm.model.chain import joint_frames
-from truearm.report.page_parts import html_page
+from truearm.report.page import html_page
 from truearm.workflows import scene as scene_of
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,8 +13,7 @@ from scipy import integrate, stats
 from truearm.report import svg
 from truearm.report.figures import MAX_POINTS, by_order
 from truearm.report.map_picture import Cells, map_picture
-from truearm.report.page_parts import tiles
-from truearm.report.page_text import escape, figures, number, size
+from truearm.report.page import escape, figures, number, size, tiles
 from truearm.report.residual_rows import Law, law_of, rows_by_kind
 
 # --- numbers and words

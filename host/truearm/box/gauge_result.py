@@ -23,9 +23,7 @@ from truearm.box.requests import GaugeOptions
 from truearm.errors import Argument, ConfigError, InputError
 from truearm.report import svg
 from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.page_parts import html_page, paragraph, pictures, section, table
-from truearm.report.page_text import figures, number
-from truearm.report.svg import Figure
+from truearm.report.page import Figure, figures, html_page, number, paragraph, pictures, section, table
 from truearm.report.tables import Table
 from truearm.schema import raising
 from truearm.session.box_ident import Channel, Ident

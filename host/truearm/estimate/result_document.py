@@ -16,31 +16,21 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm import results
 from truearm.estimate.mean_error import gain_of
 from truearm.estimate.result_file import Covariance, ParameterEstimate, Result, RobotFrames
 from truearm.estimate.scatter import is_of_arm
 from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.kinds.table import ObservationTable
-from truearm.results import (
-    Diagnosis,
-    Estimate,
-    Figures,
-    JointLaws,
-    PredictedError,
-    ResidualParts,
-    Rival,
-    Scatter,
-    ToolClaim,
-)
 from truearm.units import MM, MRAD, UNITS, key, named, shown
 from truearm.version import VERSION
 
 
 def result_of(
-    estimate: Estimate,
+    estimate: results.Estimate,
     table: ObservationTable,
     robot: RobotFrames,
-    predicted: PredictedError | None = None,
+    predicted: results.PredictedError | None = None,
     **fields: Any,
 ) -> Result:
     """Return the content of result.json for an estimate from ``table``: its attributes that are fields, and what follows.
@@ -49,7 +39,7 @@ def result_of(
     """
     names, free, units = np.array(estimate.parameter_names), estimate.free, residual_units(estimate)
     q = table.q[estimate.fitted]
-    shares = {si: estimate.parts.get(si, ResidualParts(math.nan, math.nan)) for si in units}
+    shares = {si: estimate.parts.get(si, results.ResidualParts(math.nan, math.nan)) for si in units}
     is_held_out = any(error.held_out for error in estimate.unexplained.values())
     change = _unfitted(estimate.mean_change, estimate.held_out is not None, "mean_", "before", "after")
     attributes = [name for name in Result.__struct_fields__ if hasattr(estimate, name)]
@@ -106,8 +96,10 @@ def _entry(record: Any, units: Sequence[str] = ()) -> Any:
             entry[named(name, scale.suffix)] = scale.of(np.array(value))
         elif hint == Mapping[str, float]:
             entry |= _entries(units, **{name: value})
-        elif hint == Mapping[str, Figures]:
-            entry |= _by_unit({si: value.get(si, Figures.of(np.zeros(0))) for si in units}, "", "rms", "mean", "max")
+        elif hint == Mapping[str, results.Figures]:
+            entry |= _by_unit(
+                {si: value.get(si, results.Figures.of(np.zeros(0))) for si in units}, "", "rms", "mean", "max"
+            )
         else:
             entry[name] = _entry(value, units)
     return entry
@@ -131,7 +123,7 @@ def _json(value: Any) -> bytes:
     return msgspec.json.encode(value, enc_hook=lambda array: array.tolist())
 
 
-def fault_entries(faults: Sequence[Diagnosis], table: ObservationTable) -> list[dict[str, Any]]:
+def fault_entries(faults: Sequence[results.Diagnosis], table: ObservationTable) -> list[dict[str, Any]]:
     """Return the field ``faults`` for faults in the table's rows, with rows counted from 1, the last one included."""
     entries = [
         {
@@ -144,7 +136,7 @@ def fault_entries(faults: Sequence[Diagnosis], table: ObservationTable) -> list[
     return list(msgspec.json.decode(_json(entries)))
 
 
-def _rival(rival: Rival, table: ObservationTable) -> dict[str, Any]:
+def _rival(rival: results.Rival, table: ObservationTable) -> dict[str, Any]:
     first, last = rival.rows or (0, 0)
     rows = {
         "first": first + 1,
@@ -157,7 +149,7 @@ def _rival(rival: Rival, table: ObservationTable) -> dict[str, Any]:
     return dict(entry)
 
 
-def _claim(claim: ToolClaim | None, predicted: bool) -> Any:
+def _claim(claim: results.ToolClaim | None, predicted: bool) -> Any:
     """Return the parts of the tool's error, if it is ``predicted`` at all, and what was assumed."""
     return claim and {name: value for name, value in _entry(claim).items() if predicted or not name.endswith(MM.suffix)}
 
@@ -173,13 +165,13 @@ def source_name(table: ObservationTable, row: int) -> str:
     return PurePath(str(table.source[row])).name
 
 
-def residual_units(estimate: Estimate) -> list[str]:
+def residual_units(estimate: results.Estimate) -> list[str]:
     """Return the SI units of the residuals, fitted or held out."""
     held_out = estimate.held_out.figures if estimate.held_out else {}
     return [si for si in UNITS if si in estimate.rms_before or si in held_out]
 
 
-def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
+def _counts(estimate: results.Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
     """Return how many rows of each rig and kind were fitted and held out, with their errors; rows left out are in none."""
     unfitted = ~(estimate.fitted | estimate.left_out) if estimate.left_out.size else ~estimate.fitted
     columns = [column for column in identifiers() if column not in ORIGINS]
@@ -188,9 +180,9 @@ def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -
         rows = (table.rig == rig) & (table.kind == kind)
         fitted, held_out = rows & estimate.used, rows & unfitted
         errors = {
-            "rms_before": Figures.by_unit(estimate.residual_before, fitted),
-            "rms_after": Figures.by_unit(estimate.residual, fitted),
-            "rms_held_out": Figures.by_unit(estimate.residual, held_out),
+            "rms_before": results.Figures.by_unit(estimate.residual_before, fitted),
+            "rms_after": results.Figures.by_unit(estimate.residual, fitted),
+            "rms_held_out": results.Figures.by_unit(estimate.residual, held_out),
         }
         counts = {"fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
         names = {f"{column}s": len(set(table[column][fitted].tolist()) - {""}) for column in columns}
@@ -199,7 +191,7 @@ def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -
     return entries
 
 
-def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
+def _parameters(estimate: results.Estimate) -> list[dict[str, Any]]:
     determined, names = estimate.free & estimate.identifiable, estimate.parameter_names
     owner = np.where(np.arange(len(names)) < estimate.n_robot_parameters, "robot", "rig")
     sigma = np.where(determined, estimate.sigma, np.nan)
@@ -216,7 +208,7 @@ def _unfitted(records: Mapping[str, Any], held_out: bool, prefix: str, *names: s
     return {"by": by, **_by_unit(records, prefix, *names)} if records else None
 
 
-def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:
+def _suspects(estimate: results.Estimate, table: ObservationTable) -> list[dict[str, Any]]:
     """Return the rows beyond the gate, the farthest first."""
     rows = sorted(np.flatnonzero(estimate.suspect).tolist(), key=lambda row: -estimate.distance[row])
     return [
@@ -225,19 +217,21 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
     ]
 
 
-def _predicted(predicted: PredictedError) -> dict[str, Any]:
+def _predicted(predicted: results.PredictedError) -> dict[str, Any]:
     sizes = {"rms_mm": predicted.rms, "max_mm": predicted.largest, "scatter_mm": predicted.scatter}
     place = {"at": PurePath(predicted.source).name, "n": predicted.n, "relative": predicted.relative}
     return {**{name: MM.of(size) for name, size in sizes.items()}, **place}
 
 
-def _joint_laws(laws: JointLaws | None, scatter: Scatter | None, units: Sequence[str]) -> dict[str, Any] | None:
+def _joint_laws(
+    laws: results.JointLaws | None, scatter: results.Scatter | None, units: Sequence[str]
+) -> dict[str, Any] | None:
     if laws is None:
         return None
     return {**_entry(laws, units), "laws": laws.kept, "noise": _noise(scatter) if laws.kept and scatter else {}}
 
 
-def _noise(scatter: Scatter) -> dict[str, float]:
+def _noise(scatter: results.Scatter) -> dict[str, float]:
     sizes = {"shared_mm": float(MM.of(scatter.shared)), "turned_mrad": float(MRAD.of(scatter.turned))}
     for joint, sigma in scatter.joint.items():
         scale = MM if joint in scatter.linear else MRAD
@@ -245,6 +239,6 @@ def _noise(scatter: Scatter) -> dict[str, float]:
     return {"factor": scatter.factor, **sizes, "nats": scatter.nats}
 
 
-def _pose_error(scatter: Scatter | None) -> dict[str, float] | None:
+def _pose_error(scatter: results.Scatter | None) -> dict[str, float] | None:
     """Return the arm's scatter where rows that share poses show it."""
     return {**_noise(scatter), "n": scatter.n} if scatter and scatter.n and is_of_arm(scatter) else None

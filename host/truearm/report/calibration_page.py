@@ -10,11 +10,10 @@ from typing import Any
 
 from truearm.estimate.law_curves import SampledCurve
 from truearm.findings import findings_of
-from truearm.report import page_parts as page
-from truearm.report import result_tables
+from truearm.report import page, result_tables
 from truearm.report.certificate import Certificate, Facts, certificate_section
 from truearm.report.figures import figures_of, law_figures
-from truearm.report.page_text import ABSENT, figures
+from truearm.report.page import ABSENT, figures
 from truearm.report.residual_rows import ResidualRows
 from truearm.report.result_findings import sizes
 from truearm.report.scene_view import Scene

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from truearm.report.page_parts import fact_list, sentences
-from truearm.report.page_text import escape
+from truearm.report.page import escape, fact_list, sentences
 from truearm.text import counted
 from truearm.units import DEGC
 

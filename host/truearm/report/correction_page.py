@@ -12,11 +12,8 @@ from typing import Any
 import numpy as np
 
 from truearm.findings import Reason, findings_of, option
-from truearm.report import svg
-from truearm.report.page_parts import html_page, making, paragraph, pictures, section, table, tiles
-from truearm.report.page_text import ABSENT, figures, number
+from truearm.report import page, svg
 from truearm.report.scene_view import Scene
-from truearm.report.svg import Figure
 from truearm.report.tables import Table
 from truearm.text import counted, one_line
 from truearm.types import Floats, rms, thinned
@@ -41,15 +38,17 @@ def render(document: Document, scene: Scene | None = None) -> str:
     ]
     moves, words = _moves(document), _TARGETS.format(document["error_point"])
     blocks = (
-        section("Not corrected", table(Table(_REFUSED, refused, "statements not corrected"))) if refused else "",
-        section("Shifts", pictures(_pictures(document))),
-        section("Targets", table(_targets(document)), paragraph(words)),
-        section("Straight moves", table(_cut(_MOVES, moves, "straight moves", len(moves)))) if moves else "",
-        making("", _facts(document)),
+        page.section("Not corrected", page.table(Table(_REFUSED, refused, "statements not corrected")))
+        if refused
+        else "",
+        page.section("Shifts", page.pictures(_pictures(document))),
+        page.section("Targets", page.table(_targets(document)), page.paragraph(words)),
+        page.section("Straight moves", page.table(_cut(_MOVES, moves, "straight moves", len(moves)))) if moves else "",
+        page.making("", _facts(document)),
     )
     title, subtitle = f"{one_line(document['file'])} corrected", f"written to {one_line(document['out'])}"
-    shown = tiles(_tiles(document))
-    return html_page("truearm correct", title, subtitle, blocks, findings_of(document), figures=shown, scene=scene)
+    shown = page.tiles(_tiles(document))
+    return page.html_page("truearm correct", title, subtitle, blocks, findings_of(document), figures=shown, scene=scene)
 
 
 def _facts(document: Document) -> tuple[tuple[str, str], ...]:
@@ -107,7 +106,7 @@ def _tiles(document: Document) -> Iterator[tuple[str, str, list[tuple[str, str]]
         ("val", "error without correction, RMS", rms(error_before), f"of {point}, by the model"),
         ("fit", "expected error, largest (k = 2)", largest, f"of {point}, {_EXPECTED}"),
     ):
-        yield css, name, [(figures(value), "mm")], note
+        yield css, name, [(page.figures(value), "mm")], note
 
 
 def _targets(document: Document) -> Table:
@@ -116,9 +115,9 @@ def _targets(document: Document) -> Table:
     columns = [_column(document, key) for key in keys]
     rows = []
     for i, row in enumerate(document["targets"][:MOST_ROWS]):
-        position = [number(row["before"][f"{axis}_mm"], 2) for axis in "xyz"]
-        errors = [number(column[i], 3) for column in columns]
-        rows.append((row["place"], *position, *errors, _limit(row), figures(row["singular_value"], 2)))
+        position = [page.number(row["before"][f"{axis}_mm"], 2) for axis in "xyz"]
+        errors = [page.number(column[i], 3) for column in columns]
+        rows.append((row["place"], *position, *errors, _limit(row), page.figures(row["singular_value"], 2)))
     return _cut(titles, rows, "targets", len(document["targets"]))
 
 
@@ -134,7 +133,7 @@ def _cut(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, total
     return Table(titles, rows[:MOST_ROWS], label, hidden)
 
 
-def _pictures(document: Document) -> list[Figure]:
+def _pictures(document: Document) -> list[page.Figure]:
     chosen = thinned(len(document["targets"]), MOST_ARROWS)
     requested, commanded = (_places(document, pose_key)[chosen] for pose_key in ("before", "after"))
     names = [document["targets"][i]["place"] for i in chosen]
@@ -145,7 +144,7 @@ def _pictures(document: Document) -> list[Figure]:
     return [*arrows, _errors(document, chosen, names)]
 
 
-def _arrows(title: str, axes: Sequence[int], start: Floats, by: Floats, names: Sequence[str]) -> Figure:
+def _arrows(title: str, axes: Sequence[int], start: Floats, by: Floats, names: Sequence[str]) -> page.Figure:
     """Return positions in two axes of the file's frame [mm] with their shifts, enlarged by a round factor."""
     span = max(float(np.ptp(start, axis=0).max()), 100.0)
     median = float(np.median(np.linalg.norm(by, axis=1)))
@@ -164,7 +163,7 @@ def _arrows(title: str, axes: Sequence[int], start: Floats, by: Floats, names: S
     return plot.figure(title, caption)
 
 
-def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Sequence[str]) -> Figure:
+def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Sequence[str]) -> page.Figure:
     """Return the errors without correction and the expected errors with it, in the order of the file."""
     order = np.asarray(chosen, dtype=float) + 1.0
     error_before, due = (_column(document, key)[chosen] for key in ("error_before_mm", "expected_mm"))
@@ -175,8 +174,8 @@ def _errors(document: Document, chosen: Sequence[int] | np.ndarray, names: Seque
     )
     for css, name, values in (("val", "without correction", error_before), ("fit", "expected with it, k = 2", due)):
         rows = np.flatnonzero(np.isfinite(values)).tolist()
-        plot.scatter(order[rows], values[rows], css, [f"{names[i]}: {figures(values[i])} mm" for i in rows], name)
+        plot.scatter(order[rows], values[rows], css, [f"{names[i]}: {page.figures(values[i])} mm" for i in rows], name)
     caption = f"Error of {document['error_point']} without the correction, and the bound expected with it (about 95 %)."
     if not np.isfinite(due).all():
-        caption += f" Where it is not known ({ABSENT} in the table) there is no point."
+        caption += f" Where it is not known ({page.ABSENT} in the table) there is no point."
     return plot.figure("Errors", caption)

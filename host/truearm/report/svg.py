@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from truearm.report.page_text import MINUS, SUPERSCRIPT, escape
+from truearm.report.page import MINUS, SUPERSCRIPT, Figure, escape
 from truearm.types import Floats
 
 SMALLEST = 1e-15  # smallest value on a log axis; noise-free residuals are rounding errors or exactly zero
@@ -80,15 +79,6 @@ def _power_label(mantissa: float, exponent: int) -> str:
     if -3 <= exponent <= 4:
         return f"{mantissa * 10.0**exponent:g}"
     return ("" if mantissa == 1.0 else f"{mantissa:g}·") + "10" + str(exponent).translate(SUPERSCRIPT)
-
-
-class Figure(NamedTuple):
-    """A picture with its title and caption, both plain text."""
-
-    title: str
-    caption: str
-    drawing: str
-    wide: bool = False
 
 
 @dataclass(eq=False)

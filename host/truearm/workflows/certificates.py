@@ -15,7 +15,7 @@ from truearm.estimate.result_file import Input
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
 from truearm.report.certificate import MOST, Certificate, Facts, Recording, conditions, more, recorded, sensor_facts
-from truearm.report.page_text import size
+from truearm.report.page import size
 from truearm.results import Figures, Gain
 from truearm.text import counted
 from truearm.types import Rigs, rigs_by_name, rms

@@ -12,18 +12,7 @@ import numpy as np
 
 from truearm.disk import check_writable, write_atomic
 from truearm.errors import Argument, InputError, RigError, SessionError
-from truearm.estimate.repeatability import (
-    MISFIT,
-    Repeatability,
-    Visits,
-    allan,
-    mean_interval,
-    quantile_interval,
-    repeatability,
-    rounding_variance,
-    sigma_interval,
-    variance_interval,
-)
+from truearm.estimate import repeatability
 from truearm.findings import entries
 from truearm.kinds.noise_file import NoiseFile, format_noise
 from truearm.kinds.rig_file import read_rig
@@ -105,17 +94,17 @@ def characterized(
     resolution = np.min([result.survey.joints.step for result in results if len(result.table)], axis=0)
     variances = _column(visited, "q_var") - resolution**2 / 12.0
     before_rounding = np.sqrt(np.maximum(np.mean(variances, axis=0) - resolution**2 / 12.0, 0.0))
-    rounding_var = rounding_variance(resolution, before_rounding)
+    rounding_var = repeatability.rounding_variance(resolution, before_rounding)
     bar = mode(sorted(visit.dwell.mounted["bar"] for visit in visited))
-    spread = repeatability(_of_bar(visited, bar, chain, rig, rounding_var))
+    spread = repeatability.repeatability(_of_bar(visited, bar, chain, rig, rounding_var))
     document = asdict(spread)
     noise = {name: document.pop(name) for name in ("bar_sigma_m", "joint_sigma_si")}
     columns = resolution.tolist(), variances.T, _column(visited, "mean_var").T, np.sqrt(rounding_var).tolist()
     readings = [
         {
             "step_si": joint_step,
-            "reading_si": asdict(sigma_interval(reading_var)),
-            "mean_si": asdict(sigma_interval(mean_var)),
+            "reading_si": asdict(repeatability.sigma_interval(reading_var)),
+            "mean_si": asdict(repeatability.sigma_interval(mean_var)),
             "rounding_si": rounding,
         }
         for joint_step, reading_var, mean_var, rounding in zip(*columns, strict=True)
@@ -128,7 +117,7 @@ def characterized(
         "joints": [one_line(joint.name) for joint in chain.joints],
         "dwells": len(visited),
         **{count: document.pop(count) for count in ("visits", "poses", "sides")},
-        "repeatability": {**document, "backlash_explains": not spread.misfit_probability < MISFIT},
+        "repeatability": {**document, "backlash_explains": not spread.misfit_probability < repeatability.MISFIT},
         "settling": _settling(visited, bands),
         "readings": readings,
         "sensor": _sensor(visited),
@@ -141,7 +130,9 @@ def _column(visited: Sequence[PoseVisit], name: str) -> Floats:
     return np.array([getattr(visit if hasattr(visit, name) else visit.dwell, name) for visit in visited])
 
 
-def _of_bar(visited: Sequence[PoseVisit], bar: str, chain: Chain, rig: Rig, rounding_var: Floats) -> Visits:
+def _of_bar(
+    visited: Sequence[PoseVisit], bar: str, chain: Chain, rig: Rig, rounding_var: Floats
+) -> repeatability.Visits:
     """Return the visits with one bar. The derivatives are those of the nominal robot: 1 % is accurate enough."""
     visited = [visit for visit in visited if visit.dwell.mounted["bar"] == bar]
     mounted = [visit.dwell.mounted for visit in visited]
@@ -149,10 +140,10 @@ def _of_bar(visited: Sequence[PoseVisit], bar: str, chain: Chain, rig: Rig, roun
     p_chuck = np.array([rig.chucks[names["chuck"]].xyz for names in mounted])
     length, length_var, q, side = (_column(visited, name) for name in ("value", "value_var", "q", "side"))
     jac = distance_jacobian(chain, chain.params_nominal, q, p_sphere, p_chuck)
-    return Visits(length, length_var, q, side, jac, _column(visited, "mean_var") + rounding_var)
+    return repeatability.Visits(length, length_var, q, side, jac, _column(visited, "mean_var") + rounding_var)
 
 
-def _noise_file(spread: Repeatability, bar: str, name: str) -> NoiseFile:
+def _noise_file(spread: repeatability.Repeatability, bar: str, name: str) -> NoiseFile:
     """Return what identify uses; the backlash of a joint that does not affect the bar is 0."""
     widths = np.nan_to_num([[joint.value for joint in spread.backlash_si], spread.backlash_sigma_si])
     cov = np.diag([joint.value**2 for joint in spread.joint_sigma_si])
@@ -166,8 +157,8 @@ def _settling(visited: Sequence[PoseVisit], bands: Sequence[float]) -> dict[str,
         {
             "within_m": band,
             "visits": int(np.isfinite(times).sum()),
-            "median_s": asdict(quantile_interval(times, 0.5)),
-            "share_95_s": asdict(quantile_interval(times, 0.95)),
+            "median_s": asdict(repeatability.quantile_interval(times, 0.5)),
+            "share_95_s": asdict(repeatability.quantile_interval(times, 0.95)),
         }
         for band, times in zip(bands, _column(visited, "settling").T, strict=True)
     ]
@@ -177,15 +168,17 @@ def _settling(visited: Sequence[PoseVisit], bands: Sequence[float]) -> dict[str,
 def _sensor(visited: Sequence[PoseVisit]) -> dict[str, Any]:
     rests, period_s = [visit.rest for visit in visited], visited[0].period_s
     noise, n_samples, n_eff = (_column(visited, name) for name in ("noise", "n_samples", "n_eff"))
-    deviations = allan([samples for samples in rests if samples.size * period_s >= LONG_S] or rests, period_s)
+    deviations = repeatability.allan(
+        [samples for samples in rests if samples.size * period_s >= LONG_S] or rests, period_s
+    )
     rows = [
-        {"tau_s": tau, **asdict(variance_interval(deviation**2, freedom))}
+        {"tau_s": tau, **asdict(repeatability.variance_interval(deviation**2, freedom))}
         for tau, deviation, freedom in np.stack(deviations, axis=1).tolist()
     ]
     return {
-        "sample_m": asdict(sigma_interval(noise**2)),
+        "sample_m": asdict(repeatability.sigma_interval(noise**2)),
         "period_s": period_s,
-        "independent_after_s": asdict(mean_interval(period_s * n_samples / n_eff)),
+        "independent_after_s": asdict(repeatability.mean_interval(period_s * n_samples / n_eff)),
         "allan": rows,
         "floor": min(rows, key=lambda row: row["value"], default=None),
     }

@@ -16,8 +16,8 @@ from truearm.findings import Finding, entries, ordered
 from truearm.kinds.csv_cells import csv_text
 from truearm.progress import step
 from truearm.report.map_picture import Cells, map_picture
-from truearm.report.page_parts import html_page, scrolled
-from truearm.report.page_parts import section as page_section
+from truearm.report.page import html_page, scrolled
+from truearm.report.page import section as page_section
 from truearm.results import Figures
 from truearm.text import one_line
 from truearm.types import Floats

@@ -16,7 +16,7 @@ from truearm.findings import findings_of
 from truearm.model.robot_file import load_robot
 from truearm.progress import step
 from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.page_parts import html_page, making, section, table
+from truearm.report.page import html_page, making, section, table
 from truearm.report.validation_findings import error_tables
 from truearm.workflows.calibration import Identification, frames_of
 from truearm.workflows.calibration_report import write_page

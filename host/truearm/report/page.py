@@ -10,18 +10,32 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import html
+import math
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
+from typing import NamedTuple
 
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
-from truearm.report.page_text import ABSENT, escape
 from truearm.report.scene_view import Scene, script, view_section
-from truearm.report.svg import Figure
 from truearm.report.tables import Table
+from truearm.units import shown, symbol
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
+ABSENT = "–"
+MINUS = "\u2212"
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class Figure(NamedTuple):
+    """A picture with its title and caption, both plain text."""
+
+    title: str
+    caption: str
+    drawing: str
+    wide: bool = False
 
 
 def html_page(
@@ -103,8 +117,8 @@ def tiles(entries: Iterable[tuple[str, str, Iterable[tuple[str, str]], str]]) ->
 
 def _tile(css: str, name: str, sizes: Iterable[tuple[str, str]], note: str) -> str:
     units = [(value, "" if value == ABSENT else unit) for value, unit in sizes]
-    shown = "".join(f'<p class="figure">{value}<span> {unit}</span></p>' for value, unit in units)
-    return f'<div class="tile {css}"><p class="name">{name}</p>{shown}<p class="small">{escape(note)}</p></div>'
+    texts = "".join(f'<p class="figure">{value}<span> {unit}</span></p>' for value, unit in units)
+    return f'<div class="tile {css}"><p class="name">{name}</p>{texts}<p class="small">{escape(note)}</p></div>'
 
 
 def making(command: str, facts: Sequence[tuple[str, str]] = ()) -> str:
@@ -150,3 +164,45 @@ def fact_list(facts: Sequence[tuple[str, str]]) -> str:
     """Return labels and values as a definition list; "" if there are none."""
     entries = (f"<div><dt>{escape(name)}</dt><dd>{escape(value, 400)}</dd></div>" for name, value in facts)
     return f'<dl class="facts">{"".join(entries)}</dl>' if facts else ""
+
+
+# numbers and external strings as text
+
+
+def escape(text: str, limit: int = 200) -> str:
+    """Return ``text`` for HTML content and attributes: markup escaped, unprintable characters replaced, cut at
+    ``limit``.
+
+    The replaced characters are control characters, marks that reverse the writing direction, and lone surrogates (from
+    file names), which UTF-8 cannot hold.
+    """
+    short = text if len(text) <= limit else text[: limit - 1] + "…"
+    return html.escape("".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in short))
+
+
+def number(value: float, decimals: int, sign: bool = False) -> str:
+    """Return a fixed number of decimals with a true minus, none before zero; a dash if the number does not exist."""
+    if not math.isfinite(value):
+        return ABSENT
+    value = round(value, decimals) + 0.0  # no minus before a zero
+    return f"{value:{'+' if sign and value else ''}.{decimals}f}".replace("-", MINUS)
+
+
+def figures(value: float, count: int = 3) -> str:
+    """Return ``count`` significant figures, with a power of ten below 1e-4 and from 1e6: 10.2, 0.0821, 2.8·10¹²."""
+    if not math.isfinite(value):
+        return ABSENT
+    if value == 0.0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if not -4 <= exponent < 6:
+        mantissa = number(value / 10.0**exponent, count - 1)
+        return f"{mantissa}·10{str(exponent).translate(SUPERSCRIPT)}"
+    return number(value, max(count - 1 - exponent, 0))
+
+
+def size(value: float, si: str, unit: str | None = None) -> str:
+    """Return an SI value with three significant figures in its display unit; ``unit`` replaces the symbol after it."""
+    if not math.isfinite(value):
+        return ABSENT
+    return f"{figures(shown(value, si))} {symbol(si) if unit is None else unit}".rstrip()
