@@ -72,12 +72,12 @@ def conditions(recordings: Sequence[Recording]) -> Facts:
 def sensor_facts(recordings: Sequence[Recording]) -> Facts:
     """Return the sensors of the boxes with their calibrations."""
     sensors = tuple(dict.fromkeys(sensor for recording in recordings for sensor in recording.sensors))
-    return sensors[:MOST] + more(len(sensors))
+    return shortened(sensors)
 
 
-def more(count: int) -> Facts:
-    """Return how many entries are not listed."""
-    return (("more", counted(count - MOST, "entry", "entries")),) if count > MOST else ()
+def shortened(facts: Facts) -> Facts:
+    """Return at most MOST facts, and how many are not listed."""
+    return facts[:MOST] + (("more", counted(len(facts) - MOST, "entry", "entries")),) * (len(facts) > MOST)
 
 
 def recorded(recordings: Sequence[Recording]) -> str:

@@ -14,7 +14,7 @@ from truearm.estimate.prediction import nominal_error, predicted_point_error
 from truearm.estimate.result_file import Input
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
-from truearm.report.certificate import MOST, Certificate, Facts, Recording, conditions, more, recorded, sensor_facts
+from truearm.report.certificate import Certificate, Facts, Recording, conditions, recorded, sensor_facts, shortened
 from truearm.report.page import size
 from truearm.results import Figures, Gain
 from truearm.text import counted
@@ -192,7 +192,7 @@ def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[Recordi
         facts += [(f"tracker {t.name}", f"σ {MM.text(math.sqrt(np.trace(t.sensor_cov)), '.3f')}") for t in trackers]
         if (table.kind == "seat").any():
             facts.append(("seats in sockets", f"σ {MM.text(rig.seat_sigma)} along each axis"))
-    return (*facts[:MOST], *more(len(facts)), *sensor_facts(recordings))
+    return shortened(tuple(facts)) + sensor_facts(recordings)
 
 
 def _length(length: float, sigma: float) -> str:
@@ -201,8 +201,7 @@ def _length(length: float, sigma: float) -> str:
 
 
 def _files(inputs: Sequence[Input]) -> Facts:
-    listed = tuple((f"{file.role}: {file.name}", f"SHA-256 {file.sha256}") for file in inputs[:MOST])
-    return listed + more(len(inputs))
+    return shortened(tuple((f"{file.role}: {file.name}", f"SHA-256 {file.sha256}") for file in inputs))
 
 
 def _excluded(identification: Identification) -> tuple[str, ...]:

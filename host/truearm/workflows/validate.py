@@ -212,14 +212,14 @@ def validated(
     fitted = {entry.sha256 for entry in stored.inputs}
     hashes = [entry for entry in inputs if entry.role == "observations"]
     named_regions = _named_regions(calibration, table)
-    whole, *regions = (_region(name, rows & judging, errors) for name, rows in (("", judging), *named_regions))
+    overall, *regions = (_region(name, rows & judging, errors) for name, rows in (("", judging), *named_regions))
     regions = [region for region in regions if region.n >= LEAST_ROWS]
     expected_errors = {si: e.expected() for si, e in errors.items()}
     expected_rms = {si: sizes["rms"] for si, sizes in expected_errors.items() if not math.isnan(sizes["rms"])}
     expected_entries = {
         key(name, si): shown(value, si) for si, sizes in expected_errors.items() for name, value in sizes.items()
     }
-    n_judging = whole.n
+    n_judging = overall.n
     n_unseen = int(np.any([e.rows & ~e.observed for e in errors.values()], axis=0).sum())
     document: dict[str, Any] = {
         "simulated": all_rows.simulated or calibration.simulated,
@@ -232,7 +232,7 @@ def validated(
         "identified_from": [entry.name for entry in hashes if entry.sha256 in fitted],
         "residual_units": [UNITS[si].scale.suffix for si in errors],
         **{key("reference", si): _reference(calibration.document, si) for si in errors},
-        **_figure_entries(whole),
+        **_figure_entries(overall),
         "placed": nominal is not raw,
         **{key("rms_drawing", si): drawn and shown(rms(drawn.error[si][e.rows]), si) for si, e in errors.items()},
         **{key("rms_raw", si): shown(rms(raw.error[si][e.rows]), si) for si, e in errors.items()},
@@ -261,7 +261,7 @@ def validated(
     words = next(finding.text() for finding in findings if finding.code != "simulated")
     counts = n_judging, judging.size - n_judging, n_settled, n_unseen
     document |= {"verdict": words, "findings": entries(findings)}
-    return Validation(words, *counts, whole.before, whole.after, expected_rms, tuple(regions), document)
+    return Validation(words, *counts, overall.before, overall.after, expected_rms, tuple(regions), document)
 
 
 def _missing_rig(inputs: Sequence[Input], rig: Rigs) -> str | None:
