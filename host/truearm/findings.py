@@ -75,12 +75,12 @@ def stated(code: str, *sources: Mapping[str, Any], **values: Any) -> Finding:
 
     Numbers with a unit become a quantity: "rms_mm" and "rms_deg" are {"mm": …, "deg": …} under the name "rms".
     """
-    names = {*_NAME.findall(" ".join(STATEMENTS[code][1:]))} - {*values}
+    names = [name for name in dict.fromkeys(_NAME.findall(" ".join(STATEMENTS[code][1:]))) if name not in values]
     for source in reversed(sources):
         values |= {name: source[name] for name in names if name in source}
         for key, value in source.items():
             name, _, suffix = key.rpartition("_")
-            if name in names - {*source} and suffix in SUFFIXES and isinstance(value, float | int | None):
+            if name in names and name not in source and suffix in SUFFIXES and isinstance(value, float | int | None):
                 values[name] = values.get(name) if value is None else {**(values.get(name) or {}), suffix: value}
     return Finding(code, values)
 
