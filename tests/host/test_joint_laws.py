@@ -17,7 +17,6 @@ from truearm.estimate.evidence import ModePrior, learned, nats_without, seen_by,
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.law_candidates import knots, law_priors
 from truearm.estimate.law_curves import SampledCurve, law_readings, sampled_curves, spectrum, strongest_periods
-from truearm.estimate.pose_noise import PoseNoise, PoseSample, noise_change
 from truearm.estimate.problem import build_problem
 from truearm.estimate.result_file import parse_result
 from truearm.export.writing import fit_to
@@ -651,20 +650,3 @@ def test_a_file_is_refitted_where_the_curves_are_known(gap_arm, monkeypatch):
     exported(gap_arm, "urdf")
     assert not gap_arm.outside(seen[0]).any()
     assert np.ptp(seen[0], axis=0).min() > 2.5
-
-
-def test_noise_of_the_sensor_may_take_the_place_of_the_poses_where_rows_do_not_share_poses():
-    """Of a bar between two points, both add to the variance of the length; two bars of one pose tell them apart."""
-
-    def poses(directions):
-        n, w = 20, len(directions)
-        t = np.broadcast_to(np.array(directions), (n, w, 3))
-        return PoseSample(np.zeros((n, w)), np.zeros((n, w, w)), np.concatenate([t, np.zeros((n, w, 9))], axis=2))
-
-    before, after = (PoseNoise.of(own, 6)._replace(shared=shared) for own, shared in ((1.0, 0.5), (0.8, 0.7)))
-    alone, together = poses([[1.0, 0.0, 0.0]]), poses([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
-    assert noise_change([alone], before, after) == pytest.approx(0.0, abs=1e-15)
-    old, new = (p.sensor * np.eye(2) + p.shared * np.array([[1.0, 0.6], [0.6, 1.0]]) for p in (before, after))
-    change = np.linalg.solve(new, new - old)
-    assert noise_change([together], before, after) == pytest.approx(np.sqrt(np.trace(change @ change) / 2.0))
-    assert noise_change([alone], before, before._replace(sensor=1.015)) == pytest.approx(0.015 / 1.515)

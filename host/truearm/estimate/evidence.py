@@ -103,5 +103,5 @@ def learned(data: Seen, prior: ModePrior, variances: Floats, steps: int = STEPS)
         return variances
     start = np.maximum(np.sqrt(variances) / prior.cap, REVIVED)
     options = {"maxiter": steps, "ftol": 1e-7}
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * start.size, options=options)
-    return np.asarray((found.x * prior.cap) ** 2)
+    optimum = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * start.size, options=options)
+    return np.asarray((optimum.x * prior.cap) ** 2)

@@ -232,8 +232,7 @@ class _Work:
     def anywhere(self) -> ObservationTable:
         """Return some of the fitted rows in random poses."""
         rows = np.flatnonzero(self.geometry.fitted)
-        some = thinned(rows.size, LEAST_POSES)
-        return in_any_pose(self.chain, self.table.select(rows[some]))
+        return in_any_pose(self.chain, self.table.select(rows[thinned(rows.size, LEAST_POSES)]))
 
     @property
     def effects(self) -> list[Modelled]:
@@ -252,42 +251,44 @@ class _Work:
         """Return the problem of the rows that are no outliers."""
         geometry, fitted = self.geometry, self.geometry.fitted
         problem = only(self.rows(laws, beside), geometry.weight[fitted] > 0.0)
-        known = dict(zip(geometry.parameter_names, geometry.value, strict=True))
+        values = dict(zip(geometry.parameter_names, geometry.value, strict=True))
         free = dict(zip(geometry.parameter_names, geometry.free, strict=True))
         columns = np.array([free.get(name, True) for name in problem.names])
-        start = np.array([known.get(name, 0.0) for name in problem.names])
+        start = np.array([values.get(name, 0.0) for name in problem.names])
         rows = self.table.select(fitted)
         return law_problem(problem, columns, start, poses(rows), law_priors(self.chain, laws, rows.q))
 
     def fitted(self, choice: LawChoice) -> Estimate:
         """Return the estimate of the geometry with everything that the kept laws change."""
-        of, learned = self.problem(choice.kept), choice.learned
-        geometry, problem, fitted = self.geometry, of.problem, posterior(of, learned)
+        laws_problem, learned = self.problem(choice.kept), choice.learned
+        geometry, problem, fitted = self.geometry, laws_problem.problem, posterior(laws_problem, learned)
         anywhere = without_knowledge(build_problem(problem.chain, self.rig, self.anywhere))
-        nearer = nearer_geometry(of, anywhere, fitted, geometry.chi2_reduced)
+        nearer = nearer_geometry(laws_problem, anywhere, fitted, geometry.chi2_reduced)
         seen = observe(problem, nearer.x, np.zeros(nearer.x.size, dtype=bool))
         held = ~(geometry.fitted | geometry.left_out)
         held_out, error = judged(problem, nearer.x, self.rig, self.table, held, self.effects)
         x, p = nearer.x, problem.n_robot
-        at, added = geometry.n_robot_parameters, p - geometry.n_robot_parameters
-        is_law = np.arange(x.size) >= at
+        n_geometry, added = geometry.n_robot_parameters, p - geometry.n_robot_parameters
+        is_law = np.arange(x.size) >= n_geometry
         is_law[p:] = False
 
         covariance = np.zeros((x.size, x.size))
-        covariance[np.ix_(of.columns, of.columns)] = nearer.covariance
-        sight = determined(settled(problem, x), x, of.columns & ~is_law, self.effects)
+        covariance[np.ix_(laws_problem.columns, laws_problem.columns)] = nearer.covariance
+        sight = determined(settled(problem, x), x, laws_problem.columns & ~is_law, self.effects)
         covariance = _without_null(covariance, sight.unseen, problem.units)
-        identifiable = np.insert(geometry.identifiable, [at] * added, True)
-        sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
+        identifiable = np.insert(geometry.identifiable, [n_geometry] * added, True)
+        sigma = np.where(identifiable & laws_problem.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
         prior_sigma = problem.prior_sigma.copy()
         # One σ for all coefficients of a law, with which they are as far from 0 as in their prior.
-        counts = [law.size for law in of.laws]
+        counts = [law.size for law in laws_problem.laws]
         square = np.add.reduceat(fitted.x[is_law] ** 2, np.cumsum([0, *counts[:-1]]))
         prior_sigma[is_law] = np.repeat(np.sqrt(square / fitted.cost), counts)
-        weight, columns = geometry.weight[geometry.fitted], of.acting().columns
-        acts = columns[of.columns]
+        weight, columns = geometry.weight[geometry.fitted], laws_problem.acting().columns
+        acts = columns[laws_problem.columns]
         root = covariance_root(fitted.covariance[np.ix_(acts, acts)])
-        rows = row_errors(self.rows(of.laws), fitted.x, columns, root, weight, of.pose, learned.noise)
+        rows = row_errors(
+            self.rows(laws_problem.laws), fitted.x, columns, root, weight, laws_problem.pose, learned.noise
+        )
         freedom = geometry.rank + fitted.freedom
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         judging = held_out is not None
@@ -303,7 +304,7 @@ class _Work:
             nominal=problem.start,
             value=x,
             sigma=sigma,
-            free=of.columns,
+            free=laws_problem.columns,
             identifiable=identifiable,
             null_space=sight.null_space,
             unseen=sight.unseen,
@@ -320,23 +321,25 @@ class _Work:
             distance=np.where(geometry.fitted, rows.distance[number], np.nan),
             suspect=geometry.fitted & (rows.beyond[number] | (geometry.weight == 0.0)),
             outlying=spread(_outlying(rows, weight > 0.0), geometry.fitted),
-            scatter=scatter_of(of, learned),
+            scatter=scatter_of(laws_problem, learned),
             faults=(),
             claim=None,
             prior_sigma=prior_sigma,
             parts=rows.parts,
             suggested_free=np.append(geometry.suggested_free, np.zeros(added, dtype=bool)),
             with_outliers=geometry.with_outliers
-            and geometry.with_outliers._replace(value=np.insert(geometry.with_outliers.value, [at] * added, 0.0)),
+            and geometry.with_outliers._replace(
+                value=np.insert(geometry.with_outliers.value, [n_geometry] * added, 0.0)
+            ),
         )
 
 
-def _outlying(rows: RowErrors, used: Mask) -> Mask:
-    """Return which rows (n,) to leave out next, after a fit with laws of the ``used`` rows (n,)."""
+def _outlying(rows: RowErrors, fitted: Mask) -> Mask:
+    """Return which rows (n,) to leave out next, after a fit with laws of the ``fitted`` rows (n,)."""
     square = np.nan_to_num(rows.distance) ** 2
-    staying = within(square, gate(rows.width) * misfit(square, rows.width, used), used)
-    out, leaving = ~used & ~staying, used & ~staying
-    return out | leaving if matter(np.where(used, square, 0.0), leaving) else out
+    staying = within(square, gate(rows.width) * misfit(square, rows.width, fitted), fitted)
+    staying_out, leaving = ~fitted & ~staying, fitted & ~staying
+    return staying_out | leaving if matter(np.where(fitted, square, 0.0), leaving) else staying_out
 
 
 def _without_null(covariance: Floats, unseen: Floats, units: Sequence[str]) -> Floats:
@@ -359,12 +362,12 @@ def _tried(
     params = value[: len(whole.parameters)]
     kind = Curve if isinstance(law, CurveKnots) else Sag
     added = kind.of_chain(whole).value(params, q.T)[law.joint]
-    found = TriedLaw(joint, term, nats, True, float(added.std()))
+    tried = TriedLaw(joint, term, nats, True, float(added.std()))
     if kind is Sag:
         every = np.append(added, kind.of_chain(whole).value(params, anywhere.T)[law.joint])
         if every.any():  # a joint may have the torque of a payload alone, of which the chain has none
-            found = replace(found, range_share=float(np.ptp(added) / np.ptp(every)))
+            tried = replace(tried, range_share=float(np.ptp(added) / np.ptp(every)))
     for curve in sampled_curves(whole, [law], params, np.zeros((params.size, params.size))):
         periods, resolution = strongest_periods(curve), spectrum(curve).resolution
-        found = replace(found, covered=curve.intervals, periods=periods, resolution_cycles=resolution)
-    return found
+        tried = replace(tried, covered=curve.intervals, periods=periods, resolution_cycles=resolution)
+    return tried

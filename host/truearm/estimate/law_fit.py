@@ -133,7 +133,7 @@ def law_problem(
     spectra = scipy.linalg.block_diag(np.zeros((0, 0)), *(prior.spectra for prior in priors.values()))
     counts = np.array([prior.spectra.shape for prior in priors.values()], dtype=np.intp).reshape(-1, 2)
     caps = np.repeat([prior.cap for prior in priors.values()], counts[:, 0])
-    of_variance, of_mode = (np.repeat(np.arange(len(priors)), count) for count in counts.T)
+    law_of_variance, law_of_mode = (np.repeat(np.arange(len(priors)), count) for count in counts.T)
     is_law = np.zeros(columns.size, dtype=bool)
     is_law[problem.n_robot - len(basis) : problem.n_robot] = True
     declared = np.isfinite(problem.prior_sigma)
@@ -141,9 +141,10 @@ def law_problem(
     sigma[problem.n_robot :] = RIG_SIGMA
     sigma[declared] = problem.prior_sigma[declared]
     reference = np.where(declared, problem.start, start)
-    of_law, sigma, prior = is_law[columns], sigma[columns & ~is_law], ModePrior(spectra, caps)
-    laws = tuple(priors)
-    return LawProblem(problem, columns, of_law, pose, start, reference, sigma, laws, basis, prior, of_mode, of_variance)
+    prior = ModePrior(spectra, caps)
+    sigma = sigma[columns & ~is_law]
+    unknowns = problem, columns, is_law[columns], pose, start, reference, sigma
+    return LawProblem(*unknowns, tuple(priors), basis, prior, law_of_mode, law_of_variance)
 
 
 class Learned(NamedTuple):
@@ -264,20 +265,20 @@ def _posterior(problem: LawProblem, x: Floats, data: _Data, variances: Floats) -
     return Posterior(out, covariance[np.ix_(order, order)], data.evidence + weighed.nats, freedom, cost)
 
 
-def nearer_geometry(of: LawProblem, anywhere: Problem, fit: Posterior, misfit: float) -> Posterior:
-    """Return the posterior moved towards ``of.start``, the geometry alone, where the rows do not determine the difference.
+def nearer_geometry(problem: LawProblem, anywhere: Problem, fit: Posterior, misfit: float) -> Posterior:
+    """Return the posterior moved towards ``problem.start``, the geometry alone, where the rows do not determine the difference.
 
     ``anywhere`` has rows of the same fixtures in random poses, and ``misfit`` is the reduced χ² of the geometry.
     """
-    index = np.array([of.problem.names.index(name) for name in anywhere.names])
-    middle = 0.5 * (fit.x + of.start)[index]  # makes the change exact to second order
-    information = observe(anywhere, middle, of.columns[index])
-    column = (np.cumsum(of.columns) - 1)[index[of.columns[index]]]
+    index = np.array([problem.problem.names.index(name) for name in anywhere.names])
+    middle = 0.5 * (fit.x + problem.start)[index]  # makes the change exact to second order
+    information = observe(anywhere, middle, problem.columns[index])
+    column = (np.cumsum(problem.columns) - 1)[index[problem.columns[index]]]
     root = information.root / np.sqrt(max(misfit, np.finfo(float).tiny) * information.n_residuals)
-    change = root @ (fit.x - of.start)[of.columns][column]
+    change = root @ (fit.x - problem.start)[problem.columns][column]
     cross = root @ fit.covariance[column]
     inner = np.eye(len(root)) + cross[:, column] @ root.T
     move = -cross.T @ scipy.linalg.solve(inner, change, assume_a="pos", check_finite=False)
     x = fit.x.copy()
-    x[of.columns] += move
+    x[problem.columns] += move
     return fit._replace(x=x, covariance=fit.covariance + np.outer(move, move))

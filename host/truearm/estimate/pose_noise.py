@@ -238,11 +238,11 @@ def pose_samples(rows: Iterable[RowsByPose], step: Floats, posterior: Floats, st
     samples = []
     for poses in rows:
         if not poses.is_knowledge:
-            some = poses.rows[::stride]
-            n, w, width = some.shape
-            jac = some[..., :-1]
+            rows_of_poses = poses.rows[::stride]
+            n, w, width = rows_of_poses.shape
+            jac = rows_of_poses[..., :-1]
             spread = (jac.reshape(n * w, width - 1) @ posterior).reshape(jac.shape) @ jac.swapaxes(1, 2)
-            samples.append(PoseSample(some @ np.append(step, 1.0), spread, poses.moved[::stride]))
+            samples.append(PoseSample(rows_of_poses @ np.append(step, 1.0), spread, poses.moved[::stride]))
     return samples
 
 
