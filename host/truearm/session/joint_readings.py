@@ -178,7 +178,7 @@ class SegmentedReadings:
     def __init__(self, joints: int | None = None) -> None:
         """``joints``: number of joints per reading; None: as in the first."""
         self.malformed = 0
-        self.period_s: float | None = None  # median interval between the first readings; None before there are any
+        self.bin_s = self.gap_s = 0.0  # by the median interval between the first readings; 0 before
         self._joints = joints
         self._batches: list[JointBatch] = []  # too few yet
         self._returns_ns: list[int] = []  # when the link was back: the next reading begins a segment
@@ -195,16 +195,17 @@ class SegmentedReadings:
             return []
         self._joints = batch.q.shape[1]
         self._batches.append(batch)
-        return self.finish() if self.period_s is not None or sum(map(len, self._batches)) >= CHUNK else []
+        return self.finish() if self.bin_s or sum(map(len, self._batches)) >= CHUNK else []
 
     def finish(self) -> list[tuple[int, JointBatch]]:
         """Return the remaining readings at the end of the session."""
         if not self._batches:
             return []
         batch, self._batches = concatenate(self._batches), []
-        if self.period_s is None:
+        if not self.bin_s:
             period_s = float(np.median(np.abs(np.diff(batch.t)))) if len(batch) > 1 else 0.0
-            self.period_s = period_s if period_s < NOTED_S else 0.0  # noted one by one: each is a bin of its own
+            period_s = period_s if period_s < NOTED_S else 0.0  # noted one by one: each is a bin of its own
+            self.bin_s, self.gap_s = max(BIN_S, 4.0 * period_s), max(READING_GAP_S, 5.0 * period_s)
         back = [t_ns for t_ns in self._returns_ns if t_ns <= batch.arrival_ns[-1]]
         self._returns_ns = self._returns_ns[len(back) :]
         first = [0] if self._segments == 0 else []
@@ -231,7 +232,6 @@ class JointReader:
         self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the open bin
         self._last_seq: int | None = None  # of the segment
         self._previous_bin_s = -np.inf
-        self._bin_s, self._gap_s = BIN_S, READING_GAP_S
         self._step: Floats = np.empty(0)  # smallest change between readings
         self._fast_step: Floats = np.empty(0)  # smallest change of a change
         self._numbered = True
@@ -277,8 +277,6 @@ class JointReader:
         """Take readings of one segment."""
         if not self._step.size:
             self._step = self._fast_step = np.full(batch.q.shape[1], np.inf)
-            period_s = self._order.period_s or 0.0
-            self._bin_s, self._gap_s = max(BIN_S, 4.0 * period_s), max(READING_GAP_S, 5.0 * period_s)
         self._numbered &= bool(np.all(batch.seq != UNNUMBERED))
         t, seq = batch.t, batch.seq
         if segment == len(self._arrivals):
@@ -313,7 +311,7 @@ class JointReader:
             t, q = (np.concatenate(pair) for pair in zip(self._carried, (t, q), strict=True))
         self._step = np.minimum(self._step, _smallest(np.diff(q, axis=0)))
         self._fast_step = np.minimum(self._fast_step, _smallest(np.diff(q, n=2, axis=0)))
-        key = np.floor((t - self._arrivals[-1].t_ref_s) / self._bin_s)
+        key = np.floor((t - self._arrivals[-1].t_ref_s) / self._order.bin_s)
         closed = int(np.searchsorted(key, key[-1]))
         self._carried = (t[closed:], q[closed:])
         if closed:
@@ -326,7 +324,7 @@ class JointReader:
         self._carried = None
 
     def _store(self, t: Floats, q: Floats, key: Floats) -> None:
-        silent = np.diff(t, prepend=self._previous_bin_s) > self._gap_s
+        silent = np.diff(t, prepend=self._previous_bin_s) > self._order.gap_s
         self.gaps += int(np.sum(silent)) - int(np.isinf(self._previous_bin_s))
         self._previous_bin_s = float(t[-1])
         segment = len(self._arrivals) - 1

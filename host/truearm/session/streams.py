@@ -96,7 +96,6 @@ class StreamTrack:
 
     next_n0: int | None = None
     frames_lost: int = 0  # on the link, as of the last block
-    run: int = 0
     counted: Counter[str] = field(default_factory=Counter)  # pieces, and entries of Losses
     joined: bool = False  # the box was sampling before the session began and has not been started by it yet
     period_ns: int = 0
@@ -117,7 +116,7 @@ class StreamTrack:
         missing = np.where(begins, n0, n0 - expected)
         gap = (n0 != expected) | ((flags & wire.FLAG_OVERRUN) != 0)
         gap[0] |= joins
-        run = self.run + np.cumsum(begins)
+        run = self.counted["starts"] + np.cumsum(begins)
         if joins:
             self.joined = not (self.counted["blocks"] or with_frames[0]) and n0[0] > 0
         of_session = np.ones(len(n0), bool)
@@ -136,7 +135,7 @@ class StreamTrack:
         gapless = ~gap
         self.whole_us += int(np.diff(t0_us, prepend=self.last_t0_us)[gapless].sum())
         self.whole_samples += int(np.append(self.last_n, n[:-1])[gapless].sum())
-        self.next_n0, self.frames_lost, self.run = int(n0[-1] + n[-1]), int(frames_lost[-1]), int(run[-1])
+        self.next_n0, self.frames_lost = int(n0[-1] + n[-1]), int(frames_lost[-1])
         self.last_t0_us, self.last_n = int(t0_us[-1]), int(n[-1])
         return gap, run
 
