@@ -13,13 +13,14 @@ relative to both.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from truearm.correct.inverse import within
 from truearm.correct.model_pair import ModelPair, believed, reached
@@ -31,10 +32,11 @@ from truearm.text import counted
 from truearm.types import Floats, rms
 from truearm.units import MM
 
-SAMPLES = 100  # of each of the two joints: initial cells
+SAMPLES = 100  # of each of the two joints
+SPACING = 0.1  # m: farther from all samples, the arm does not reach
 MOST_CELLS = 250_000
 BLOCK = 4000  # cells whose derivatives are held at once: 3 × 54 each take 5 MB
-NEWTON_STEPS = 6  # from a neighbour one cell away they square the error, 25 mm, down to rounding
+NEWTON_STEPS = 6  # from the nearest sample they square the error, 25 mm, down to rounding
 LARGEST_STEP = 0.3  # rad
 PARALLEL = 0.02  # rad: axes that a drawing has parallel differ by less in a controller's calibration
 ROUNDING = 1e-9  # m, at the edge of a cell
@@ -119,10 +121,13 @@ def error_map(
         raise RobotError(
             f"the section has {u.size} × {v.size} cells, in all {u.size * v.size:,}; the most is {MOST_CELLS:,}: choose larger cells"
         )
+    middles = np.stack(np.meshgrid(u, v), axis=-1)
     q_grid = np.full((v.size, u.size, q.size), np.nan)
     q_grid[index[:, 1], index[:, 0]] = samples
-    middles = np.stack(np.meshgrid(u, v), axis=-1)
-    _spread(lambda start, goal: _reach(pair, start, goal, joints, axes, side, cell), q_grid, middles)
+    distance, nearest = KDTree(flat).query(middles)
+    near = distance < max(cell, SPACING)
+    moved = _reach(pair, samples[nearest[near]], middles[near], joints, axes, side, cell)
+    q_grid[near] = np.where(np.isnan(moved), q_grid[near], moved)
     rows, columns = np.nonzero(~np.isnan(q_grid[..., 0]))
     point, error, sigma = (np.full((v.size, u.size, *shape), np.nan) for shape in ((3,), (), ()))
     for first in range(0, rows.size, BLOCK):
@@ -131,29 +136,6 @@ def error_map(
         error[block] = np.linalg.norm(reached(pair, q_grid[block])[:, :3, 3] - point[block], axis=1)
         sigma[block] = _sigma(pair, q_grid[block], covariance, unseen)
     return ErrorMap(u, v, axes, pair.chain.completed(q_grid), point, error, sigma)
-
-
-def _spread(reach: Callable[[Floats, Floats], Floats], q: Floats, middles: Floats) -> None:
-    """Move the joints of every cell (l, k, j) to its middle, and continue from there to neighbours that are still
-    empty.
-
-    ``reach`` returns the joints at which the end is at a goal, starting from nearby joints; NaN if it cannot be
-    reached.
-    """
-    full = np.nonzero(~np.isnan(q[..., 0]))
-    moved = reach(q[full], middles[full])
-    q[full] = np.where(np.isnan(moved), q[full], moved)
-    fresh = ~np.isnan(q[..., 0])
-    while fresh.any():
-        start, fresh = np.where(fresh[..., None], q, np.nan), np.zeros_like(fresh)
-        for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            neighbours = np.full_like(q, np.nan)
-            target, source = [slice(None)] * 2, [slice(None)] * 2
-            target[axis], source[axis] = (slice(1, None), slice(None, -1))[::step]
-            neighbours[tuple(target)] = start[tuple(source)]
-            empty = np.nonzero(np.isnan(q[..., 0]) & ~np.isnan(neighbours[..., 0]))
-            q[empty] = reach(neighbours[empty], middles[empty])
-            fresh[empty] = ~np.isnan(q[empty][:, 0])
 
 
 def _reach(

@@ -75,9 +75,12 @@ def point_covariance(
     None if null directions of the observations move the points in any other way.
     """
     points, flat = measured_jacobian(chain, rig, table, estimate)
-    unseen = flat @ estimate.unseen
+    return seen_covariance(points, flat @ estimate.unseen, flat @ covariance_root(estimate.covariance), any_base)
+
+
+def seen_covariance(points: Floats, unseen: Floats, half: Floats, any_base: bool) -> PointCovariance | None:
+    """Return ``point_covariance`` of points (n, 3) that null directions move by ``unseen`` (3n, d) m."""
     relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
-    half = flat @ covariance_root(estimate.covariance)
     if relative:
         body, _ = np.linalg.qr(body_motion(points))
         if np.abs(unseen - body @ (body.T @ unseen)).max(initial=0.0) > MOVES:

@@ -16,8 +16,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import reduce
+from html import unescape
 from typing import NamedTuple
-from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -31,6 +31,10 @@ from truearm.model.transforms import Element, elementary
 from truearm.types import Floats
 
 _ATTRIBUTE = re.compile(r"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
+_TAG = re.compile(
+    r"""<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<(?P<end>/?)(?P<name>[^\s/>]++)(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""",
+    re.DOTALL,
+)  # a comment has no name
 
 
 class _PathJoint(NamedTuple):
@@ -116,68 +120,36 @@ def edited(text: str, drawn: Mapping[str, Floats], origins: Mapping[str, Floats]
     An origin that is the ``drawn`` one to 1e-15 is not rewritten.
     """
     origins = {name: origin for name, origin in origins.items() if np.abs(origin - drawn[name]).max() > 1e-15}
-    data = text.encode()
-    places = _origin_places(data)
-    missing = sorted(set(origins) - set(places))
+    spans = _origin_spans(text)
+    missing = sorted(set(origins) - set(spans))
     if missing:
         raise RobotError(f"URDF has no joint {missing[0]!r}; give the URDF that the result was identified with")
-    pieces, offset = [], 0
-    for name, place in sorted(places.items(), key=lambda item: item[1].start):
+    for name, (start, end) in sorted(spans.items(), key=lambda item: item[1], reverse=True):
         if name in origins:
-            pieces += [
-                data[offset : place.start],
-                _with_origin(data[place.start : place.end].decode(), origins[name]).encode(),
-            ]
-            offset = place.end
-    return b"".join([*pieces, data[offset:]]).decode()
+            text = text[:start] + _with_origin(text[start:end], origins[name]) + text[end:]
+    return text
 
 
-class _Place(NamedTuple):
-    """The position of a joint's <origin …> tag or, with start = end, where one can be inserted [bytes]."""
-
-    start: int
-    end: int
-
-
-def _origin_places(data: bytes) -> dict[str, _Place]:
-    """Return the places for all joints that are direct children of the robot."""
-    parser = expat.ParserCreate("utf-8")
-    stack: list[str] = []
-    places: dict[str, _Place] = {}
+def _origin_spans(text: str) -> dict[str, tuple[int, int]]:
+    """Return where the <origin …> tag of each joint of the robot is; an empty span where one can be inserted."""
+    elements: list[str] = []
+    spans: dict[str, tuple[int, int]] = {}
     joint = ""
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal joint
-        stack.append(tag)
-        offset = parser.CurrentByteIndex
-        if stack == ["robot", "joint"]:
+    for tag in _TAG.finditer(text):
+        if tag["end"]:
+            elements.pop()
+        if tag["end"] != "":
+            continue  # an end tag, or a comment
+        elements.append(tag["name"])
+        if elements == ["robot", "joint"]:
+            attributes = {name: unescape(value[1:-1]) for name, value in _ATTRIBUTE.findall(tag[0])}
             joint = attributes.get("name", "")
-            end = _tag_end(data, offset)
-            places[joint] = _Place(end, end)
-        elif stack == ["robot", "joint", "origin"] and places[joint].start == places[joint].end:
-            places[joint] = _Place(offset, _tag_end(data, offset))
-
-    def end(tag: str) -> None:
-        stack.pop()
-
-    def doctype(*_: object) -> None:
-        raise RobotError("URDF must not contain a document type or entities; remove them")
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler = doctype
-    try:
-        parser.Parse(data, True)
-    except expat.ExpatError as error:
-        raise RobotError(f"URDF is not valid XML: {error}; correct this place, or export the URDF again") from error
-    return places
-
-
-def _tag_end(data: bytes, start: int) -> int:
-    """Return the position after the > of the tag that begins at start; quotes may contain >."""
-    match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(data, start)
-    if match is None:
-        raise RobotError("URDF: a tag is not closed")
-    return match.end()
+            spans[joint] = tag.end(), tag.end()
+        elif elements == ["robot", "joint", "origin"] and spans[joint][0] == spans[joint][1]:
+            spans[joint] = tag.span()
+        if tag[0].endswith("/>"):
+            elements.pop()
+    return spans
 
 
 def _with_origin(tag: str, origin: Floats) -> str:

@@ -20,19 +20,20 @@ from truearm.errors import PlanError
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identifiability import hardly_seen, identifiability
 from truearm.estimate.information import covariance, of_rows, seen, spectrum, with_prior
-from truearm.estimate.prediction import body_motion
+from truearm.estimate.prediction import seen_covariance
 from truearm.estimate.prior import prior_named, robot_prior, weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.solvers import Prior
+from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.registry import end_points
 from truearm.kinds.registry import points as points_of_rig
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import Chain, point_forward, point_jacobians
+from truearm.model.chain import Chain, forward, point_forward, point_jacobians
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branch_inverse import Arm, make_arm
-from truearm.results import MOVES, Defaults, NullDirection
+from truearm.results import Defaults, NullDirection
 from truearm.types import Floats, Plan, Rig, rms
 from truearm.units import UNITS
 
@@ -124,10 +125,12 @@ def forecast(knowledge: Knowledge, planned: ObservationTable, aim: Aim | None = 
     sigma = np.full(len(columns), np.nan)
     sigma[columns] = np.sqrt(np.where(sight.identifiable, np.diag(matrix), np.nan))
     unit = weak_prior(knowledge.chain)[knowledge.free]
-    cartesian, relative = None, False
+    expected = None
     if aim is not None:
-        null = decomposition.vt[~seen(decomposition)].T / decomposition.scale[:, None]
-        cartesian, relative = _cartesian(knowledge, problem, x, columns, aim, matrix, null, bool(defaults.base))
+        points, jac = _aim_jacobian(knowledge, problem, x, aim)
+        jac, null = jac[:, columns], decomposition.vt[~seen(decomposition)].T / decomposition.scale[:, None]
+        unseen = jac @ (null / np.abs(null).max(axis=0, initial=1e-300))
+        expected = seen_covariance(points, unseen, jac @ covariance_root(matrix), bool(defaults.base))
     return Forecast(
         names=problem.names,
         units=problem.units,
@@ -136,8 +139,8 @@ def forecast(knowledge: Knowledge, planned: ObservationTable, aim: Aim | None = 
         rank=sight.rank,
         null_space=sight.null_space,
         hardly_seen=hardly_seen(root, n_robot, unit, names),
-        cartesian=cartesian,
-        relative=relative,
+        cartesian=None if expected is None else np.linalg.norm(expected.half.reshape(len(expected.points), -1), axis=1),
+        relative=aim is not None and (expected is None or expected.relative),
         n_rows=len(planned) + (0 if knowledge.measured is None else len(knowledge.measured)),
         defaults=defaults,
     )
@@ -230,33 +233,6 @@ def _as_identified(knowledge: Knowledge, planned: ObservationTable) -> tuple[Kno
     return replace(knowledge, free=free), sigma, chosen
 
 
-def _cartesian(
-    knowledge: Knowledge,
-    problem: Problem,
-    x: Floats,
-    columns: NDArray[np.bool_],
-    aim: Aim,
-    matrix: Floats,
-    null: Floats,
-    any_base: bool,
-) -> tuple[Floats | None, bool]:
-    """Return the expected error (n,) [m] at the aim's poses, and whether it is relative.
-
-    An unidentifiable motion of all points as one rigid body is excluded.
-    """
-    points, jac = _aim_jacobian(knowledge, problem, x, aim)
-    jac = jac[:, columns]
-    unseen = jac @ (null / np.abs(null).max(axis=0, initial=1e-300))
-    relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
-    if relative:
-        body, _ = np.linalg.qr(body_motion(points))
-        if np.abs(unseen - body @ (body.T @ unseen)).max(initial=0.0) > MOVES:
-            return None, True
-        jac = jac - body @ (body.T @ jac)
-    variance = np.maximum(np.einsum("np,np->n", jac @ matrix, jac), 0.0).reshape(-1, 3).sum(axis=1)
-    return np.sqrt(variance), relative
-
-
 def _aim_jacobian(knowledge: Knowledge, problem: Problem, x: Floats, aim: Aim) -> tuple[Floats, Floats]:
     """Return the positions (n, 3) of all points at all poses and their derivatives (3n, P)."""
     jacobians = [_point_jacobian(knowledge, problem, x, aim.q, name) for name in aim.points or ("",)]
@@ -275,9 +251,7 @@ def _point_jacobian(knowledge: Knowledge, problem: Problem, x: Floats, q: Floats
     out = np.zeros((jac.shape[0], 3, x.size))
     out[:, :, : problem.n_robot] = jac
     if columns[0] >= 0:
-        # ∂p/∂point is the end's rotation, so differences along its axes are exact.
-        shifted = [point_forward(knowledge.chain, x[: problem.n_robot], q, point + e) for e in np.eye(3)]
-        out[:, :, columns] = np.stack(shifted, axis=2) - p_base[:, :, None]
+        out[:, :, columns] = forward(knowledge.chain, x[: problem.n_robot], q)[:, :3, :3]
     return p_base, out.reshape(-1, x.size)
 
 

@@ -5,7 +5,7 @@ This answers two questions: from which targets the robot comes to a target, and 
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
@@ -14,10 +14,10 @@ from truearm.correct.programs.program import Step
 
 MOST_ORIGINS = 4  # moves that may be the last one before a move; more count as unknown
 MOST_SETTINGS = 100  # of a tool or base that may be the last one before a move
+MOST_READINGS = 40  # of a text; loops and calls nested deeper leave all of it unknown
 UNKNOWN: frozenset[None] = frozenset([None])
 LOOPS = (Step.LOOP, Step.REPEAT)
 T = TypeVar("T")
-Source = int | frozenset[T | None]  # what may be the last before another step, or that
 
 
 def closure(start: Iterable[T], following: Callable[[T], Iterable[T]]) -> set[T]:
@@ -33,16 +33,16 @@ def closure(start: Iterable[T], following: Callable[[T], Iterable[T]]) -> set[T]
 
 @dataclass(eq=False)
 class _Block(Generic[T]):
-    """A routine, choice or loop: its first step with what comes before it, and the last steps of its finished branches.
+    """A routine, choice or loop: what may come before it, and at the ends of its branches.
 
     ``is_skipped``: whether some way leads past all of its branches.
     """
 
     step: Step
     number: int
-    incoming: list[Source[T]]
+    incoming: frozenset[T | None]
     is_skipped: bool
-    ends: list[Source[T]] = field(default_factory=list)
+    ends: list[frozenset[T | None]] = field(default_factory=list)
 
 
 def preceding(
@@ -60,63 +60,49 @@ def preceding(
     for index, step in enumerate(steps):
         if not isinstance(step, Step):
             places[step].append(index)
+    links = {entry: [index for link in linked(entry) for index in places.get(link, [-1])] for entry in places}
+    following = {entry: frozenset[T | None]([entry]) if counts(entry) else None for entry in places}
+    # before each entry; at a loop, before its end; the last for all that no step precedes
+    last: list[frozenset[T | None]] = [*[frozenset[T | None]()] * len(steps), UNKNOWN]
+    crowded: set[int] = set()
 
-    nowhere: list[Source[T]] = [UNKNOWN]
+    def union(key: int, *states: frozenset[T | None]) -> frozenset[T | None]:
+        joined = states[0].union(*states[1:])
+        if len(joined) > limit:
+            crowded.add(key)
+        return UNKNOWN if key in crowded else joined
 
-    def sources_of(index: int, entry: T) -> list[Source[T]]:
-        if links := linked(entry):
-            return [source for link in links for source in places.get(link) or nowhere]
-        return [frozenset([entry]) if counts(entry) else index]
-
-    sources = _sources(steps, sources_of)
-    followers: dict[int, list[int]] = defaultdict(list)
-    for index, origins in enumerate(sources):
-        for origin in origins:
-            if isinstance(origin, int):
-                followers[origin].append(index)
-    last: list[frozenset[T | None]] = [frozenset()] * len(steps)
-    waiting = deque(range(len(steps)))
-    while waiting:
-        index = waiting.popleft()
-        first, *further = [last[source] if isinstance(source, int) else source for source in sources[index]]
-        union = first.union(*further)
-        if len(union) > limit:
-            sources[index], union = [UNKNOWN], UNKNOWN
-        if union != last[index]:
-            last[index] = union
-            waiting += followers[index]
-    unions = {entry: last[first].union(*(last[i] for i in further)) for entry, (first, *further) in places.items()}
-    return {entry: union if len(union) <= limit else UNKNOWN for entry, union in unions.items()}
-
-
-def _sources(steps: Sequence[Step | T], sources_of: Callable[[int, T], list[Source[T]]]) -> list[list[Source[T]]]:
-    """Return what each step may follow; ``sources_of``: what comes before a step that follows an entry."""
-    sources: list[list[Source[T]]] = []
-    blocks: list[_Block[T]] = []
-    last: list[Source[T]] = [UNKNOWN]
-    for index, step in enumerate(steps):
-        sources.append(last)
-        if not isinstance(step, Step):
-            last = sources_of(index, step)
-            continue
-        last = [UNKNOWN] if step in (Step.ROUTINE, Step.CALL) else [index]
-        if step in (Step.ROUTINE, Step.IF, *LOOPS):
-            sources[index] = [*sources[index]]
-            blocks.append(_Block(step, index, sources[index], step is not Step.REPEAT))
-        elif step in (Step.BRANCH, Step.ELSE) and blocks:
-            block = blocks[-1]
-            block.ends.append(index)
-            block.is_skipped &= step is Step.BRANCH or block.step is not Step.IF
-            last = block.incoming if block.step is Step.ROUTINE else [block.number]
-        elif step is Step.LEAVE:
-            for block in [block for block in blocks if block.step in LOOPS][-1:]:
-                block.ends.append(index)
-        elif step is Step.END and blocks:
-            block = blocks.pop()
-            sources[index] = [*sources[index], *block.ends]
-            last = [index, block.number] if block.is_skipped else [index]
-            if block.step in LOOPS:
-                block.incoming.append(index)
-            elif block.step is Step.ROUTINE:
-                last = block.incoming
-    return sources
+    for _ in range(MOST_READINGS):
+        previous, blocks = [*last], list[_Block[T]]()
+        state: frozenset[T | None] = UNKNOWN
+        for index, step in enumerate(steps):
+            if not isinstance(step, Step):
+                last[index] = state
+                state = union(index, *(last[link] for link in links[step])) if links[step] else following[step] or state
+            elif step in (Step.ROUTINE, Step.IF, *LOOPS):
+                state = union(index, state, last[index]) if step in LOOPS else state
+                blocks.append(_Block(step, index, state, step is not Step.REPEAT))
+                state = UNKNOWN if step is Step.ROUTINE else state
+            elif step is Step.CALL:
+                state = UNKNOWN
+            elif step is Step.LEAVE:
+                for block in [block for block in blocks if block.step in LOOPS][-1:]:
+                    block.ends.append(state)
+            elif blocks and step is Step.END:
+                block = blocks.pop()
+                state = union(index, state, *block.ends)
+                if block.step in LOOPS:
+                    last[block.number] = state
+                if block.step is Step.ROUTINE:
+                    state = block.incoming
+                elif block.is_skipped:
+                    state = union(~index, state, block.incoming)
+            elif blocks:
+                block = blocks[-1]
+                block.ends.append(state)
+                block.is_skipped &= step is Step.BRANCH or block.step is not Step.IF
+                state = block.incoming
+        if last == previous:
+            unions = {entry: frozenset[T | None]().union(*(last[i] for i in places[entry])) for entry in places}
+            return {entry: joined if len(joined) <= limit else UNKNOWN for entry, joined in unions.items()}
+    return dict.fromkeys(places, UNKNOWN)
