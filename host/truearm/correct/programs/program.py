@@ -6,12 +6,12 @@ Every reader of a language returns a ``Program``. The census of uses, the correc
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
 
-from truearm.correct.programs.data import Literal, Place, Uses
+from truearm.correct.programs.data import Datum, Literal, Place, Uses
 from truearm.correct.programs.tokens import Source
 from truearm.findings import Reason
 from truearm.types import Floats
@@ -28,6 +28,14 @@ class Target:
     left: Floats = field(default_factory=lambda: IDENTITY)
     right: Floats = field(default_factory=lambda: IDENTITY)
     uses: Uses = ()
+
+    def by(self, datum: Datum, place: Place) -> Target:
+        """Return the target as reached by a use of a name."""
+        return replace(self, uses=((datum, place), *self.uses))
+
+    def moved(self, left: Floats = IDENTITY, right: Floats = IDENTITY) -> Target:
+        """Return the target between two more poses (4, 4)."""
+        return replace(self, left=left @ self.left, right=self.right @ right)
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,12 +128,11 @@ def targets_of(task: Task, tokens: Tokens, scope: Scope, form: Form, element: in
         return _displaced(task, tokens, scope, form)
     datum, index = _datum_of(task, tokens, scope)
     index = element if index is None else index
-    use = datum, Place(scope.file, tokens[0].start)
     targets = task.once(
         (datum, form, index),
         lambda: task.all_values(datum.values, lambda tokens, scope: targets_of(task, tokens, scope, form, index)),
     )
-    return [Target(target.literal, target.left, target.right, (use, *target.uses)) for target in targets]
+    return [target.by(datum, Place(scope.file, tokens[0].start)) for target in targets]
 
 
 def _displaced(task: Task, tokens: Tokens, scope: Scope, form: Form) -> list[Target]:
@@ -149,9 +148,8 @@ def _displaced(task: Task, tokens: Tokens, scope: Scope, form: Form) -> list[Tar
     step[:3, 3] = MM.to_si(np.array(offsets))
     step[:3, :3] = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
     targets = targets_of(task, positional[0], scope, form)
-    if tokens[0].text == "offs":
-        return [Target(t.literal, step @ t.left, t.right, t.uses) for t in targets]
-    return [Target(t.literal, t.left, t.right @ step, t.uses) for t in targets]
+    is_in_frame = tokens[0].text == "offs"
+    return [target.moved(left=step) if is_in_frame else target.moved(right=step) for target in targets]
 
 
 def _literal(tokens: Tokens, file: int, form: Form) -> Literal:

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
-from truearm.correct.programs.data import Datum, Form, Literal, Place, Uses
+from truearm.correct.programs.data import Datum, Form, Literal, Place
 from truearm.correct.programs.order import MOST_ORIGINS, MOST_SETTINGS, UNKNOWN, closure, preceding
-from truearm.correct.programs.poses import check_reach
+from truearm.correct.programs.poses import check_reach, poses_of
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Surroundings, Target
 from truearm.correct.programs.reading import MOST_TARGETS, Uncertain, arithmetic, only
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
 from truearm.correct.programs.urscript_names import Border, Call, Entry, Routine, Script, Statement, find, read_names
 from truearm.correct.programs.urscript_words import AIMLESS, MOVES, SOLVER, STRAIGHT
-from truearm.model.poses import frame_of
 from truearm.types import Floats
 from truearm.units import DEG
 
@@ -25,31 +24,27 @@ Origins = frozenset[Entry | None]
 T = TypeVar("T")
 
 
-class Factor(NamedTuple):
-    """A pose of a product: constant (4, 4), or the numbers of a literal in the text, reached by the names ``uses``."""
-
-    constant: Floats = IDENTITY
-    literal: Literal | None = None
-    uses: Uses = ()
-
-
 class Value(NamedTuple):
-    """What an argument may be: a product of poses, or joint readings as its only factor.
+    """What an argument may be.
 
     Poses that ``get_inverse_kin`` turns into joint readings have the ``tool`` in force there, its ``near``, and the bytes
     (``span``) of its argument, unless a name has the joint readings.
     """
 
-    factors: tuple[Factor, ...]
+    target: Target
     tool: Floats | None = None
     near: tuple[float, ...] = ()
     span: tuple[int, int] | None = None
 
     @property
-    def readings(self) -> Literal | None:
-        """The joint readings that it is, None if it is a pose."""
-        literal = self.factors[0].literal
-        return literal if literal is not None and literal.form.is_joints else None
+    def is_joints(self) -> bool:
+        """Whether it is joint readings."""
+        return self.target.literal.form.is_joints
+
+    @property
+    def pose(self) -> Floats:
+        """The pose (4, 4) that it is."""
+        return self.target.left @ poses_of([self.target.literal])[0] @ self.target.right
 
 
 @dataclass(eq=False)
@@ -83,7 +78,7 @@ class _Reader:
     def six(self, tokens: Tokens, statement: Statement, form: Form) -> list[Value]:
         """Return six numbers in square brackets; computed ones have no bytes in the text."""
         place = statement.place(tokens[0])
-        return [Value((Factor(literal=self.script.once(place, lambda: self.literal(place, tokens, statement, form))),))]
+        return [Value(Target(self.script.once(place, lambda: self.literal(place, tokens, statement, form))))]
 
     def literal(self, place: Place, tokens: Tokens, statement: Statement, form: Form) -> Literal:
         """Return ``six`` as a literal. Raises Uncertain."""
@@ -128,10 +123,10 @@ class _Reader:
         datum = find(self.script, tokens[0].text, statement)
         if datum is None:
             raise Uncertain("undeclared", name=tokens[0].text)
-        use = datum, statement.place(tokens[0])
         values = self.through(datum, lambda tokens, scope: self.values(tokens, scope, index), index)
-        factors = [tuple(f._replace(uses=(use, *f.uses)) for f in value.factors) for value in values]
-        return [value._replace(factors=f, span=None) for value, f in zip(values, factors, strict=True)]
+        return [
+            value._replace(target=value.target.by(datum, statement.place(tokens[0])), span=None) for value in values
+        ]
 
     def product(self, call: Call) -> list[Value]:
         """Return the values of pose_trans and pose_add."""
@@ -142,11 +137,15 @@ class _Reader:
             step, turn = IDENTITY.copy(), IDENTITY.copy()
             offset = self.pose(call.argument(1, "p_2"), call.statement)
             step[:3, 3], turn[:3, :3] = offset[:3, 3], offset[:3, :3]
-            return [Value((Factor(step), *value.factors, Factor(turn))) for value in first]
+            return [Value(value.target.moved(step, turn)) for value in first]
         second = self.values(call.argument(1, "p_from_to"), call.statement)
         if len(first) * len(second) > MOST_TARGETS:
             raise Uncertain("many", most=MOST_TARGETS)
-        return [Value(a.factors + b.factors) for a in first for b in second]
+        return [
+            Value(b.target.moved(left=a.pose) if b.target.literal.spans else a.target.moved(right=b.pose))
+            for a in first
+            for b in second
+        ]
 
     def solved(self, call: Call) -> list[Value]:
         """Return the values of get_inverse_kin(x, qnear=…, tcp=…)."""
@@ -155,19 +154,19 @@ class _Reader:
         source = self.script.call(seed, call.statement)
         if seed and (source is None or source.name not in CURRENT_JOINTS):
             values = self.values(seed, call.statement)
-            if len(values) != 1 or values[0].readings is None:
+            if len(values) != 1 or not values[0].is_joints:
                 raise Uncertain("several", name="its qnear")
-            self.script.program.harmless.update(place for _, place in values[0].factors[0].uses)
-            readings = values[0].readings.numbers
+            self.script.program.harmless.update(place for _, place in values[0].target.uses)
+            readings = values[0].target.literal.numbers
         pose = self.pose(tool, call.statement) if tool else self.tool(call)
         argument = call.argument(0, "x")
         values = self.values(argument, call.statement)
-        return [Value(v.factors, pose, readings, (argument[0].start, argument[-1].end)) for v in values]
+        return [Value(v.target, pose, readings, (argument[0].start, argument[-1].end)) for v in values]
 
     def pose(self, tokens: Tokens, statement: Statement) -> Floats:
         """Return the only pose (4, 4) of an expression. Raises Uncertain."""
         values = self.values(tokens, statement)
-        return only([_product(value.factors) for value in values], Uncertain("several", name="it"))
+        return only([value.pose for value in values], Uncertain("several", name="it"))
 
     def tool(self, call: Call) -> Floats:
         """Return the tool (4, 4) in force at a call. Raises Uncertain."""
@@ -198,33 +197,17 @@ class _Reader:
             values = self.values(argument, call.statement)
             for value in values:
                 span = (argument[0].start, argument[-1].end) if value.tool is None else value.span
-                tool = IDENTITY if value.readings else self.tool(call) if value.tool is None else value.tool
+                tool = IDENTITY if value.is_joints else self.tool(call) if value.tool is None else value.tool
+                if not value.target.literal.spans and not value.is_joints:
+                    raise Uncertain("not-written")
                 span = span if len(values) == 1 else None
-                goals.append(Goal(_target(value.factors), tool, argument=span, near=value.near))
+                goals.append(Goal(value.target, tool, argument=span, near=value.near))
         return goals
 
 
 def is_list(tokens: Tokens) -> bool:
     """Return whether tokens are a list in square brackets."""
     return is_bracketed(tokens, 0, "[") or (len(tokens) == 1 and tokens[0].kind == "row")
-
-
-def _product(factors: Sequence[Factor]) -> Floats:
-    product = IDENTITY
-    for constant, literal, _ in factors:
-        pose = constant if literal is None else frame_of(literal.numbers)  # type: ignore[arg-type]
-        product = product @ pose
-    return product
-
-
-def _target(factors: Sequence[Factor]) -> Target:
-    """Return a product as the target of a move: its last literal receives the correction."""
-    literals = [factor.literal for factor in factors]
-    for index in reversed(range(len(factors))):
-        literal = literals[index]
-        if literal is not None and (literal.spans or literal.form.is_joints) and literals.count(literal) == 1:
-            return Target(literal, _product(factors[:index]), _product(factors[index + 1 :]), factors[index].uses)
-    raise Uncertain("not-written")
 
 
 def read_urscript(files: Sequence[Source], surroundings: Surroundings) -> Program:
