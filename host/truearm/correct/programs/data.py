@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from truearm.correct.programs.tokens import Tokens
+from truearm.correct.programs.tokens import Token, Tokens
 
 
 class Place(NamedTuple):
@@ -14,6 +14,21 @@ class Place(NamedTuple):
 
     file: int
     offset: int
+
+
+class Scope(NamedTuple):
+    """From where names are looked up: a file, and the data of each block around, the innermost first."""
+
+    file: int
+    blocks: tuple[dict[str, Datum], ...] = ()
+
+    def place(self, token: Token) -> Place:
+        """Return the place of a token."""
+        return Place(self.file, token.start)
+
+    def find(self, name: str) -> Datum | None:
+        """Return the datum of a name, None if no block has it."""
+        return next((block[name] for block in self.blocks if name in block), None)
 
 
 class Form(StrEnum):
@@ -74,7 +89,7 @@ class Datum:
     kind: str
     place: Place
     local: bool = False
-    values: list[tuple[Tokens, Any]] = field(default_factory=list)
+    values: list[tuple[Tokens, Scope]] = field(default_factory=list)
     written: set[Place] = field(default_factory=set)
     uses: set[Place] = field(default_factory=set)
     changes: list[Change] = field(default_factory=list)

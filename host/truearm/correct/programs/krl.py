@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
 
-from truearm.correct.programs.data import Change, Datum, Form, Literal, Place, Uses
+from truearm.correct.programs.data import Change, Datum, Form, Literal, Place, Scope, Uses
 from truearm.correct.programs.order import closure
 from truearm.correct.programs.poses import check_reach, matrix_of_angles
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
@@ -71,11 +71,11 @@ STEPS = {
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """The tokens of a line with their texts, in a routine ("" if in none) of a module."""
+    """The tokens of a line with their texts, in a routine ("" if in none) of a module, whose names are the first block."""
 
     tokens: Tokens
     texts: Sequence[str]
-    file: int
+    scope: Scope
     module: str
     routine: str
 
@@ -97,10 +97,14 @@ class Line:
         return is_command or self.texts[0] in ACTIVE or self.texts[0] == "fdat_act"
 
 
-def _lines(files: Sequence[Source]) -> Iterator[Line]:
+Modules = dict[str, dict[str, Datum]]
+
+
+def _lines(files: Sequence[Source], modules: Modules) -> Iterator[Line]:
     """Yield the lines that are not empty of all files but bas.src, KUKA's own: what its routines do is known by their names."""
     for number, source in enumerate(files):
         module = source.name.lower().replace("\\", "/").rpartition("/")[2].rpartition(".")[0]
+        scope = Scope(number, (modules[module], modules[""]))
         routine, text = "", "" if module == "bas" else source.text
         for is_end, group in groupby(tokens_of(KRL, text), lambda token: token.kind == "newline"):
             if not is_end:
@@ -108,7 +112,7 @@ def _lines(files: Sequence[Source]) -> Iterator[Line]:
                 texts = [token.text for token in tokens]
                 if not {"def", "deffct"}.isdisjoint(texts[:2]) and "(" in texts:
                     routine = texts[texts.index("(") - 1]
-                yield Line(tokens, texts, number, module, routine)
+                yield Line(tokens, texts, scope, module, routine)
                 routine = "" if texts[0] in ("end", "endfct") else routine
 
 
@@ -127,18 +131,18 @@ class _Reader(Reading):
     """
 
     lines: list[Line] = field(default_factory=list)
-    modules: dict[str, dict[str, Datum]] = field(default_factory=lambda: defaultdict(dict))
-    values: dict[tuple[Datum, str], list[tuple[Tokens, Line]]] = field(default_factory=lambda: defaultdict(list))
-    parameters: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
+    modules: Modules = field(default_factory=lambda: defaultdict(dict))
+    values: dict[tuple[Datum, str], list[tuple[Tokens, Scope]]] = field(default_factory=lambda: defaultdict(list))
+    parameters: dict[int, set[str]] = field(default_factory=lambda: defaultdict(set))
     routines: set[str] = field(default_factory=set)
     is_stationary: bool = False
 
     def read(self) -> None:
         """Read the lines of all files, then their data, then the uses of these."""
-        self.lines = list(_lines(self.program.files))
+        self.modules[""] = {name: Datum(name, "", "var", Place(0, 0)) for name in SYSTEM}
+        self.lines = list(_lines(self.program.files, self.modules))
         self.routines = {line.routine for line in self.lines} - {""}
         self.is_stationary = any("#tcp" in line.texts for line in self.lines)
-        self.modules[""] = {name: Datum(name, "", "var", Place(0, 0)) for name in SYSTEM}
         for line in self.lines:
             self.declare(line)
         for names in list(self.modules.values())[1:]:  # another routine of the module may mean the one that all see
@@ -148,15 +152,16 @@ class _Reader(Reading):
             self.note(line)
         home = self.modules[""]["$h_pos"]
         if not home.uses:  # only the controller reads it, to say whether the robot is where the program calls home
-            values = [(line.file, token.start) for value, line in self.values[home, ""] for token in value[:1]]
-            self.program.harmless |= {Place(*place) for place in values}
+            self.program.harmless |= {
+                scope.place(token) for value, scope in self.values[home, ""] for token in value[:1]
+            }
         self.note_displacement()
 
     def declare(self, line: Line) -> None:
         """Note the data and parameters that a line declares."""
         tokens = line.tokens
         if line.word in ("def", "deffct") and "(" in line.texts:
-            self.parameters[line.module] |= set(line.texts[line.texts.index("(") :])
+            self.parameters[line.scope.file] |= set(line.texts[line.texts.index("(") :])
         kind = next((index for index, text in enumerate(line.texts[:4]) if text in TYPES), len(tokens))
         prefix = set(line.texts[:kind])
         if kind > len(tokens) - 2 or prefix - {"decl", "global", "const"}:
@@ -164,7 +169,7 @@ class _Reader(Reading):
         names = self.modules["" if "global" in prefix or line.module in ("$config", "$machine") else line.module]
         for declared in separated(tokens[kind + 1 :], ","):
             if declared:
-                name, place = declared[0].text, Place(line.file, declared[0].start)
+                name, place = declared[0].text, line.scope.place(declared[0])
                 datum = names.setdefault(
                     name, Datum(name, line.texts[kind], "var", place, names is not self.modules[""])
                 )
@@ -172,11 +177,7 @@ class _Reader(Reading):
                 if datum.place != place and name not in SYSTEM:
                     datum.changes.append(Change(place, "redeclared"))
                 if is_word(declared, 1, "="):
-                    self.values[datum, ""].append((declared[2:], line))
-
-    def find(self, name: str, line: Line) -> Datum | None:
-        """Return the datum of a name as seen from a line."""
-        return self.modules[line.module].get(name) or self.modules[""].get(name)
+                    self.values[datum, ""].append((declared[2:], line.scope))
 
     def note(self, line: Line) -> None:
         """Note the uses of data in a line, and what may change them."""
@@ -191,9 +192,9 @@ class _Reader(Reading):
                 if caller not in self.routines:
                     self.program.absent[caller] = None
             number, end = _indexed(tokens, index)
-            place = Place(line.file, token.start)
+            place = line.scope.place(token)
             if not is_word(tokens, index - 1, "."):
-                data = [self.find(token.text, line)]
+                data = [line.scope.find(token.text)]
             else:  # a component, or a name of another module, as in /R1/P..XP1
                 is_path = is_word(tokens, index - 2, ".")
                 data = [names.get(token.text) for names in self.modules.values()] if is_path else []
@@ -202,7 +203,7 @@ class _Reader(Reading):
                     continue
                 if index == 0 and line.assigned == end:
                     datum.written.add(place)
-                    self.values[datum, number].append((tokens[end + 1 :], line))
+                    self.values[datum, number].append((tokens[end + 1 :], line.scope))
                     continue
                 datum.uses.add(place)
                 if index < line.assigned or line.word == "import":
@@ -222,35 +223,29 @@ class _Reader(Reading):
             is_root = line.texts[0] in ROOTS and line.assigned
             is_event = line.word in ("interrupt", "trigger") and not setting.isdisjoint(line.texts)
             if is_root or is_event or CORRECTION.search(" ".join(line.texts)):
-                self.displace("displacing", line.texts[0].upper(), Place(line.file, line.tokens[0].start))
+                self.displace("displacing", line.texts[0].upper(), line.scope.place(line.tokens[0]))
 
-    def targets(self, tokens: Tokens, line: Line) -> list[tuple[Tokens, int, Uses]]:
+    def targets(self, tokens: Tokens, scope: Scope) -> list[tuple[Tokens, int, Uses]]:
         """Return each {…} that tokens may stand for, with its file and the names on the way. Raises Uncertain."""
         if is_bracketed(tokens, 0, "{"):
-            return [(tokens, line.file, ())]
+            return [(tokens, scope.file, ())]
         number, end = _indexed(tokens, 0)
         if end != len(tokens) or tokens[0].kind != "word":
             raise Uncertain("run-time")
-        name, datum = tokens[0].text, self.find(tokens[0].text, line)
-        if datum is None or name in self.parameters[line.module]:
+        name, datum = tokens[0].text, scope.find(tokens[0].text)
+        if datum is None or name in self.parameters[scope.file]:
             code = "parameter" if datum is not None else "run-time" if name[0] == "$" else "undeclared"
             raise Uncertain(code, name=name.upper(), kind="parameter")
-        use = datum, Place(line.file, tokens[0].start)
-        targets = self.once((datum, number), lambda: self.targets_of(datum, number))
-        return [(target, file, (use, *uses)) for target, file, uses in targets]
-
-    def targets_of(self, datum: Datum, number: str) -> list[tuple[Tokens, int, Uses]]:
-        """Return ``targets`` of a datum, or of an element. Raises Uncertain."""
         self.check(datum)
-        values = self.values[datum, number]
-        if not values:
-            name = f"{datum.name}[{number}]" if number else datum.name
+        if not (values := self.values[datum, number]):
+            name = f"{name}[{number}]" if number else name
             raise Uncertain("undeclared" if datum.name in SYSTEM else "no-value", name=name.upper())
-        return self.all_values(values, self.targets)
+        targets = self.once((datum, number), lambda: self.all_values(values, self.targets))
+        return [(target, file, ((datum, scope.place(tokens[0])), *uses)) for target, file, uses in targets]
 
-    def components(self, tokens: Tokens, line: Line) -> dict[str, Tokens]:
+    def components(self, tokens: Tokens, scope: Scope) -> dict[str, Tokens]:
         """Return the components of {X 1, Y 2, …}, or of what a name certainly stands for. Raises Uncertain."""
-        targets = self.targets(tokens, line)
+        targets = self.targets(tokens, scope)
         if len(targets) > 1:
             raise Uncertain("several", name=tokens[0].text.upper())
         return _components(targets[0][0])
@@ -273,7 +268,7 @@ class _Reader(Reading):
         check_reach(literal)
         return literal
 
-    def frame(self, tokens: Tokens, subject: str, line: Line) -> Floats:
+    def frame(self, tokens: Tokens, subject: str, scope: Scope) -> Floats:
         """Return the pose (4, 4) of TOOL_DATA[n], BASE_DATA[n], $NULLFRAME, {X …} or a name. Raises Uncertain."""
         key = "".join(token.text for token in tokens)
         if key in ROOT_FRAMES:
@@ -282,7 +277,7 @@ class _Reader(Reading):
         if subject == "base" and any(_number(_components(value).get("mach_def_index", ())) for value, _ in kinematics):
             raise Uncertain("moved-object")
         try:
-            components = self.components(tokens, line)
+            components = self.components(tokens, scope)
         except Uncertain as uncertain:
             if uncertain.reason.name != "undeclared":
                 raise uncertain.again(subject=subject) from None
@@ -318,7 +313,7 @@ def read_krl(files: Sequence[Source], surroundings: Surroundings) -> Program:
     for line in reader.lines:
         if line.word in MOVES | RELATIVE and line.assigned != 1:
             if not HERE.issuperset(line.texts[1:2]):
-                place, end = Place(line.file, line.tokens[0].start), line.tokens[-1].end
+                place, end = line.scope.place(line.tokens[0]), line.tokens[-1].end
                 move = Move(line.word, place, end, line.word in ("lin", "slin"))
                 reader.add_move(move, partial(_goals, reader, line, active))
             continue
@@ -355,12 +350,12 @@ class _ActiveFrames:
         texts, tokens = line.texts, line.tokens
         command = "".join(texts[2:3]) if texts[:2] == ["bas", "("] else ""
         if texts[0] in ACTIVE:
-            self.settings[texts[0][1:]] = partial(self.setting, tokens, line)
+            self.settings[texts[0][1:]] = partial(self.setting, tokens, line.scope)
         elif command in ("#tool", "#base"):
-            self.settings[command[1:]] = partial(self.numbered, command[1:], tokens[4:-1], line)
+            self.settings[command[1:]] = partial(self.numbered, command[1:], tokens[4:-1], line.scope)
         elif texts[0] == "fdat_act":
             is_whole = line.assigned == 1
-            self.described = {name: partial(self.component, name, tokens[2:], line) for name in FDAT if is_whole}
+            self.described = {name: partial(self.component, name, tokens[2:], line.scope) for name in FDAT if is_whole}
         elif command in PARAMETERS:
             self.settings = dict(self.described)
         elif texts[0] == "spline":
@@ -370,7 +365,7 @@ class _ActiveFrames:
         elif line.sets_frames or not ACTIVE.isdisjoint(texts):
             self.forget()
 
-    def setting(self, tokens: Tokens, line: Line) -> Floats:
+    def setting(self, tokens: Tokens, scope: Scope) -> Floats:
         """Return what $TOOL=…, $BASE=… or $IPO_MODE=… sets. Raises Uncertain."""
         name, value = tokens[0].text[1:], tokens[2:]
         if not value or tokens[1].text != "=":
@@ -378,21 +373,21 @@ class _ActiveFrames:
         if value[0].text in ("stool", "stool2", "sbase", "sipo_mode"):
             value = value[2 : closing(value, 1)]
             if value and value[0].kind == "word":
-                return self.component(name, value[:1], line, value[-1].text if len(value) > 1 else "")
+                return self.component(name, value[:1], scope, value[-1].text if len(value) > 1 else "")
         elif name != "ipo_mode":
-            return self.reader.frame(value, name, line)
-        return self.numbered(name, value, line)
+            return self.reader.frame(value, name, scope)
+        return self.numbered(name, value, scope)
 
-    def component(self, name: str, tokens: Tokens, line: Line, key: str = "") -> Floats:
+    def component(self, name: str, tokens: Tokens, scope: Scope, key: str = "") -> Floats:
         """Return the tool, base or mode of an FDAT. Raises Uncertain."""
-        return self.numbered(name, self.reader.components(tokens, line).get(key or FDAT[name], ()), line)
+        return self.numbered(name, self.reader.components(tokens, scope).get(key or FDAT[name], ()), scope)
 
-    def numbered(self, name: str, tokens: Tokens, line: Line) -> Floats:
+    def numbered(self, name: str, tokens: Tokens, scope: Scope) -> Floats:
         """Return the tool or base of a number; for the mode, whether the robot holds the tool. Raises Uncertain."""
         text = "".join(token.text for token in tokens)
         if name != "ipo_mode":
             data = f"{name}_data[{text}]"
-            frame: Floats = self.reader.once(data, lambda: self.reader.frame(tokens_of(KRL, data), name, line))
+            frame: Floats = self.reader.once(data, lambda: self.reader.frame(tokens_of(KRL, data), name, scope))
             return frame
         if text not in ("#base", ""):
             raise Uncertain("fixed-tool")
@@ -402,7 +397,7 @@ class _ActiveFrames:
         """Return the settings for a line with those of its WITH."""
         clauses = line.tokens[line.texts.index("with") + 1 :] if "with" in line.texts else ()
         active = [clause for clause in separated(clauses, ",") if clause and clause[0].text in ACTIVE]
-        return {**self.settings, **{clause[0].text[1:]: partial(self.setting, clause, line) for clause in active}}
+        return {**self.settings, **{clause[0].text[1:]: partial(self.setting, clause, line.scope) for clause in active}}
 
     def tool_and_base(self, line: Line) -> tuple[Floats, Floats]:
         """Return both for a move. Raises Uncertain."""
@@ -420,7 +415,7 @@ def _goals(reader: _Reader, line: Line, active: _ActiveFrames) -> list[Goal]:
     end = next((i for i, text in enumerate(line.texts) if text == "with" or text.startswith("c_")), len(line.texts))
     arguments = list(separated(line.tokens[1:end], ","))[: 1 + ("circ" in line.word)]
     goals = []
-    for target, file, uses in [target for argument in arguments for target in reader.targets(argument, line)]:
+    for target, file, uses in [target for argument in arguments for target in reader.targets(argument, line.scope)]:
         literal = reader.once(Place(file, target[0].start), partial(reader.literal, target, file))
         tool, base = (IDENTITY, IDENTITY) if literal.form.is_joints else active.tool_and_base(line)
         turns = int(literal.numbers[6]) if len(literal.numbers) > len(POSE) else None

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from truearm.correct.programs.data import Change, Datum, Form, Literal, Place
+from truearm.correct.programs.data import Change, Datum, Form, Literal, Scope
 from truearm.correct.programs.poses import check_reach, matrix_of_quaternion
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
-from truearm.correct.programs.rapid_names import Scope, Statement, Task, arguments_of, find, read_names
+from truearm.correct.programs.rapid_names import Statement, Task, arguments_of, find, read_names
 from truearm.correct.programs.rapid_words import AIMLESS, MOVES, STRAIGHT
 from truearm.correct.programs.reading import Uncertain, arithmetic
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
@@ -75,9 +75,7 @@ def value_of(task: Task, tokens: Tokens, scope: Scope) -> Value:
     if value is not None:
         return value
     datum, element = _datum_of(task, tokens, scope)
-    value, *further_values = task.once(
-        datum, lambda: set(task.all_values(datum.values, lambda tokens, scope: [value_of(task, tokens, scope)]))
-    )
+    value, *further_values = set(task.through(datum, lambda tokens, scope: [value_of(task, tokens, scope)]))
     if further_values:
         raise Uncertain("several", name=datum.name)
     if element is None:
@@ -88,15 +86,12 @@ def value_of(task: Task, tokens: Tokens, scope: Scope) -> Value:
 
 
 def _datum_of(task: Task, tokens: Tokens, scope: Scope) -> tuple[Datum, int | None]:
-    """Return a certain datum and the element: its number, 0 if only the run knows it, None for the whole datum."""
+    """Return a datum and the element: its number, 0 if only the run knows it, None for the whole datum."""
     if tokens[0].kind != "word" or (len(tokens) > 1 and not is_bracketed(tokens, 1, "{")):
         raise Uncertain("run-time")
     datum = find(task, tokens[0].text, scope)
     if datum is None:
         raise Uncertain("undeclared", name=tokens[0].text)
-    task.check(datum)
-    if not datum.values:
-        raise Uncertain("no-value", name=datum.name)
     if len(tokens) == 1:
         return datum, None
     try:
@@ -119,7 +114,7 @@ def targets_of(task: Task, tokens: Tokens, scope: Scope, form: Form, element: in
     name = tokens[0].text
     if is_bracketed(tokens, 0, "["):
         if element is None:
-            return [Target(_literal(tokens, scope.file, form))]
+            return [Target(_literal(tokens, scope, form))]
         items = list(separated(tokens[1:-1], ","))[max(element - 1, 0) : element or None]
         if not items:
             raise Uncertain("element", name=name)
@@ -128,11 +123,8 @@ def targets_of(task: Task, tokens: Tokens, scope: Scope, form: Form, element: in
         return _displaced(task, tokens, scope, form)
     datum, index = _datum_of(task, tokens, scope)
     index = element if index is None else index
-    targets = task.once(
-        (datum, form, index),
-        lambda: task.all_values(datum.values, lambda tokens, scope: targets_of(task, tokens, scope, form, index)),
-    )
-    return [target.by(datum, Place(scope.file, tokens[0].start)) for target in targets]
+    targets = task.through(datum, lambda tokens, scope: targets_of(task, tokens, scope, form, index), key=(form, index))
+    return [target.by(datum, scope.place(tokens[0])) for target in targets]
 
 
 def _displaced(task: Task, tokens: Tokens, scope: Scope, form: Form) -> list[Target]:
@@ -152,7 +144,7 @@ def _displaced(task: Task, tokens: Tokens, scope: Scope, form: Form) -> list[Tar
     return [target.moved(left=step) if is_in_frame else target.moved(right=step) for target in targets]
 
 
-def _literal(tokens: Tokens, file: int, form: Form) -> Literal:
+def _literal(tokens: Tokens, scope: Scope, form: Form) -> Literal:
     """Return the literal of a robtarget or jointtarget in brackets. Raises Uncertain."""
     rows = [token for token in tokens if token.kind == "row"]
     matches = [list(NUMBER.finditer(row.text)) for row in rows]
@@ -162,7 +154,7 @@ def _literal(tokens: Tokens, file: int, form: Form) -> Literal:
         raise Uncertain("type", type="robtarget" if form is Form.ROBTARGET else "jointtarget")
     spans = [(row.start + m.start(), row.start + m.end()) for row, ms in zip(rows, matches, strict=True) for m in ms]
     numbers = tuple(float(match[0]) for row in matches for match in row)
-    literal = Literal(Place(file, tokens[0].start), tokens[-1].end, form, numbers, tuple(spans))
+    literal = Literal(scope.place(tokens[0]), tokens[-1].end, form, numbers, tuple(spans))
     check_reach(literal)
     return literal
 
@@ -211,7 +203,7 @@ def _add_steps(task: Task, statement: Statement) -> None:
     if name not in MOVES and name not in AIMLESS:
         program.steps += [Step.CALL] * task.is_foreign(name, scope)
         return
-    move = Move(name, Place(scope.file, tokens[0].start), tokens[-1].end, name in STRAIGHT)
+    move = Move(name, scope.place(tokens[0]), tokens[-1].end, name in STRAIGHT)
     task.add_move(move, lambda: _goals(task, statement))
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from truearm.correct.programs.data import Change, Datum, Place
+from truearm.correct.programs.data import Change, Datum, Place, Scope
 from truearm.correct.programs.program import Program, Step, Surroundings
 from truearm.correct.programs.rapid_words import BY_NAME, DISPLACING, LANGUAGE, LOADING, READERS, SEARCHES
 from truearm.correct.programs.reading import Reading, Uncertain
@@ -33,13 +33,6 @@ RECORDS = words("robtarget jointtarget tooldata wobjdata")  # types with several
 
 
 Parameters = list[tuple[str, str]]  # of a routine: name and mode, "" for by value
-
-
-class Scope(NamedTuple):
-    """From where names are looked up: a file, and the data of each block around, the innermost first."""
-
-    file: int
-    blocks: tuple[dict[str, Datum], ...]
 
 
 class Statement(NamedTuple):
@@ -234,9 +227,8 @@ class _ModuleReader:
 
 def find(task: Task, name: str, scope: Scope) -> Datum | None:
     """Return the datum of a name as seen from a scope: the routine's, the module's, or one of another module."""
-    for block in scope.blocks:
-        if name in block:
-            return block[name]
+    if (datum := scope.find(name)) is not None:
+        return datum
     data = task.shared.get(name, ())
     if len(data) > 1 and not any(change.code == "ambiguous" for change in data[0].changes):
         for datum, neighbour in zip(data, [*data[1:], data[0]], strict=True):
@@ -264,7 +256,7 @@ def _note_uses(task: Task, statement: Statement) -> None:
             continue
         datum = find(task, token.text, scope)
         if datum is not None and not (is_word(tokens, index - 1, "(") and is_word(tokens, index - 2, "dim")):
-            datum.uses.add(Place(scope.file, token.start))
+            datum.uses.add(scope.place(token))
         if is_word(tokens, index + 1, "("):
             end = closing(tokens, index + 1)
             if end == len(tokens):  # what it may change is not known
@@ -275,7 +267,7 @@ def _note_uses(task: Task, statement: Statement) -> None:
 def _note_instruction(task: Task, statement: Statement) -> None:
     """Note what an instruction or assignment changes, and what it does to all moves."""
     tokens, scope = statement.tokens, statement.scope
-    name, place = tokens[0].text, Place(scope.file, tokens[0].start)
+    name, place = tokens[0].text, scope.place(tokens[0])
     if len(tokens) > 1 and tokens[1].text in (":=", "{", "."):
         datum = find(task, name, scope)
         if datum is not None and tokens[1].text == ":=" and datum.type in RECORDS:
@@ -318,7 +310,7 @@ def _note_call(task: Task, scope: Scope, function: str, tokens: Tokens) -> None:
             continue
         datum = find(task, argument[0].text, scope)
         if datum is not None and datum.kind != "const":
-            change = Change(Place(scope.file, argument[0].start), "argument", function)
+            change = Change(scope.place(argument[0]), "argument", function)
             (datum.outside if is_absent else datum.changes).append(change)
 
 

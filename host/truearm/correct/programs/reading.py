@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from truearm.correct.programs.data import Datum, Place
+from truearm.correct.programs.data import Datum, Place, Scope
 from truearm.correct.programs.program import Goal, Move, Program, Surroundings
 from truearm.correct.programs.tokens import Tokens, is_bracketed, separated
 from truearm.findings import Reason
@@ -58,7 +58,16 @@ class Reading:
         value: T = result
         return value
 
-    def all_values(self, values: Iterable[tuple[Tokens, Any]], evaluate: Callable[[Tokens, Any], list[T]]) -> list[T]:
+    def through(self, datum: Datum, evaluate: Callable[[Tokens, Scope], list[T]], key: object = None) -> list[T]:
+        """Return what a name stands for, as ``evaluate`` and ``key`` understand it. Raises Uncertain."""
+        self.check(datum)
+        if not datum.values:
+            raise Uncertain("no-value", name=datum.name)
+        return self.once((datum, key), lambda: self.all_values(datum.values, evaluate))
+
+    def all_values(
+        self, values: Iterable[tuple[Tokens, Scope]], evaluate: Callable[[Tokens, Scope], list[T]]
+    ) -> list[T]:
         """Return what values, each with its scope, stand for. Raises Uncertain, with where a value is computed."""
         alternatives: list[T] = []
         for tokens, scope in values:
@@ -67,7 +76,7 @@ class Reading:
             except Uncertain as uncertain:
                 if uncertain.reason.name != "run-time" or "where" in uncertain.reason.values or not tokens:
                     raise
-                raise uncertain.again(where=self.program.where(Place(scope.file, tokens[0].start))) from None
+                raise uncertain.again(where=self.program.where(scope.place(tokens[0]))) from None
             if len(alternatives) > MOST_TARGETS:
                 raise Uncertain("many", most=MOST_TARGETS)
         return alternatives

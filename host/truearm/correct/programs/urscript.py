@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
-from truearm.correct.programs.data import Datum, Form, Literal, Place
+import numpy as np
+
+from truearm.correct.programs.data import Form, Literal, Place, Scope
 from truearm.correct.programs.order import MOST_ORIGINS, MOST_SETTINGS, UNKNOWN, closure, preceding
 from truearm.correct.programs.poses import check_reach, poses_of
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Surroundings, Target
 from truearm.correct.programs.reading import MOST_TARGETS, Uncertain, arithmetic, only
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
-from truearm.correct.programs.urscript_names import Border, Call, Entry, Routine, Script, Statement, find, read_names
+from truearm.correct.programs.urscript_names import Border, Call, Entry, Routine, Script, read_names
 from truearm.correct.programs.urscript_words import AIMLESS, MOVES, SOLVER, STRAIGHT
 from truearm.types import Floats
 from truearm.units import DEG
@@ -44,7 +46,7 @@ class Value(NamedTuple):
     @property
     def pose(self) -> Floats:
         """The pose (4, 4) that it is."""
-        return self.target.left @ poses_of([self.target.literal])[0] @ self.target.right
+        return np.asarray(self.target.left @ poses_of([self.target.literal])[0] @ self.target.right)
 
 
 @dataclass(eq=False)
@@ -54,91 +56,84 @@ class _Reader:
     script: Script
     setters: Mapping[Entry, Origins]  # the calls of set_tcp that may be the last before a call
 
-    def through(self, datum: Datum, evaluate: Callable[[Tokens, Any], list[T]], kind: str) -> list[T]:
-        """Return all that a name may stand for, as something of a kind."""
-        self.script.check(datum)
-        return self.script.once((datum, kind), lambda: self.script.all_values(datum.values, evaluate))
-
-    def number(self, tokens: Tokens, statement: Statement) -> float:
+    def number(self, tokens: Tokens, scope: Scope) -> float:
         """Return the value of a constant expression. Raises Uncertain."""
-        value = arithmetic(tokens, lambda operand: self.number(operand, statement))
+        value = arithmetic(tokens, lambda operand: self.number(operand, scope))
         if value is not None:
             return value
-        call = self.script.call(tokens, statement)
+        call = self.script.call(tokens, scope)
         if call is not None and call.name == "d2r":
-            return float(DEG.to_si(self.number(call.argument(0, "d"), statement)))
-        datum = find(self.script, tokens[0].text, statement) if len(tokens) == 1 else None
+            return float(DEG.to_si(self.number(call.argument(0, "d"), scope)))
+        datum = scope.find(tokens[0].text) if len(tokens) == 1 else None
         if datum is None:
             raise Uncertain("run-time")
-        first, *further_values = set(self.through(datum, lambda tokens, scope: [self.number(tokens, scope)], "number"))
+        first, *further_values = set(self.script.through(datum, lambda tokens, scope: [self.number(tokens, scope)]))
         if further_values:
             raise Uncertain("several", name=datum.name)
         return first
 
-    def six(self, tokens: Tokens, statement: Statement, form: Form) -> list[Value]:
+    def six(self, tokens: Tokens, scope: Scope, form: Form) -> list[Value]:
         """Return six numbers in square brackets; computed ones have no bytes in the text."""
-        place = statement.place(tokens[0])
-        return [Value(Target(self.script.once(place, lambda: self.literal(place, tokens, statement, form))))]
+        place = scope.place(tokens[0])
+        return [Value(Target(self.script.once(place, lambda: self.literal(place, tokens, scope, form))))]
 
-    def literal(self, place: Place, tokens: Tokens, statement: Statement, form: Form) -> Literal:
+    def literal(self, place: Place, tokens: Tokens, scope: Scope, form: Form) -> Literal:
         """Return ``six`` as a literal. Raises Uncertain."""
         row = tokens[-1]
         matches = list(NUMBER.finditer(row.text)) if row.kind == "row" else []
         spans = tuple((row.start + match.start(), row.start + match.end()) for match in matches)
         items = separated(tokens[1 + (form is Form.VECTOR) : -1], ",")
-        numbers = tuple(float(match[0]) for match in matches) or tuple(self.number(item, statement) for item in items)
+        numbers = tuple(float(match[0]) for match in matches) or tuple(self.number(item, scope) for item in items)
         if len(numbers) != 6:
             raise Uncertain("type", type="list of six numbers")
         literal = Literal(place, tokens[-1].end, form, numbers, spans)
         check_reach(literal)
         return literal
 
-    def values(self, tokens: Tokens, statement: Statement, index: str = "") -> list[Value]:
+    def values(self, tokens: Tokens, scope: Scope, index: str = "") -> list[Value]:
         """Return what an argument may be, or an element of it. Raises Uncertain.
 
         ``index``: the text of an index such as [1], or "". An index that is no number stands for all elements.
         """
         if len(tokens) == 1 and tokens[0].kind == "word":
-            return self.named(tokens, statement, index)
+            return self.named(tokens, scope, index)
         if not is_word(tokens, 0, "p") and is_bracketed(tokens, 1, "["):
-            return self.values(tokens[:1], statement, index + "".join(token.text for token in tokens[1:]))
+            return self.values(tokens[:1], scope, index + "".join(token.text for token in tokens[1:]))
         if index:
             if not is_bracketed(tokens, 0, "["):
                 raise Uncertain("not-written")
             items = list(separated(tokens[1:-1], ","))
             if index[1:-1].isdecimal():
                 items = items[int(index[1:-1]) :][:1]
-            return [value for item in items for value in self.values(item, statement)]
+            return [value for item in items for value in self.values(item, scope)]
         if is_list(tokens):
-            return self.six(tokens, statement, Form.RADIANS)
+            return self.six(tokens, scope, Form.RADIANS)
         if is_word(tokens, 0, "p") and is_list(tokens[1:]):
-            return self.six(tokens, statement, Form.VECTOR)
-        call = self.script.call(tokens, statement)
+            return self.six(tokens, scope, Form.VECTOR)
+        call = self.script.call(tokens, scope)
         if call is None:
             raise Uncertain("run-time")
         return self.solved(call) if call.name == SOLVER else self.product(call)
 
-    def named(self, tokens: Tokens, statement: Statement, index: str) -> list[Value]:
+    def named(self, tokens: Tokens, scope: Scope, index: str) -> list[Value]:
         """Return what a name may stand for; its literals are reached by this use of it, too."""
-        datum = find(self.script, tokens[0].text, statement)
+        datum = scope.find(tokens[0].text)
         if datum is None:
             raise Uncertain("undeclared", name=tokens[0].text)
-        values = self.through(datum, lambda tokens, scope: self.values(tokens, scope, index), index)
-        return [
-            value._replace(target=value.target.by(datum, statement.place(tokens[0])), span=None) for value in values
-        ]
+        values = self.script.through(datum, lambda tokens, scope: self.values(tokens, scope, index), index)
+        return [value._replace(target=value.target.by(datum, scope.place(tokens[0])), span=None) for value in values]
 
     def product(self, call: Call) -> list[Value]:
         """Return the values of pose_trans and pose_add."""
         if call.name not in ("pose_trans", "pose_add"):
             raise Uncertain("run-time")
-        first = self.values(call.argument(0, "p_from", "p_1"), call.statement)
+        first = self.values(call.argument(0, "p_from", "p_1"), call.scope)
         if call.name == "pose_add":  # positions are added, orientations are multiplied
             step, turn = IDENTITY.copy(), IDENTITY.copy()
-            offset = self.pose(call.argument(1, "p_2"), call.statement)
+            offset = self.pose(call.argument(1, "p_2"), call.scope)
             step[:3, 3], turn[:3, :3] = offset[:3, 3], offset[:3, :3]
             return [Value(value.target.moved(step, turn)) for value in first]
-        second = self.values(call.argument(1, "p_from_to"), call.statement)
+        second = self.values(call.argument(1, "p_from_to"), call.scope)
         if len(first) * len(second) > MOST_TARGETS:
             raise Uncertain("many", most=MOST_TARGETS)
         return [
@@ -151,21 +146,21 @@ class _Reader:
         """Return the values of get_inverse_kin(x, qnear=…, tcp=…)."""
         seed, tool = call.argument(1, "qnear"), call.argument(4, "tcp")
         readings: tuple[float, ...] = ()
-        source = self.script.call(seed, call.statement)
+        source = self.script.call(seed, call.scope)
         if seed and (source is None or source.name not in CURRENT_JOINTS):
-            values = self.values(seed, call.statement)
+            values = self.values(seed, call.scope)
             if len(values) != 1 or not values[0].is_joints:
                 raise Uncertain("several", name="its qnear")
             self.script.program.harmless.update(place for _, place in values[0].target.uses)
             readings = values[0].target.literal.numbers
-        pose = self.pose(tool, call.statement) if tool else self.tool(call)
+        pose = self.pose(tool, call.scope) if tool else self.tool(call)
         argument = call.argument(0, "x")
-        values = self.values(argument, call.statement)
+        values = self.values(argument, call.scope)
         return [Value(v.target, pose, readings, (argument[0].start, argument[-1].end)) for v in values]
 
-    def pose(self, tokens: Tokens, statement: Statement) -> Floats:
+    def pose(self, tokens: Tokens, scope: Scope) -> Floats:
         """Return the only pose (4, 4) of an expression. Raises Uncertain."""
-        values = self.values(tokens, statement)
+        values = self.values(tokens, scope)
         return only([value.pose for value in values], Uncertain("several", name="it"))
 
     def tool(self, call: Call) -> Floats:
@@ -179,7 +174,7 @@ class _Reader:
             raise Uncertain("several-tools")
         if isinstance(setter, Call):
             try:
-                return self.script.once(setter, lambda: self.pose(setter.argument(0, "pose"), setter.statement))
+                return self.script.once(setter, lambda: self.pose(setter.argument(0, "pose"), setter.scope))
             except Uncertain as uncertain:
                 raise uncertain.again(subject="tool") from None
         return self.script.given("", Uncertain("tool"))
@@ -194,7 +189,7 @@ class _Reader:
             argument = call.argument(number, *names)
             if not argument:
                 raise Uncertain("arguments")
-            values = self.values(argument, call.statement)
+            values = self.values(argument, call.scope)
             for value in values:
                 span = (argument[0].start, argument[-1].end) if value.tool is None else value.span
                 tool = IDENTITY if value.is_joints else self.tool(call) if value.tool is None else value.tool
@@ -218,7 +213,7 @@ def read_urscript(files: Sequence[Source], surroundings: Surroundings) -> Progra
     reached = _reached(script)
     moves: dict[Call, Move] = {}
     for call in script.placed_calls.values():
-        if call.name in MOVES.keys() | AIMLESS and call.statement.routine in reached:
+        if call.name in MOVES.keys() | AIMLESS and call.routine in reached:
             moves[call] = move = Move(call.name, call.place, call.tokens[-1].end, call.name in STRAIGHT)
             script.add_move(move, partial(reader.goals, call))
     last = _last_calls(script, frozenset(MOVES.keys() | AIMLESS | program.absent.keys()), MOST_ORIGINS)
@@ -232,7 +227,7 @@ def _last_calls(script: Script, names: frozenset[str], limit: int) -> Mapping[En
 
     The beginning of a file or function that nothing calls stands for what was before it; None: unknown.
     """
-    callers = {name: {call.statement.routine.name for call in calls} for name, calls in script.calls.items()}
+    callers = {name: {call.routine.name for call in calls} for name, calls in script.calls.items()}
     acting = closure(names, lambda name: callers.get(name, ()))
     if any(routine.kind != "def" for name in acting for routine in script.routines.get(name, ())):
         return {}  # a thread acts at any time
@@ -254,6 +249,6 @@ def _reached(script: Script) -> set[Routine]:
     called: dict[Routine, set[Routine]] = defaultdict(set)
     for name, calls in script.calls.items():
         for call in calls:
-            called[call.statement.routine].update(script.routines.get(name, ()))
+            called[call.routine].update(script.routines.get(name, ()))
     routines = (routine for same_name in script.routines.values() for routine in same_name)
     return closure((r for r in routines if r.outer is None or r.outer.outer is None), called.__getitem__)

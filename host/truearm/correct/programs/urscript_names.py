@@ -13,7 +13,7 @@ from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
-from truearm.correct.programs.data import Change, Datum, Place
+from truearm.correct.programs.data import Change, Datum, Place, Scope
 from truearm.correct.programs.program import Program, Step, Surroundings
 from truearm.correct.programs.reading import Reading, Uncertain
 from truearm.correct.programs.tokens import DEPTH, Source, Token, Tokens, closing, is_word, separated, words
@@ -27,12 +27,12 @@ ENDING = words("end else elif")
 
 @dataclass(eq=False)
 class Routine:
-    """A function or thread (``kind``) with its parameters, and the function or file in which it is defined."""
+    """A function or thread (``kind``), the function or file in which it is defined, and the scope with its parameters."""
 
     name: str
     kind: str
     outer: Routine | None
-    names: dict[str, Datum] = field(default_factory=dict)
+    scope: Scope
 
 
 class Border(NamedTuple):
@@ -43,30 +43,22 @@ class Border(NamedTuple):
 
 
 @dataclass(eq=False)
-class Statement:
-    """A statement, a condition, or the parameters of a function, in a function of a file."""
-
-    tokens: Tokens
-    file: int
-    routine: Routine
-
-    def place(self, token: Token) -> Place:
-        """Return the place of one of its tokens."""
-        return Place(self.file, token.start)
-
-
-@dataclass(eq=False)
 class Call:
-    """A call of a function in a statement."""
+    """A call of a function in a function."""
 
     name: str
     tokens: Tokens
-    statement: Statement
+    routine: Routine
+
+    @property
+    def scope(self) -> Scope:
+        """From where it looks up names."""
+        return self.routine.scope
 
     @property
     def place(self) -> Place:
         """Where it begins."""
-        return self.statement.place(self.tokens[0])
+        return self.scope.place(self.tokens[0])
 
     @cached_property
     def arguments(self) -> dict[int | str, Tokens]:
@@ -91,7 +83,7 @@ class Script(Reading):
 
     names: dict[str, Datum] = field(default_factory=dict)
     routines: dict[str, list[Routine]] = field(default_factory=lambda: defaultdict(list))
-    statements: list[Statement] = field(default_factory=list)
+    statements: list[tuple[Tokens, Scope]] = field(default_factory=list)
     steps: list[Step | Entry] = field(default_factory=list)
     placed_calls: dict[Place, Call] = field(default_factory=dict)
     calls: dict[str, list[Call]] = field(default_factory=lambda: defaultdict(list))
@@ -102,9 +94,9 @@ class Script(Reading):
         if datum.name in self.routines:
             raise Uncertain("redeclared", name=datum.name, where="a function")
 
-    def call(self, tokens: Tokens, statement: Statement) -> Call | None:
+    def call(self, tokens: Tokens, scope: Scope) -> Call | None:
         """Return the call of a function of the language that tokens are, None if they are something else."""
-        call = self.placed_calls.get(statement.place(tokens[0])) if tokens else None
+        call = self.placed_calls.get(scope.place(tokens[0])) if tokens else None
         return call if call and call.tokens[-1] is tokens[-1] and call.name not in self.routines else None
 
 
@@ -113,8 +105,8 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Script:
     script = Script(Program("urscript", list(files), needed_frames={""}), surroundings)
     for number, source in enumerate(files):
         _ScriptReader(script, number).read(source.script_tokens)
-    for statement in script.statements:
-        _note_uses(script, statement)
+    for tokens, scope in script.statements:
+        _note_uses(script, tokens, scope)
     for call in script.placed_calls.values():
         script.calls[call.name].append(call)
     absent = [name for name in script.calls if name not in script.routines and not is_in_language(name)]
@@ -152,8 +144,8 @@ class _ScriptReader:
     """Reads the statements of one file. ``blocks``: the routine around each open block, and the steps that end it."""
 
     def __init__(self, script: Script, file: int) -> None:
-        self.script, self.file = script, file
-        self.routine = Routine("", "def", None)
+        self.script = script
+        self.routine = Routine("", "def", None, Scope(file, (script.names,)))
         self.blocks: list[tuple[Routine, list[Step | Entry]]] = []
         script.routines[""].append(self.routine)
         script.steps.append(Border(self.routine, is_end=False))
@@ -179,14 +171,14 @@ class _ScriptReader:
 
     def add(self, tokens: Tokens) -> list[Step | Entry]:
         """Add a statement; return its calls. With ``and`` or ``or``, they may not be run."""
-        statement = Statement(tokens, self.file, self.routine)
-        self.script.statements.append(statement)
-        _note_assignment(self.script, statement)
+        scope = self.routine.scope
+        self.script.statements.append((tokens, scope))
+        _note_assignment(self.script, tokens, scope)
         steps: list[Step | Entry] = []
         is_optional = not {"and", "or"}.isdisjoint([token.text for token in tokens])
         for index, token in calls_in(tokens):
             end = closing(tokens, index + 1)
-            call = Call(token.text, tokens[index : end + 1] if end < len(tokens) else [token], statement)
+            call = Call(token.text, tokens[index : end + 1] if end < len(tokens) else [token], self.routine)
             self.script.placed_calls[call.place] = call
             steps += [Step.IF, call, Step.END] if is_optional else [call]
         self.script.steps += steps
@@ -194,14 +186,15 @@ class _ScriptReader:
 
     def define(self, line: Tokens) -> None:
         """Read the head of a function or thread; defaults of parameters use names too."""
-        routine = Routine(line[1].text, line[0].text, self.routine)
+        scope = self.routine.scope._replace(blocks=({}, *self.routine.scope.blocks))
+        routine = Routine(line[1].text, line[0].text, self.routine, scope)
         self.blocks.append((self.routine, [Border(routine, is_end=True), Step.END]))
         self.routine = routine
         self.script.routines[routine.name].append(routine)
         self.script.steps += [Step.ROUTINE, *([Border(routine, is_end=False)] if routine.kind == "def" else [])]
         parameters = line[3 : closing(line, 2)]
         for name, *_ in filter(None, separated(parameters, ",")):
-            routine.names[name.text] = Datum(name.text, "", "parameter", Place(self.file, name.start))
+            scope.blocks[0][name.text] = Datum(name.text, "", "parameter", scope.place(name))
         self.add(parameters)
 
     def branch(self, word: str, condition: Tokens) -> None:
@@ -230,46 +223,34 @@ def calls_in(tokens: Tokens) -> Iterator[tuple[int, Token]]:
 # names and what may change them
 
 
-def find(script: Script, name: str, statement: Statement) -> Datum | None:
-    """Return the datum of a name as seen from a statement: a parameter of a function around it, or a variable."""
-    routine: Routine | None = statement.routine
-    while routine is not None:
-        if name in routine.names:
-            return routine.names[name]
-        routine = routine.outer
-    return script.names.get(name)
-
-
-def _note_assignment(script: Script, statement: Statement) -> None:
+def _note_assignment(script: Script, tokens: Tokens, scope: Scope) -> None:
     """Note an assignment: one more value of a variable, or a change of a part of it."""
-    is_scoped = bool(statement.tokens) and statement.tokens[0].text in ("global", "local")
-    tokens = statement.tokens[is_scoped:]
+    tokens = tokens[bool(tokens) and tokens[0].text in ("global", "local") :]
     if len(tokens) < 2 or tokens[0].kind != "word" or tokens[1].text not in ("=", "[", "."):
         return
     _, *values = separated(tokens, "=")
-    name, place = tokens[0].text, statement.place(tokens[0])
-    datum = find(script, name, statement) or Datum(name, "", "var", place)
+    name, place = tokens[0].text, scope.place(tokens[0])
+    datum = scope.find(name) or Datum(name, "", "var", place)
     if not values or datum.kind == "parameter":
         return
     script.names[name] = datum
     if tokens[1].text == "=":
-        datum.values.append((tokens[2:], statement))
+        datum.values.append((tokens[2:], scope))
     else:
         datum.changes.append(Change(place, "assigned"))
 
 
-def _note_uses(script: Script, statement: Statement) -> None:
+def _note_uses(script: Script, tokens: Tokens, scope: Scope) -> None:
     """Note the uses of names, method calls that may change them, and moves in texts."""
-    tokens = statement.tokens
     for index, token in enumerate(tokens):
         if token.kind == "text" and MOVE_TEXT.search(token.text):
-            script.program.texts.append(statement.place(token))
+            script.program.texts.append(scope.place(token))
         if token.kind != "word" or is_word(tokens, index - 1, "."):
             continue
-        datum = find(script, token.text, statement)
+        datum = scope.find(token.text)
         following = tokens[index + 1].text if index + 1 < len(tokens) else ""
         is_length = index > 1 and tokens[index - 1].text == "(" and tokens[index - 2].text in LENGTHS
         if datum is not None and following not in ("(", "=") and not is_length:
-            datum.uses.add(statement.place(token))
+            datum.uses.add(scope.place(token))
             if following == "." and is_word(tokens, index + 3, "("):
-                datum.changes.append(Change(statement.place(token), "method"))
+                datum.changes.append(Change(scope.place(token), "method"))
