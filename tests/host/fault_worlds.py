@@ -15,9 +15,9 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
-from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
-from truearm.plan.bar_paths import Pace
+from truearm.plan.ball_bar_plan import Budget, all_pairings, make_site, plan_ballbar
 from truearm.plan.forecast import Knowledge
+from truearm.plan.options import PoseOptions
 from truearm.plan.route import Visits
 
 STANDARD = plan_bench.RIGS["puma560"]
@@ -35,8 +35,8 @@ def plan(times=1, check_poses=10):
     known = replace(Knowledge.design(builtin_robot("puma560"), RIG), links=None)
     site = make_site(known, plan_bench.LIMITS, plan_bench.SIZES)
     # The planner's default of 5000 candidates gains little and takes three times as long.
-    wanted = Wanted(n_poses=360, n_candidates=2000, visits=Visits(times, check_poses if times == 1 else 0))
-    return plan_ballbar(site, known, all_pairings(RIG), wanted, Pace()).route.plan
+    visits = Visits(times, check_poses if times == 1 else 0)
+    return plan_ballbar(site, known, all_pairings(RIG), Budget(360), PoseOptions(candidates=2000), visits).route.plan
 
 
 def lengths(plan, chuck_off=0.0, q_off=0.0, sphere=None):

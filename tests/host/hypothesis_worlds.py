@@ -21,9 +21,9 @@ from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.robot import builtin_robot
 from truearm.model.robot_file import load_robot
 from truearm.model.rotation import rotation
-from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
-from truearm.plan.bar_paths import Pace
+from truearm.plan.ball_bar_plan import Budget, all_pairings, make_site, plan_ballbar
 from truearm.plan.forecast import Knowledge
+from truearm.plan.options import PoseOptions
 from truearm.plan.route import Visits
 from truearm.types import BallBar, Rig
 
@@ -75,9 +75,10 @@ def site(robot, visits=1, planned=False):
     rig = replace(RIGS[robot], bars={name: BallBar(name, zero, 1.0, 0.075, SIGMA)})
     if planned and not of.is_urdf:
         design = replace(Knowledge.design(of, rig), links=None)  # thin links: as tests/host/fault_worlds.py
-        wanted = Wanted(n_poses=N_POSES, n_candidates=2000, visits=Visits(visits, 10 if visits == 1 else 0))
         where = make_site(design, plan_bench.LIMITS, plan_bench.SIZES)
-        plan = plan_ballbar(where, design, all_pairings(rig), wanted, Pace()).route.plan
+        times = Visits(visits, 10 if visits == 1 else 0)
+        options = PoseOptions(candidates=2000)
+        plan = plan_ballbar(where, design, all_pairings(rig), Budget(N_POSES), options, times).route.plan
         return Site(of.chain, of.free, rig, plan.q, plan.chuck, plan.sphere, np.ones(len(plan), dtype=bool))
     rng, q, pairs = np.random.default_rng(7), [], []
     each = {}

@@ -8,11 +8,11 @@ import pytest
 
 from truearm.model.chain import forward, joint_frames, joint_jacobian
 from truearm.model.robot import builtin_robot
-from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
-from truearm.plan.bar_paths import Pace
+from truearm.plan.ball_bar_plan import Budget, all_pairings, make_site, plan_ballbar
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Knowledge
 from truearm.plan.measurement_limits import Limits
+from truearm.plan.options import PoseOptions
 from truearm.types import BallBar, Point, Rig
 from truearm_sim.world import standard_rig
 
@@ -56,9 +56,7 @@ def site(name):
 @cache
 def planned(name, n=N_POSES, n_candidates=200):
     rig = RIGS[name]
-    return plan_ballbar(
-        site(name), known(name), all_pairings(rig), Wanted(n_poses=n, n_candidates=n_candidates), Pace()
-    )
+    return plan_ballbar(site(name), known(name), all_pairings(rig), Budget(n), PoseOptions(candidates=n_candidates))
 
 
 def legs(route, step=0.015):

@@ -14,9 +14,9 @@ from truearm.estimate.prior import weak_prior
 from truearm.estimate.solvers import Prior
 from truearm.model.robot import builtin_robot
 from truearm.model.urdf import free_without_gains
-from truearm.plan.ball_bar_plan import Wanted, all_pairings, plan_ballbar
-from truearm.plan.bar_paths import Pace
+from truearm.plan.ball_bar_plan import Budget, all_pairings, plan_ballbar
 from truearm.plan.forecast import Aim, bar_table, forecast
+from truearm.plan.options import PoseOptions
 from truearm.plan.route import Visits
 from truearm.types import Plan
 
@@ -207,18 +207,17 @@ def test_a_region_that_is_measured_has_the_smaller_error():
 
 def test_budgets_in_minutes_are_kept():
     site, known = bench.site("irb120"), bench.known("irb120")
-    wanted = Wanted(minutes=8.0, n_candidates=100, passes=0)
+    options = PoseOptions(candidates=100)
     pairings = all_pairings(known.rig, ["bar25"])
-    found = plan_ballbar(site, known, pairings, wanted, Pace(mount=20.0))
+    found = plan_ballbar(site, known, pairings, Budget(minutes=8.0), options)
     assert found.route.minutes <= 8.0
     assert len(found.route.plan) > 20
     with refused("no-plan", reason="mounting one pairing takes"):
-        plan_ballbar(site, known, pairings, wanted._replace(minutes=0.5), Pace())
+        plan_ballbar(site, known, pairings, Budget(minutes=0.5), options)
     # Seven minutes: 18 mounts alone would take nine. Poses of fewer pairings see all parameters, which no one pairing
     # does.
     site, known = bench.site("irb120"), bench.known("irb120")
-    wanted = Wanted(minutes=7.0, n_candidates=150, passes=0)
-    found = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace())
+    found = plan_ballbar(site, known, all_pairings(known.rig), Budget(minutes=7.0), PoseOptions(candidates=150))
     assert 5.5 < found.route.minutes <= 7.0
     assert 3 <= found.route.n_mounts <= 7
     assert len(found.route.plan) > 35
@@ -229,7 +228,7 @@ def test_budgets_in_minutes_are_kept():
 def test_what_cannot_be_planned_is_said():
     site, known = bench.site("irb120"), bench.known("irb120")
     with refused("exclusive"):
-        plan_ballbar(site, known, all_pairings(known.rig), Wanted(), Pace())
+        plan_ballbar(site, known, all_pairings(known.rig), Budget(), PoseOptions())
     with refused("not-in-rig", place="bars", name="b9", names=["bar25", "bar32"]):
         all_pairings(known.rig, ["b9"])
 
@@ -243,8 +242,8 @@ def visited(plan):
 
 def test_check_poses_and_two_visits_come_again():
     site, known = bench.site("irb120"), bench.known("irb120")
-    wanted = Wanted(n_poses=54, n_candidates=150, passes=0, visits=Visits(check_poses=2))
-    plan = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace()).route.plan
+    options, visits = PoseOptions(candidates=150), Visits(check_poses=2)
+    plan = plan_ballbar(site, known, all_pairings(known.rig), Budget(54), options, visits).route.plan
     mounts = visited(plan)
     assert len(plan) == 54
     *before, last, other = mounts
@@ -257,8 +256,8 @@ def test_check_poses_and_two_visits_come_again():
         assert len(q) == 2
         assert all((dict(before)[name] == pose).all(axis=1).any() for pose in q), "the same joints each time"
     site, known = bench.site("irb120"), bench.known("irb120")
-    wanted = Wanted(n_poses=54, n_candidates=150, passes=0, visits=Visits(times=2))
-    route = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace()).route
+    options, visits = PoseOptions(candidates=150), Visits(times=2)
+    route = plan_ballbar(site, known, all_pairings(known.rig), Budget(54), options, visits).route
     mounts = visited(route.plan)
     of_name = {name: [len(q) for other, q in mounts if other == name] for name, _ in mounts}
     assert any(len(sizes) == 2 for sizes in of_name.values())

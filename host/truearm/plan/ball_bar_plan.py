@@ -19,11 +19,12 @@ from truearm.plan.choose import as_blocks, choose
 from truearm.plan.collision_shapes import Sizes, make_shapes
 from truearm.plan.forecast import Aim, Forecast, Knowledge, arm_of, bar_table, candidate_rows, forecast, region_root
 from truearm.plan.measurement_limits import Limits, Pairing, Site
+from truearm.plan.options import PoseOptions
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.roadmap import roadmaps
 from truearm.plan.route import ONCE, Route, Visits, n_checks, route
 from truearm.plan.shells import candidates
-from truearm.progress import Advance, step
+from truearm.progress import step
 from truearm.text import counted
 from truearm.types import Floats, Plan, Rig
 from truearm.units import UNITS
@@ -42,17 +43,11 @@ SHORTER = 0.6  # of a move, that a further pose costs: with n poses on the same 
 TRIMMED = 0.9  # of the poses of a plan that was too long: with fewer, other mounts may be worth their time
 
 
-class Wanted(NamedTuple):
-    """How much to measure, and the purpose of the measurement."""
+class Budget(NamedTuple):
+    """How much to measure: ``n`` poses, including every visit of a check pose, or an operator's ``minutes``."""
 
-    n_poses: int | None = None
+    n: int | None = None
     minutes: float | None = None
-    criterion: str = "I"
-    passes: int = 1
-    n_candidates: int = 5000
-    spread: float = 0.0  # m
-    seed: int = 0
-    visits: Visits = ONCE  # ``n_poses`` counts every visit of a check pose
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,89 +106,77 @@ def plan_ballbar(
     site: Site,
     knowledge: Knowledge,
     pairings: Sequence[Pairing],
-    request: Wanted,
-    pace: Pace,
+    budget: Budget,
+    options: PoseOptions,
+    visits: Visits = ONCE,
     region: Region | None = None,
 ) -> BallBarPlan:
     """Plan ball-bar poses: candidates, choice, route and forecast. ``region``: by default the box around the shells.
 
     Raises PlanError for a missing budget or one that is too small, and the errors of the steps.
     """
-    if (request.n_poses is None) == (request.minutes is None):
+    if (budget.n is None) == (budget.minutes is None):
         raise PlanError(
-            "exclusive", first=Argument("poses"), second=Argument("minutes"), neither=request.minutes is None
+            "exclusive", first=Argument("poses"), second=Argument("minutes"), neither=budget.minutes is None
         )
+    pace = Pace(dwell=options.dwell)
     with step("planning poses") as advance:
-        return _planned(site, knowledge, pairings, request, pace, region, advance)
-
-
-def _planned(
-    site: Site,
-    knowledge: Knowledge,
-    pairings: Sequence[Pairing],
-    request: Wanted,
-    pace: Pace,
-    region: Region | None,
-    advance: Advance,
-) -> BallBarPlan:
-    looked, linked = LOOKING if request.n_poses is None else LOOKING_ONCE
-    candidate_poses = candidates(site, pairings, request.n_candidates, request.seed, request.spread)
-    advance(looked)
-    candidate_poses, graphs = roadmaps(site, candidate_poses)
-    advance(linked)
-    if (request.n_poses or 0) > len(candidate_poses):
-        raise PlanError(
-            f"only {len(candidate_poses)} candidates are within reach with the bar attached, too few for "
-            f"{counted(request.n_poses or 0, 'pose')}; ask for fewer ",
-            *(Argument("poses"), " or more ", Argument("candidates"), ", lower ", Argument("reserve"), ", widen "),
-            *(Argument("branch"), ", or move the chucks"),
-        )
-    aim = _aim(site, candidate_poses, region, request.seed)
-    table = bar_table(knowledge, candidate_poses)
-    poses = (
-        request.n_poses if request.n_poses is not None else int(60.0 * (request.minutes or 0.0) / (pace.dwell + MOVE))
-    )
-    doubted = with_doubted_bars(knowledge) if poses >= DOUBTED_FROM * int(knowledge.free.sum()) else knowledge
-    rows, information = candidate_rows(doubted, table)
-    blocks, root = as_blocks(rows), region_root(doubted, table, aim)
-
-    pairing = np.unique(pairing_names(candidate_poses), axis=0, return_inverse=True)[1].reshape(-1)
-    setup = 0.0 if request.minutes is None else pace.mount / (pace.dwell + MOVE)
-
-    def chosen(n: int) -> Plan:
-        """Return the n best, the most important first."""
-        stock = np.arange(len(candidate_poses))
-        while True:
-            order = choose(
-                blocks[stock], information, n, request.criterion, root, request.passes, pairing[stock], setup
+        looked, linked = LOOKING if budget.n is None else LOOKING_ONCE
+        candidate_poses = candidates(site, pairings, options.candidates, options.seed, options.spread)
+        advance(looked)
+        candidate_poses, graphs = roadmaps(site, candidate_poses)
+        advance(linked)
+        if (budget.n or 0) > len(candidate_poses):
+            raise PlanError(
+                f"only {len(candidate_poses)} candidates are within reach with the bar attached, too few for "
+                f"{counted(budget.n or 0, 'pose')}; ask for fewer ",
+                *(Argument("poses"), " or more ", Argument("candidates"), ", lower ", Argument("reserve"), ", widen "),
+                *(Argument("branch"), ", or move the chucks"),
             )
-            best = candidate_poses.select(stock[order])
-            is_worth = _worth_mounting(knowledge, candidate_poses.select(stock), best)
-            if is_worth.all() or is_worth.sum() < n:
-                return best
-            stock = stock[is_worth]
+        aim = _aim(site, candidate_poses, region, options.seed)
+        table = bar_table(knowledge, candidate_poses)
+        poses = budget.n if budget.n is not None else int(60.0 * (budget.minutes or 0.0) / (pace.dwell + MOVE))
+        doubted = with_doubted_bars(knowledge) if poses >= DOUBTED_FROM * int(knowledge.free.sum()) else knowledge
+        rows, information = candidate_rows(doubted, table)
+        blocks, root = as_blocks(rows), region_root(doubted, table, aim)
 
-    if request.n_poses is not None:
-        best = _with_room(site, chosen, request.n_poses, request.visits)
-        planned_route = route(site, best, pace, graphs, request.visits)
-    else:
-        trials = (linked + (1.0 - linked) * k / TRIALS for k in count(1))
-        longest: list[Plan] = []
+        pairing = np.unique(pairing_names(candidate_poses), axis=0, return_inverse=True)[1].reshape(-1)
+        setup = 0.0 if budget.minutes is None else pace.mount / (pace.dwell + MOVE)
 
-        def tried(n: int) -> Route:
-            if longest and TRIMMED * len(longest[0]) < n < len(longest[0]):
-                best = longest[0].select(np.arange(n))  # the same mounts, without the least important poses
-                best = best.select(_worth_mounting(knowledge, best, best))
-            else:
-                best = chosen(n)
-                longest[:] = [best]
-            planned_route = route(site, best, pace, graphs, request.visits)
-            advance(min(next(trials), 1.0))
-            return planned_route
+        def chosen(n: int) -> Plan:
+            """Return the n best, the most important first."""
+            stock = np.arange(len(candidate_poses))
+            while True:
+                order = choose(
+                    blocks[stock], information, n, options.criterion, root, group=pairing[stock], setup=setup
+                )
+                best = candidate_poses.select(stock[order])
+                is_worth = _worth_mounting(knowledge, candidate_poses.select(stock), best)
+                if is_worth.all() or is_worth.sum() < n:
+                    return best
+                stock = stock[is_worth]
 
-        n_most = min(len(candidate_poses), int(60.0 * (request.minutes or 0.0) / pace.dwell))
-        planned_route = _within(tried, max(1, int(FIRST * poses)), n_most, request.minutes or 0.0, pace)
-    return BallBarPlan(planned_route, forecast(knowledge, bar_table(knowledge, planned_route.plan), aim))
+        if budget.n is not None:
+            best = _with_room(site, chosen, budget.n, visits)
+            planned_route = route(site, best, pace, graphs, visits)
+        else:
+            trials = (linked + (1.0 - linked) * k / TRIALS for k in count(1))
+            longest: list[Plan] = []
+
+            def tried(n: int) -> Route:
+                if longest and TRIMMED * len(longest[0]) < n < len(longest[0]):
+                    best = longest[0].select(np.arange(n))  # the same mounts, without the least important poses
+                    best = best.select(_worth_mounting(knowledge, best, best))
+                else:
+                    best = chosen(n)
+                    longest[:] = [best]
+                planned_route = route(site, best, pace, graphs, visits)
+                advance(min(next(trials), 1.0))
+                return planned_route
+
+            n_most = min(len(candidate_poses), int(60.0 * (budget.minutes or 0.0) / pace.dwell))
+            planned_route = _within(tried, max(1, int(FIRST * poses)), n_most, budget.minutes or 0.0, pace)
+        return BallBarPlan(planned_route, forecast(knowledge, bar_table(knowledge, planned_route.plan), aim))
 
 
 def _worth_mounting(knowledge: Knowledge, candidate_poses: Plan, best: Plan) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import Robot
 from truearm.plan.approaches import plan_approaches
-from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
+from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Budget, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
@@ -45,13 +45,6 @@ from truearm.workflows.selection import all_held_out, default_prior, held_out_ro
 LEAST_CHECKS = 3  # fewer reveal little about a drift, and a short plan has no pose to spare
 POSES_A_CHECK = 36  # check poses are visited three times more: at most a twelfth of the poses
 LEFT = 2e-3  # m of travel that the motions between poses need at least
-
-
-class Budget(NamedTuple):
-    """How much to measure: ``n`` poses or lines, or an operator's ``minutes``."""
-
-    n: int | None = None
-    minutes: float | None = None
 
 
 @dataclass(frozen=True)
@@ -178,20 +171,12 @@ def planned_ball_bar(knowledge: Knowledge, budget: Budget, options: BallBarOptio
     """
     limits = _limits(options.reserve, is_identified)
     _check_travel(knowledge, limits.reserve, options.spread)
-    choice = Wanted(
-        *budget,
-        options.criterion,
-        n_candidates=options.candidates,
-        spread=options.spread,
-        seed=options.seed,
-        visits=_visits(budget, options),
-    )
     site = make_site(knowledge, limits, Sizes(), options.seed)
-    pairings, pace = all_pairings(knowledge.rig, options.bars), Pace(dwell=options.dwell)
+    pairings = all_pairings(knowledge.rig, options.bars)
     if knowledge.measured is not None and knowledge.deciding:  # all poses on the mounts that decide
         items = {pairing: {f"chuck {pairing.chuck}", f"sphere {pairing.sphere}"} for pairing in pairings}
         pairings = [pairing for pairing in pairings if knowledge.deciding >= items[pairing]] or pairings
-    return plan_ballbar(site, knowledge, pairings, choice, pace, options.region)
+    return plan_ballbar(site, knowledge, pairings, budget, options, _visits(budget, options), options.region)
 
 
 @step("planning")
