@@ -34,6 +34,7 @@ from truearm.model import robot_file
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
 from truearm.plan.ball_bar_plan import BallBarPlan
+from truearm.plan.options import Budget
 from truearm.types import Floats, Rig, Rigs
 from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
@@ -42,7 +43,7 @@ from truearm.workflows import map as maps
 from truearm.workflows.calibration import Calibration, Identification, read_calibration
 from truearm.workflows.identify import IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, completed_rigs, read_sources
-from truearm.workflows.plan import BallBarOptions, Budget
+from truearm.workflows.plan import BallBarOptions
 from truearm.workflows.requests import CorrectOptions, Section
 from truearm.workflows.session_observations import channel_samples, is_session, joint_readings
 from truearm.workflows.session_parts import session_parts

@@ -15,9 +15,9 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
-from truearm.plan.ball_bar_plan import Budget, all_pairings, make_site, plan_ballbar
+from truearm.plan.ball_bar_plan import all_pairings, make_site, plan_ballbar
 from truearm.plan.forecast import Knowledge
-from truearm.plan.options import PoseOptions
+from truearm.plan.options import Budget, PoseOptions
 from truearm.plan.route import Visits
 
 STANDARD = plan_bench.RIGS["puma560"]

@@ -21,9 +21,9 @@ from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.robot import builtin_robot
 from truearm.model.robot_file import load_robot
 from truearm.model.rotation import rotation
-from truearm.plan.ball_bar_plan import Budget, all_pairings, make_site, plan_ballbar
+from truearm.plan.ball_bar_plan import all_pairings, make_site, plan_ballbar
 from truearm.plan.forecast import Knowledge
-from truearm.plan.options import PoseOptions
+from truearm.plan.options import Budget, PoseOptions
 from truearm.plan.route import Visits
 from truearm.types import BallBar, Rig
 

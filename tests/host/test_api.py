@@ -24,7 +24,7 @@ from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
 from truearm.kinds.rig_file import write_rig
 from truearm.model.chain import forward
-from truearm.plan.criteria import Criterion
+from truearm.plan.options import Criterion
 from truearm.types import LinePlacement
 from truearm_sim.world import standard_rig
 

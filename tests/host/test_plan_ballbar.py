@@ -14,9 +14,9 @@ from truearm.estimate.prior import weak_prior
 from truearm.estimate.solvers import Prior
 from truearm.model.robot import builtin_robot
 from truearm.model.urdf import free_without_gains
-from truearm.plan.ball_bar_plan import Budget, all_pairings, plan_ballbar
+from truearm.plan.ball_bar_plan import all_pairings, plan_ballbar
 from truearm.plan.forecast import Aim, bar_table, forecast
-from truearm.plan.options import PoseOptions
+from truearm.plan.options import Budget, PoseOptions
 from truearm.plan.route import Visits
 from truearm.types import Plan
 

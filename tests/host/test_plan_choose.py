@@ -8,9 +8,9 @@ from tests.host import plan_bench as bench
 
 from truearm.model.chain import point_forward
 from truearm.plan.choose import as_blocks, choose, condensed, value
-from truearm.plan.criteria import Criterion
 from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
 from truearm.plan.measurement_limits import Pairing
+from truearm.plan.options import Criterion
 from truearm.plan.region import around, poses_in
 from truearm.plan.shells import candidates
 from truearm_sim.shells import plan_shells

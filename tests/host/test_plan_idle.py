@@ -6,7 +6,8 @@ import numpy as np
 
 from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import first_rig
-from truearm.workflows.plan import BallBarOptions, Budget, knowledge_of, planned_ball_bar
+from truearm.plan.options import Budget
+from truearm.workflows.plan import BallBarOptions, knowledge_of, planned_ball_bar
 
 
 def test_a_chuck_that_nobody_measured_has_more_poses_than_coordinates_or_none():

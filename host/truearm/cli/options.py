@@ -119,7 +119,7 @@ import click
 from truearm import option_defaults
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names, names_with_branch
-from truearm.plan.criteria import Criterion
+from truearm.plan.options import Criterion
 from truearm.plan.route_program import languages_help
 from truearm.record.robots.sources import sources_help
 from truearm.units import DEG, KG, MM, Scale, from_shown

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from truearm.bounds import MINUTES, POSES
 from truearm.cli.command import Answer, command
 from truearm.cli.project import CommandGroup
-from truearm.plan.options import ApproachOptions, LineOptions, PoseOptions
+from truearm.plan.options import ApproachOptions, Budget, LineOptions, PoseOptions
 from truearm.workflows.requests import PlanFiles
 
 app = CommandGroup(
@@ -69,7 +69,7 @@ def ballbar(
     joint_laws
         Also predict how well the poses will determine the joints' error curves.
     """
-    from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
+    from truearm.workflows.plan import BallBarOptions, plan_ball_bar_files
 
     options = BallBarOptions(**vars(chosen), region=region)
     return _answer(plan_ball_bar_files(files, Budget(poses, minutes), options))

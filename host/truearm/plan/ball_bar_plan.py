@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from truearm.plan.choose import as_blocks, choose
 from truearm.plan.collision_shapes import Sizes, make_shapes
 from truearm.plan.forecast import Aim, Forecast, Knowledge, arm_of, bar_table, candidate_rows, forecast, region_root
 from truearm.plan.measurement_limits import Limits, Pairing, Site
-from truearm.plan.options import PoseOptions
+from truearm.plan.options import Budget, PoseOptions
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.roadmap import roadmaps
 from truearm.plan.route import ONCE, Route, Visits, n_checks, route
@@ -41,13 +41,6 @@ MEETS, AIM = 0.95, 0.98  # of the budget: a plan that uses this much is not impr
 FIRST = 0.75  # of the poses that the budget would allow without mounts
 SHORTER = 0.6  # of a move, that a further pose costs: with n poses on the same shells, moves are about n^0.6 together
 TRIMMED = 0.9  # of the poses of a plan that was too long: with fewer, other mounts may be worth their time
-
-
-class Budget(NamedTuple):
-    """How much to measure: ``n`` poses, including every visit of a check pose, or an operator's ``minutes``."""
-
-    n: int | None = None
-    minutes: float | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.plan.criteria import Criterion
+from truearm.plan.options import Criterion
 from truearm.progress import steps_of
 from truearm.types import Floats
 

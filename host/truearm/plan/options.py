@@ -3,11 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from enum import StrEnum
+from typing import Annotated, NamedTuple
 
 from truearm import option_defaults
 from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, MINUTES, SEED, TRAVEL, VISITS, OneOf, Within
-from truearm.plan.criteria import Criterion
+
+
+class Criterion(StrEnum):
+    """The quantity that a choice minimises; ``summary``: the text that ``--help`` shows."""
+
+    summary: str
+
+    def __new__(cls, value: str, summary: str = "") -> Criterion:
+        criterion = str.__new__(cls, value)
+        criterion._value_, criterion.summary = value, summary
+        return criterion
+
+    I = "I", "the error in the region"  # noqa: E741  # the criterion's name in the literature
+    D = "D", "the volume of the uncertainty of all parameters"
+    A = "A", "their mean uncertainty"
+    E = "E", "the uncertainty of the worst combination of parameters"
+
+
+class Budget(NamedTuple):
+    """How much to measure: ``n`` poses, including every visit of a check pose, or an operator's ``minutes``."""
+
+    n: int | None = None
+    minutes: float | None = None
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import Robot
 from truearm.plan.approaches import plan_approaches
-from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Budget, all_pairings, make_site, plan_ballbar
+from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
@@ -27,7 +27,7 @@ from truearm.plan.forecast import Forecast, Knowledge, bar_table, forecast, with
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.plan.line_plan import LinePlan, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
-from truearm.plan.options import ApproachOptions, LineOptions, PoseOptions
+from truearm.plan.options import ApproachOptions, Budget, LineOptions, PoseOptions
 from truearm.plan.plan_file import write_plan
 from truearm.plan.region import Region
 from truearm.plan.route import Visits

@@ -130,8 +130,9 @@ def create(
     from truearm.kinds.rig_file import read_rig
     from truearm.plan.branches import branch_of
     from truearm.plan.first_rig import first_rig
+    from truearm.plan.options import Budget
     from truearm.workflows.controller_model import ROBOT_FILE, controller_choice
-    from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
+    from truearm.workflows.plan import BallBarOptions, plan_ball_bar_files
     from truearm.workflows.requests import PlanFiles
     from truearm.workflows.socket_project import SEATS, plan_sockets
 

@@ -1,21 +1,45 @@
-"""The moves of a RAPID task, each with its targets, tool and work object."""
+"""The moves of a RAPID task, each with its targets, tool and work object, and everything that uses or may change a datum.
+
+The modules are read together, and nothing is followed: a name has all values that are assigned to it, in any order.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from truearm.correct.programs.data import Change, Datum, Form, Literal, Scope
+from truearm.correct.programs.data import Change, Datum, Form, Literal, Place, Scope
 from truearm.correct.programs.poses import check_reach, matrix_of_quaternion
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
-from truearm.correct.programs.rapid_names import Statement, Task, arguments_of, find, read_names
-from truearm.correct.programs.rapid_words import AIMLESS, MOVES, STRAIGHT
-from truearm.correct.programs.reading import Uncertain, arithmetic
-from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
+from truearm.correct.programs.rapid_words import (
+    AIMLESS,
+    BY_NAME,
+    DISPLACING,
+    LANGUAGE,
+    LOADING,
+    MOVES,
+    READERS,
+    SEARCHES,
+    STRAIGHT,
+)
+from truearm.correct.programs.reading import Reading, Uncertain, arithmetic
+from truearm.correct.programs.tokens import (
+    NUMBER,
+    RAPID,
+    Source,
+    Tokens,
+    closing,
+    is_bracketed,
+    is_word,
+    separated,
+    tokens_of,
+    words,
+)
 from truearm.types import Floats
 from truearm.units import MM
 
@@ -25,6 +49,313 @@ NO_AXIS = 8.9e9  # an external axis from this value on is not used
 AXES = tuple(f"eax_{letter}" for letter in "abcdef")
 
 Value = float | str | bool | tuple["Value", ...]
+
+ROUTINE_ENDS = words("endproc endfunc endtrap endmodule endrecord")
+STEPS = {
+    **dict.fromkeys(("if", "test"), Step.IF),
+    **dict.fromkeys(("while", "for"), Step.LOOP),
+    **dict.fromkeys(("elseif", "case"), Step.BRANCH),
+    **dict.fromkeys(("else", "default"), Step.ELSE),
+    **dict.fromkeys(("endif", "endfor", "endwhile", "endtest"), Step.END),
+    **dict.fromkeys(("error", "undo", "backward"), Step.CALL),  # from anywhere in the routine
+}
+EVALUATING = words("if elseif test case while for")  # an expression follows
+ENDS = ROUTINE_ENDS | words("; : then do case default endtest")  # of a statement or expression
+SKIPPED = ENDS | words("local task")
+OPERATORS = words("and or xor not div mod")
+RECORDS = words("robtarget jointtarget tooldata wobjdata")  # types with several values of one name
+
+
+Parameters = list[tuple[str, str]]  # of a routine: name and mode, "" for by value
+
+
+class Statement(NamedTuple):
+    """An instruction, an assignment, or an expression that is evaluated (a condition, a declaration's value)."""
+
+    tokens: Tokens
+    scope: Scope
+    is_instruction: bool
+
+
+@dataclass(eq=False)
+class Task(Reading):
+    """The modules of a task.
+
+    ``modules``: the data of each. ``shared``: those that all modules see. ``outline``: the statements with the
+    structure around them. ``by_name``: why no variable is certain.
+    ``is_unwatched``: ConfL or ConfJ is off somewhere. ``persistents``: data that all tasks of a controller share.
+    """
+
+    modules: list[dict[str, Datum]] = field(default_factory=list)
+    shared: dict[str, list[Datum]] = field(default_factory=lambda: defaultdict(list))
+    routines: dict[str, list[Parameters]] = field(default_factory=lambda: defaultdict(list))
+    outline: list[Step | Statement] = field(default_factory=list)
+    by_name: Uncertain | None = None
+    is_unwatched: bool = False
+    persistents: list[Datum] = field(default_factory=list)
+
+    def is_foreign(self, name: str, scope: Scope) -> bool:
+        """Return whether a name is neither a word of the language nor in the files."""
+        return name not in LANGUAGE and name not in self.routines and find(self, name, scope) is None
+
+    def check(self, datum: Datum) -> None:
+        """Raise Uncertain if a datum may have values that are not assigned to it as a whole."""
+        super().check(datum)
+        if self.by_name is not None and datum.kind != "const":
+            raise self.by_name.again()
+
+
+def read_names(files: Sequence[Source], surroundings: Surroundings) -> Task:
+    """Read the modules of a task, and note who uses and changes each datum."""
+    task = Task(Program("rapid", list(files)), surroundings)
+    for number, source in enumerate(files):
+        _ModuleReader(task, number, tokens_of(RAPID, source.text)).read()
+    for data in task.modules:
+        for name, datum in data.items():
+            if not datum.local:
+                task.shared[name].append(datum)
+    for name in surroundings.frames:  # declared elsewhere, but these files may change it
+        if name not in task.shared:
+            task.shared[name] = [Datum(name, "", "external", Place(0, 0))]
+    for statement in task.outline:
+        if isinstance(statement, Statement):
+            _note_uses(task, statement)
+            if statement.is_instruction:
+                _note_instruction(task, statement)
+    return task
+
+
+@dataclass(eq=False)
+class _ModuleReader:
+    """Reads the statements and declarations of one file; ``compact``: the number of IF without THEN around."""
+
+    task: Task
+    file: int
+    tokens: Tokens
+    index: int = 0
+    blocks: tuple[dict[str, Datum], ...] = ()
+    compact: int = 0
+
+    def read(self) -> None:
+        """Read the file."""
+        tokens, outline = self.tokens, self.task.outline
+        self.begin_module()
+        while self.index < len(tokens):
+            token = tokens[self.index]
+            word = token.text if token.kind == "word" else ""
+            self.index += 1
+            if word == "module":
+                self.begin_module()
+                self.skip_name()
+            elif word in ("proc", "func", "trap"):
+                self.begin_routine(word)
+            elif word == "record":
+                while self.index < len(tokens) and tokens[self.index].text not in ROUTINE_ENDS:
+                    self.index += 1
+            elif word in ROUTINE_ENDS:
+                outline += [Step.END] * (len(self.blocks) > 1)
+                self.blocks = self.blocks[-1:]
+            elif word in ("const", "var", "pers"):
+                self.declaration(word, tokens[max(self.index - 2, 0)].text)
+            elif word in STEPS:
+                outline.append(STEPS[word])
+                self.structure(word)
+            elif word and is_word(tokens, self.index, ":"):
+                outline.append(Step.CALL)  # GOTO may come from anywhere
+            elif (word and word not in SKIPPED) or (token.text == "%" and len(self.blocks) > 1):
+                self.index -= 1
+                self.add(self.end(), is_instruction=True)
+                outline += [Step.END] * self.compact
+                self.compact = 0
+
+    def end(self) -> int:
+        """Return the index of the next token that ends a statement."""
+        index, tokens = self.index, self.tokens
+        while index < len(tokens) and tokens[index].text not in ENDS:
+            index += 1
+        return index
+
+    def add(self, end: int, is_instruction: bool = False) -> None:
+        """Add the tokens up to ``end`` as a statement."""
+        if end > self.index:
+            scope = Scope(self.file, self.blocks)
+            self.task.outline.append(Statement(self.tokens[self.index : end], scope, is_instruction))
+            self.index = end
+
+    def begin_module(self) -> None:
+        """Begin a module."""
+        self.blocks = ({},)
+        self.task.modules.append(self.blocks[0])
+
+    def skip_name(self) -> None:
+        """Go on after a name and the brackets that follow it."""
+        self.index += 1
+        if is_word(self.tokens, self.index, "("):
+            self.index = closing(self.tokens, self.index) + 1
+
+    def begin_routine(self, word: str) -> None:
+        """Begin PROC, FUNC or TRAP, and read its parameters."""
+        self.index += word == "func"
+        first = self.index
+        self.skip_name()
+        self.task.outline.append(Step.ROUTINE)
+        parameters: Parameters = []
+        data: dict[str, Datum] = {}
+        for parameter in separated(self.tokens[first + 2 : self.index - 1], ",", "\\", "|"):
+            names = [token for token in parameter if token.kind == "word"]
+            if names:
+                name, mode = names[-1].text, names[0].text
+                parameters.append((name, mode if mode in ("inout", "var", "pers") else ""))
+                data[name] = Datum(name, "", "parameter", Place(self.file, names[-1].start))
+        if first < len(self.tokens):
+            self.task.routines[self.tokens[first].text].append(parameters)
+        self.blocks = (data, self.blocks[-1])
+
+    def declaration(self, kind: str, prefix: str) -> None:
+        """Read CONST, VAR or PERS, which may have LOCAL or TASK before it."""
+        end = self.end()
+        tokens = self.tokens[self.index : end]
+        self.index = min(self.index + 2, end)
+        if len(tokens) < 2:
+            return
+        sign = next((index for index, token in enumerate(tokens) if token.text == ":="), end)
+        name, place = tokens[1].text, Place(self.file, tokens[1].start)
+        datum = Datum(name, tokens[0].text, kind, place, prefix == "local" or len(self.blocks) > 1)
+        if tokens[sign + 1 :]:
+            datum.values.append((tokens[sign + 1 :], Scope(self.file, self.blocks)))
+        if self.blocks[0].setdefault(name, datum) is not datum:
+            self.blocks[0][name].changes.append(Change(place, "redeclared"))
+        if kind == "pers" and prefix != "task" and not datum.local:
+            self.task.persistents.append(datum)
+        self.add(end)
+
+    def structure(self, word: str) -> None:
+        """Read the expression of a word that begins, continues or ends a block.
+
+        The data of a FOR are seen in it alone. An IF without THEN has one statement, which begins where an operand
+        follows an operand.
+        """
+        tokens = self.tokens
+        if word == "for" and self.index < len(tokens):
+            name, place = tokens[self.index].text, Place(self.file, tokens[self.index].start)
+            self.blocks = ({name: Datum(name, "", "counter", place)}, *self.blocks)
+            self.index += 1
+        elif word == "endfor" and len(self.blocks) > 2:
+            self.blocks = self.blocks[1:]
+        if word in EVALUATING:
+            end = self.end()
+            if word == "if" and not is_word(tokens, end, "then"):
+                self.compact += 1
+                end = next((index for index in range(self.index + 1, end) if self.begins_statement(index)), end)
+            self.add(end)
+
+    def begins_statement(self, index: int) -> bool:
+        """Return whether a word follows an operand."""
+        previous, token = self.tokens[index - 1], self.tokens[index]
+        is_operand = (previous.kind != "sign" and previous.text not in OPERATORS) or previous.text in (")", "]", "}")
+        return is_operand and token.kind == "word" and token.text not in OPERATORS
+
+
+# names and what may change them
+
+
+def find(task: Task, name: str, scope: Scope) -> Datum | None:
+    """Return the datum of a name as seen from a scope: the routine's, the module's, or one of another module."""
+    if (datum := scope.find(name)) is not None:
+        return datum
+    data = task.shared.get(name, ())
+    if len(data) > 1 and not any(change.code == "ambiguous" for change in data[0].changes):
+        for datum, neighbour in zip(data, [*data[1:], data[0]], strict=True):
+            datum.changes.append(Change(neighbour.place, "ambiguous"))
+    return data[0] if data else None
+
+
+def arguments_of(tokens: Tokens) -> tuple[list[Tokens], dict[str, Tokens]]:
+    """Return the arguments in their order, and the optional ones (``\\Name:=value``, ``\\Name``) by name."""
+    positional: list[Tokens] = []
+    optional: dict[str, Tokens] = {}
+    for argument in filter(None, separated(tokens, ",", "\\")):
+        if argument[0].text != "\\":
+            positional.append(argument)
+        elif len(argument) > 1:
+            optional[argument[1].text] = argument[2 + is_word(argument, 2, ":=") :]
+    return positional, optional
+
+
+def _note_uses(task: Task, statement: Statement) -> None:
+    """Note every name of a statement as a use, and what its function calls may change."""
+    tokens, scope = statement.tokens, statement.scope
+    for index, token in enumerate(tokens):
+        if token.kind != "word" or is_word(tokens, index - 1, ".") or is_word(tokens, index - 1, "\\"):
+            continue
+        datum = find(task, token.text, scope)
+        if datum is not None and not (is_word(tokens, index - 1, "(") and is_word(tokens, index - 2, "dim")):
+            datum.uses.add(scope.place(token))
+        if is_word(tokens, index + 1, "("):
+            end = closing(tokens, index + 1)
+            if end == len(tokens):  # what it may change is not known
+                task.by_name = Uncertain("deep")
+            _note_call(task, scope, token.text, tokens[index + 2 : end])
+
+
+def _note_instruction(task: Task, statement: Statement) -> None:
+    """Note what an instruction or assignment changes, and what it does to all moves."""
+    tokens, scope = statement.tokens, statement.scope
+    name, place = tokens[0].text, scope.place(tokens[0])
+    if len(tokens) > 1 and tokens[1].text in (":=", "{", "."):
+        datum = find(task, name, scope)
+        if datum is not None and tokens[1].text == ":=" and datum.type in RECORDS:
+            datum.values.append((tokens[2:], scope))
+            datum.uses.discard(place)
+        elif datum is not None:
+            datum.changes.append(Change(place, "assigned"))
+        return
+    if name == "%":
+        task.program.absent["a routine called by a text (%…%)"] = None
+        tokens = tokens[max(index for index, token in enumerate(tokens) if token.text == "%") :]
+    elif name in LOADING:
+        task.program.absent[name] = None
+    _note_call(task, scope, name, tokens[1:])
+    texts = {token.text for token in tokens}
+    if name in DISPLACING:
+        task.displace("displacing", name, place)
+    if name == "singarea" and "lockaxis4" in texts:
+        task.displace("locked-axis", name, place)
+    if name in BY_NAME:
+        task.by_name = Uncertain("by-name", name=name, where=task.program.where(place))
+    task.is_unwatched |= name in ("confl", "confj") and "off" in texts
+
+
+def _note_call(task: Task, scope: Scope, function: str, tokens: Tokens) -> None:
+    """Note which arguments a call of an instruction or function may change."""
+    routines = task.routines.get(function, ())
+    is_absent = function != "%" and task.is_foreign(function, scope)
+    if is_absent:
+        task.program.absent[function] = None
+    if not routines and function in READERS:
+        return
+    positional, optional = arguments_of(tokens)
+    if function in SEARCHES and not routines:
+        positional, optional = positional[1:2], {}
+    by_key: list[tuple[int | str, Tokens]] = [*enumerate(positional), *optional.items()]
+    for key, argument in by_key:
+        is_place = argument and argument[0].kind == "word" and not is_word(argument, 1, "(")
+        if not is_place or (routines and all(_takes_value(parameters, key) for parameters in routines)):
+            continue
+        datum = find(task, argument[0].text, scope)
+        if datum is not None and datum.kind != "const":
+            change = Change(scope.place(argument[0]), "argument", function)
+            (datum.outside if is_absent else datum.changes).append(change)
+
+
+def _takes_value(parameters: Parameters, key: int | str) -> bool:
+    """Return whether a routine takes an argument, by its number or name, by value."""
+    if isinstance(key, str):
+        return dict(parameters).get(key, "?") == ""
+    return key < len(parameters) and not any(mode for _, mode in parameters)
+
+
+# targets, tools and moves
 
 
 def read_rapid(tasks: Sequence[Sequence[Source]], surroundings: Surroundings) -> list[Program]:
