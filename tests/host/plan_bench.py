@@ -2,6 +2,7 @@
 
 from functools import cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -59,19 +60,38 @@ def planned(name, n=N_POSES, n_candidates=200):
     return plan_ballbar(site(name), known(name), all_pairings(rig), Budget(n), PoseOptions(candidates=n_candidates))
 
 
+class Course(NamedTuple):
+    """The stops of a route: joints, poses of its plan (-1 of via points), where the bar is mounted, seconds to it."""
+
+    q: np.ndarray
+    pose: np.ndarray
+    mount: np.ndarray
+    seconds: np.ndarray
+
+    @classmethod
+    def of(cls, route):
+        dwells = np.array([stop.move == "dwell" for stop in route.stops])
+        pose = np.where(dwells, np.cumsum(dwells) - 1, -1)
+        columns = ([getattr(stop, name) for stop in route.stops] for name in ("q", "there", "seconds"))
+        q, there, seconds = map(np.array, columns)
+        return cls(q, pose, there != "", seconds)
+
+
 def legs(route, step=0.015):
     """Yield for each stop after the first: (number, joints (n, j) on the way to it, denser than the planner's)."""
-    for i in range(1, len(route.q)):
-        n = 2 + int(np.abs(route.q[i] - route.q[i - 1]).max() / step)
-        yield i, route.q[i - 1] + np.linspace(0.0, 1.0, n)[:, None] * (route.q[i] - route.q[i - 1])
+    q = Course.of(route).q
+    for i in range(1, len(q)):
+        n = 2 + int(np.abs(q[i] - q[i - 1]).max() / step)
+        yield i, q[i - 1] + np.linspace(0.0, 1.0, n)[:, None] * (q[i] - q[i - 1])
 
 
 def connected(route, i):
     """Return chuck, sphere and bar on the way to stop i, None while the bar is off."""
-    ahead = next(k for k in range(i, len(route.q)) if route.pose[k] >= 0)
-    if any(route.mount[k] for k in range(i, ahead + 1)):
+    course = Course.of(route)
+    ahead = next(k for k in range(i, len(course.q)) if course.pose[k] >= 0)
+    if any(course.mount[k] for k in range(i, ahead + 1)):
         return None
-    pose = route.pose[ahead]
+    pose = course.pose[ahead]
     return str(route.plan.chuck[pose]), str(route.plan.sphere[pose]), str(route.plan.bar[pose])
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from approaches_bench import PAIRING, WANTED, planned
+from plan_bench import Course
 
 from truearm.errors import PlanError
 from truearm.plan.approaches import (
@@ -40,13 +41,13 @@ def route():
 
 def test_every_pose_is_reached_alike_often_on_ways_that_keep_the_bar_on(route):
     # Recomputed from the route alone, 12 places on every way: joints, travel with its reserve, cups, collisions.
-    site, way = route
+    site, planned_route = route
+    way = Course.of(planned_route)
     share = np.linspace(0.0, 1.0, 12)[:, None]
     for i in range(1, len(way.q)):
         if not way.mount[i] and not (i + 1 < len(way.q) and way.mount[i + 1]):
             assert allowed(site, way.q[i - 1] + share * (way.q[i] - way.q[i - 1]), PAIRING, Limits()).all()
-    _, way = route
-    poses = np.unique(way.plan.q, axis=0)
+    poses = np.unique(planned_route.plan.q, axis=0)
     assert len(poses) == WANTED.poses
     for q in poses:
         at = np.flatnonzero((way.pose >= 0) & np.all(way.q == q, axis=1))
@@ -56,9 +57,8 @@ def test_every_pose_is_reached_alike_often_on_ways_that_keep_the_bar_on(route):
         assert counts.tolist() == [WANTED.rounds] * 8
         assert np.abs(near).min() >= LEAST
         assert (np.diff(at) == 1).sum() + 1 == WANTED.long_dwell / 2.0  # rows of the long rest
-    site, way = route
-    jac = np.abs(length_derivatives(site, way.plan.q[:1], PAIRING))[0]
-    step = np.abs(way.q[np.flatnonzero(way.pose < 0)[0]] - way.plan.q[0])
+    jac = np.abs(length_derivatives(site, planned_route.plan.q[:1], PAIRING))[0]
+    step = np.abs(way.q[np.flatnonzero(way.pose < 0)[0]] - planned_route.plan.q[0])
     bar, _ = PAIRING.of(site.rig)
     assert jac @ step <= free_travel(bar, site.limits)
 
@@ -66,7 +66,7 @@ def test_every_pose_is_reached_alike_often_on_ways_that_keep_the_bar_on(route):
 def test_plan_and_programs_say_the_same_and_too_many_poses_are_refused(route):
     _, way = route
     visits = way.visits
-    assert np.array_equal(visits.q, way.q)
+    assert np.array_equal(visits.q, Course.of(way).q)
     assert [stop.move for stop in way.stops] == visits.move.tolist()
     assert set(visits.bar[visits.move == "via"]) <= {"bar46", ""}
     site, _ = route

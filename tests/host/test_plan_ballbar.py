@@ -45,7 +45,8 @@ def bars_off(way):
     same = (plan.bar[1:] == plan.bar[:-1]) & (plan.chuck[1:] == plan.chuck[:-1]) & (plan.sphere[1:] == plan.sphere[:-1])
     again = np.concatenate([[False], same])
     mounted = np.zeros(len(plan), dtype=bool)
-    mounted[way.pose[way.mount]] = True
+    course = bench.Course.of(way)
+    mounted[course.pose[course.mount]] = True
     return np.flatnonzero(again & mounted)
 
 
@@ -62,22 +63,22 @@ def test_a_pairing_once_left_does_not_come_back(name):
 @each_robot
 def test_the_plan_file_keeps_via_points_and_says_where_the_bar_is_off(name):
     route = bench.planned(name).route
-    visits = route.visits
+    visits, course = route.visits, bench.Course.of(route)
     dwells = visits.select(visits.dwells)
     for column in Plan.columns():
         np.testing.assert_array_equal(getattr(dwells, column), getattr(route.plan, column))
     # The same places in the same order; one that stands twice is where a bar comes off.
     new = np.concatenate([[True], np.any(np.diff(visits.q, axis=0) != 0.0, axis=1)])
-    assert np.array_equal(visits.q[new], route.q)
+    assert np.array_equal(visits.q[new], course.q)
     on = visits.bar != ""
     assert not on[~new].any()
     row = np.flatnonzero(new)
-    for i in range(1, len(route.q)):
+    for i in range(1, len(course.q)):
         here = tuple(str(getattr(visits, column)[row[i]]) for column in ("chuck", "sphere", "bar"))
         mounted = bench.connected(route, i)
-        assert here == (mounted or ("", "", "")) or route.mount[i]
+        assert here == (mounted or ("", "", "")) or course.mount[i]
         # A bar that comes off between two poses of one pairing is off at a row between them.
-        if route.mount[i] and visits.bar[row[i - 1]] == visits.bar[row[i]]:
+        if course.mount[i] and visits.bar[row[i - 1]] == visits.bar[row[i]]:
             same = all(getattr(visits, c)[row[i - 1]] == getattr(visits, c)[row[i]] for c in ("chuck", "sphere"))
             assert not same or not on[row[i - 1] : row[i]].all()
 
@@ -131,16 +132,17 @@ def test_nothing_goes_faster_than_the_pace_and_minutes_are_counted(name):
     # Along s(τ) = 10τ³ − 15τ⁴ + 6τ⁵, as controllers go that know the duration.
     route, tau = bench.planned(name).route, np.linspace(0.0, 1.0, 200)
     share = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
-    for i in range(1, len(route.q)):
-        q = route.q[i - 1] + share[:, None] * (route.q[i] - route.q[i - 1])
-        step = route.seconds[i] / 199
+    course = bench.Course.of(route)
+    for i in range(1, len(course.q)):
+        q = course.q[i - 1] + share[:, None] * (course.q[i] - course.q[i - 1])
+        step = course.seconds[i] / 199
         assert np.abs(np.diff(q, axis=0)).max() / step <= route.pace.joint_speed
         mounted = bench.connected(route, i)
         if mounted is not None:
             ends, _ = bench.bar_of(name, q, mounted)
             assert np.linalg.norm(np.diff(ends, axis=0), axis=1).max() / step <= route.pace.bar_speed
     route = bench.planned(name).route
-    assert route.minutes == pytest.approx((route.seconds.sum() + bench.N_POSES * 2.0 + route.n_mounts * 30.0) / 60.0)
+    assert route.minutes == pytest.approx((route.seconds + bench.N_POSES * 2.0 + route.n_mounts * 30.0) / 60.0)
 
 
 def truth_of(name, rng):

@@ -37,12 +37,12 @@ def driven(name, stops, suffix, task, answer_s=0.015):
 def test_the_arm_goes_where_and_as_fast_as_planned(name, suffix):
     """Every pose, every via point, every duration; the moves are straight in joint space, as the plan's were looked at."""
     route = planned(name)
-    moves = driven(name, route.stops, suffix, Task("plan")).moves
-    assert len(moves) == len(route.q)
+    moves, course = driven(name, route.stops, suffix, Task("plan")).moves, bench.Course.of(route)
+    assert len(moves) == len(course.q)
     assert {move.kind for move in moves} == {"joints"}
-    np.testing.assert_allclose([move.q for move in moves], route.q, atol=ROUNDING)
+    np.testing.assert_allclose([move.q for move in moves], course.q, atol=ROUNDING)
     seconds = np.array([move.t1 - move.t0 for move in moves])
-    np.testing.assert_allclose(seconds, route.seconds, atol=5.1e-4)  # a millisecond's rounding
+    np.testing.assert_allclose(seconds, course.seconds, atol=5.1e-4)  # a millisecond's rounding
     # the rounding of a duration is no more than what keeps the speed under the limit: a thousandth of 0.2 s at least
     assert (seconds[1:] > 0.19).all()
 
@@ -63,7 +63,7 @@ def test_it_rests_with_its_output_on_at_every_pose_and_nowhere_else(name, suffix
             np.testing.assert_allclose(before[-1].q, q, atol=ROUNDING)
             assert t0 - before[-1].t1 >= SETTLE - 1e-6
     # an answer is waited for when the output comes and when it goes, at each pose: 15 ms, found by a loop of 8 ms
-    waited = controller.t - len(held) * (1.7 + SETTLE) - route.seconds.sum()
+    waited = controller.t - len(held) * (1.7 + SETTLE) - route.seconds
     assert 2 * 0.015 * len(held) - 0.1 < waited < 2 * 0.025 * len(held)
 
 

@@ -12,18 +12,17 @@ the length summed over the poses.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from scipy.linalg import hadamard
 
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import distance_jacobian, point_forward
-from truearm.plan.bar_paths import Pace, move_seconds, moves_allowed, way_without_bar, ways_with_bar
+from truearm.plan.bar_paths import Pace, moves_allowed, way_without_bar, ways_with_bar
 from truearm.plan.measurement_limits import Pairing, Site, free_travel
 from truearm.plan.options import ApproachOptions
-from truearm.plan.route import Route
+from truearm.plan.route import Route, travelled
 from truearm.plan.shells import candidates
 from truearm.progress import steps_of
 from truearm.types import Floats, Plan
@@ -41,28 +40,16 @@ def plan_approaches(site: Site, pairing: Pairing, options: ApproachOptions, pace
     chosen = most_informative(derivatives, options.poses, lambda k: _away(site, q[k], derivatives[k], pairing))
     rng = np.random.default_rng([options.seed, 0xC4A2])
     long = max(1, round(options.long_dwell / pace.dwell))
-    stops: list[_Stop] = []
+    legs: list[tuple[Iterable[Floats], bool]] = []
+    joints: list[Floats] = []
     for pose, step in steps_of(list(chosen.items()), "planning paths between poses"):
-        via, mount = _between(site, stops[-1].q, q[pose], pairing, options.seed) if stops else ((), True)
-        stops += [_Stop(place) for place in via]
-        stops += [_Stop(q[pose], True, mount and k == 0) for k in range(long)]
+        legs.append(_between(site, joints[-1], q[pose], pairing, options.seed) if legs else ((), True))
+        legs += [((), False)] * (long - 1)
         for _ in range(options.rounds):
-            for signs in rng.permutation(approach_directions(len(step))):
-                stops += [_Stop(q[pose] + signs * step), _Stop(q[pose], True)]
-    joints, is_read, mounts = map(np.array, zip(*stops, strict=True))
-    names = (np.full(is_read.sum(), name) for name in (SHELL, pairing.bar, pairing.chuck, pairing.sphere))
-    sphere = np.array(site.rig.spheres[pairing.sphere].xyz)
-    seconds = np.array([0.0, *move_seconds(site, joints[:-1], joints[1:], sphere, pace)])
-    rows = np.where(is_read, np.cumsum(is_read) - 1, -1)
-    return Route(Plan(joints[is_read], *names), joints, rows, mounts, seconds, pace)
-
-
-class _Stop(NamedTuple):
-    """Joints, whether the bar is read, and whether it is mounted there."""
-
-    q: Floats
-    is_read: bool = False
-    mount: bool = False
+            legs += [([q[pose] + signs * step], False) for signs in rng.permutation(approach_directions(len(step)))]
+        joints += [q[pose]] * (len(legs) - len(joints))
+    names = (np.full(len(joints), name) for name in (SHELL, pairing.bar, pairing.chuck, pairing.sphere))
+    return travelled(site, Plan(np.array(joints), *names), legs, pace)
 
 
 def approach_directions(joints: int) -> Floats:

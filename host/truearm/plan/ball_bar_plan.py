@@ -244,7 +244,7 @@ def _within(planned: Callable[[int], Route], first: int, n_most: int, minutes: f
                 break
         else:
             long = (n, trial.minutes)
-        further = (pace.dwell + SHORTER * float(trial.seconds.sum()) / len(trial.plan)) / 60.0
+        further = (pace.dwell + SHORTER * trial.seconds / len(trial.plan)) / 60.0
         if best is not None and np.isfinite(long[1]):
             further = (long[1] - short[1]) / (long[0] - short[0])
         n = int(np.clip(n + (AIM * minutes - trial.minutes) / further, max(short[0] + 1, n // 2), max(long[0] - 1, 1)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from truearm.plan.route_stops import Stop, plain, visits_of
 from truearm.plan.shells import move_costs
 from truearm.plan.visit_order import short_tour
 from truearm.progress import steps_of
-from truearm.types import Floats, Move, Plan
+from truearm.types import Floats, Move, Plan, Triple
 
 NEAR = 12  # poses to which the path is checked before the order is chosen
 
@@ -35,56 +35,62 @@ ONCE = Visits()
 
 
 class Route(NamedTuple):
-    """Stops in order: poses of a plan and via points between them.
+    """A plan in the order of its visits, and the stops on the way: its poses, and via points between them.
 
-    All bars are removed on the way to a ``mount``. If the pairing stays the same, a via point records this.
+    All bars are removed on the way to a mount. If the pairing stays the same, a via point records this.
     """
 
-    plan: Plan  # in the order of the visits
-    q: Floats  # (m, j) of every stop
-    pose: NDArray[np.intp]  # (m,) of the plan, −1 for a via point
-    mount: NDArray[np.bool_]  # (m,) the bar is mounted at this stop
-    seconds: Floats  # (m,) of the move to the stop
+    plan: Plan
+    stops: list[Stop]
     pace: Pace
 
     @property
     def n_mounts(self) -> int:
-        return int(self.mount.sum())
+        return sum(bool(stop.there) for stop in self.stops)
+
+    @property
+    def n_via(self) -> int:
+        return len(self.stops) - len(self.plan)
+
+    @property
+    def seconds(self) -> float:
+        """Return the seconds of all moves."""
+        return sum(stop.seconds for stop in self.stops)
 
     @property
     def minutes(self) -> float:
         """Return the minutes, with an operator present."""
-        still = len(self.plan) * self.pace.dwell + self.n_mounts * self.pace.mount
-        return float(self.seconds.sum() + still) / 60.0
+        return (self.seconds + len(self.plan) * self.pace.dwell + self.n_mounts * self.pace.mount) / 60.0
 
     @property
     def visits(self) -> Plan:
         """Return all stops as a plan, row by row: via points name what is mounted, or nothing on the way to a mount."""
         return visits_of(self.stops)
 
-    @property
-    def stops(self) -> list[Stop]:
-        """Stops for a program: the operator removes the bar before the move to a mount, and mounts it there.
 
-        At the first stop no bar is mounted, unless an earlier run was broken off: the operator makes sure.
-        """
-        out: list[Stop] = []
-        departure = 0  # the first stop on the way to the next pose
-        for i, (q, seconds, pose) in enumerate(zip(self.q, self.seconds.tolist(), self.pose.tolist(), strict=True)):
-            out.append(Stop(q, seconds, Move.DWELL if pose >= 0 else Move.VIA))
-            if pose < 0:
-                continue
-            names = {name: str(getattr(self.plan, name)[pose]) for name in Plan.IDS}
-            first = i if self.mount[i] else departure
-            out[first:] = [stop._replace(names=names) for stop in out[first:]]
-            if self.mount[i]:
-                pairing = pairing_at(self.plan, pose)
-                mounted = f"bar {pairing.bar} from {pairing.chuck} to {pairing.sphere}"
-                remove = "Remove the bar" if i else "Check that no bar is mounted"
-                out[departure] = out[departure]._replace(before=plain(f"{remove}. Next: {mounted}"))
-                out[i] = out[i]._replace(there=plain(f"Mount {mounted}"))
-            departure = i + 1
-        return out
+def travelled(site: Site, plan: Plan, legs: Iterable[tuple[Iterable[Floats], bool]], pace: Pace) -> Route:
+    """Return the route to each pose of a plan by ``legs``: via points on the way to it, and whether a bar is mounted there.
+
+    The operator removes the bar before the move to a mount, and mounts it there. At the first stop no bar is mounted,
+    unless an earlier run was broken off: the operator makes sure. In a move, neither a joint nor the bar's sphere exceeds
+    the pace.
+    """
+    stops: list[Stop] = []
+    spheres: list[Triple] = []
+    for pose, (via, is_mount) in enumerate(legs):
+        names = {name: str(getattr(plan, name)[pose]) for name in Plan.IDS}
+        underway = {} if is_mount else names
+        leg = [*(Stop(q, 0.0, Move.VIA, names=underway) for q in via), Stop(plan.q[pose], 0.0, names=names)]
+        if is_mount:
+            mounted = f"bar {names['bar']} from {names['chuck']} to {names['sphere']}"
+            remove = "Remove the bar" if stops else "Check that no bar is mounted"
+            leg[0] = leg[0]._replace(before=plain(f"{remove}. Next: {mounted}"))
+            leg[-1] = leg[-1]._replace(there=plain(f"Mount {mounted}"))
+        stops += leg
+        spheres += [site.rig.spheres[names["sphere"]].xyz] * len(leg)
+    q = np.array([stop.q for stop in stops])
+    seconds = [0.0, *move_seconds(site, q[:-1], q[1:], np.array(spheres)[1:], pace).tolist()]
+    return Route(plan, [stop._replace(seconds=move) for stop, move in zip(stops, seconds, strict=True)], pace)
 
 
 def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap], visits: Visits) -> Route:
@@ -101,17 +107,11 @@ def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap],
         rows = np.flatnonzero(of_pairing(plan, name))
         node[rows] = (graphs[name].stock[None] == plan.q[rows, None]).all(axis=2).argmax(axis=1)
         graphs[name].check((int(node[i - 1]), int(node[i])) for i in rows[1:] if pairing[i - 1] == name)
-    stops: list[tuple[Floats, int, bool]] = [(plan.q[0], 0, True)]
+    legs: list[tuple[Iterable[Floats], bool]] = [((), True)]
     for i in steps_of(range(1, len(plan)), f"planning the path through {len(plan)} poses"):
         via = graphs[pairing[i]].way(int(node[i - 1]), int(node[i])) if pairing[i] == pairing[i - 1] else None
-        mount = via is None
-        if via is None:
-            via = _without_bar(site, plan, i)
-        stops += [(q, -1, False) for q in via]
-        stops.append((plan.q[i], i, mount))
-    q = np.array([stop[0] for stop in stops])
-    pose, mounts = np.array([stop[1] for stop in stops]), np.array([stop[2] for stop in stops])
-    return Route(plan, q, pose, mounts, _durations(site, plan, q, pose, pace), pace)
+        legs.append((_without_bar(site, plan, i), True) if via is None else (via, False))
+    return travelled(site, plan, legs, pace)
 
 
 def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
@@ -199,15 +199,3 @@ def _without_bar(site: Site, plan: Plan, i: int) -> Floats:
     goal = f"pose {i} ({pairing.bar}, {pairing.chuck}, {pairing.sphere})"
     via = way_without_bar(site, start, end, goal, seed=i)
     return via if len(via) or pairing != pairing_at(plan, i - 1) else 0.5 * (start + end)[None]
-
-
-def _durations(site: Site, plan: Plan, q: Floats, pose: NDArray[np.intp], pace: Pace) -> Floats:
-    """Return durations (m,) [s] in which neither a joint nor the bar's sphere exceeds the pace; 0 for the first."""
-    spheres = np.array([site.rig.spheres[str(name)].xyz for name in plan.sphere[_next_pose(pose)]])
-    return np.array([0.0, *move_seconds(site, q[:-1], q[1:], spheres[1:], pace)])
-
-
-def _next_pose(pose: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the pose (m,) to which each stop leads; the last stop is one."""
-    poses = np.flatnonzero(pose >= 0)
-    return np.asarray(pose[poses[np.searchsorted(poses, np.arange(len(pose)))]])

@@ -104,7 +104,7 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
     document = {
         **forecast_document(planned.forecast),
         "poses": len(route.plan),
-        "via_points": int(np.sum(route.pose < 0)),
+        "via_points": route.n_via,
         "mounts": route.n_mounts,
         "visits": options.visits,
         "check_poses": _visits(budget, options).check_poses,
@@ -214,7 +214,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
     document = {
         **vars(pairing),
         "poses": options.poses,
-        "via_points": int(np.sum(route.pose < 0)),
+        "via_points": route.n_via,
         "mounts": route.n_mounts,
         "minutes": route.minutes,
         "written": [str(path) for path in files.outputs],
