@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, assert_never
 
 from truearm.correct.programs.program import Step
 
@@ -79,29 +79,33 @@ def preceding(
             if not isinstance(step, Step):
                 last[index] = state
                 state = union(index, *(last[link] for link in links[step])) if links[step] else following[step] or state
-            elif step in (Step.ROUTINE, Step.IF, *LOOPS):
-                state = union(index, state, last[index]) if step in LOOPS else state
-                blocks.append(_Block(step, index, state, step is not Step.REPEAT))
-                state = UNKNOWN if step is Step.ROUTINE else state
-            elif step is Step.CALL:
-                state = UNKNOWN
-            elif step is Step.LEAVE:
-                for block in [block for block in blocks if block.step in LOOPS][-1:]:
-                    block.ends.append(state)
-            elif blocks and step is Step.END:
-                block = blocks.pop()
-                state = union(index, state, *block.ends)
-                if block.step in LOOPS:
-                    last[block.number] = state
-                if block.step is Step.ROUTINE:
-                    state = block.incoming
-                elif block.is_skipped:
-                    state = union(~index, state, block.incoming)
-            elif blocks:
-                block = blocks[-1]
-                block.ends.append(state)
-                block.is_skipped &= step is Step.BRANCH or block.step is not Step.IF
-                state = block.incoming
+                continue
+            match step:
+                case Step.ROUTINE | Step.IF | Step.LOOP | Step.REPEAT:
+                    state = union(index, state, last[index]) if step in LOOPS else state
+                    blocks.append(_Block(step, index, state, step is not Step.REPEAT))
+                    state = UNKNOWN if step is Step.ROUTINE else state
+                case Step.CALL:
+                    state = UNKNOWN
+                case Step.LEAVE:
+                    for block in [block for block in blocks if block.step in LOOPS][-1:]:
+                        block.ends.append(state)
+                case Step.BRANCH | Step.ELSE:
+                    for block in blocks[-1:]:
+                        block.ends.append(state)
+                        block.is_skipped &= step is Step.BRANCH or block.step is not Step.IF
+                        state = block.incoming
+                case Step.END:
+                    if blocks:
+                        block = blocks.pop()
+                        state = union(index, state, *block.ends)
+                        last[block.number] = state
+                        if block.step is Step.ROUTINE:
+                            state = block.incoming
+                        elif block.is_skipped:
+                            state = union(~index, state, block.incoming)
+                case _:
+                    assert_never(step)
         if last == previous:
             unions = {entry: frozenset[T | None]().union(*(last[i] for i in places[entry])) for entry in places}
             return {entry: joined if len(joined) <= limit else UNKNOWN for entry, joined in unions.items()}

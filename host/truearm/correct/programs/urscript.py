@@ -136,11 +136,10 @@ class _Reader:
         second = self.values(call.argument(1, "p_from_to"), call.scope)
         if len(first) * len(second) > MOST_TARGETS:
             raise Uncertain("many", most=MOST_TARGETS)
-        return [
-            Value(b.target.moved(left=a.pose) if b.target.literal.spans else a.target.moved(right=b.pose))
-            for a in first
-            for b in second
-        ]
+        pairs = [(a.target, b.target, a.pose, b.pose) for a in first for b in second]
+        if any(a.literal is b.literal for a, b, *_ in pairs):
+            raise Uncertain("not-written")
+        return [Value(b.moved(left=p_a) if b.literal.spans else a.moved(right=p_b)) for a, b, p_a, p_b in pairs]
 
     def solved(self, call: Call) -> list[Value]:
         """Return the values of get_inverse_kin(x, qnear=…, tcp=…)."""
