@@ -91,17 +91,17 @@ def _frame(origin: Floats, x: Floats, z: Floats) -> Floats:
     return out
 
 
-def _normal(frame: Floats, axis: Floats) -> tuple[Floats, Floats, float]:
-    """Return where the common normal leaves the frame's z axis, its direction to the axis, the sine between both."""
+def _normal(frame: Floats, axis: Floats) -> tuple[float, Floats, float]:
+    """Return how far up the frame's z axis the common normal leaves it, its direction to the axis, the sine between both."""
     z, z_next = frame[:3, 2], axis[:3, 2]
     across = np.cross(z, z_next)
     sine = float(np.linalg.norm(across))
     between = axis[:3, 3] - frame[:3, 3]
     if sine < PARALLEL:
-        return frame[:3, 3], _toward(frame, axis)[1], sine
+        return 0.0, _toward(frame, axis)[1], sine
     direction = across / sine
-    foot = frame[:3, 3] + z * (np.cross(between, z_next) @ across / sine**2)
-    return foot, direction if direction @ between >= -1e-9 else -direction, sine
+    d = float(np.cross(between, z_next) @ across / sine**2)
+    return d, direction if direction @ between >= -1e-9 else -direction, sine
 
 
 def _toward(frame: Floats, axis: Floats) -> tuple[float, Floats]:
@@ -117,22 +117,14 @@ def _row(frame: Floats, axis: Floats, direction: Floats, with_beta: bool) -> tup
     if with_beta:
         row = _hayati_row(frame, axis, direction)
     else:
-        foot, x, sine = _normal(frame, axis)
+        d, x, _ = _normal(frame, axis)
         x = x if x @ direction >= 0.0 else -x
         z, z_next = frame[:3, 2], axis[:3, 2]
-        to_axis = axis[:3, 3] - foot
-        end = axis[:3, 3] + z_next * (-(z_next @ to_axis) if sine < PARALLEL else _foot_along(to_axis, z, z_next))
         alpha = math.atan2(float(x @ np.cross(z, z_next)), float(z @ z_next))
-        row = _angle_about(frame, x), float(z @ (foot - frame[:3, 3])), float(x @ (end - foot)), alpha, math.nan
+        row = _angle_about(frame, x), d, float(x @ (axis[:3, 3] - frame[:3, 3])), alpha, math.nan
     for motion, amount in zip(("rz", "tz", "tx", "rx", "ry"), row, strict=True):
         frame = frame if math.isnan(amount) else frame @ elementary(motion, amount)
     return row, frame
-
-
-def _foot_along(to_axis: Floats, z: Floats, z_next: Floats) -> float:
-    """Return where the common normal meets the next axis, from its frame's origin; the normal begins at to_axis = 0."""
-    across = np.cross(z, z_next)
-    return float(np.cross(to_axis, z) @ across / (across @ across))
 
 
 def _hayati_row(frame: Floats, axis: Floats, direction: Floats) -> tuple[float, ...]:
