@@ -8,11 +8,11 @@ The noise is the declared one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.estimate.law_candidates import LENGTHS, candidates, gravity_of, law_priors
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
@@ -26,7 +26,7 @@ from truearm.model.chain import Chain
 from truearm.model.joint_law import terms
 from truearm.model.law_chain import with_laws
 from truearm.plan.forecast import Knowledge
-from truearm.types import Floats, rms
+from truearm.types import rms
 
 TYPICAL = 2e-4  # rad, at each of the lengths
 TYPICAL_LENGTHS = (0.1, 0.2)  # rad
@@ -92,20 +92,21 @@ def _forecast(curve: SampledCurve, unseen: float) -> CurveForecast:
     """Return the forecast of a curve with its standard deviations; those above ``unseen`` [rad] carry no information."""
     readings, sigma = curve.readings, curve.sigma
     between = (readings >= curve.intervals[0][0]) & (readings <= curve.intervals[-1][1])
-    ranges = tuple(
-        RangeSigma(float(readings[samples][0]), float(readings[samples][-1]), rms(sigma[samples]))
-        for samples in _parts(curve)
-    )
-    spans = _spans(readings, between & (~curve.covered | (sigma > unseen)))
-    return CurveForecast(curve.joint, ranges, rms(sigma[curve.covered]), spans)
+    parts = [
+        part
+        for run in _runs(curve.covered)
+        for part in np.array_split(run, math.ceil(float(np.ptp(readings[run])) / PART) or 1)
+    ]
+    ranges = tuple(RangeSigma(float(readings[p[0]]), float(readings[p[-1]]), rms(sigma[p])) for p in parts)
+    gaps = [readings[run] for run in _runs(between & (~curve.covered | (sigma > unseen)))]
+    unseen_ranges = tuple((float(gap[0]), float(gap[-1])) for gap in gaps if np.ptp(gap) >= LEAST_GAP)
+    return CurveForecast(curve.joint, ranges, rms(sigma[curve.covered]), unseen_ranges)
 
 
-def _parts(curve: SampledCurve) -> Iterator[slice]:
-    """Yield each covered run of samples in equal parts of at most PART."""
-    for start, stop in _runs(curve.covered):
-        count = math.ceil(float(curve.readings[stop - 1] - curve.readings[start]) / PART) or 1
-        for samples in np.array_split(np.arange(start, stop), count):
-            yield slice(int(samples[0]), int(samples[-1]) + 1)
+def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Return the indices of each run of True."""
+    rows = np.flatnonzero(flags)
+    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
 
 
 def _geometry(knowledge: Knowledge) -> tuple[Chain, int]:
@@ -113,15 +114,3 @@ def _geometry(knowledge: Knowledge) -> tuple[Chain, int]:
     learned = {term.name for term in terms() if term.learned}
     geometric = tuple(p for p in knowledge.chain.parameters if p.term not in learned)
     return replace(knowledge.chain, parameters=geometric), len(geometric)
-
-
-def _spans(readings: Floats, flags: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """Return runs of flagged readings of at least LEAST_GAP."""
-    spans = [(float(readings[start]), float(readings[stop - 1])) for start, stop in _runs(flags)]
-    return tuple(span for span in spans if span[1] - span[0] >= LEAST_GAP)
-
-
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """Return the first index and the end of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int))).tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
