@@ -32,6 +32,7 @@ from truearm.plan.measurement_limits import Site
 from truearm.plan.options import LineOptions
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.route_stops import SETTLE, Stop, plain, visits_of
+from truearm.plan.visit_order import short_tour
 from truearm.progress import steps_of
 from truearm.types import Device, Floats, Move, Plan, Rig
 
@@ -69,7 +70,9 @@ def plan_lines(
             "exclusive", first=Argument("lines"), second=Argument("minutes"), neither=options.minutes is None
         )
     point = np.array(knowledge.rig.targets[target].xyz) if target else np.zeros(3)
-    n = options.lines or _most(options)
+    seconds_each = SETUP + 2.0 * options.passes * (options.length / options.speed + 2.0 * SETTLE)
+    budget = np.inf if options.minutes is None else 60.0 * options.minutes
+    n = options.lines or int(budget / seconds_each)
     n_candidates = max(options.candidates, n if options.lines else 1)
     fewest = options.lines or 1
     candidates = candidate_lines(site, options, n_candidates, point, pace.joint_speed, region, options.seed, fewest)
@@ -79,42 +82,25 @@ def plan_lines(
     candidates, error = candidates.select(erring.tolist()), error[erring]
     places = point_forward(knowledge.chain, knowledge.params, candidates.points, point).reshape(-1, 3)
     aim = Aim(poses_in(site, region or around(places), point, seed=options.seed), (target,) * bool(target))
-    while True:
+    while n:
         rows = _chosen(knowledge, candidates, n, options, aim, target)
         lines = candidates.select(rows).select(_order(candidates.q[rows]))
         names = _new_names(knowledge, n)
         stops = _stops(site, lines, names, options, pace, point, target)
-        seconds = sum(stop.seconds for stop in stops) + n * (SETUP + _driving(options))
-        if options.minutes is None or seconds <= 60.0 * options.minutes:
+        seconds = sum(stop.seconds for stop in stops) + n * seconds_each
+        if seconds <= budget:
             break
         n -= 1
-        if n == 0:
-            raise PlanError(_too_few(options))
+    else:
+        raise PlanError(
+            f"a budget of {options.minutes:g} min is too small: placing the device takes {SETUP:g} s, and driving along it "
+            f"{seconds_each - SETUP:.0f} s; give more minutes"
+        )
     knowledge = replace(knowledge, rig=replace(knowledge.rig, line_travel=options.transverse))
     table, devices = line_rows(knowledge, lines, names, target, options.passes)
     errors = a_priori(site, lines.points, point)
     expected = forecast(_with_lines(knowledge, devices), table, aim)
     return LinePlan(lines, errors, _with_lines(knowledge, devices).rig, devices, stops, expected, seconds / 60.0)
-
-
-def _driving(options: LineOptions) -> float:
-    """Return the seconds along one line, in all directions and passes."""
-    return 2.0 * options.passes * (options.length / options.speed + 2.0 * SETTLE)
-
-
-def _most(options: LineOptions) -> int:
-    """Return the number of lines that the minutes allow if moves between them took no time."""
-    n = int(60.0 * (options.minutes or 0.0) / (SETUP + _driving(options)))
-    if n == 0:
-        raise PlanError(_too_few(options))
-    return n
-
-
-def _too_few(options: LineOptions) -> str:
-    return (
-        f"a budget of {options.minutes:g} min is too small: placing the device takes {SETUP:g} s, and driving along it "
-        f"{_driving(options):.0f} s; give more minutes"
-    )
 
 
 def line_rows(
@@ -210,11 +196,8 @@ def _information(knowledge: Knowledge, k: int) -> Floats:
 
 def _order(q: Floats) -> list[int]:
     """Order lines (l, n, j) so that each begins near the end of the previous one, which is where that one began."""
-    unvisited, order = list(range(1, len(q))), [0]
-    while unvisited:
-        order.append(min(unvisited, key=lambda i: float(np.abs(q[i, 0] - q[order[-1], 0]).max())))
-        unvisited.remove(order[-1])
-    return order
+    start = q[:, 0]
+    return list(map(int, short_tour(np.arange(len(q), dtype=float), np.abs(start[:, None] - start).max(axis=2))))
 
 
 def _stops(
