@@ -32,14 +32,14 @@ TYPICAL = 2e-4  # rad, at each of the lengths
 TYPICAL_LENGTHS = (0.1, 0.2)  # rad
 UNSEEN = 0.7  # of the prior's standard deviation: above it the poses carry almost no information
 LEAST_GAP = math.radians(3.0)
-PART = math.radians(30.0)
+SECTION = math.radians(30.0)
 
 
 @dataclass(frozen=True)
 class CurveForecast:
     """The forecast of a joint's error curve from planned rows.
 
-    ``ranges``: the readings [rad] that planned poses cover, in parts of at most PART, each with the RMS standard
+    ``ranges``: the readings [rad] that planned poses cover, in sections of at most SECTION, each with the RMS standard
     deviation [rad] of the curve; ``sigma`` [rad]: the same over all of them; ``unseen`` [rad]: ranges of readings
     between the lowest and the highest that the poses do not determine.
     """
@@ -92,12 +92,14 @@ def _forecast(curve: SampledCurve, unseen: float) -> CurveForecast:
     """Return the forecast of a curve with its standard deviations; those above ``unseen`` [rad] carry no information."""
     readings, sigma = curve.readings, curve.sigma
     between = (readings >= curve.intervals[0][0]) & (readings <= curve.intervals[-1][1])
-    parts = [
-        part
+    sections = [
+        section
         for run in _runs(curve.covered)
-        for part in np.array_split(run, math.ceil(float(np.ptp(readings[run])) / PART) or 1)
+        for section in np.array_split(run, math.ceil(float(np.ptp(readings[run])) / SECTION) or 1)
     ]
-    ranges = tuple(RangeSigma(float(readings[p[0]]), float(readings[p[-1]]), rms(sigma[p])) for p in parts)
+    ranges = tuple(
+        RangeSigma(float(readings[rows[0]]), float(readings[rows[-1]]), rms(sigma[rows])) for rows in sections
+    )
     gaps = [readings[run] for run in _runs(between & (~curve.covered | (sigma > unseen)))]
     unseen_ranges = tuple((float(gap[0]), float(gap[-1])) for gap in gaps if np.ptp(gap) >= LEAST_GAP)
     return CurveForecast(curve.joint, ranges, rms(sigma[curve.covered]), unseen_ranges)
