@@ -27,9 +27,7 @@ class StraightMoves(NamedTuple):
     deviation: Floats  # (n,) m
     singular_value: Floats  # (n,) of the nominal robot
     limits: Floats  # (n, j) rad or m to each joint's nearest limit, negative beyond it
-    drivable: NDArray[
-        np.bool_
-    ]  # (n,) False where the controller's model cannot follow the line without a jump of a joint
+    drivable: NDArray[np.bool_]  # (n,) whether the controller's model follows the line without a jump of a joint
 
 
 JUMP = 1.0  # rad, m of a joint between samples: more means another configuration, or passing a singularity

@@ -209,9 +209,8 @@ def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, visits: Visits
     best = chosen(max(n - 3 * visits.check_poses, 1))
     for _ in range(TRIALS):
         short = n - len(best) - n_checks(site, best, visits)
-        if (
-            short < 0
-        ):  # another pose of the first mount is also a check pose, so the number may jump; the largest mount drops some
+        if short < 0:
+            # Another pose of the first mount is also a check pose, so the number may jump; the largest mount drops some.
             _, mount, size = np.unique(pairing_names(best), axis=0, return_inverse=True, return_counts=True)
             spared = np.flatnonzero(mount.ravel() == np.argmax(size))[short:]
             best = best.select(np.setdiff1d(np.arange(len(best)), spared))

@@ -53,11 +53,8 @@ def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, s
 def _out_of_reach(site: Site, pairing: Pairing) -> bool:
     """Return whether a chuck is beyond the stretched arm with sphere and bar; checked before any search."""
     bar, mounted = pairing.of(site.rig)
-    distance = float(np.linalg.norm(mounted.p_chuck - site.arm.base))
-    return (
-        distance
-        > site.arm.reach + float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
-    )
+    longest = float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
+    return float(np.linalg.norm(mounted.p_chuck - site.arm.base)) > site.arm.reach + longest
 
 
 def _unreached(pairing: Pairing) -> tuple[str, ...]:

@@ -32,10 +32,8 @@ N_STEPS = 8
 STEP = 0.3  # rad, m
 SEATED = 1e-7  # m
 TILT = np.radians(50.0)  # greatest angle of the ball's stem with the vertical
-LINK, SLENDER = (
-    0.05,
-    0.08,
-)  # m, radius of the links of an arm whose file has none; of a small arm, in lengths of the arm
+# m, radius of the links of an arm whose file has none; of a small arm, in lengths of the arm
+LINK, SLENDER = 0.05, 0.08
 NEAREST = 0.35  # of the reach: least distance of a place from the base
 EDGE = 0.3  # of the length: distance from the base at which a table higher than the base begins
 UNIT_Z = np.array([0.0, 0.0, 1.0])  # the stem of a ball in the origin of the end frame
