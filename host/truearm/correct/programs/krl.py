@@ -52,9 +52,8 @@ FDAT = {"tool": "tool_no", "base": "base_no", "ipo_mode": "ipo_frame"}
 PARAMETERS = words("#frames #ptp_params #cp_params")  # of BAS, which sets the frames of FDAT_ACT by them
 FRAMELESS = words("#acc_cp #acc_ptp #acc_glue #vel_cp #vel_ptp #cp_dat #ptp_dat #out_sync #out_async #group")
 ROOTS = words("$robroot $world")  # of all frames
-CORRECTION = re.compile(
-    r"\b(tool_corr_on|tool_corr_w_on|base_corr_on|m_bas_cor_on) = (?!false)"
-)  # an offset that BAS adds
+# an offset that BAS adds
+CORRECTION = re.compile(r"\b(tool_corr_on|tool_corr_w_on|base_corr_on|m_bas_cor_on) = (?!false)")
 PLAIN = re.compile(r"(?:[-+] )?[\d.]+(?:[eE][-+]?\d+)?")  # a number with its sign
 STEPS = {
     **dict.fromkeys(words("def deffct"), Step.ROUTINE),

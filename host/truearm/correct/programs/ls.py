@@ -25,9 +25,8 @@ POSE = ("Xmm", "Ymm", "Zmm", "Rdeg", "Pdeg", "Wdeg")  # W, P, R about fixed x, y
 JOINTS = tuple(f"J{axis}deg" for axis in range(1, 7))
 REMARK = ("!", "//")
 RUN_TIME = re.compile(r"\b(Offset|Tool_Offset|INC|VOFFSET|SKIP|COORD|RTCP|Weave|PSPI|EV)\b", re.IGNORECASE)
-DISPLACING = re.compile(
-    r"Touch\s+Offset\b|(?:\bUFRAME|\bUTOOL|\$MNUFRAME|\$MNUTOOL)(?=\s*\[[^=]*=)", re.IGNORECASE
-)  # also after IF …,
+# also after IF …,
+DISPLACING = re.compile(r"Touch\s+Offset\b|(?:\bUFRAME|\bUTOOL|\$MNUFRAME|\$MNUTOOL)(?=\s*\[[^=]*=)", re.IGNORECASE)
 CALLED = re.compile(r"\b(?:CALL|RUN)\s+(\w+)", re.IGNORECASE)
 LINE_TRACK = re.compile(r"\bLINE_TRACK_SCHEDULE_NUMBER\s*:\s*[1-9]", re.IGNORECASE)
 BRANCHING = re.compile(r"(LBL\[|CALL|RUN|IF|ELSE|ENDIF|FOR|ENDFOR|SELECT|\w+\s*$)", re.IGNORECASE)
