@@ -25,7 +25,7 @@ from truearm.types import Floats
 _pstrf = get_lapack_funcs("pstrf", dtype=np.float64)
 UNSEEN = 1e-3  # a prior at its cap gains half of this in nats along a neglected direction of the data
 REVIVED = 0.03  # of the cap: least √v where learning starts, because zero is a stationary point
-STEPS = 12  # of the variances, for one noise
+STEPS = 8  # of the variances, for one noise
 
 
 class ModePrior(NamedTuple):
@@ -102,6 +102,6 @@ def learned(data: Seen, prior: ModePrior, variances: Floats, steps: int = STEPS)
     if not variances.size:
         return variances
     start = np.maximum(np.sqrt(variances) / prior.cap, REVIVED)
-    options = {"maxiter": steps, "ftol": 1e-7}
+    options = {"maxiter": steps, "ftol": 1e-5}
     optimum = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * start.size, options=options)
     return np.asarray((optimum.x * prior.cap) ** 2)
