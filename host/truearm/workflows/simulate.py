@@ -31,7 +31,7 @@ from truearm.text import counted
 from truearm.types import Floats, Plan, Rig
 from truearm.units import MM
 from truearm.workflows.record import nearest_osr, plan_rows
-from truearm.workflows.requests import FAST_RATE_HZ, Level, SimulateOptions, TruthOptions
+from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions, TruthOptions
 from truearm.workflows.session_observations import Say
 from truearm.workflows.session_parts import SETUP
 from truearm_sim import micropython, node
@@ -256,9 +256,9 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
     return plan, rig
 
 
-def hardware(level: Level, say: Say, *, fast: bool = False) -> Hardware:
+def hardware(level: str, say: Say, *, fast: bool = False) -> Hardware:
     """Return what runs as the box, and report it. Raises LinkError, InputError if emulator or MicroPython cannot be used."""
-    if level is Level.CHIP:
+    if level == "chip":
         node.ready()
         say(f"firmware: {node.image()} in an emulated RP2040")
         pace = replace(EMULATED, delayed=lambda: say(DELAYED))
