@@ -215,7 +215,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "The rows of a pose err alike, so the arm scatters: {terms} (σ, from {n:#pose} with several rows). The sigmas include it."
     ),
     "outliers": note(
-        "{n:#row disagrees|rows disagree} significantly with all others[; {left_out} left out of the fit]: {rows}.[ Not left out, because {why}: {kept}.][ Fitted to all rows: RMS {after}, χ² per degree of freedom {chi2:.3g}][{geometry:!} (geometry alone)][{after:!}.]",
+        "{n:#row disagrees|rows disagree} significantly with all others[; {left_out} left out of the fit][; the {loss} loss gives {ignored} of them less than {share} of their weight]: {rows}.[ Not left out, because {why}: {kept}.][ Fitted to all rows: RMS {after}, χ² per degree of freedom {chi2:.3g}][{geometry:!} (geometry alone)][{after:!}.]",
         "[To leave out a row yourself: {first:@leave_out}.]",
     ),
     "too-many-outliers": warning(

@@ -38,7 +38,8 @@ def at_values(world, values, sigma=None, free=None):
     of = world.site
     problem = build_problem(of.chain, of.rig, world.table, sigma)
     columns = problem.columns(of.free if free is None else free)
-    return whitened_fit(problem, values, columns, measured_order(world.table, of.chain, np.ones(len(of.q), bool)))
+    how = measured_order(world.table, of.chain, np.ones(len(of.q), bool))
+    return whitened_fit(problem, values, columns, how, np.ones(len(of.q)))
 
 
 def fitted(world):

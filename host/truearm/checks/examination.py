@@ -14,8 +14,10 @@ from truearm.checks.search import RIVAL, Search, checked, columns_of, gain, left
 from truearm.checks.whitened import WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import measured_order
+from truearm.estimate.outliers import HEAVY, MOST_BAD
 from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
 from truearm.estimate.problem import build_problem, modelled_of
+from truearm.estimate.solvers import Loss
 from truearm.estimate.validation import Judgement, Ways
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.registry import kinds
@@ -87,9 +89,22 @@ def examined(
     if estimate.weight.size:
         problem = only(problem, estimate.weight[fitted] > 0.0)
     measured = measured_order(table, chain, fitted)
-    fit = whitened_fit(problem, estimate.value, estimate.free, measured, estimate.law_parameters)
+    weight = row_weights(estimate)[fitted]
+    fit = whitened_fit(problem, estimate.value, estimate.free, measured, weight, estimate.law_parameters)
     gram = tool_gram(chain, rig, table.select(~estimate.left_out), estimate, any_base)
     return of_fit(fit, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)], table, estimate.free)
+
+
+def row_weights(estimate: Estimate) -> Floats:
+    """Return the weights (n,) with which an estimate's rows are examined: 1, or less where a robust loss ignores them.
+
+    The residual of such a row then counts as its standard deviation: many together still show a fault. All rows count
+    fully if the loss does not fit the others either: a wrong chuck bends it to some of its own rows.
+    """
+    follows_others = estimate.suspect[estimate.fitted].mean() <= MOST_BAD and estimate.chi2_reduced < HEAVY
+    if estimate.loss == Loss.LINEAR or not follows_others:
+        return np.ones(estimate.fitted.size)
+    return np.where(estimate.suspect, np.maximum(estimate.distance, 1.0) ** -2.0, 1.0)
 
 
 def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> tuple[Diagnosis, ...]:
@@ -97,7 +112,7 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     problem, x = judgement.problem, judgement.x
     problem = replace(problem, prior_sigma=np.where(judgement.settled, problem.prior_sigma, np.inf))
     measured = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
-    fit = whitened_fit(problem, x, ways.columns, measured)
+    fit = whitened_fit(problem, x, ways.columns, measured, np.ones(len(table)))
     k = ways.matrix.shape[1]
     prior = np.column_stack([fit.prior[:, :-1] @ ways.matrix, fit.prior[:, -1]])
     prior = np.concatenate([prior, np.eye(ways.known, k + 1)])

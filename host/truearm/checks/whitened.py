@@ -130,12 +130,18 @@ DECLARED = Kernel()
 
 
 def whitened_fit(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], measured: Measured, laws: range = range(0)
+    problem: Problem,
+    x: Floats,
+    columns: NDArray[np.bool_],
+    measured: Measured,
+    weight: Floats,
+    laws: range = range(0),
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
-    ``measured`` describes the rows of the problem's table. The prior of the coefficients of joint ``laws`` is knowledge: it
-    follows from the rows themselves, and without it they would explain anything.
+    ``measured`` describes the rows of the problem's table, of which each has the declared variance divided by its ``weight``
+    (n,). The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without
+    it they would explain anything.
     """
     rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
     examined = rows_used[:: -(-rows_used.size // MOST_ROWS)]
@@ -156,6 +162,7 @@ def whitened_fit(
             knowledge.append(whitened[:, [*range(k), -1]])
             continue
         width = len(group.COMPONENTS)
+        whitened *= np.sqrt(np.repeat(weight[group.row], width))[:, None]
         numbers = np.tile(np.arange(components, components + width), len(group.row))
         pieces.append((np.repeat(group.row, width), numbers, whitened))
         components += width

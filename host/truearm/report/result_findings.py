@@ -24,6 +24,7 @@ CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
 FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, wherever it is bolted
 MAX_COPIES = 5  # copied rows that are named
+IGNORED = 0.1  # weight by a robust loss: rows with less hardly count
 MAX_ROWS = 6  # bad rows that are named
 MAX_TERMS = 4  # parameters that are named
 OUTSIDE = 1e-3  # chance that any parameter of an arm as its prior says lies outside it
@@ -560,6 +561,9 @@ def outliers(document: Document) -> Iterator[Finding]:
     laws = any(law["kept"] for law in (document["joint_laws"] or {}).get("tried", ()))
     left_out, fitted_rows = ([row for row in rows if (row["weight"] == 0.0) is is_out] for is_out in (True, False))
     values: dict[str, Any] = {"n": len(rows), "rows": named_rows(left_out or fitted_rows), "left_out": len(left_out)}
+    if document["loss"] != Loss.LINEAR:
+        ignored = sum(row["weight"] < IGNORED for row in rows)
+        values |= {"ignored": ignored, "loss": document["loss"], "share": f"{100 * IGNORED:.0f} %"}
     if left_out and fitted_rows:
         usual = "the residuals of most rows exceed their declared noise"
         why = "they hardly change the fit" if laws else usual
