@@ -23,10 +23,10 @@ from truearm.estimate.information import observe
 from truearm.estimate.levenberg_marquardt import DAMPING_START, Damping, Ends
 from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, build_problem, modelled_of
-from truearm.estimate.solution import Options, goodness_of
+from truearm.estimate.solution import Options, goodness_of, rms_of
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import Effect, Figures
+from truearm.results import Effect
 from truearm.types import Floats, Indices, Mask, Rigs, thinned
 from truearm.units import UNITS
 
@@ -185,7 +185,7 @@ def _trial(
         solution.x,
         price * quality.reduced,
         quality.freedom,
-        {unit: figures.rms for unit, figures in Figures.by_unit(solution.information.residual).items()},
+        rms_of(solution.information.residual),
         float(moves[placing].max(initial=0.0)),
         float(moves[: free.size][~placing[: free.size]].max(initial=0.0)),
     )

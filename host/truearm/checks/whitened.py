@@ -139,9 +139,9 @@ def whitened_fit(
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
-    ``measured`` describes the rows of the problem's table, of which each has the declared variance divided by its ``weight``
-    (n,). The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without
-    it they would explain anything.
+    ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight`` (n,).
+    The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without it they
+    would explain anything.
     """
     rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
     examined = rows_used[:: -(-rows_used.size // MOST_ROWS)]

@@ -38,23 +38,25 @@ def copied_rows(chain: Chain, rig: Rigs, table: ObservationTable) -> Indices:
     """Return for each row (n,) the first row that it is a copy of, or -1 for none. Raises ProblemError."""
     out = np.full(len(table), -1)
     first = _first_alike([table.q])
-    some = np.flatnonzero(np.bincount(first, minlength=len(table))[first] > 1)
-    if not some.size:
+    repeats = np.flatnonzero(np.bincount(first, minlength=len(table))[first] > 1)
+    if not repeats.size:
         return out
-    columns = {name: column[some] for name, column in table.columns.items() if name != "source" and not is_label(name)}
+    columns = {
+        name: column[repeats] for name, column in table.columns.items() if name != "source" and not is_label(name)
+    }
     measured = {name: _readings(table.select(table.kind == name), name) for name in np.unique(table.kind).tolist()}
     fields = {quantity.field for quantities in measured.values() for quantity in quantities}
     equal = _first_alike(list(columns.values()))
-    copies = equal < np.arange(some.size)
+    copies = equal < np.arange(repeats.size)
     if not copies.any():
         return out
     repeated = _first_alike([column for name, column in columns.items() if name not in fields])
-    chance = np.minimum(_earlier(repeated) * _step_shares(chain, rig, table, measured)[some], 1.0)
+    chance = np.minimum(_earlier(repeated) * _step_shares(chain, rig, table, measured)[repeats], 1.0)
     for name in measured:
-        mine = table.kind[some] == name
-        found, expected = int((copies & mine).sum()), float(chance[mine].sum())
-        if found and special.pdtrc(found - 1, expected) < LEVEL:
-            out[some[copies & mine]] = some[equal[copies & mine]]
+        of_kind = table.kind[repeats] == name
+        count, expected = int((copies & of_kind).sum()), float(chance[of_kind].sum())
+        if count and special.pdtrc(count - 1, expected) < LEVEL:
+            out[repeats[copies & of_kind]] = repeats[equal[copies & of_kind]]
     return out
 
 
@@ -69,7 +71,7 @@ def _readings(table: ObservationTable, kind: str) -> list[Quantity]:
 
 def _first_alike(columns: Sequence[NDArray[Any]]) -> Indices:
     """Return for each row of some columns (n, ·) the first row with equal values; NaN equals NaN."""
-    first, number = first_alike(part for column in columns for part in column.reshape(len(column), -1).T)
+    first, number = first_alike(values for column in columns for values in column.reshape(len(column), -1).T)
     return np.asarray(first[number])
 
 
@@ -90,9 +92,9 @@ def _step_shares(
         if group.row is None:
             continue
         name = str(table.kind[group.row[0]])
-        mine = table.select(table.kind == name)
-        every = [(mine[of.field].reshape(len(mine), -1), of.unit) for of in measured[name]]
-        step = np.array([_resolution(of, unit) for part, unit in every for of in part.T])
+        rows = table.select(table.kind == name)
+        readings = [(rows[quantity.field].reshape(len(rows), -1), quantity.unit) for quantity in measured[name]]
+        step = np.array([_resolution(values, unit) for columns, unit in readings for values in columns.T])
         cov, width = group.sensor_cov, group.sensor_cov.shape[1]
         if step.size == width:
             log_det = np.log(cov).sum(axis=1) if cov.ndim == 2 else np.linalg.slogdet(cov)[1]
@@ -105,10 +107,10 @@ def _step_shares(
 
 def _resolution(readings: Floats, unit: str) -> float:
     """Return at most the step between the readings (n,) of a device [m or rad]: few digits, or few different values."""
-    apart = np.diff(np.unique(readings))
-    if not apart.size:
+    differences = np.diff(np.unique(readings))
+    if not differences.size:
         return 0.0
     scales = (UNITS[unit].own, UNITS[unit].scale, *UNITS[unit].others)
-    steps = [of.scale * 10.0**-digits for of in scales for digits in range(MOST_DIGITS + 1)]
+    steps = [unit_scale.scale * 10.0**-digits for unit_scale in scales for digits in range(MOST_DIGITS + 1)]
     decimal = [step for step in steps if np.abs(readings / step - np.round(readings / step)).max() < ROUNDING]
-    return min(float(apart.min()), max(decimal, default=SMALLEST))
+    return min(float(differences.min()), max(decimal, default=SMALLEST))

@@ -74,28 +74,30 @@ def choose_defaults(
     if len(table) == 0:
         return free, np.full(free.size, np.inf), Defaults()
     still = still_joints(chain, table.q)
-    problem, every = build_problem(chain, rig, table, None, effects), len(table)
-    some = thinned(every, MANY)
-    if some.size < every:
-        few = build_problem(chain, rig, table.select(some), None, [effect.select(some) for effect in effects])
-        if few.names == problem.names:
-            problem, table = few, table.select(some)
+    problem, n_rows = build_problem(chain, rig, table, None, effects), len(table)
+    selection = thinned(n_rows, MANY)
+    if selection.size < n_rows:
+        thin_problem = build_problem(
+            chain, rig, table.select(selection), None, [effect.select(selection) for effect in effects]
+        )
+        if thin_problem.names == problem.names:
+            problem, table = thin_problem, table.select(selection)
     p, rig_only = problem.n_robot, problem.of_rig
-    x = fit(problem, rig_only, problem.start, Options()).x if rig_only.any() else problem.start
+    x = fit(problem, rig_only, problem.start, Options()).x
     gross, x = gross_rows(problem, rig_only, x)
     unit, names = weak_prior(chain), np.array(chain.parameter_names)
     mounted = mounting(chain, x[:p])
     anywhere = _root(build_problem(chain, rig, in_any_pose(chain, table)), x, free)
     framed = held_as_frames(anywhere, mounted, free, named, unit)
-    left = free & ~framed
+    remaining = free & ~framed
     lost = np.zeros(p, dtype=bool)
     if still:
-        lost = _seen_by_moving_only(chain, rig, table, x, left, named, [joint.joint for joint in still])
-        left &= ~lost
+        lost = _seen_by_moving_only(chain, rig, table, x, remaining, named, [joint.joint for joint in still])
+        remaining &= ~lost
     sigma = np.full(p, np.inf)
     if prior:
-        times = math.sqrt(every / len(table))
-        sigma = _weak_where_needed(only(problem, ~gross), x, left, unit * times, mounted.either) / times
+        times = math.sqrt(n_rows / len(table))
+        sigma = _weak_where_needed(only(problem, ~gross), x, remaining, unit * times, mounted.either) / times
 
     def named_by(mask: Mask) -> tuple[str, ...]:
         return tuple(names[mask].tolist())
@@ -107,7 +109,7 @@ def choose_defaults(
         lost=named_by(lost),
         believed=named_by(np.isfinite(sigma)),
     )
-    return left, sigma, chosen
+    return remaining, sigma, chosen
 
 
 def with_frames(
@@ -125,8 +127,8 @@ def with_frames(
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     root = _root(problem, value, free)
-    found = identifiability(root, int(free.sum()), names).null_space
-    return replace(chosen, frames=tuple(direction for direction in found if held & set(direction.names)))
+    null_space = identifiability(root, int(free.sum()), names).null_space
+    return replace(chosen, frames=tuple(direction for direction in null_space if held & set(direction.names)))
 
 
 def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mounted: Mask) -> Floats:
@@ -194,9 +196,9 @@ def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
 def _misfit(problem: Problem, x: Floats, columns: Mask) -> tuple[float, float]:
     """Return the ratio of the median row's residual to its expected value, 1 to LARGEST_MISFIT; and that of their RMS."""
     ratios, squares = [], []
-    for part in whitened_blocks(problem, x, columns):
-        if part.row is not None:
-            length, width = np.linalg.norm(part.residual, axis=1), part.residual.shape[1]
+    for block in whitened_blocks(problem, x, columns):
+        if block.row is not None:
+            length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
             ratios.append(length / np.sqrt(special.chdtri(width, 0.5)))
             squares.append(length**2 / width)
     usual = float(np.clip(np.median(np.concatenate(ratios)), 1.0, LARGEST_MISFIT))
@@ -209,19 +211,19 @@ def still_joints(chain: Chain, q: Floats) -> tuple[StillJoint, ...]:
     None if all do, since then the poses themselves are alike.
     """
     spread = np.ptp(q, axis=0)
-    found = tuple(
+    joints = tuple(
         StillJoint(joint.name, unit, float(spread[i]), float(np.median(q[:, i])))
         for i, (joint, unit) in enumerate(zip(chain.joints, chain.joint_units, strict=True))
         if spread[i] < STILL * UNITS[unit].weak_sigma
     )
-    return found if len(found) < len(spread) else ()
+    return joints if len(joints) < len(spread) else ()
 
 
 def moved(chain: Chain, still: Sequence[StillJoint], q: Floats) -> Mask:
     """Return a mask (n,) of readings (n, j) in which one of the still joints is at another position."""
-    of = {joint.name: i for i, joint in enumerate(chain.joints)}
-    apart = [np.abs(q[:, of[joint.joint]] - joint.at) > STILL * UNITS[joint.unit].weak_sigma for joint in still]
-    return np.any(apart, axis=0) if apart else np.zeros(len(q), dtype=bool)
+    index = {joint.name: i for i, joint in enumerate(chain.joints)}
+    displaced = [np.abs(q[:, index[joint.joint]] - joint.at) > STILL * UNITS[joint.unit].weak_sigma for joint in still]
+    return np.any(displaced, axis=0) if displaced else np.zeros(len(q), dtype=bool)
 
 
 def _seen_by_moving_only(
@@ -233,15 +235,15 @@ def _seen_by_moving_only(
     """
     rng = np.random.default_rng(0)
     columns = [i for i, joint in enumerate(chain.joints) if joint.name in still]
-    own = np.array([parameter.joint in columns for parameter in chain.parameters])
+    is_own = np.array([parameter.joint in columns for parameter in chain.parameters])
     n = int(free.sum())
     standing, moving = table.q.copy(), table.q.copy()
     standing[:, columns] = np.median(table.q[:, columns], axis=0)
     moving[:, columns] += rng.uniform(-MOTION, MOTION, (len(table), len(columns)))
     roots = [_root(build_problem(chain, rig, table.replace(q=q)), x, free) for q in (standing, moving)]
-    kept = suggested_free(roots[0], n, ((~own | named)[free]))
-    told = suggested_free(roots[1], n, kept, taken=kept)
-    return spread(told & ~kept, free) & ~named
+    distinct = suggested_free(roots[0], n, ((~is_own | named)[free]))
+    distinct_moving = suggested_free(roots[1], n, distinct, taken=distinct)
+    return spread(distinct_moving & ~distinct, free) & ~named
 
 
 def _root(problem: Problem, x: Floats, free: Mask) -> Floats:

@@ -61,16 +61,16 @@ def _mounting(chain: Chain, numbers: bytes) -> Mounting:
     axes = np.eye(3)[:, None]
     turn, velocity = about(trace, axes).jac_params, along(trace, axes).jac_params  # (3, n, p) of the end, base axes
     at_base = velocity - np.cross(turn, trace.p_base.T[..., None], axis=0)
-    at_end = [np.einsum("nki,knp->inp", pose[:, :3, :3], part) for part in (turn, velocity)]
-    twists = [np.concatenate(parts) for parts in ((turn, at_base), at_end)]  # (6, n, p)
-    base, tool = (np.ptp(of, axis=1).max(axis=0) <= CONSTANT * np.abs(of).max(initial=1.0) for of in twists)
+    at_end = [np.einsum("nki,knp->inp", pose[:, :3, :3], motion) for motion in (turn, velocity)]
+    twists = [np.concatenate(motions) for motions in ((turn, at_base), at_end)]  # (6, n, p)
+    base, tool = (np.ptp(twist, axis=1).max(axis=0) <= CONSTANT * np.abs(twist).max(initial=1.0) for twist in twists)
     varies = np.isin(
         np.arange(params.size), chain.law.of_column
     )  # a curve's coefficient may have no effect in any of these poses
-    found = Mounting(base & ~varies, tool & ~varies, twists[0][:, 0], twists[1][:, 0])
-    for array in found:
+    masks = Mounting(base & ~varies, tool & ~varies, twists[0][:, 0], twists[1][:, 0])
+    for array in masks:
         array.setflags(write=False)
-    return found
+    return masks
 
 
 def held_as_frames(
@@ -83,15 +83,15 @@ def held_as_frames(
     """
     scaled, scale = rank_columns(root)
     n_robot = int(free.sum())
-    at = np.cumsum(free) - 1
+    column = np.cumsum(free) - 1
     out = np.zeros(free.size, dtype=bool)
-    for of, twist in ((mounted.base, mounted.base_twist), (mounted.tool & ~mounted.base, mounted.tool_twist)):
-        which = np.flatnonzero(of & free)
-        _, unseen = null_basis(project_out(scaled[:, at[which]], scaled[:, n_robot:]))
+    for moves_frame, twist in ((mounted.base, mounted.base_twist), (mounted.tool & ~mounted.base, mounted.tool_twist)):
+        members = np.flatnonzero(moves_frame & free)
+        _, unseen = null_basis(project_out(scaled[:, column[members]], scaled[:, n_robot:]))
         # Two parameters of one motion are not a choice of frame: the frame does not move.
-        if unseen.shape[1] <= which.size - np.linalg.matrix_rank(twist[:, which], tol=CONSTANT):
+        if unseen.shape[1] <= members.size - np.linalg.matrix_rank(twist[:, members], tol=CONSTANT):
             continue
-        basis, _ = np.linalg.qr(unseen / (scale[at[which]] * unit[which])[:, None])
-        may = ~named[which]
-        out[which[may][pivots(basis[may].T, RANK_TOLERANCE)]] = True
+        basis, _ = np.linalg.qr(unseen / (scale[column[members]] * unit[members])[:, None])
+        may = ~named[members]
+        out[members[may][pivots(basis[may].T, RANK_TOLERANCE)]] = True
     return out

@@ -43,50 +43,49 @@ def additions(
     """
     if taken.all() or len(table) == 0:
         return ()
-    here = _at(chain, known)
-    found = []
-    for proposal, prefix in _proposals(here, rig, table):
-        wide, n_robot = _with(here, proposal, prefix, names, root, known, taken.size)
-        more = (
-            suggested_free(wide, n_robot, taken, taken)
+    estimated = _at(chain, known)
+    helpful = []
+    for proposal, prefix in _proposals(estimated, rig, table):
+        wide = _with(estimated, proposal, prefix, names, root, known)
+        determined = (
+            suggested_free(wide, taken.size, taken, taken)
             if unit is None
-            else identifiable_columns(wide, n_robot, unit, taken)
+            else identifiable_columns(wide, taken.size, unit, taken)
         )
-        gained = np.flatnonzero(more & ~taken).tolist()
+        gained = np.flatnonzero(determined & ~taken).tolist()
         if gained:
-            told = tuple(names[i] for i in gained)
+            gained_names = tuple(names[i] for i in gained)
             text = f"with the rig {prefix[:-1]}, {proposal.text}" if prefix else proposal.text
-            found.append(Addition(proposal.kind, proposal.names, int(more.sum()), told, text))
-    return tuple(sorted(found, key=lambda a: -a.rank))
+            helpful.append(Addition(proposal.kind, proposal.names, int(determined.sum()), gained_names, text))
+    return tuple(sorted(helpful, key=lambda a: -a.rank))
 
 
 def _with(
-    here: Chain,
+    estimated: Chain,
     proposal: Proposal,
     prefix: str,
     names: Sequence[str],
     root: Floats,
     known: Mapping[str, float],
-    n_robot: int,
-) -> tuple[Floats, int]:
-    """Return the root with the rows of a proposal folded in, its new unknowns after all others, and ``n_robot``."""
-    problem = build_problem(here, proposal.rig, proposal.rows)
+) -> Floats:
+    """Return the root with the rows of a proposal folded in, its new unknowns after all others."""
+    problem = build_problem(estimated, proposal.rig, proposal.rows)
     of_problem = [*problem.names[: problem.n_robot], *(prefix + name for name in problem.names[problem.n_robot :])]
     x = np.array([known.get(name, start) for name, start in zip(of_problem, problem.start, strict=True)])
     columns = np.array([name in names or name not in known for name in of_problem])
-    theirs = [name for name, wanted in zip(of_problem, columns, strict=True) if wanted]
-    every = [*names, *(name for name in theirs if name not in names)]
-    wide = np.zeros((len(theirs), len(every)))
+    theirs = [name for name, is_unknown in zip(of_problem, columns, strict=True) if is_unknown]
+    all_names = [*names, *(name for name in theirs if name not in names)]
+    wide = np.zeros((len(theirs), len(all_names)))
     # Prior information on the new items; that on the rest is already in the root.
     sigma = np.where([name in names for name in theirs], np.inf, problem.prior_sigma[columns])
     data = with_prior(observe(settled(problem, x), x, columns), np.zeros(len(theirs)), sigma)
-    wide[:, [every.index(name) for name in theirs]] = data.root
-    padded = np.zeros((len(every), len(every)))
+    wide[:, [all_names.index(name) for name in theirs]] = data.root
+    padded = np.zeros((len(all_names), len(all_names)))
     padded[: len(names), : len(names)] = root
-    return fold(padded, wide), n_robot
+    return fold(padded, wide)
 
 
-def _proposals(here: Chain, rigs: Rigs, table: ObservationTable) -> Iterator[tuple[Proposal, str]]:
+def _proposals(estimated: Chain, rigs: Rigs, table: ObservationTable) -> Iterator[tuple[Proposal, str]]:
     """Return what each kind of a rig's rows proposes at the estimate, and the prefix of the rig's unknowns' names.
 
     A kind without rows would propose equipment that the user does not have.
@@ -96,7 +95,7 @@ def _proposals(here: Chain, rigs: Rigs, table: ObservationTable) -> Iterator[tup
         rows = table.select(table.rig == name)
         for kind_name, kind in kinds().items():
             if kind.proposals is not None and kind_name in rows.kind:
-                for proposal in kind.proposals(here, rig, rows, np.random.default_rng(0)):
+                for proposal in kind.proposals(estimated, rig, rows, np.random.default_rng(0)):
                     yield proposal, f"{name}." if name and rig is not rigs else ""
 
 

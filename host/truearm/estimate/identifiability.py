@@ -72,11 +72,11 @@ def observability(root: Floats, n_robot: int, chosen: NDArray[np.bool_], unit: F
     singular = np.linalg.svd(_in_units(root, n_robot, unit)[:, chosen], compute_uv=False)
     if singular.size == 0 or n_rows == 0:
         return Observability(*(float("nan"),) * 4)
-    least, most = float(singular[-1]), float(singular[0])
-    if least <= RANK_TOLERANCE * most:
+    smallest, largest = float(singular[-1]), float(singular[0])
+    if smallest <= RANK_TOLERANCE * largest:
         return Observability(0.0, 0.0, 0.0, 0.0)
     mean = float(np.exp(np.log(singular).mean()))
-    return Observability(mean / float(np.sqrt(n_rows)), least / most, least, least**2 / most)
+    return Observability(mean / float(np.sqrt(n_rows)), smallest / largest, smallest, smallest**2 / largest)
 
 
 def suggested_free(
@@ -87,24 +87,20 @@ def suggested_free(
     ``taken`` columns, which must be independent, come first, then ``prefer`` columns.
     """
     scaled, _ = rank_columns(root)
-    rest = project_out(scaled[:, :n_robot], scaled[:, n_robot:])
+    projected = project_out(scaled[:, :n_robot], scaled[:, n_robot:])
     out = np.zeros(n_robot, dtype=bool) if taken is None else taken.copy()
     for group in (prefer & ~out, ~prefer & ~out):
-        left = project_out(rest[:, group], rest[:, out])
-        if left.size == 0:
+        undistinguished = project_out(projected[:, group], projected[:, out])
+        if undistinguished.size == 0:
             continue
-        out[np.flatnonzero(group)[pivots(left, RANK_TOLERANCE)]] = True
+        out[np.flatnonzero(group)[pivots(undistinguished, RANK_TOLERANCE)]] = True
     return out
 
 
 def hardly_seen(root: Floats, n_robot: int, unit: Floats, names: Sequence[str]) -> tuple[NullDirection, ...]:
     """Return identifiable directions of the robot's columns that the data determine no better than ``unit`` (n_robot,)."""
-    rest = _in_units(root, n_robot, unit)
-    if rest.size == 0:
-        return ()
-    _, singular, vt = np.linalg.svd(rest)
-    weak = (singular < 1.0) & (singular > RANK_TOLERANCE * singular[0])
-    return _directions(vt[weak].T, 1.0 / unit, names[:n_robot], SMALL_PART)
+    weak = _weak_directions(root, n_robot, unit, RANK_TOLERANCE)
+    return _directions(weak.T, 1.0 / unit, names[:n_robot], SMALL_PART)
 
 
 def weakly_identifiable(root: Floats, n_robot: int, unit: Floats, least: float = -1.0) -> NDArray[np.bool_]:
@@ -112,28 +108,30 @@ def weakly_identifiable(root: Floats, n_robot: int, unit: Floats, least: float =
 
     Directions with a singular value up to ``least`` of the largest do not count: with RANK_TOLERANCE, null directions.
     """
-    rest = _in_units(root, n_robot, unit)
-    if rest.size == 0:
-        return np.zeros(n_robot, dtype=bool)
-    _, singular, vt = np.linalg.svd(rest)
-    return np.asarray((np.abs(vt[(singular < 1.0) & (singular > least * singular[0])]) > SMALL_PART).any(axis=0))
+    return np.asarray((np.abs(_weak_directions(root, n_robot, unit, least)) > SMALL_PART).any(axis=0))
+
+
+def _weak_directions(root: Floats, n_robot: int, unit: Floats, least: float) -> Floats:
+    """Return the directions (d, n_robot), in units, with a singular value below 1 and above ``least`` of the largest."""
+    _, singular, vt = np.linalg.svd(_in_units(root, n_robot, unit))
+    return np.asarray(vt[(singular < 1.0) & (singular > least * singular.max(initial=0.0))])
 
 
 def is_weakly_identifiable(root: Floats, column: int, unit: float) -> bool:
     """Return whether the data determine this parameter no better than ``unit``, all others (robot and rig) being unknown."""
-    rest = project_out(root[:, [column]], np.delete(root, column, axis=1))
-    return float(np.linalg.norm(rest)) * unit < 1.0
+    projected = project_out(root[:, [column]], np.delete(root, column, axis=1))
+    return float(np.linalg.norm(projected)) * unit < 1.0
 
 
 def identifiable_columns(
     root: Floats, n_robot: int, unit: Floats, taken: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
     """Return as many columns (n_robot,) as there are directions known to better than ``unit``, ``taken`` ones first."""
-    rest = _in_units(root, n_robot, unit)
+    columns = _in_units(root, n_robot, unit)
     out = np.zeros(n_robot, dtype=bool) if taken is None else taken.copy()
-    more = int((np.linalg.svd(rest, compute_uv=False) >= 1.0).sum() - out.sum())
-    if more > 0:
-        out[np.flatnonzero(~out)[pivots(project_out(rest[:, ~out], rest[:, out]), most=more)]] = True
+    count = int((np.linalg.svd(columns, compute_uv=False) >= 1.0).sum() - out.sum())
+    if count > 0:
+        out[np.flatnonzero(~out)[pivots(project_out(columns[:, ~out], columns[:, out]), most=count)]] = True
     return out
 
 
@@ -184,7 +182,7 @@ def _gap(singular: Floats, rank: int) -> float:
 
 
 def _directions(
-    basis: Floats, scale: Floats, names: Sequence[str], least: float = NO_PART, beside: Floats | None = None
+    basis: Floats, scale: Floats, names: Sequence[str], smallest: float = NO_PART, beside: Floats | None = None
 ) -> tuple[NullDirection, ...]:
     """Return the null space (c, d), scaled, as readable directions in SI units, each with a largest weight of 1.
 
@@ -194,13 +192,13 @@ def _directions(
     if d == 0:
         return ()
     own_parameters = sorted(pivots(basis.T))
-    whole = basis if beside is None else np.concatenate([basis, beside])
+    directions = basis if beside is None else np.concatenate([basis, beside])
     out = []
-    for column in (whole @ np.linalg.inv(basis[own_parameters])).T:
-        part = np.flatnonzero(np.abs(column) > least).tolist()
-        weights = column[part] / scale[part]
+    for column in (directions @ np.linalg.inv(basis[own_parameters])).T:
+        members = np.flatnonzero(np.abs(column) > smallest).tolist()
+        weights = column[members] / scale[members]
         weights = weights / weights[first_within(np.abs(weights))]
-        out.append(NullDirection(tuple(names[i] for i in part), tuple(float(w) for w in weights)))
+        out.append(NullDirection(tuple(names[i] for i in members), tuple(float(w) for w in weights)))
     return tuple(out)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from truearm.estimate.identifiability import (
     spread,
     suggested_free,
 )
-from truearm.estimate.information import observe, of_rows, with_prior
+from truearm.estimate.information import observe, of_rows
 from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
@@ -48,9 +48,9 @@ from truearm.estimate.problem import (
     settled,
     without_effect_priors,
 )
-from truearm.estimate.row_errors import left_out_errors, row_errors
+from truearm.estimate.row_errors import RowErrors, left_out_errors, row_errors
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
-from truearm.estimate.solution import Options, Solution, goodness_of, solver_named
+from truearm.estimate.solution import Options, Solution, goodness_of, rms_of, solver_named
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
@@ -59,21 +59,17 @@ from truearm.estimate.whitened_rows import only, weighted_chi2
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import (
-    Addition,
     Effect,
     Estimate,
     Figures,
     HeldOut,
     MeanError,
     NullDirection,
-    Observability,
-    ResidualParts,
 )
 from truearm.types import Floats, Indices, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
-DAMPINGS = ("scaled", "plain")
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
@@ -83,7 +79,6 @@ class SolverOptions:
 
     solver : one of SOLVERS; each is a module that documents its method.
     loss : "linear", "huber" or "cauchy" (robust.py), for the solvers lm and map.
-    damping : for lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
     progress : called with (iteration, RMS by SI unit) after each step.
     effects : systematic errors to estimate as well; their rows are rows of the table.
     leave_out : rows to neither fit nor validate on: the first, and the one after the last, from 0.
@@ -93,7 +88,6 @@ class SolverOptions:
 
     solver: str = option_defaults.SOLVER
     loss: str = option_defaults.LOSS
-    damping: str = "scaled"
     max_iterations: int = option_defaults.MAX_ITERATIONS
     progress: Progress | None = None
     effects: tuple[Effect, ...] = ()
@@ -125,9 +119,9 @@ def identify(
     prior_sigma : σ of robot parameters about their nominal values, by name or (p,) with inf for none; default none.
     prefer : (p,) parameters that the suggested free set should preferably contain, a robot file's ``free``; default
     none.
-    options : solver, loss, damping, maximum number of iterations, and progress callback.
+    options : solver, loss, maximum number of iterations, and progress callback.
 
-    Raises ProblemError for masks of the wrong shape, no row to fit, an unknown solver, loss or damping, a loss for a
+    Raises ProblemError for masks of the wrong shape, no row to fit, an unknown solver or loss, a loss for a
     solver without losses, and for the same reasons as ``build_problem``. Rank and convergence are fields of the result.
     """
     started = time.perf_counter()
@@ -141,26 +135,26 @@ def identify(
             options.progress(iteration, history[-1])
 
     nominal = _nominal(task, options)
-    solved = _solved(task, nominal, options, on_step)
-    solution, x = solved.found, solved.found.x
-    root = solution.information.half
-    quality = _quality(task, solved, root, options)
-    sight = _sight(task, solution, solved.taken(problem))
+    solution, complete, outlying = _solved(task, nominal, options, on_step)
+    x, root = solution.x, solution.information.half
+    fitted_problem = only(problem, solution.weight > 0.0)
+    quality = _quality(task, solution, solution is complete, root, options)
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
-    fitted_problem, covariance = solved.taken(problem), np.zeros((x.size, x.size))
+    covariance = np.zeros((x.size, x.size))
     covariance[np.ix_(columns, columns)] = solution.covariance
     scatter = None
     if as_declared and solution.status == "converged" and columns.any():
         scatter = learned_scatter(fitted_problem, x, columns, task.pose, quality.fit)
     if scatter is not None and scatter.n and is_of_arm(scatter):
         covariance[np.ix_(columns, columns)] = covariance_with(scatter, fitted_problem, x, columns, root, task.pose)
-    unfitted = _unfitted(task, nominal, x, quality)
-    unexplained: Mapping[str, MeanError] = {}
-    if not quality.fit.explained:
-        unexplained = mean_errors(unfitted.error, poses(table), held_out=unfitted.after is not None)
+    sight = _sight(task, solution, fitted_problem)
     included = not_left_out(solution.weight)
-    estimate = Estimate(
+    prior = problem.prior_sigma.copy()
+    prior[columns] = solution.prior_sigma
+    return Estimate(
+        **sight,
+        **_errors(task, nominal, solution, quality),
         status=solution.status,
         message=solution.message,
         solver=options.solver,
@@ -169,49 +163,32 @@ def identify(
         units=problem.units,
         nominal=problem.start,
         value=x,
-        sigma=np.sqrt(np.where(sight.identifiable, np.diag(covariance), np.nan)),
+        sigma=np.sqrt(np.where(sight["identifiable"], np.diag(covariance), np.nan)),
         free=columns,
-        identifiable=sight.identifiable,
         covariance=covariance,
         n_robot_parameters=problem.n_robot,
         n_observations=problem.n_rows,
-        rank=sight.of_rows.rank,
-        rank_gap=sight.of_rows.gap,
-        null_space=sight.of_rows.null_space,
         rms_before=rms_of(nominal.residual, included),
         rms_raw=rms_of(nominal.raw, included),
         rms_after=rms_of(solution.information.residual, included),
         rms_history={unit: tuple(rms[unit] for rms in (rms_of(nominal.raw), *history)) for unit in nominal.raw},
         chi2_reduced=quality.fit.reduced,
-        held_out=unfitted.after,
-        held_out_before=unfitted.before,
-        residual=merged(solution.information.residual, unfitted.of_held, fitted, held),
-        residual_before=merged(nominal.residual, unfitted.of_held_before, fitted, held),
         fitted=fitted,
         left_out=task.left_out,
-        seconds=0.0,
         loss=options.loss,
         chi2_band=quality.fit.band,
         chi2_freedom=quality.fit.freedom,
-        distance=_merge(quality.distance, np.nan, fitted, held),
+        distance=_merge(quality.rows.distance, np.nan, fitted, held),
         weight=_merge(solution.weight, np.nan, fitted, held),
-        outlying=spread(solved.outlying, fitted),
-        suspect=spread(quality.beyond | (solution.weight == 0.0), fitted),
-        observability=sight.observability,
-        suggested_free=spread(sight.suggested, task.free),
-        hardly_seen=sight.hardly,
-        additions=sight.additions,
-        prior_sigma=_prior(problem, columns, solution),
-        unexplained=unexplained,
-        unfitted_error=unfitted.error,
-        unfitted_error_before=unfitted.error_before,
-        with_outliers=None if solved.found is solved.every else fit_with_all(problem, columns, solved.every, solution),
+        outlying=spread(outlying, fitted),
+        suspect=spread(quality.rows.beyond | (solution.weight == 0.0), fitted),
+        prior_sigma=prior,
+        with_outliers=None if solution is complete else fit_with_all(problem, columns, complete, solution),
         without_bad_rows=quality.bad and fit_without(quality.bad, chain, x, table.q[fitted]),
-        parts=quality.parts,
+        parts=quality.rows.parts,
         scatter=scatter,
-        unseen=sight.of_rows.unseen,
+        seconds=time.perf_counter() - started,
     )
-    return replace(estimate, seconds=time.perf_counter() - started)
 
 
 class _Task(NamedTuple):
@@ -244,7 +221,7 @@ def _task(
     free = _mask("free", parameters[0], len(chain.parameters), default=True)
     prefer = _mask("prefer", parameters[1], len(chain.parameters), default=False)
     held = _mask("hold_out", hold_out, len(table), default=False)
-    _check_choice(options.solver, options.loss, options.damping)
+    _check_choice(options.solver, options.loss)
     left_out = rows_left_out(options.leave_out, len(table))
     held = held & ~left_out
     fitted = ~(held | left_out)
@@ -285,79 +262,58 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
     parameters that move nothing else.
     """
     problem, of_rig = task.problem, task.problem.of_rig
-    x = problem.start
-    if of_rig.any():
-        placed = fit(problem, of_rig, x, Options(options.max_iterations, ends=Ends()))
-        x, raw = placed.x, placed.information.residual
-    else:
-        raw = observe(problem, x, of_rig).residual
-    gross = np.zeros(problem.n_rows, dtype=bool)
+    placed = fit(problem, of_rig, problem.start, Options(options.max_iterations, ends=Ends()))
+    x, raw, gross = placed.x, placed.information.residual, np.zeros(problem.n_rows, dtype=bool)
     if options.outliers is not None:
         gross = options.outliers[task.fitted]
-        x = fit(only(problem, ~gross), of_rig, x, Options()).x if of_rig.any() else x
+        x = fit(only(problem, ~gross), of_rig, x, Options()).x
     elif _rejects(options):
         gross, x = gross_rows(problem, of_rig, x)
     if gross.any():
         raw = observe(problem, x, of_rig).residual
     mounted = mounting(task.chain, x[: problem.n_robot]).either & task.columns[: problem.n_robot]
     mounts = problem.columns(mounted)
-    if not mounted.any():
-        prior = (problem.start - x)[mounts], problem.prior_sigma[mounts]
-        root = with_prior(observe(problem, x, mounts), *prior).half
-        return _Nominal(x, raw, x, raw, mounts, root, gross)
     placed = fit(only(problem, ~gross), mounts, x, Options(ends=Ends()))
+    if not mounted.any():
+        return _Nominal(x, raw, x, raw, mounts, placed.information.half, gross)
     residual = observe(problem, placed.x, of_rig).residual if gross.any() else placed.information.residual
     return _Nominal(x, raw, placed.x, residual, mounts, placed.information.half, gross)
 
 
-class _Solved(NamedTuple):
-    """The fit, that of all rows (the same, unless outliers were left out), and the rows (n_rows,) that are outlying."""
-
-    found: Solution
-    every: Solution
-    outlying: NDArray[np.bool_]
-
-    def taken(self, problem: Problem) -> Problem:
-        """Return the problem with the rows that the fit used."""
-        return only(problem, self.found.weight > 0.0)
-
-
 def _solved(
     task: _Task, nominal: _Nominal, options: SolverOptions, on_step: Callable[[int, Residuals], None]
-) -> _Solved:
-    """Solve with all rows, and without outliers where these are to be rejected or are given."""
+) -> tuple[Solution, Solution, NDArray[np.bool_]]:
+    """Return the fit, that of all rows (the same, unless outliers were left out), and which rows (n_rows,) are outlying."""
     problem, columns, gross = task.problem, task.columns, nominal.gross
-    how_to = Options(options.max_iterations, Loss(options.loss), Damping(plain=options.damping == "plain"), on_step)
     # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
-    start = nominal.x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
+    start, damping = problem.start, Damping(start=0.0)
+    if SOLVERS[options.solver].starts_from_rig:
+        start, damping = nominal.x_raw, Damping()
+    how_to = Options(options.max_iterations, Loss(options.loss), damping, on_step)
     solve = solver_named(options.solver)
     complete = solve(problem, columns, start, how_to)
     begun = solve(only(problem, ~gross), columns, start, how_to._replace(on_step=None)) if gross.any() else complete
     if options.outliers is not None:
-        solution = weightless(problem, columns, begun, ~gross)
-        return _Solved(solution, complete, solution.weight == 0.0)
+        return weightless(problem, columns, begun, ~gross), complete, gross
     if _rejects(options) and begun.status == "converged":
         rejected = without_outliers(problem, columns, begun, how_to, gross)
         if rejected is not None:
-            return _Solved(rejected.fit if rejected.explained else complete, complete, rejected.fit.weight == 0.0)
-    return _Solved(complete, complete, complete.weight == 0.0)
+            return rejected.fit if rejected.explained else complete, complete, rejected.fit.weight == 0.0
+    return complete, complete, complete.weight == 0.0
 
 
 class _Quality(NamedTuple):
-    """How well the rows (n_rows,) fit: see ``RowErrors``. ``bad`` are more rows than can be left out, but explain a misfit."""
+    """How well the rows fit. ``bad`` are more rows than can be left out, but explain a misfit; ``inliers`` lacks them."""
 
     fit: Goodness
     bad: WithoutBad | None
-    distance: Floats
-    beyond: NDArray[np.bool_]
-    left_out: Residuals
+    rows: RowErrors
     inliers: Problem
-    parts: Mapping[str, ResidualParts]
 
 
-def _quality(task: _Task, solved: _Solved, root: Floats, options: SolverOptions) -> _Quality:
-    """Judge the rows by a fit, with the covariance ``root @ root.T`` of its unknowns."""
-    problem, columns, solution = task.problem, task.columns, solved.found
+def _quality(task: _Task, solution: Solution, is_complete: bool, root: Floats, options: SolverOptions) -> _Quality:
+    """Judge the rows by a fit, with the covariance ``root @ root.T`` of its unknowns; ``is_complete``: it used all rows."""
+    problem, columns = task.problem, task.columns
     rows = row_errors(problem, solution.x, columns, root, solution.weight, task.pose)
     quality = goodness_of(problem, columns, solution)
     if options.loss != Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
@@ -366,33 +322,17 @@ def _quality(task: _Task, solved: _Solved, root: Floats, options: SolverOptions)
         shares = prior_shares(root, solution.prior_sigma)
         quality = goodness(*weighted_chi2(tolerated, solution.x, Loss(options.loss)), shares)
         left_out = left_out_errors(inliers, solution.x, columns, root, task.pose)
-        return _Quality(quality, None, rows.distance, rows.beyond, left_out, inliers, rows.parts)
+        return _Quality(quality, None, rows._replace(left_out=left_out), inliers)
     bad = None
-    if _rejects(options) and solution is solved.every and solution.status == "converged" and not quality.explained:
-        bad = without_bad_rows(
-            problem,
-            columns,
-            solution,
-            quality,
-            Options(options.max_iterations, damping=Damping(plain=options.damping == "plain")),
-        )
-    distance, beyond = (rows.distance, rows.beyond) if bad is None else (bad.distance, bad.bad)
-    return _Quality(quality, bad, distance, beyond, rows.left_out, solved.taken(problem), rows.parts)
+    if _rejects(options) and is_complete and solution.status == "converged" and not quality.explained:
+        bad = without_bad_rows(problem, columns, solution, quality, Options(options.max_iterations))
+    if bad is not None:
+        rows = rows._replace(distance=bad.distance, beyond=bad.bad)
+    return _Quality(quality, bad, rows, only(problem, solution.weight > 0.0))
 
 
-class _Sight(NamedTuple):
-    """What the rows can tell: ``of_rows`` of the unknowns, (P,) those with a σ, and what is lacking for the others."""
-
-    of_rows: Identifiability
-    identifiable: NDArray[np.bool_]
-    suggested: NDArray[np.bool_]  # (free parameters,)
-    observability: Observability | None
-    hardly: tuple[NullDirection, ...]
-    additions: tuple[Addition, ...]
-
-
-def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> _Sight:
-    """Return what the rows of the fitted problem determine, linearised at its solution."""
+def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> dict[str, Any]:
+    """Return fields of the estimate: what the rows of the fitted problem determine, linearised at its solution."""
     x, columns, n_free = solution.x, task.columns, int(task.free.sum())
     still, data = settled(fitted_problem, x), solution.information
     if still is not fitted_problem or not np.array_equal(solution.prior_sigma, task.problem.rig_prior[columns]):
@@ -406,47 +346,47 @@ def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> _Sight:
     wanting = (identifiable_columns(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     values = dict(zip(task.problem.names, x, strict=True))
-    return _Sight(
-        sight,
-        spread(sight.identifiable & ~np.isin(names, untimed), columns),
-        suggested,
-        observability(data.root, n_free, suggested, unit, data.n_residuals),
-        (*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
-        additions(task.chain, task.rig, task.table.select(task.fitted), names, data.root, values, *wanting),
-    )
+    return {
+        "rank": sight.rank,
+        "rank_gap": sight.gap,
+        "null_space": sight.null_space,
+        "unseen": sight.unseen,
+        "identifiable": spread(sight.identifiable & ~np.isin(names, untimed), columns),
+        "suggested_free": spread(suggested, task.free),
+        "observability": observability(data.root, n_free, suggested, unit, data.n_residuals),
+        "hardly_seen": (*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
+        "additions": additions(
+            task.chain, task.rig, task.table.select(task.fitted), names, data.root, values, *wanting
+        ),
+    }
 
 
-class _Unfitted(NamedTuple):
-    """Errors (n,) where nothing was fitted: on held-out rows, or else on each pose in a fit without it; nominal robot too."""
+def _errors(task: _Task, nominal: _Nominal, solution: Solution, quality: _Quality) -> dict[str, Any]:
+    """Return fields of the estimate: residuals, and errors where nothing was fitted.
 
-    after: HeldOut | None
-    before: HeldOut | None
-    of_held: Residuals
-    of_held_before: Residuals
-    error: Residuals
-    error_before: Residuals
-
-
-def _unfitted(task: _Task, nominal: _Nominal, x: Floats, quality: _Quality) -> _Unfitted:
+    That is on held-out rows, or else on each pose in a fit without it; for the nominal robot too.
+    """
     fitted, held = task.fitted, task.held
     judge = partial(judged, task.problem, rig=task.rig, table=task.table, held=held, modelled=task.effects)
     held_out_before, of_held_before = judge(nominal.x)
-    held_out, of_held = judge(x)
+    held_out, of_held = judge(solution.x)
     if held_out is not None:
         error, error_before = (merged({}, of_robot, fitted, held) for of_robot in (of_held, of_held_before))
     else:
         robot = left_out_errors(quality.inliers, nominal.x, nominal.mounts, nominal.root, task.pose)
-        error, error_before = (merged(of_robot, {}, fitted, held) for of_robot in (quality.left_out, robot))
-    if not np.any(task.columns & ~nominal.mounts):
-        error_before = {}
-    return _Unfitted(held_out, held_out_before, of_held, of_held_before, error, error_before)
-
-
-def _prior(problem: Problem, columns: NDArray[np.bool_], solution: Solution) -> Floats:
-    """Return σ (P,) of the prior that the solver used; inf for none."""
-    sigma = problem.prior_sigma.copy()
-    sigma[columns] = solution.prior_sigma
-    return sigma
+        error, error_before = (merged(of_robot, {}, fitted, held) for of_robot in (quality.rows.left_out, robot))
+    unexplained: Mapping[str, MeanError] = {}
+    if not quality.fit.explained:
+        unexplained = mean_errors(error, poses(task.table), held_out=held_out is not None)
+    return {
+        "held_out": held_out,
+        "held_out_before": held_out_before,
+        "residual": merged(solution.information.residual, of_held, fitted, held),
+        "residual_before": merged(nominal.residual, of_held_before, fitted, held),
+        "unfitted_error": error,
+        "unfitted_error_before": error_before if np.any(task.columns & ~nominal.mounts) else {},
+        "unexplained": unexplained,
+    }
 
 
 def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:
@@ -481,18 +421,12 @@ def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
     return [names[k] for k in offsets if is_weakly_identifiable(root, k, UNITS["s"].weak_sigma)]
 
 
-def _check_choice(solver: str, loss: str, damping: str) -> None:
-    for what, value, names in (
-        ("solver", solver, SOLVERS),
-        ("loss", loss, tuple(Loss)),
-        ("damping", damping, DAMPINGS),
-    ):
+def _check_choice(solver: str, loss: str) -> None:
+    for field, value, names in (("solver", solver, SOLVERS), ("loss", loss, tuple(Loss))):
         if value not in names:
-            raise ProblemError("wrong-value", place=what, value=value, names=list(names))
+            raise ProblemError("wrong-value", place=field, value=value, names=list(names))
     if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
         raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
-    if damping != "scaled" and solver != "lm":
-        raise ProblemError(f"solver {solver} has no damping setting; use lm")
 
 
 def judged(
@@ -527,10 +461,6 @@ def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -
     if mask.shape != (size,) or mask.dtype != bool:
         raise ProblemError(f"{name} must be {size} booleans, is {mask.dtype} of shape {mask.shape}")
     return mask
-
-
-def rms_of(residual: Residuals, rows: NDArray[np.bool_] | slice = slice(None)) -> dict[str, float]:
-    return {unit: figures.rms for unit, figures in Figures.by_unit(residual, rows).items()}
 
 
 def merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Residuals:

@@ -64,8 +64,8 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
     _keep_freed_memory()
     robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
     twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
-    used = np.asarray(twists.any(axis=1))
-    n_used, n_rig = int(used.sum()), int(rig.sum())
+    moving = np.asarray(twists.any(axis=1))
+    n_used, n_rig = int(moving.sum()), int(rig.sum())
     b, k = n_used + n_rig + 1, twists.shape[1] + n_rig + 1
     triangle = np.zeros((b, b), order="F")
     residual = problem.no_residuals()
@@ -73,23 +73,23 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
     for block in blocks(problem):
         lin = block.evaluate(problem.chain, x)
         note(block, lin.residual, residual)
-        stacked = _stacked(lin, used, rig)
+        stacked = _stacked(lin, moving, rig)
         whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
         chi2 += float((stacked[-1] ** 2).sum())
         count += lin.residual.size
         triangle = fold(triangle, stacked.reshape(b, -1).T, overwrite=True)
-    in_params = np.concatenate([triangle[:, :n_used] @ twists[used], triangle[:, n_used:]], axis=1)
+    in_params = np.concatenate([triangle[:, :n_used] @ twists[moving], triangle[:, n_used:]], axis=1)
     triangle = fold(np.zeros((k, k)), in_params)
     return Information(triangle[:-1, :-1], triangle[:-1, -1], chi2, count, residual)
 
 
-def _stacked(lin: Linearised, used: NDArray[np.bool_], rig: NDArray[np.bool_]) -> Floats:
-    """Return (b, w, n) the ``used`` wrenches, the derivatives by the free unknowns of the ``rig``, and the residuals."""
+def _stacked(lin: Linearised, moving: NDArray[np.bool_], rig: NDArray[np.bool_]) -> Floats:
+    """Return (b, w, n) the ``moving`` wrenches, the derivatives by the free unknowns of the ``rig``, and the residuals."""
     width, n, _ = lin.wrenches.shape
-    at = int(used.sum())
-    out = np.empty((at + int(rig.sum()) + 1, width, n))
-    np.compress(used, lin.wrenches.transpose(2, 0, 1), axis=0, out=out[:at])
-    np.compress(rig, lin.jac_rig.transpose(2, 0, 1), axis=0, out=out[at:-1])
+    n_moving = int(moving.sum())
+    out = np.empty((n_moving + int(rig.sum()) + 1, width, n))
+    np.compress(moving, lin.wrenches.transpose(2, 0, 1), axis=0, out=out[:n_moving])
+    np.compress(rig, lin.jac_rig.transpose(2, 0, 1), axis=0, out=out[n_moving:-1])
     out[-1] = lin.residual.reshape(n, width).T
     return out
 
@@ -104,8 +104,8 @@ def weighed(problem: Problem, x: Floats) -> Problem:
     groups = []
     for group in problem.groups:
         cov = [
-            residual_cov(part.sensor_cov, part.evaluate(problem.chain, x).jac_joints, problem.joint_cov)
-            for part in pieces(group)
+            residual_cov(piece.sensor_cov, piece.evaluate(problem.chain, x).jac_joints, problem.joint_cov)
+            for piece in pieces(group)
         ]
         groups.append(replace(group, sensor_cov=np.concatenate(cov)))
     return replace(problem, groups=tuple(groups), joint_cov=None)
@@ -113,13 +113,13 @@ def weighed(problem: Problem, x: Floats) -> Problem:
 
 def with_prior(information: Information, error: Floats, sigma: Floats) -> Information:
     """Add a prior: ``error`` = mean − x (k,), ``sigma`` (k,), inf for none."""
-    some = np.isfinite(sigma)
-    if not some.any():
+    has_prior = np.isfinite(sigma)
+    if not has_prior.any():
         return information
-    weight = 1.0 / sigma[some]
+    weight = 1.0 / sigma[has_prior]
     rows = np.zeros((weight.size, sigma.size + 1))
-    rows[np.arange(weight.size), np.flatnonzero(some)] = weight
-    rows[:, -1] = error[some] * weight
+    rows[np.arange(weight.size), np.flatnonzero(has_prior)] = weight
+    rows[:, -1] = error[has_prior] * weight
     k = sigma.size
     triangle = np.zeros((k + 1, k + 1))
     triangle[:k, :k], triangle[:k, k] = information.root, information.rhs
@@ -182,8 +182,8 @@ def seen(parts: Spectrum) -> NDArray[np.bool_]:
 
 def half(parts: Spectrum) -> Floats:
     """Return S (k, r) with S Sᵀ the inverse of RᵀR on the identifiable directions."""
-    some = seen(parts)
-    return np.asarray(parts.vt[some].T / parts.singular[some] / parts.scale[:, None])
+    identifiable = seen(parts)
+    return np.asarray(parts.vt[identifiable].T / parts.singular[identifiable] / parts.scale[:, None])
 
 
 def covariance(parts: Spectrum) -> Floats:

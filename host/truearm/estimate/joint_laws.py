@@ -23,7 +23,7 @@ import numpy as np
 
 from truearm.estimate.defaults import LEAST_POSES, in_any_pose
 from truearm.estimate.identifiability import spread
-from truearm.estimate.identify import determined, judged, merged, rms_of
+from truearm.estimate.identify import determined, judged, merged
 from truearm.estimate.information import observe
 from truearm.estimate.law_candidates import candidates, gravity_of, law_priors
 from truearm.estimate.law_choice import LawChoice, regions, supported, without_absent
@@ -37,6 +37,7 @@ from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Problem, build_problem, modelled_of, settled, without_knowledge
 from truearm.estimate.row_errors import RowErrors, row_errors
 from truearm.estimate.scatter import JOINT_NOISE, scatter_of
+from truearm.estimate.solution import rms_of
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import covariance_root, goodness

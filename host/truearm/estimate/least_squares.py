@@ -24,15 +24,13 @@ P0 = 1e6  # m² and rad², "an arbitrary large number"
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
     """Solve by least squares over x[columns] from x (P,)."""
-    found = fit(
-        unweighted(problem), columns, x, options._replace(loss=Loss.LINEAR, damping=options.damping.from_full_steps())
-    )
-    data = observe(problem, found.x, columns)
+    solution = fit(unweighted(problem), columns, x, options._replace(loss=Loss.LINEAR))
+    data = observe(problem, solution.x, columns)
     rank = int(seen(spectrum(data.root)).sum())
-    square = found.information.chi2 - float((((problem.start - found.x)[columns]) ** 2).sum()) / P0
+    square = solution.information.chi2 - float((((problem.start - solution.x)[columns]) ** 2).sum()) / P0
     variance = square / max(data.n_residuals - rank, 1)
     no_prior = np.full(columns.sum(), np.inf)
-    return found._replace(information=data, covariance=found.covariance * variance, prior_sigma=no_prior)
+    return solution._replace(information=data, covariance=solution.covariance * variance, prior_sigma=no_prior)
 
 
 def unweighted(problem: Problem) -> Problem:

@@ -43,9 +43,9 @@ class Measured(NamedTuple):
 
 def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_]) -> Measured:
     """Return how the ``rows`` (n,) of a robot's table were measured; rows of a table are in the order of measurement."""
-    some = table.select(rows)
-    place = np.unique(some.place, return_inverse=True)[1] if (some.place != "").all() else None
-    session, run = sessions(some), mountings(some)
+    selected = table.select(rows)
+    place = np.unique(selected.place, return_inverse=True)[1] if (selected.place != "").all() else None
+    session, run = sessions(selected), mountings(selected)
     return Measured(np.flatnonzero(rows), Circumstances.of(table, chain), session, run, place)
 
 

@@ -40,24 +40,11 @@ PUT_RIGHT = 0.1  # at a dwell where the plan asks for nothing new, a wrong mount
 UNASKED = 2e-3  # anything else, at any dwell
 FOREIGN = 1e-3  # something that is not in the rig
 ANOTHER_PART = 0.1  # a wrong mounting differs in one part, and with this probability in each further part
-TYPED = (
-    20.0  # how much likelier a pairing that the plan does not ask for is named when it is mounted than when it is not
-)
+# How much likelier a pairing that the plan does not ask for is named when it is mounted than when it is not.
+TYPED = 20.0
 
-NOISE = (
-    5e-3,
-    4e-3,
-    3e-3,
-    2.5e-3,
-    2e-3,
-    1.5e-3,
-    1e-3,
-    7e-4,
-    5e-4,
-    3e-4,
-    3e-4,
-    3e-4,
-)  # m, of a reading about the fitted robot, round by round
+# m, of a reading about the fitted robot, round by round
+NOISE = (5e-3, 4e-3, 3e-3, 2.5e-3, 2e-3, 1.5e-3, 1e-3, 7e-4, 5e-4, 3e-4, 3e-4, 3e-4)
 TAIL, TAIL_SIGMAS = 0.01, 10.0  # a reading may be off although the pairing is correct
 LOST = 0.02  # a sensor is beyond its stroke although the bar is within
 # m, rad and 1: σ of rig values declared as unknown. They are described nevertheless: if a chuck were farther off than
@@ -126,60 +113,59 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
     Raises ProblemError if dwells and robot are inconsistent.
     """
     pairings = candidates(rig, words)
-    transitions, told = _course(words, pairings)
+    transitions, log_words = _course(words, pairings)
     fits = (_Fit(chain, rig, readings, pairings, free, prior) for prior in (weak_prior(chain), wide_prior(chain)))
-    probabilities, evidences = zip(*(_annealed(fit, transitions, told) for fit in fits), strict=True)
-    by_words, _ = posterior(transitions, told, np.zeros_like(told), np.zeros_like(told))
+    probabilities, evidences = zip(*(_annealed(fit, transitions, log_words) for fit in fits), strict=True)
+    by_words, _ = posterior(transitions, log_words, np.zeros_like(log_words), np.zeros_like(log_words))
     return MountingChances(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)), by_words)
 
 
 def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
     """Return all pairings of a rig; for a rig with very many, those named by plan or operator."""
-    every = tuple(product(rig.bars, rig.chucks, rig.spheres))
-    if len(every) <= MOST_PAIRINGS:
-        return every
+    pairings = tuple(product(rig.bars, rig.chucks, rig.spheres))
+    if len(pairings) <= MOST_PAIRINGS:
+        return pairings
     named = {pairing for of_dwell in (*words.planned, *words.typed) for pairing in of_dwell}
-    return tuple(pairing for pairing in every if pairing in named)
+    return tuple(pairing for pairing in pairings if pairing in named)
 
 
-def _annealed(fit: _Fit, transitions: Sequence[Floats], told: Floats) -> tuple[Floats, float]:
+def _annealed(fit: _Fit, transitions: Sequence[Floats], log_words: Floats) -> tuple[Floats, float]:
     """Return state probabilities (n, k + 1) and their evidence, from fit and labels alternated under decreasing noise [m]."""
-    nothing = np.zeros_like(told)
-    probability, evidence = posterior(transitions, told, nothing, nothing)
+    nothing = np.zeros_like(log_words)
+    probability, evidence = posterior(transitions, log_words, nothing, nothing)
     if not fit.readings.read.any():
         return probability, evidence
     for fit.noise in steps_of(NOISE, "comparing labels with the readings"):
-        probability, _ = posterior(transitions, told, *fit.densities(fit.judge(probability)))
+        probability, _ = posterior(transitions, log_words, *fit.densities(fit.judge(probability)))
         fit.move(probability)
-    return posterior(transitions, told, *fit.densities(fit.judge(probability)))
+    return posterior(transitions, log_words, *fit.densities(fit.judge(probability)))
 
 
 def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Floats]:
     """Return the transition to each dwell (the first from anything), and (n, k + 1) the log-likelihood of operator input."""
     number = {pairing: i for i, pairing in enumerate(pairings)}
-    told = np.zeros((len(words.planned), len(pairings) + 1))
+    log_words = np.zeros((len(words.planned), len(pairings) + 1))
     wrong = mistakes(pairings)
     transitions = []
     wanted: list[int] = []
     follows_words = not any(words.planned)
     for i, (planned, typed) in enumerate(zip(words.planned, words.typed, strict=True)):
-        said = [number[pairing] for pairing in typed if pairing in number][-1:]
-        now = said if follows_words else [number[pairing] for pairing in planned if pairing in number]
-        if follows_words or not set(said) <= set(
-            now
-        ):  # an operator with a wrong part in hand confirms the request anyway
-            told[i, said] += np.log(TYPED)
-        asked = bool(now) and set(now) != set(wanted)
-        wanted = now or wanted
+        last_typed = [number[pairing] for pairing in typed if pairing in number][-1:]
+        current = last_typed if follows_words else [number[pairing] for pairing in planned if pairing in number]
+        # An operator with a wrong part in hand confirms the request anyway.
+        if follows_words or not set(last_typed) <= set(current):
+            log_words[i, last_typed] += np.log(TYPED)
+        asked = bool(current) and set(current) != set(wanted)
+        wanted = current or wanted
         transitions.append(transition(wrong, wanted, asked))
     transitions[0][:] = transitions[0][:-1].mean(axis=0)  # what was mounted before the first dwell belongs to the rig
-    return transitions, told
+    return transitions, log_words
 
 
 def mistakes(pairings: Sequence[Pairing]) -> Floats:
     """Return (k, k) the probability that each pairing is mounted by mistake instead of the wanted one (row)."""
-    parts = np.array(pairings)
-    differing = (parts[:, None] != parts).sum(axis=2)
+    pairs = np.array(pairings)
+    differing = (pairs[:, None] != pairs).sum(axis=2)
     share = np.where(differing > 0, ANOTHER_PART ** (differing - 1.0), 0.0)
     return np.asarray(share / np.maximum(share.sum(axis=1, keepdims=True), ANOTHER_PART**2))
 
@@ -201,21 +187,21 @@ def transition(wrong: Floats, wanted: Sequence[int], asked: bool) -> Floats:
         out[stay, stay] += FORGOTTEN
         out[:, :k] += (1.0 - DONE - FORGOTTEN) * wrong[goal].mean(axis=0)
     else:
-        right = np.isin(stay, goal)
-        out[stay, stay] += np.where(right, 1.0, 1.0 - PUT_RIGHT)
-        out[np.ix_(~right, goal)] += PUT_RIGHT / goal.size
+        is_wanted = np.isin(stay, goal)
+        out[stay, stay] += np.where(is_wanted, 1.0, 1.0 - PUT_RIGHT)
+        out[np.ix_(~is_wanted, goal)] += PUT_RIGHT / goal.size
     return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
-def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed: Floats) -> tuple[Floats, float]:
+def posterior(transitions: Sequence[Floats], log_words: Floats, came: Floats, stayed: Floats) -> tuple[Floats, float]:
     """Return the probability (n, s) of each state at each dwell (forward-backward algorithm), and the log-likelihood.
 
-    ``transitions`` (s, s) lead to each dwell, the first from the mean over all states. ``told`` (n, s) are
+    ``transitions`` (s, s) lead to each dwell, the first from the mean over all states. ``log_words`` (n, s) are
     log-likelihoods of the operator input; ``came`` (n, s) those of the readings if the state changed before, ``stayed``
     if it did not.
     """
     top = np.maximum(came, stayed).max(axis=1, keepdims=True)
-    came, stayed = np.exp(came - top + told), np.exp(stayed - top + told)
+    came, stayed = np.exp(came - top + log_words), np.exp(stayed - top + log_words)
     n = len(came)
     forward, backward, scale = np.empty_like(came), np.ones_like(came), np.empty(n)
     forward[0] = transitions[0].mean(axis=0) * came[0]
@@ -235,16 +221,16 @@ def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed:
     return np.asarray(both / both.sum(axis=1, keepdims=True)), float(np.log(scale).sum() + top.sum())
 
 
-class _Seen(NamedTuple):
-    """Differences between readings and predictions for the candidates, by the fit without the dwell's run [m], all (n, k).
+class _Misfits(NamedTuple):
+    """Readings less predictions for the candidates by the fit without the dwell's run, and their σ, all (n, k) [m].
 
-    ``after``, ``after_sigma``: given the dwell before, in the same state; NaN if there is none.
+    ``given``: given the dwell before, in the same state; NaN if there is none.
     """
 
     misfit: Floats
     sigma: Floats
-    after: Floats
-    after_sigma: Floats
+    given: Floats
+    given_sigma: Floats
 
 
 class _Fit:
@@ -287,80 +273,73 @@ class _Fit:
                 residual[group.row], jac[group.row] = lin.residual, lin.jac_by(self.columns)
         self.residual, self.jac = residual.reshape(self.n, self.k), jac.reshape(self.n, self.k, -1)
 
-    def _weighted(self, probability: Floats) -> tuple[Indices, Floats]:
-        """Return the most probable candidate of each dwell, and its weight in the fit (n,) [1/m²], 0 where improbable."""
-        best = probability[:, : self.k].argmax(axis=1)
-        likely = probability[np.arange(self.n), best]
-        return best, np.where(self.readings.read & (likely > 0.5), likely, 0.0) / self.noise**2
+    def _normal(self, probability: Floats) -> tuple[Indices, Floats, Floats, Floats, Floats, Floats]:
+        """Return the most probable candidate of each dwell, its weight in the fit [1/m²], derivatives and residual.
 
-    def _normal(self, best: Indices, weight: Floats) -> tuple[Floats, Floats]:
-        """Return information and right-hand side of the prior and all dwells."""
-        rows = np.arange(self.n)
-        weighted = self.jac[rows, best] * weight[:, None]
-        info = np.diag(self.prior) + weighted.T @ self.jac[rows, best]
-        away = (self.problem.start - self.x)[self.columns]
-        return info, self.prior * away + weighted.T @ self.residual[rows, best]
+        These are (n,), (n,), (n, p), (n,). The weight is 0 where it is improbable. Then information and right-hand side of
+        the prior and all dwells.
+        """
+        rows, best = np.arange(self.n), probability[:, : self.k].argmax(axis=1)
+        likely = probability[rows, best]
+        weight = np.where(self.readings.read & (likely > 0.5), likely, 0.0) / self.noise**2
+        jac, residual = self.jac[rows, best], self.residual[rows, best]
+        weighted = jac * weight[:, None]
+        error = (self.problem.start - self.x)[self.columns]
+        info = np.diag(self.prior) + weighted.T @ jac
+        return best, weight, jac, residual, info, self.prior * error + weighted.T @ residual
 
     def move(self, probability: Floats) -> None:
         """Fit to all dwells, weighted by the probability of their candidates."""
-        info, rhs = self._normal(*self._weighted(probability))
+        *_, info, rhs = self._normal(probability)
         self.x[self.columns] += cho_solve(cho_factor(info), rhs)
         self._linearise()
 
-    def judge(self, probability: Floats) -> _Seen:
+    def judge(self, probability: Floats) -> _Misfits:
         """Compare each dwell with the fit without its run."""
-        best, weight = self._weighted(probability)
-        rows = np.arange(self.n)
-        jac, residual = self.jac[rows, best], self.residual[rows, best]
-        info, rhs = self._normal(best, weight)
+        best, weight, jac, residual, info, rhs = self._normal(probability)
+        misfits = _Misfits(*(np.full((self.n, self.k), np.nan) for _ in range(4)))
 
-        def without(out: slice, used: slice) -> tuple[Floats, Floats]:
-            """Return misfits (m, k) of some dwells by the fit without others, and their whitened derivatives (m, k, p)."""
-            less = jac[out] * weight[out, None]
-            root = np.linalg.inv(np.linalg.cholesky(info - less.T @ jac[out]))
-            delta = root.T @ (root @ (rhs - less.T @ residual[out]))
-            used_jac = self.jac[used].reshape(-1, delta.size)  # one product, not one for each dwell
-            misfit = self.residual[used] - (used_jac @ delta).reshape(-1, self.k)
-            return misfit, (used_jac @ root.T).reshape(-1, self.k, delta.size)
+        def compare(left_out: slice, dwells: slice, are_run: bool) -> None:
+            """Compare dwells with the fit without ``left_out``, each given the one before; a run's also on their own."""
+            less = jac[left_out] * weight[left_out, None]
+            root = np.linalg.inv(np.linalg.cholesky(info - less.T @ jac[left_out]))
+            delta = root.T @ (root @ (rhs - less.T @ residual[left_out]))
+            dwell_jac = self.jac[dwells].reshape(-1, delta.size)  # one product, not one for each dwell
+            misfit = self.residual[dwells] - (dwell_jac @ delta).reshape(-1, self.k)
+            along = (dwell_jac @ root.T).reshape(-1, self.k, delta.size)
+            variance = (along**2).sum(axis=2) + self.noise**2
+            if are_run:
+                misfits.misfit[dwells], misfits.sigma[dwells] = misfit, np.sqrt(variance)
+            ratio = (along[1:] * along[:-1]).sum(axis=2) / variance[:-1]
+            both = (self.readings.read[dwells][1:] & self.readings.read[dwells][:-1])[:, None]
+            later = slice(dwells.start + 1, dwells.stop)
+            misfits.given[later] = np.where(both, misfit[1:] - ratio * misfit[:-1], np.nan)
+            misfits.given_sigma[later] = np.sqrt(np.maximum(variance[1:] - ratio**2 * variance[:-1], self.noise**2))
 
-        seen = _Seen(*(np.full((self.n, self.k), np.nan) for _ in range(4)))
-        cut = runs(best)
-        for run in cut:
-            misfit, along = without(run, run)
-            seen.misfit[run] = misfit
-            seen.sigma[run] = np.sqrt((along**2).sum(axis=2) + self.noise**2)
-            self._condition(seen, run, misfit, along)
-        for before, run in pairwise(cut):
-            pair = slice(run.start - 1, run.start + 1)
-            self._condition(seen, pair, *without(slice(before.start, run.stop), pair))
-        known = np.flatnonzero(weight > 0.0)
-        after = known[(known > 0) & (best[known] == best[known - 1])]
-        widen(seen.misfit, seen.sigma, known, best)
-        widen(seen.after, seen.after_sigma, after, best)
-        return seen
+        runs_of_best = runs(best)
+        for run in runs_of_best:
+            compare(run, run, are_run=True)
+        for previous, run in pairwise(runs_of_best):
+            compare(slice(previous.start, run.stop), slice(run.start - 1, run.start + 1), are_run=False)
+        fitted = np.flatnonzero(weight > 0.0)
+        followers = fitted[(fitted > 0) & (best[fitted] == best[fitted - 1])]
+        widen(misfits.misfit, misfits.sigma, fitted, best)
+        widen(misfits.given, misfits.given_sigma, followers, best)
+        return misfits
 
-    def _condition(self, seen: _Seen, part: slice, misfit: Floats, along: Floats) -> None:
-        """Record the misfits of the dwells of a part, each given the one before in it."""
-        variance = (along**2).sum(axis=2) + self.noise**2
-        ratio = (along[1:] * along[:-1]).sum(axis=2) / variance[:-1]
-        both = (self.readings.read[part][1:] & self.readings.read[part][:-1])[:, None]
-        later = slice(part.start + 1, part.stop)
-        seen.after[later] = np.where(both, misfit[1:] - ratio * misfit[:-1], np.nan)
-        seen.after_sigma[later] = np.sqrt(np.maximum(variance[1:] - ratio**2 * variance[:-1], self.noise**2))
-
-    def densities(self, seen: _Seen) -> tuple[Floats, Floats]:
+    def densities(self, misfits: _Misfits) -> tuple[Floats, Floats]:
         """Return log-likelihoods (n, k + 1) [1/m] of each dwell's reading, if the state changed before and if it did not."""
         k, read, beyond = self.k, self.readings.read, self.readings.beyond & ~self.readings.read
         came = np.zeros((self.n, k + 1))
-        came[read, :k] = log_density(seen.misfit[read], seen.sigma[read], seen.sigma[read])
+        came[read, :k] = log_density(misfits.misfit[read], misfits.sigma[read], misfits.sigma[read])
         came[read, k] = -np.log(2.0 * self.half.max())
-        predicted, sigma = -seen.misfit[beyond] / self.gain, seen.sigma[beyond] / np.abs(self.gain)
+        predicted, sigma = -misfits.misfit[beyond] / self.gain, misfits.sigma[beyond] / np.abs(self.gain)
         inside = special.ndtr((self.half - predicted) / sigma) - special.ndtr((-self.half - predicted) / sigma)
         came[beyond, :k] = np.log(np.maximum(1.0 - inside, LOST))
         came[beyond, k] = np.log(0.5)
         stayed = came.copy()
-        after = read & np.isfinite(seen.after[:, 0])
-        stayed[after, :k] = log_density(seen.after[after], seen.after_sigma[after], seen.sigma[after])
+        follows = read & np.isfinite(misfits.given[:, 0])
+        stayed[follows, :k] = log_density(misfits.given[follows], misfits.given_sigma[follows], misfits.sigma[follows])
         return came, stayed
 
 

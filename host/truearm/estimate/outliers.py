@@ -26,12 +26,12 @@ from truearm.estimate.fit import fit
 from truearm.estimate.information import observe
 from truearm.estimate.prediction import moves
 from truearm.estimate.problem import Problem
-from truearm.estimate.solution import Options, Solution, goodness_of
+from truearm.estimate.solution import Options, Solution, goodness_of, rms_of
 from truearm.estimate.solvers import Loss
 from truearm.estimate.uncertainty import Goodness
 from truearm.estimate.whitened_rows import gate, only, squared_distances, whitened_blocks
 from truearm.model.chain import Chain
-from truearm.results import Figures, OtherFit
+from truearm.results import OtherFit
 from truearm.types import Floats, Indices, Mask
 
 MOST = 0.05  # of the rows
@@ -63,8 +63,7 @@ def gross_rows(problem: Problem, columns: Mask, x: Floats) -> tuple[Mask, Floats
         if not single(candidates):
             return np.zeros(problem.n_rows, dtype=bool), x
         gross = candidates
-        if columns.any():
-            x_others = fit(only(problem, ~gross), columns, x_others, Options()).x
+        x_others = fit(only(problem, ~gross), columns, x_others, Options()).x
     return gross, x_others
 
 
@@ -195,9 +194,8 @@ def _longest_by_chance(bad: Mask) -> float:
 
 def fit_without(bad: WithoutBad, chain: Chain, x: Floats, q: Floats) -> OtherFit:
     """Return the fit without the bad rows; x (P,) is the fit with them, and q (n, j) are the poses."""
-    rms = {unit: figures.rms for unit, figures in Figures.by_unit(bad.solution.information.residual, ~bad.bad).items()}
-    distance = moves(chain, x, bad.solution.x, q)
-    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced, distance)
+    rms = rms_of(bad.solution.information.residual, ~bad.bad)
+    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced, moves(chain, x, bad.solution.x, q))
 
 
 def within(distance: Floats, limit: Floats, included: Mask) -> Mask:
@@ -225,9 +223,8 @@ def weightless(problem: Problem, columns: Mask, solution: Solution, included: Ma
 
 def fit_with_all(problem: Problem, columns: Mask, complete: Solution, solution: Solution) -> OtherFit:
     """Return the fit of all rows, to compare with the one without outliers."""
-    rms = {unit: figures.rms for unit, figures in Figures.by_unit(complete.information.residual).items()}
     reduced = goodness_of(problem, columns, complete).reduced
-    return OtherFit(int((solution.weight == 0.0).sum()), complete.x, rms, reduced)
+    return OtherFit(int((solution.weight == 0.0).sum()), complete.x, rms_of(complete.information.residual), reduced)
 
 
 def misfit(square: Floats, width: Indices, included: Mask) -> Floats:

@@ -15,7 +15,6 @@ tangents by less than the noise.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from itertools import takewhile
 from typing import NamedTuple
@@ -28,6 +27,7 @@ from truearm.estimate.problem import Problem
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import constants_of
 from truearm.model.rotation import screw, skew, turned
+from truearm.model.transforms import mixed
 from truearm.types import Floats, Indices
 
 Step = Callable[[Floats, Floats], Floats]  # x (k,) and Δ (k,) to the new x
@@ -50,17 +50,17 @@ def stepper(problem: Problem, columns: NDArray[np.bool_]) -> Step:
         return added
 
     def step(x: Floats, delta: Floats) -> Floats:
-        there = x + delta
+        moved = x + delta
         if turning.size:
-            there[turning] = turned(x[turning], delta[turning])
-        return there if base is None else _with_base(base, beside, x, there)
+            moved[turning] = turned(x[turning], delta[turning])
+        return moved if base is None else _with_base(base, beside, x, moved)
 
     return step
 
 
-def _free_triples(columns: NDArray[np.bool_], every: Sequence[Indices]) -> Indices:
+def _free_triples(columns: NDArray[np.bool_], candidates: Sequence[Indices]) -> Indices:
     """Return the indices (r, 3) in x[columns] of those triples in x that are unknown and free."""
-    triples = np.concatenate([np.zeros((0, 3), dtype=np.intp), *every])
+    triples = np.concatenate([np.zeros((0, 3), dtype=np.intp), *candidates])
     free = triples[np.append(columns, False)[np.minimum(triples, columns.size)].all(axis=1)]
     return np.asarray((np.cumsum(columns) - 1)[free[first_alike(free.T)[0]]])
 
@@ -77,12 +77,12 @@ class _Base(NamedTuple):
 
 def _base(chain: Chain, columns: NDArray[np.bool_]) -> _Base | None:
     """Return the base, with parameters as in x[columns]; None unless they can turn any way."""
-    every = constants_of(tuple(takewhile(lambda element: element.joint is None, chain.elements)))
-    named = every.parameter >= 0
-    if every.turns[named].sum() < 3 or not columns[every.parameter[named]].all():
+    constants = constants_of(tuple(takewhile(lambda element: element.joint is None, chain.elements)))
+    named = constants.parameter >= 0
+    if constants.turns[named].sum() < 3 or not columns[constants.parameter[named]].all():
         return None
-    number = (np.cumsum(columns) - 1)[every.parameter]
-    return _Base(every.axis, every.turns, every.value, np.where(named, number, -1), named)
+    number = (np.cumsum(columns) - 1)[constants.parameter]
+    return _Base(constants.axis, constants.turns, constants.value, np.where(named, number, -1), named)
 
 
 class _Pose(NamedTuple):
@@ -94,22 +94,14 @@ class _Pose(NamedTuple):
 
 
 def _posed(base: _Base, x: Floats) -> _Pose:
-    """Return the pose, constant by constant from the rig's frame on; with six numbers numpy would take three times as long."""
-    axes, origin, twists = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 0.0], []
-    amounts = np.where(base.named, x[base.parameter], base.value)
-    for k, turns, amount in zip(base.axis.tolist(), base.turns.tolist(), amounts.tolist(), strict=True):
-        axis = axes[k]
-        if turns:
-            (ox, oy, oz), (ax, ay, az) = origin, axis
-            twists.append([*axis, oy * az - oz * ay, oz * ax - ox * az, ox * ay - oy * ax])
-            cos, sin = math.cos(amount), math.sin(amount)
-            a, b = axes[(k + 1) % 3], axes[(k + 2) % 3]
-            axes[(k + 1) % 3] = [cos * s + sin * t for s, t in zip(a, b, strict=True)]
-            axes[(k + 2) % 3] = [cos * t - sin * s for s, t in zip(a, b, strict=True)]
-        else:
-            twists.append([0.0, 0.0, 0.0, *axis])
-            origin = [o + amount * s for o, s in zip(origin, axis, strict=True)]
-    return _Pose(np.array(axes).T, np.array(origin), np.array(twists).T[:, base.named])
+    """Return the pose, constant by constant from the rig's frame on."""
+    pose, twists = np.eye(4), []
+    motions = mixed(base.axis, base.turns, np.where(base.named, x[base.parameter], base.value))
+    for axis, turns, motion in zip(base.axis, base.turns, motions, strict=True):
+        line, origin = pose[:3, axis], pose[:3, 3]
+        twists.append(np.concatenate([line, skew(origin) @ line] if turns else [np.zeros(3), line]))
+        pose = pose @ motion
+    return _Pose(pose[:3, :3], pose[:3, 3], np.array(twists).T[:, base.named])
 
 
 def _small_turn(rot: Floats) -> Floats:
@@ -122,20 +114,20 @@ def _with_base(base: _Base, beside: Indices, x: Floats, added_to: Floats) -> Flo
 
     It is returned unchanged if the turn is so small that this makes no difference, or if no parameters give the pose.
     """
-    at = base.parameter[base.named]
-    here = _posed(base, x)
-    twist = here.twists @ (added_to - x)[at]
+    numbers = base.parameter[base.named]
+    pose = _posed(base, x)
+    twist = pose.twists @ (added_to - x)[numbers]
     omega, v = np.split(twist, 2)
     if np.linalg.norm(omega) <= STRAIGHT:
         return added_to
     rot, shift = screw(twist)
-    goal_rot, goal_origin = rot @ here.rot, rot @ here.origin + shift
+    goal_rot, goal_origin = rot @ pose.rot, rot @ pose.origin + shift
     out = added_to.copy()
     for _ in range(NEWTON_STEPS):
-        now = _posed(base, out)
-        left = goal_rot @ now.rot.T
-        error = np.concatenate([_small_turn(left), goal_origin - left @ now.origin])
-        out[at] += np.linalg.lstsq(now.twists, error, rcond=None)[0]
+        reached = _posed(base, out)
+        remaining = goal_rot @ reached.rot.T
+        error = np.concatenate([_small_turn(remaining), goal_origin - remaining @ reached.origin])
+        out[numbers] += np.linalg.lstsq(reached.twists, error, rcond=None)[0]
         if np.abs(error).max() <= NEAR:
             points = x[beside]
             out[beside] += points @ rot.T + shift - points - (points @ skew(omega).T + v)

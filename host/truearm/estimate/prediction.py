@@ -34,6 +34,11 @@ from truearm.types import Floats, Rigs, rigs_by_name, rms, thinned
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected
+BLOCK = 4000  # poses; their derivatives, 6 times 54 parameters, take 10 MB
+FEWEST_ENDS = 3  # so that a motion of the base does not account for all of their six numbers each
+WEIGHTS = np.array(
+    [1.0] * 3 + [0.5] * 3
+)  # a rotation of the end counts as the displacement of a point half a metre away
 
 
 class PointCovariance(NamedTuple):
@@ -49,8 +54,8 @@ class PointCovariance(NamedTuple):
     @property
     def covariances(self) -> Floats:
         """Return the covariances (n, 3, 3) m², in the base frame, of individual points."""
-        own = self.half.reshape(len(self.points), 3, -1)
-        return np.asarray(own @ own.swapaxes(1, 2))
+        roots = self.half.reshape(len(self.points), 3, -1)
+        return np.asarray(roots @ roots.swapaxes(1, 2))
 
 
 def measured_jacobian(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, Floats]:
@@ -74,19 +79,29 @@ def point_covariance(
     ``any_base``: the pose of the base is a choice of frame, so a motion of all points as one rigid body does not count.
     None if null directions of the observations move the points in any other way.
     """
-    points, flat = measured_jacobian(chain, rig, table, estimate)
-    return seen_covariance(points, flat @ estimate.unseen, flat @ covariance_root(estimate.covariance), any_base)
+    points, jac = measured_jacobian(chain, rig, table, estimate)
+    return seen_covariance(points, jac @ estimate.unseen, jac @ covariance_root(estimate.covariance), any_base)
 
 
 def seen_covariance(points: Floats, unseen: Floats, half: Floats, any_base: bool) -> PointCovariance | None:
     """Return ``point_covariance`` of points (n, 3) that null directions move by ``unseen`` (3n, d) m."""
+    motion = _motion(half, unseen, body_motion(points), any_base)
+    return None if motion is None else PointCovariance(points, *motion)
+
+
+def _motion(half: Floats, unseen: Floats, body: Floats, any_base: bool) -> tuple[Floats, bool] | None:
+    """Return the root ``half`` (m, k) of a covariance, and whether it is without a motion of the base, ``body`` (m, 6).
+
+    That is so with ``any_base``, or if null directions cause such a motion. ``unseen`` (m, d) are their motions. None if
+    they have any other.
+    """
     relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
     if relative:
-        body, _ = np.linalg.qr(body_motion(points))
-        if np.abs(unseen - body @ (body.T @ unseen)).max(initial=0.0) > MOVES:
+        basis, _ = np.linalg.qr(body)
+        half, unseen = (columns - basis @ (basis.T @ columns) for columns in (half, unseen))
+        if np.abs(unseen).max(initial=0.0) > MOVES:
             return None
-        half = half - body @ (body.T @ half)
-    return PointCovariance(points, half, relative)
+    return half, relative
 
 
 def predicted_point_error(
@@ -100,20 +115,20 @@ def predicted_point_error(
     so large that it is undetermined.
     """
     rows = thinned(len(table), MOST_POSES)
-    found = point_covariance(chain, rig, table.select(rows), estimate, any_base)
-    if found is None:
+    positions = point_covariance(chain, rig, table.select(rows), estimate, any_base)
+    if positions is None:
         return None
     scatter = _scatter(chain, rig, table.select(rows), estimate)
-    variance = (found.half**2).sum(axis=1).reshape(-1, 3).sum(axis=1) + scatter
+    variance = (positions.half**2).sum(axis=1).reshape(-1, 3).sum(axis=1) + scatter
     worst = int(np.argmax(variance))
-    if variance[worst] > (FIRST_ORDER * np.linalg.norm(found.points, axis=-1).max()) ** 2:
+    if variance[worst] > (FIRST_ORDER * np.linalg.norm(positions.points, axis=-1).max()) ** 2:
         return None
     return PredictedError(
         rms=float(np.sqrt(variance.mean())),
         largest=math.sqrt(variance[worst]),
         source=str(table.source[rows[worst]]),
         n=rows.size,
-        relative=found.relative,
+        relative=positions.relative,
         scatter=float(np.sqrt(scatter.mean())),
     )
 
@@ -137,8 +152,8 @@ def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimat
 
 def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
     """Return the distances (n,) [m] of the nominal robot's measured points from those of the identified robot, over their poses."""
-    few = table.select(thinned(len(table), MOST_POSES))
-    return np.asarray(np.linalg.norm(nominal_gap(chain, rig, few, estimate), axis=1))
+    poses = table.select(thinned(len(table), MOST_POSES))
+    return np.asarray(np.linalg.norm(nominal_gap(chain, rig, poses, estimate), axis=1))
 
 
 def nominal_gap(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
@@ -184,49 +199,24 @@ def end_sigmas(known: ParametersKnown, q: Floats, point: Floats, any_base: bool 
     ``any_base``: the pose of the base is a choice of frame. None if null directions of the observations move the ends
     relative to each other, or if there are too few ends to distinguish that from a motion of the base.
     """
-    root = covariance_root(known.covariance)
-    parts = [slice(at, at + BLOCK) for at in range(0, len(q), BLOCK)]
-    blocks = [_end_motion(known, q[part], point[part]) for part in parts]
-    unseen = np.concatenate([jac @ known.unseen for jac, _ in blocks])
-    half = np.concatenate([jac @ root for jac, _ in blocks])
-    relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
-    if relative:
-        if len(q) < FEWEST_ENDS:
-            return None
-        body = np.concatenate([_twist_motion(at) for _, at in blocks])
-        unseen, half = (_without(body, motion) for motion in (unseen, half))
-        if np.abs(unseen).max(initial=0.0) > MOVES:
-            return None
-    square = (half**2).sum(axis=-1)
-    return EndSigmas(np.sqrt(square[:, :3].sum(axis=1)), np.sqrt(square[:, 3:].sum(axis=1)), relative)
-
-
-BLOCK = 4000  # poses; their derivatives, 6 times 54 parameters, take 10 MB
-FEWEST_ENDS = 3  # so that a motion of the base does not account for all of their six numbers each
-LEVER = 0.5  # m: a rotation of the end counts as the displacement of a point at this distance
-
-
-def _end_motion(known: ParametersKnown, q: Floats, point: Floats) -> tuple[Floats, Floats]:
-    """Return the motion (n, 6, p) of a point and the end's orientation, and the point (n, 3) in the base frame."""
-    trace = trace_point(known.chain, known.params, q, point)
-    axes = np.eye(3)[:, None]
-    rows = [along(trace, axes).jac_params, about(trace, axes).jac_params]
-    return np.concatenate(rows).swapaxes(0, 1), trace.p_base
-
-
-def _twist_motion(points: Floats) -> Floats:
-    """Return the motion (n, 6, 6) of points and orientations by a twist of the base."""
-    turns = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
-    positions = body_motion(points).reshape(-1, 3, 6)
-    return np.concatenate([positions, np.broadcast_to(turns, positions.shape)], axis=1)
-
-
-def _without(body: Floats, motion: Floats) -> Floats:
-    """Return motions (n, 6, k) minus their common rigid motion, by least squares with orientations weighted by LEVER."""
-    weight = np.array([1.0] * 3 + [LEVER] * 3)[:, None]
-    flat = [(part * weight).reshape(6 * len(part), part.shape[2]) for part in (body, motion)]
-    twist = np.linalg.lstsq(flat[0], flat[1], rcond=None)[0]
-    return np.asarray(motion - body @ twist)
+    directions = np.concatenate([covariance_root(known.covariance), known.unseen], axis=1)
+    motions, twists = [], []
+    for first in range(0, len(q), BLOCK):
+        block = slice(first, first + BLOCK)
+        trace = trace_point(known.chain, known.params, q[block], point[block])
+        by_params = [motion(trace, np.eye(3)[:, None]).jac_params for motion in (along, about)]
+        motions.append(np.concatenate(by_params).swapaxes(0, 1) @ directions)
+        shift = body_motion(trace.p_base).reshape(-1, 3, 6)
+        turn = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
+        twists.append(np.concatenate([shift, np.broadcast_to(turn, shift.shape)], axis=1))
+    weighted = (np.concatenate(columns) * WEIGHTS[:, None] for columns in (motions, twists))
+    flat, body = (columns.reshape(6 * len(q), columns.shape[2]) for columns in weighted)
+    half, unseen = np.split(flat, [known.covariance.shape[0]], axis=1)
+    motion = _motion(half, unseen, body, any_base)
+    if motion is None or (motion[1] and len(q) < FEWEST_ENDS):
+        return None
+    square = (motion[0] ** 2).sum(axis=1).reshape(-1, 6) / WEIGHTS**2
+    return EndSigmas(np.sqrt(square[:, :3].sum(axis=1)), np.sqrt(square[:, 3:].sum(axis=1)), motion[1])
 
 
 def measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, NDArray[np.intp]]:
@@ -235,22 +225,22 @@ def measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> t
     Also returns the indices (n, 3) of these numbers in the estimate's parameters; their count if they are not
     parameters.
     """
-    at = {name: i for i, name in enumerate(estimate.parameter_names)}
+    index = {name: i for i, name in enumerate(estimate.parameter_names)}
     values = np.append(estimate.value, np.nan)
     points, columns = np.zeros((len(table), 3)), np.full((len(table), 3), estimate.value.size)
-    for name, one in rigs_by_name(rig).items():
+    for name, entries in rigs_by_name(rig).items():
         prefix = f"{name}." if name else ""
-        for kind, of in kinds().items():
-            rows = (table.rig == name) & (table.kind == kind)
-            known = of.points(one)
-            for label, point in known.items():
-                column = table[of.point]
-                mine = rows & ((column == label) | ((column == "") & (len(known) == 1)))
-                own = [at.get(f"{prefix}{of.point}.{label}.{k}", estimate.value.size) for k in "xyz"]
-                columns[mine] = own
+        for name_of_kind, kind in kinds().items():
+            rows = (table.rig == name) & (table.kind == name_of_kind)
+            labelled_points = kind.points(entries)
+            for label, point in labelled_points.items():
+                column = table[kind.point]
+                labelled = rows & ((column == label) | ((column == "") & (len(labelled_points) == 1)))
+                numbers = [index.get(f"{prefix}{kind.point}.{label}.{k}", estimate.value.size) for k in "xyz"]
+                columns[labelled] = numbers
                 # Of a point that the rig knows exactly, the parameter is by how much it is off.
                 origin = np.array(point.xyz) if point.sigma == 0.0 else np.zeros(3)
-                points[mine] = np.where(np.isnan(values[own]), point.xyz, origin + values[own])
+                points[labelled] = np.where(np.isnan(values[numbers]), point.xyz, origin + values[numbers])
     return points, columns
 
 
@@ -263,5 +253,5 @@ def body_motion(points: Floats) -> Floats:
 def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
     """Return the RMS distance [m] over the poses between the end's origins for the parameters of x and of ``there``."""
     p = len(chain.parameters)
-    apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
-    return rms(np.linalg.norm(apart, axis=1))
+    motion = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
+    return rms(np.linalg.norm(motion, axis=1))

@@ -93,9 +93,9 @@ class Problem:
         """Return the names of masked (P,) unknowns."""
         return [name for name, is_in in zip(self.names, columns, strict=True) if is_in]
 
-    def at(self, known: Mapping[str, float]) -> Floats:
-        """Return x (P,) with the values that are known by name, and the start for all others."""
-        return np.array([known.get(name, value) for name, value in zip(self.names, self.start, strict=True)])
+    def at(self, values: Mapping[str, float]) -> Floats:
+        """Return x (P,) with the values that are given by name, and the start for all others."""
+        return np.array([values.get(name, value) for name, value in zip(self.names, self.start, strict=True)])
 
     def no_residuals(self) -> dict[str, Floats]:
         """Return NaN (n_rows,) for each unit of the table's residuals, to be filled by ``note``."""
@@ -123,8 +123,8 @@ def build_problem(
     _check_joints(chain, table)
     bad = np.flatnonzero(~np.isin(table.kind, list(kinds())))
     if bad.size:
-        unknown, known = str(table.kind[bad[0]]), ", ".join(kinds())
-        raise ProblemError(f"{table.source[bad[0]]}: kind {unknown!r} is not known; use one of {known}")
+        unknown, known_kinds = str(table.kind[bad[0]]), ", ".join(kinds())
+        raise ProblemError(f"{table.source[bad[0]]}: kind {unknown!r} is not known; use one of {known_kinds}")
     rigs = _rigs(rig, table)
     first = next(iter(rigs.values()))
     joint_cov = checked_joint_cov(first.joint_cov, len(chain.joints))
@@ -132,14 +132,14 @@ def build_problem(
     if backlash is not None:
         table, joint_cov = table.replace(q=backlash.links(table)), backlash.cov_of_known_sides
     uses: list[RigUse] = []
-    for name, one in rigs.items():
-        scope = Scope(chain, one, table, f"{name}." if name else "")
-        mine = table.rig == name
+    for name, entries in rigs.items():
+        scope = Scope(chain, entries, table, f"{name}." if name else "")
+        has_rig = table.rig == name
         for name_of_kind, kind in kinds().items():
-            rows = np.flatnonzero(mine & (table.kind == name_of_kind))
+            rows = np.flatnonzero(has_rig & (table.kind == name_of_kind))
             if rows.size:
                 uses.append(kind.use_rig(scope, rows))
-    layout = Layout(len(chain.parameters), [used for use in uses for used in use.used])
+    layout = Layout(len(chain.parameters), [item for use in uses for item in use.used])
     free = layout.unknown
     prior = np.concatenate([robot_prior(chain, prior_sigma), [u.sigma for u in free]])
     start = np.concatenate([chain.params_nominal, [u.value for u in free]])
@@ -171,19 +171,19 @@ def _errors(
     names = (*(number.name for number in rig), *joints, *(name for name, _ in BASE))
     units = (*(number.unit for number in rig), *chain.joint_units, *(unit for _, unit in BASE))
     causes = {}
-    for used in (used for use in uses for used in use.used):
-        for thing in filter(None, used.numbers):  # a device with every number given has none
-            for fault in used.faults:
-                some = tuple(number.name for number in thing[fault.numbers])
-                name = some[0] if len(some) == 1 else some[0].rpartition(".")[0]
-                causes[name] = Cause(name, some, fault)
+    for item in (item for use in uses for item in use.used):
+        for numbers in filter(None, item.numbers):  # a device with every number given has none
+            for fault in item.faults:
+                names_off = tuple(number.name for number in numbers[fault.numbers])
+                name = names_off[0] if len(names_off) == 1 else names_off[0].rpartition(".")[0]
+                causes[name] = Cause(name, names_off, fault)
     turned = (Cause(name, (name,), JUMPED) for name in joints)
-    every = [*causes.values(), *turned, Cause("base", tuple(name for name, _ in BASE), MOVED)]
+    all_causes = [*causes.values(), *turned, Cause("base", tuple(name for name, _ in BASE), MOVED)]
     value = {number.name: number.value for number in rig}
     ends = [
-        f"{name}.{what}.{label}".removeprefix(".")
-        for name, one in rigs.items()
-        for what, points in end_points(one).items()
+        f"{name}.{group}.{label}".removeprefix(".")
+        for name, entries in rigs.items()
+        for group, points in end_points(entries).items()
         for label in points
     ]
     bodies = {"tool": [name for name in ends if f"{name}.x" in value]}
@@ -192,16 +192,16 @@ def _errors(
     for body, points in bodies.items():
         if len(points) < 2:
             continue
-        at = {name: np.array([value[f"{name}.{k}"] for k in "xyz"]) for name in points}
-        fault, about = (MOVED, np.zeros(3)) if body == "tool" else (PLACED, np.mean(list(at.values()), axis=0))
-        every.append(Cause(body, tuple(f"{body}.{name}" for name, _ in MOTION), fault))
-        motions.append(motion_of_body(names, at, about))
-    moved = [cause for cause in every if cause.name in bodies]
+        positions = {name: np.array([value[f"{name}.{k}"] for k in "xyz"]) for name in points}
+        fault, about = (MOVED, np.zeros(3)) if body == "tool" else (PLACED, np.mean(list(positions.values()), axis=0))
+        all_causes.append(Cause(body, tuple(f"{body}.{name}" for name, _ in MOTION), fault))
+        motions.append(motion_of_body(names, positions, about))
+    moved = [cause for cause in all_causes if cause.name in bodies]
     return Errors(
         (*names, *(number for cause in moved for number in cause.numbers)),
         (*units, *(unit for _ in moved for _, unit in MOTION)),
         np.concatenate(motions, axis=1) if motions else np.zeros((0, 0)),
-    ), tuple(every)
+    ), tuple(all_causes)
 
 
 def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
@@ -210,24 +210,24 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
     The prior is needed because the data may not determine every direction of an item, such as a chuck that moved. It is
     that of manual mounting. An offset in all rows of an existing parameter is that parameter with an equally wide prior.
     """
-    named = {one.effect.parameter(one.column): one for one in effects}
+    named = {modelled.effect.parameter(modelled.column): modelled for modelled in effects}
     wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
     wider = np.isin(problem.names, list(named)) & (problem.prior_sigma < wide)
     problem = replace(problem, prior_sigma=np.where(wider, wide, problem.prior_sigma))
-    effects = [one for name, one in named.items() if name not in problem.names]
+    effects = [modelled for name, modelled in named.items() if name not in problem.names]
     if not effects:
         return problem
-    at = problem.errors.indices([one.column for one in effects])
-    profiles = np.stack([one.profile for one in effects], axis=1)
-    names = tuple(one.effect.parameter(one.column) for one in effects)
-    units = tuple(problem.errors.units[i] for i in at)
-    joints = np.isin([one.column for one in effects], [joint.name for joint in problem.chain.joints])
-    drifts = np.array([one.effect.drifts_with is not None for one in effects])
+    columns = problem.errors.indices([modelled.column for modelled in effects])
+    profiles = np.stack([modelled.profile for modelled in effects], axis=1)
+    names = tuple(modelled.effect.parameter(modelled.column) for modelled in effects)
+    units = tuple(problem.errors.units[i] for i in columns)
+    joints = np.isin([modelled.column for modelled in effects], [joint.name for joint in problem.chain.joints])
+    drifts = np.array([modelled.effect.drifts_with is not None for modelled in effects])
     unknown = len(problem.names) - problem.n_robot
-    before, of = slice(unknown), slice(unknown, None)
+    unknowns, known_numbers = slice(unknown), slice(unknown, None)
     errors = Errors(
-        (*problem.errors.names[before], *names, *problem.errors.names[of]),
-        (*problem.errors.units[before], *units, *problem.errors.units[of]),
+        (*problem.errors.names[unknowns], *names, *problem.errors.names[known_numbers]),
+        (*problem.errors.units[unknowns], *units, *problem.errors.units[known_numbers]),
         np.insert(problem.errors.bodies, [unknown] * len(names), 0.0, axis=0)
         if problem.errors.bodies.size
         else problem.errors.bodies,
@@ -237,9 +237,9 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
         errors=errors,
         names=(*problem.names, *names),
         units=(*problem.units, *units),
-        start=np.concatenate([problem.start, np.zeros(at.size)]),
+        start=np.concatenate([problem.start, np.zeros(columns.size)]),
         prior_sigma=np.concatenate([problem.prior_sigma, [UNITS[unit].wide_sigma for unit in units]]),
-        groups=with_effects(problem.groups, problem.errors.bodies, at, profiles, ~(joints | drifts)),
+        groups=with_effects(problem.groups, problem.errors.bodies, columns, profiles, ~(joints | drifts)),
     )
 
 
@@ -273,8 +273,8 @@ def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
 
 def pieces(group: Group, size: int = BLOCK) -> Iterator[Group]:
     """Yield a group's observations, at most ``size`` at once."""
-    for at in range(0, len(group.sensor_cov), size):
-        yield group.take(slice(at, at + size))
+    for first in range(0, len(group.sensor_cov), size):
+        yield group.take(slice(first, first + size))
 
 
 def note(block: Group, residual: Floats, out: Residuals) -> None:
@@ -309,7 +309,7 @@ def _rigs(rig: Rigs, table: ObservationTable) -> Mapping[str, Rig]:
         raise ProblemError(
             f"{table.source[bad[0]]}: belongs to rig {str(table.rig[bad[0]])!r}; the rigs given are {have}"
         )
-    if len({(one.joint_cov, one.backlash, one.backlash_sigma) for one in rigs.values()}) > 1:
+    if len({(entries.joint_cov, entries.backlash, entries.backlash_sigma) for entries in rigs.values()}) > 1:
         raise ProblemError("joint_cov belongs to the robot, so all rigs need the same one")
     return rigs
 
@@ -329,5 +329,5 @@ def held(problem: Problem, x: Floats) -> Problem:
 
 def _with_groups(problem: Problem, groups: Sequence[Group]) -> Problem:
     """Return the problem with other groups; the problem itself if none differs."""
-    same = all(a is b for a, b in zip(groups, problem.groups, strict=True))
-    return problem if same else replace(problem, groups=tuple(groups))
+    is_unchanged = all(a is b for a, b in zip(groups, problem.groups, strict=True))
+    return problem if is_unchanged else replace(problem, groups=tuple(groups))

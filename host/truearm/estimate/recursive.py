@@ -87,7 +87,6 @@ def run(state: Filter, rows: Sequence[WhitenedRow], included: Mask) -> tuple[Fil
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
     """Estimate recursively over x[columns] from x (P,); rows beyond the gate have weight 0 in the result."""
-    options = options._replace(damping=options.damping.from_full_steps())
     solution, included = fit(problem, columns, x, options), np.ones(problem.n_rows, dtype=bool)
     iterations = solution.iterations
     if solution.status == "converged":

@@ -36,17 +36,17 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
             status = "stalled"
             break
         root, rhs = _fused(prior, prior @ error, data)
-        parts = spectrum(root)
-        delta, _ = step(parts, promise(parts, rhs), 0.0)
-        there = whole(x, columns, x[columns] + delta)
+        decomposition = spectrum(root)
+        delta, _ = step(decomposition, promise(decomposition, rhs), 0.0)
+        x_next = whole(x, columns, x[columns] + delta)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            now = observe(problem, there, columns)
-        fall = np.sqrt(data.chi2) - np.sqrt(now.chi2)
-        least = RUN_END * np.sqrt(max(data.chi2, data.n_residuals))
-        x, data, prior, error, runs = there, now, root, np.zeros_like(error), runs + 1
+            data_next = observe(problem, x_next, columns)
+        fall = np.sqrt(data.chi2) - np.sqrt(data_next.chi2)
+        smallest = RUN_END * np.sqrt(max(data.chi2, data.n_residuals))
+        x, data, prior, error, runs = x_next, data_next, root, np.zeros_like(error), runs + 1
         if options.on_step is not None:
             options.on_step(runs, data.residual)
-        if abs(fall) < least:
+        if abs(fall) < smallest:
             status = "converged"
             break
     # x itself follows the data roughly as with one prior and k times the data's weight, so with the prior's σ times √k.

@@ -135,8 +135,8 @@ def poses_of(q: Floats, tolerance: float = SAME_POSE) -> Ints:
     pose = np.full(len(q), -1, dtype=np.int64)
     for i in range(len(q)):
         if pose[i] < 0:
-            near = np.all(np.abs(q - q[i]) <= tolerance, axis=1) & (pose < 0)
-            pose[near] = pose.max() + 1
+            is_near = np.all(np.abs(q - q[i]) <= tolerance, axis=1) & (pose < 0)
+            pose[is_near] = pose.max() + 1
     return pose
 
 
@@ -230,19 +230,19 @@ def _regression(y: Floats, columns: Floats, group: Ints) -> tuple[tuple[Interval
     """
     y, x = _deviations(y, group), _deviations(columns, group)
     size = np.linalg.norm(x, axis=0)
-    seen = size > UNSEEN * max(float(size.max()), 1e-300)
-    rank = int(np.linalg.matrix_rank(x[:, seen], rtol=1e-6))
-    if rank < np.count_nonzero(seen):
+    affects = size > UNSEEN * max(float(size.max()), 1e-300)
+    rank = int(np.linalg.matrix_rank(x[:, affects], rtol=1e-6))
+    if rank < np.count_nonzero(affects):
         raise ProblemError(
             "the approach directions of two or more joints always change together, so their backlash cannot be separated; "
             "record a plan of truearm plan characterize"
         )
-    inverse = np.linalg.pinv(x[:, seen])
-    residual = y - x[:, seen] @ inverse @ y
+    inverse = np.linalg.pinv(x[:, affects])
+    residual = y - x[:, affects] @ inverse @ y
     freedom = len(y) - len(np.unique(group)) - rank
     variance = float(residual @ residual) / freedom
-    fitted = np.full((2, len(seen)), np.nan)
-    fitted[:, seen] = inverse @ y, np.sqrt(variance) * np.linalg.norm(inverse, axis=1)
+    fitted = np.full((2, len(affects)), np.nan)
+    fitted[:, affects] = inverse @ y, np.sqrt(variance) * np.linalg.norm(inverse, axis=1)
     intervals = (_t_interval(value, sigma, freedom) for value, sigma in fitted.T.tolist())
     return tuple(intervals), tuple(fitted[1].tolist()), variance, freedom
 

@@ -62,10 +62,10 @@ def robot_scale(chain: Chain, estimate: Estimate) -> RobotScale | None:
     scale = float(nominal @ change) / squares
     if abs(scale) * np.sqrt(squares) < LEAST * tolerance:
         return None
-    rest = change - scale * nominal
+    remainder = change - scale * nominal
     drawn = DRAWN if k < LEAST_LENGTHS else 0.0
     freedom = k - 1.0 + drawn
-    variance = max((float(rest @ rest) + drawn * OFF**2) / freedom, np.finfo(float).tiny)
+    variance = max((float(remainder @ remainder) + drawn * OFF**2) / freedom, np.finfo(float).tiny)
     chance = float(special.fdtrc(1.0, freedom, scale**2 * squares / variance))
     if chance > LEVEL:
         return None
@@ -82,7 +82,7 @@ def _lengths(chain: Chain, estimate: Estimate) -> Indices:
 def _determined(estimate: Estimate, lengths: Indices, tolerance: float) -> Floats:
     """Return orthonormal combinations (m, k) of ``lengths`` (m,) that are identifiable, with σ below ``tolerance`` [m]."""
     names = [estimate.parameter_names[i] for i in lengths]
-    parts = np.linalg.svd(weights_of(estimate.null_space, names))
-    seen = parts.U[:, int((parts.S > NO_SHARE).sum()) :]
-    variance, turn = np.linalg.eigh(seen.T @ estimate.covariance[np.ix_(lengths, lengths)] @ seen)
-    return np.asarray(seen @ turn[:, variance < tolerance**2])
+    decomposition = np.linalg.svd(weights_of(estimate.null_space, names))
+    identifiable = decomposition.U[:, int((decomposition.S > NO_SHARE).sum()) :]
+    variance, turn = np.linalg.eigh(identifiable.T @ estimate.covariance[np.ix_(lengths, lengths)] @ identifiable)
+    return np.asarray(identifiable @ turn[:, variance < tolerance**2])

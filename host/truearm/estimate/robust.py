@@ -87,11 +87,11 @@ class Moments(NamedTuple):
     weight: float = 0.0
     n: int = 0
 
-    def plus(self, seen: Weighted, length: Floats, width: int) -> Moments:
+    def plus(self, weighted: Weighted, length: Floats, width: int) -> Moments:
         return Moments(
-            self.a + float((seen.weight + seen.slope / width).sum()),
-            self.b + float(((seen.weight * length) ** 2).sum()) / width,
-            self.weight + float(seen.weight.sum()),
+            self.a + float((weighted.weight + weighted.slope / width).sum()),
+            self.b + float(((weighted.weight * length) ** 2).sum()) / width,
+            self.weight + float(weighted.weight.sum()),
             self.n + length.size,
         )
 

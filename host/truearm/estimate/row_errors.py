@@ -133,6 +133,6 @@ def _without_pose(leverage: Floats, residual: Floats, covariance: Floats | None)
         solved, determined = solve_semidefinite(np.eye(leverage.shape[1]) - leverage, residual[..., 0])
         return np.where(determined[:, None], solved, np.nan)[..., None]
     scale = 1.0 / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[..., None]
-    left = (covariance - leverage) * scale * scale.swapaxes(1, 2)
-    solved, determined = solve_semidefinite(left, (scale * residual)[..., 0])
+    unabsorbed = (covariance - leverage) * scale * scale.swapaxes(1, 2)
+    solved, determined = solve_semidefinite(unabsorbed, (scale * residual)[..., 0])
     return np.where(determined[:, None, None], covariance @ (scale * solved[..., None]), np.nan)

@@ -14,6 +14,7 @@ from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.problem import Problem
 from truearm.estimate.solvers import SOLVERS, Loss
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
+from truearm.results import Figures
 from truearm.types import Floats, Residuals
 
 
@@ -22,7 +23,7 @@ class Options(NamedTuple):
 
     max_iterations: int = 50
     loss: Loss = Loss.LINEAR  # for lm and map
-    damping: Damping = Damping()  # for lm; map and ls begin with full steps
+    damping: Damping = Damping()  # for lm, map and ls
     on_step: Callable[[int, Residuals], None] | None = None  # called with the iteration and the residuals
     ends: Ends | None = None  # for lm, map and ls: whether to end before the minimum
 
@@ -49,10 +50,10 @@ def solver_named(name: str) -> Solver:
     return solver
 
 
-def whole(x: Floats, columns: NDArray[np.bool_], part: Floats) -> Floats:
+def whole(x: Floats, columns: NDArray[np.bool_], values: Floats) -> Floats:
     """Return x (P,) with x[columns] replaced."""
     out = x.copy()
-    out[columns] = part
+    out[columns] = values
     return out
 
 
@@ -73,3 +74,8 @@ def goodness_of(problem: Problem, columns: NDArray[np.bool_], solution: Solution
     """Return the quality of a fit of x[columns]."""
     shares = prior_shares(solution.information.half, solution.prior_sigma)
     return goodness(*of_data(problem, columns, solution), shares)
+
+
+def rms_of(residual: Residuals, rows: NDArray[np.bool_] | slice = slice(None)) -> dict[str, float]:
+    """Return the RMS of some rows' residuals by SI unit."""
+    return {unit: figures.rms for unit, figures in Figures.by_unit(residual, rows).items()}

@@ -51,7 +51,7 @@ class SolverEntry(NamedTuple):
 
 SOLVERS: Mapping[str, SolverEntry] = {
     "lm": SolverEntry("fit", "Levenberg-Marquardt", has_loss=True, starts_from_rig=True),
-    "map": SolverEntry("maximum_a_posteriori", "maximum a posteriori", has_loss=True, prior=Prior.WIDE),
+    "map": SolverEntry("fit", "maximum a posteriori", has_loss=True, prior=Prior.WIDE),
     "recursive": SolverEntry("recursive", "row by row, leaves outliers out"),
     "renders-1991": SolverEntry("renders1991", "the paper's, for comparison", prior=Prior.NONE, ends_by_recipe=True),
     "ls": SolverEntry("least_squares", "least squares without a prior, for comparison", prior=None, reads_noise=True),

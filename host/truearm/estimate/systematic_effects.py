@@ -53,11 +53,11 @@ class Errors(NamedTuple):
 
     def indices(self, names: Sequence[str]) -> Indices:
         """Return the indices of columns. Raises ProblemError for an unknown name."""
-        at = {name: i for i, name in enumerate(self.names)}
+        index = {name: i for i, name in enumerate(self.names)}
         for name in names:
-            if name not in at:
+            if name not in index:
                 raise ProblemError(f"{name!r} is not used by these observations; use a name of the rig that they use")
-        return np.array([at[name] for name in names], dtype=np.intp)
+        return np.array([index[name] for name in names], dtype=np.intp)
 
 
 class Cause(NamedTuple):
@@ -98,8 +98,8 @@ def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], rows: C
         # joint is a parameter of the robot already.
         drifts = effect.drifts_with is not None and effect.drifts_with.has_offset
         offset = (Effect(effect.what),) if drifts and cause.fault.constant else ()
-        for part in (effect, *offset):
-            out += [Modelled(part, number, profile(part, rows)) for number in cause.numbers]
+        for term in (effect, *offset):
+            out += [Modelled(term, number, profile(term, rows)) for number in cause.numbers]
     return out
 
 
@@ -134,10 +134,10 @@ def error_columns(lin: Linearised, bodies: Floats) -> Floats:
 
 def motion_of_body(names: Sequence[str], points: Mapping[str, Floats], about: Floats) -> Floats:
     """Return (c, 6) the columns that move some ``points`` (x, y, z by name) together, as MOTION, turned ``about`` (3,)."""
-    at = {name: i for i, name in enumerate(names)}
+    index = {name: i for i, name in enumerate(names)}
     out = np.zeros((len(names), len(MOTION)))
     for name, point in points.items():
-        rows = [at[f"{name}.{k}"] for k in "xyz"]
+        rows = [index[f"{name}.{k}"] for k in "xyz"]
         out[rows, :3], out[rows, 3:] = np.eye(3), np.cross(np.eye(3), point - about).T
     return out
 
@@ -172,29 +172,29 @@ class EffectRows(GroupOfOther):
         linear = ~self.whole
         if self.held is not None:
             by_effects[:, :, linear] = self.held.swapaxes(0, 1)[:, :, linear]
-        unknown, known = np.split(lin.jac_rig, [size - len(chain.parameters)], axis=2)
+        unknown, fixed = np.split(lin.jac_rig, [size - len(chain.parameters)], axis=2)
         residual = lin.residual - (by_effects[:, :, linear] @ x[size:][linear]).T.ravel()
-        return lin._replace(residual=residual, jac_rig=np.concatenate([unknown, by_effects, known], axis=2))
+        return lin._replace(residual=residual, jac_rig=np.concatenate([unknown, by_effects, fixed], axis=2))
 
     def _displaced(self, chain: Chain, x: Floats) -> tuple[Linearised, Floats]:
         """Return the inner group with the items displaced by the whole effects, and derivatives (w, n, e) by all effects."""
         inside, off = np.split(x, [x.size - self.columns.size])
-        parts, some = [], []
+        pieces, row_sets = [], []
         for number in np.unique(self.setting):
-            mine = np.flatnonzero(self.setting == number)
-            amount = np.where(self.whole, off * self.profile[mine[0]], 0.0)
-            lin, errors = _with_items_off(self.inner.take(mine), chain, inside, self.bodies, self.columns, amount)
-            parts.append((lin, errors[:, :, self.columns] * self.profile[mine]))
-            some.append(mine)
-        if len(parts) == 1:
-            return parts[0]
-        order = np.argsort(np.concatenate(some))
+            rows = np.flatnonzero(self.setting == number)
+            amount = np.where(self.whole, off * self.profile[rows[0]], 0.0)
+            lin, errors = _with_items_off(self.inner.take(rows), chain, inside, self.bodies, self.columns, amount)
+            pieces.append((lin, errors[:, :, self.columns] * self.profile[rows]))
+            row_sets.append(rows)
+        if len(pieces) == 1:
+            return pieces[0]
+        order = np.argsort(np.concatenate(row_sets))
         wrenches, jac_rig, by_joints, by_effects = (
-            np.concatenate(of, axis=1)[:, order]
-            for of in zip(*((lin.wrenches, lin.jac_rig, lin.by_joints, by) for lin, by in parts), strict=True)
+            np.concatenate(arrays, axis=1)[:, order]
+            for arrays in zip(*((lin.wrenches, lin.jac_rig, lin.by_joints, by) for lin, by in pieces), strict=True)
         )
-        residual = np.concatenate([lin.residual.reshape(lin.wrenches.shape[1], -1) for lin, _ in parts])[order]
-        return Linearised(residual.ravel(), wrenches, parts[0][0].twists, jac_rig, by_joints), by_effects
+        residual = np.concatenate([lin.residual.reshape(lin.wrenches.shape[1], -1) for lin, _ in pieces])[order]
+        return Linearised(residual.ravel(), wrenches, pieces[0][0].twists, jac_rig, by_joints), by_effects
 
     def hold(self, chain: Chain, x: Floats) -> EffectRows:
         """Hold the derivatives by the linear effects: ``evaluate`` neglects that they change with x."""
@@ -223,22 +223,22 @@ def _with_items_off(
     motion = np.zeros(rig + joints + len(BASE) + bodies.shape[1])
     np.add.at(motion, columns, amount)
     off = motion[:rig] + (bodies[:rig] @ motion[rig + joints + len(BASE) :] if bodies.size else 0.0)
-    unknown, known = np.split(off, [x.size - p])
-    there = np.concatenate([x[:p], x[p:] + unknown])
-    group = replace(group, constants=group.constants + known) if known.any() else group
+    unknown, fixed = np.split(off, [x.size - p])
+    displaced = np.concatenate([x[:p], x[p:] + unknown])
+    group = replace(group, constants=group.constants + fixed) if fixed.any() else group
     base = motion[rig + joints :][: len(BASE)]
     if not base.any():
-        lin = group.opened(chain, there)
+        lin = group.opened(chain, displaced)
         return lin, error_columns(lin, bodies)
     shift, turn = base[::2], base[1::2]
-    lin = group.opened(replace(chain, elements=(*_moved_by(shift, turn), *chain.elements)), there)
+    lin = group.opened(replace(chain, elements=(*_moved_by(shift, turn), *chain.elements)), displaced)
     force, moment = lin.wrenches[..., : len(BASE) : 2], lin.wrenches[..., 1 : len(BASE) : 2]
     moment = moment - np.cross(shift, force)
     by_base, of_base, rot = np.empty((*force.shape[:2], 6)), lin.wrenches.copy(), rotation(turn)
     by_base[..., ::2], by_base[..., 1::2] = force, moment @ left_jacobian(turn)
     of_base[..., : len(BASE) : 2], of_base[..., 1 : len(BASE) : 2] = force @ rot, moment @ rot
     errors = error_columns(lin._replace(wrenches=by_base), bodies)
-    return lin._replace(wrenches=of_base, twists=group.take(slice(0, 1)).opened(chain, there).twists), errors
+    return lin._replace(wrenches=of_base, twists=group.take(slice(0, 1)).opened(chain, displaced).twists), errors
 
 
 def _moved_by(shift: Floats, turn: Floats) -> tuple[Element, ...]:

@@ -117,26 +117,26 @@ def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mappin
     parameters kept as identified.
     """
     problem, x, rig = settled(judgement.problem, judgement.x), judgement.x, judgement.settled
-    parts = [part for part in whitened_blocks(problem, x, np.ones(x.size, dtype=bool)) if part.row is not None]
-    jac = np.concatenate([part.jac.reshape(-1, x.size) for part in parts])
-    taken = _taken(jac[:, rig], problem.prior_sigma[rig])
-    left = jac[:, ~rig] - taken @ (taken.T @ jac[:, ~rig])
+    blocks = [block for block in whitened_blocks(problem, x, np.ones(x.size, dtype=bool)) if block.row is not None]
+    jac = np.concatenate([block.jac.reshape(-1, x.size) for block in blocks])
+    settled_basis = _taken(jac[:, rig], problem.prior_sigma[rig])
+    remaining = jac[:, ~rig] - settled_basis @ (settled_basis.T @ jac[:, ~rig])
     due = {
         unit: Expected(np.full(problem.n_rows, np.nan), np.full(problem.n_rows, np.nan), np.zeros(problem.n_rows, bool))
         for unit in judgement.residual
     }
-    at = 0
-    for part in parts:
-        n, width, _ = part.jac.shape
-        mine = slice(at, at + n * width)
-        for unit, components in unit_columns(part.components).items():
-            root, to = part.noise_root[:, components], due[unit]
-            fitted, by_robot = (root @ whole[mine].reshape(n, width, -1) for whole in (taken, left))
-            to.by_noise[part.row] = np.maximum((root**2).sum(axis=(1, 2)) - (fitted**2).sum(axis=(1, 2)), 0.0)
+    first = 0
+    for block in blocks:
+        n, width, _ = block.jac.shape
+        scalars = slice(first, first + n * width)
+        for unit, components in unit_columns(block.components).items():
+            root, to = block.noise_root[:, components], due[unit]
+            fitted, by_robot = (root @ columns[scalars].reshape(n, width, -1) for columns in (settled_basis, remaining))
+            to.by_noise[block.row] = np.maximum((root**2).sum(axis=(1, 2)) - (fitted**2).sum(axis=(1, 2)), 0.0)
             square = np.einsum("nwp,pr,nwr->n", by_robot, covariance, by_robot, optimize=True)
-            to.by_parameters[part.row] = np.maximum(square, 0.0)
-            to.unseen[part.row] = np.abs(by_robot @ unseen).max(axis=(1, 2), initial=0.0) > MOVES
-        at += n * width
+            to.by_parameters[block.row] = np.maximum(square, 0.0)
+            to.unseen[block.row] = np.abs(by_robot @ unseen).max(axis=(1, 2), initial=0.0) > MOVES
+        first += n * width
     return due
 
 
@@ -175,22 +175,22 @@ def consistency(judgement: Judgement, covariance: Floats, unseen: Floats) -> Con
     information = with_prior(observe(problem, x, columns), (problem.start - x)[columns], prior)
     # Identified directions have their covariance as the prior, null directions have none; then the rig's unknowns.
     rig = np.eye(x.size)[columns][:, settle]
-    of_robot, elsewhere = (np.zeros((x.size, part.shape[1])) for part in (spread, unseen))
+    of_robot, elsewhere = (np.zeros((x.size, matrix.shape[1])) for matrix in (spread, unseen))
     of_robot[identified], elsewhere[identified] = spread, unseen
     unknown = elsewhere[columns] @ _felt(information.root, elsewhere[columns], rig)
-    ways = np.concatenate([of_robot[columns], unknown, rig], axis=1)
-    k = ways.shape[1]
-    along = np.concatenate([information.root @ ways, information.rhs[:, None]], axis=1)
+    directions = np.concatenate([of_robot[columns], unknown, rig], axis=1)
+    k = directions.shape[1]
+    along = np.concatenate([information.root @ directions, information.rhs[:, None]], axis=1)
     triangle = fold(fold(np.zeros((k + 1, k + 1)), along), np.eye(spread.shape[1], k + 1))
-    parts = spectrum(triangle[:k, :k])
-    root = half(parts)
-    left = root.T @ (triangle[:k, :k].T @ triangle[:k, k])
-    freedom = information.n_residuals + spread.shape[1] - int(seen(parts).sum())
+    decomposition = spectrum(triangle[:k, :k])
+    root = half(decomposition)
+    reduction = root.T @ (triangle[:k, :k].T @ triangle[:k, k])
+    freedom = information.n_residuals + spread.shape[1] - int(seen(decomposition).sum())
     if freedom < 1:
         return None
-    chi2 = max(information.chi2 - float(left @ left), 0.0)
+    chi2 = max(information.chi2 - float(reduction @ reduction), 0.0)
     limit = float(special.chdtri(freedom, 1.0 - LEVEL))
-    return Consistency(chi2, freedom, limit, Ways(columns, ways, spread.shape[1]))
+    return Consistency(chi2, freedom, limit, Ways(columns, directions, spread.shape[1]))
 
 
 def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:
@@ -207,8 +207,8 @@ def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:
 
 def _taken(jac: Floats, prior_sigma: Floats) -> Floats:
     """Return U₁ (m, r) of whitened derivatives (m, u) by the rig's unknowns."""
-    known = np.isfinite(prior_sigma)
-    stacked = np.concatenate([jac, np.diag(1.0 / np.where(known, prior_sigma, np.inf))[known]])
+    has_prior = np.isfinite(prior_sigma)
+    stacked = np.concatenate([jac, np.diag(1.0 / np.where(has_prior, prior_sigma, np.inf))[has_prior]])
     stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
     basis, weight, _ = np.linalg.svd(stacked, full_matrices=False)
     return np.asarray(basis[: len(jac), weight > RANK_TOLERANCE * weight.max(initial=0.0)])
