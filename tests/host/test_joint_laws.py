@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from test_joint_laws_monte_carlo import table_of
 from tests.host.findings_bench import listed
 from ur10_bench import RIG, ROBOT
 
@@ -23,7 +24,6 @@ from truearm.export.writing import fit_to
 from truearm.findings import Finding, findings_of
 from truearm.kinds.position import nearest_rotation
 from truearm.kinds.rig_file import format_rig, parse_rig
-from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import format_table, parse_table
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.joint_terms.curve import Curve
@@ -152,16 +152,7 @@ def world(rng, n, curves=True, masses=True, gravity=DOWN):
         return point_forward(chain, truth, true_q, POINT)
 
     points = true_points(q)
-    xyz = points + rng.normal(0.0, NOISE, points.shape)
-    return ObservationTable(
-        q=q,
-        kind=np.full(n, "position"),
-        xyz=xyz,
-        sigma=np.full(n, NOISE),
-        tracker=np.full(n, "tracker"),
-        target=np.full(n, "reflector"),
-        source=np.array([f"world row {i + 1}" for i in range(n)]),
-    ), true_points
+    return table_of(q, points + rng.normal(0.0, NOISE, points.shape), np.full(n, "reflector")), true_points
 
 
 def identified_with(table, held, mode):
@@ -299,19 +290,9 @@ def loaded_world(rng, masses):
                 out[:, joint] += give * mass * (np.cross(axis, at - origin) @ DOWN)
         return point_forward(chain, truth, out, POINT)
 
-    n = len(masses)
-    table = ObservationTable(
-        q=q,
-        kind=np.full(n, "position"),
-        xyz=true_points(q, masses) + rng.normal(0.0, NOISE, (n, 3)),
-        sigma=np.full(n, NOISE),
-        tracker=np.full(n, "tracker"),
-        target=np.full(n, "reflector"),
-        source=np.array([f"world row {i + 1}" for i in range(n)]),
-        payload=masses,
-        payload_centre=np.tile(HELD, (n, 1)),
-    )
-    return table, true_points
+    points = true_points(q, masses)
+    table = table_of(q, points + rng.normal(0.0, NOISE, points.shape), np.full(len(masses), "reflector"))
+    return table.replace(payload=masses, payload_centre=np.tile(HELD, (len(masses), 1))), true_points
 
 
 def without_payload(table):

@@ -82,7 +82,7 @@ def test_the_reduction_of_a_pose_is_exact(monkeypatch):
 
 def test_coefficients_that_act_at_no_reading_are_left_out_of_learning(monkeypatch):
     of = curves_of(repeated(repeats=2))
-    part, learned = of.some(), learn(of, PoseNoise.of(1.0, 6, 1e-4))
+    (part, _), learned = of.some(), learn(of, PoseNoise.of(1.0, 6, 1e-4))
     assert part.is_law.sum() < 0.7 * of.is_law.sum()
     monkeypatch.setattr(law_fit, "acting", lambda law: np.ones(law.size, dtype=bool))
     every = learn(of, PoseNoise.of(1.0, 6, 1e-4))

@@ -128,7 +128,7 @@ def left_out_square(grams: Sequence[Floats], is_always: NDArray[np.bool_]) -> fl
 
 def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
     """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them; none if none does."""
-    sample = problem.some()
+    sample, _ = problem.some()
     sizes = np.sqrt(sample.sizes(learned.variances) @ sample.prior.spectra)
     law = np.concatenate([np.full(sample.sigma.size, -1), sample.law_of_mode])
     change = sample.by_modes(learned.x) * np.concatenate([np.ones(sample.sigma.size), sizes, [1.0]])

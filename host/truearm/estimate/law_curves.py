@@ -47,18 +47,20 @@ class SineAmplitudes(NamedTuple):
 
 def sampled_curves(chain: Chain, laws: Sequence[Law], params: Floats, covariance: Floats) -> tuple[SampledCurve, ...]:
     """Return the error curves of a chain with laws at params (p,), with their covariance (p, p)."""
-    out, curve = [], Curve.of_chain(chain)
+    curves, curve = [], Curve.of_chain(chain)
     for law in laws:
         if not isinstance(law, CurveKnots):
             continue
         readings = law_readings(law)
         own = np.flatnonzero(curve.joints == law.joint)
-        jac, at = _basis(chain, curve, law.joint, readings)[own].T, curve.parameters[own]
+        q = np.zeros((len(chain.joints), readings.size))
+        q[law.joint] = readings
+        jac, at = curve.by_parameters(params, q)[own].T, curve.parameters[own]
         variance = np.einsum("ni,ij,nj->n", jac, covariance[np.ix_(at, at)], jac)
         sigma = np.sqrt(np.maximum(variance, 0.0))
         name = chain.joints[law.joint].name
-        out.append(SampledCurve(name, readings, jac @ params[at], sigma, law.covers(readings), law.covered))
-    return tuple(out)
+        curves.append(SampledCurve(name, readings, jac @ params[at], sigma, law.covers(readings), law.covered))
+    return tuple(curves)
 
 
 def law_readings(law: CurveKnots) -> Floats:
@@ -74,17 +76,17 @@ def spectrum(curve: SampledCurve) -> SineAmplitudes:
 
 def strongest_periods(curve: SampledCurve) -> tuple[Period, ...]:
     """Return the strongest sines of a curve over its covered readings, each removed before the search for the next."""
-    left, out = curve.error.copy(), list[Period]()
+    remaining, periods = curve.error.copy(), list[Period]()
     for _ in range(PERIODS):
-        found, wave = _spectrum(curve, left)
-        apart = np.array([[abs(cycles - one.cycles) for one in out] for cycles in found.cycles])
-        some = np.flatnonzero((apart >= found.resolution).all(axis=1)) if out else np.arange(found.cycles.size)
-        if not some.size or not found.amplitude[some].max() > 0.0:
+        sines, waves = _spectrum(curve, remaining)
+        distance = np.abs(np.subtract.outer(sines.cycles, [period.cycles for period in periods]))
+        resolved = np.flatnonzero((distance >= sines.resolution).all(axis=1))
+        if not resolved.size or not sines.amplitude[resolved].max() > 0.0:
             break
-        best = int(some[np.argmax(found.amplitude[some])])
-        out.append(Period(float(found.cycles[best]), float(found.amplitude[best])))
-        left[curve.covered] -= wave[best]
-    return tuple(out)
+        best = int(resolved[np.argmax(sines.amplitude[resolved])])
+        periods.append(Period(float(sines.cycles[best]), float(sines.amplitude[best])))
+        remaining[curve.covered] -= waves[best]
+    return tuple(periods)
 
 
 def _spectrum(curve: SampledCurve, error: Floats) -> tuple[SineAmplitudes, Floats]:
@@ -107,10 +109,3 @@ def _spectrum(curve: SampledCurve, error: Floats) -> tuple[SineAmplitudes, Float
     parts = np.linalg.solve(faster @ faster.swapaxes(1, 2), (faster @ values)[..., None])
     waves = (parts * sines).sum(axis=1)
     return SineAmplitudes(cycles, np.linalg.norm(parts[..., 0], axis=1), TURN / longest), waves
-
-
-def _basis(chain: Chain, curve: Curve, joint: int, readings: Floats) -> Floats:
-    """Return ∂θ/∂coefficient (m, n) of all curves' coefficients, with one joint at its readings (n,)."""
-    q = np.zeros((len(chain.joints), readings.size))
-    q[joint] = readings
-    return curve.by_parameters(np.zeros(len(chain.parameters)), q)

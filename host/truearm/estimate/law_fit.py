@@ -45,7 +45,7 @@ LEARNING = (
     3000,
     9000,
 )  # poses and residuals: variances and noise are learned from a random selection of at most so many
-FOR_NOISE = (1000, 3000)  # of these, for the noise
+FOR_NOISE = 3  # one of so many of these, for the noise
 MOST_OF_POSE = 72  # residuals of a pose that count among these: repeats must not take the place of poses
 LINEARISED = 3  # rounds, without anything learned before; then x hardly changes
 ROUNDS = 12  # of learning the variances and learning the noise
@@ -85,27 +85,25 @@ class LawProblem:
         columns[columns] = active
         return replace(self, columns=columns, is_law=self.is_law[active], basis=self.basis[acts])
 
-    def some(self) -> LawProblem:
-        """Return the problem of the ``acting`` coefficients and at most LEARNING random poses."""
-        share, numbers = self.times(LEARNING), np.unique(self.pose)
-        if share <= 1.0:
-            return self.acting()
-        chosen = np.random.default_rng(0).permutation(numbers)[: int(numbers.size / share)]
-        return replace(self.acting(), problem=only(self.problem, np.isin(self.pose, chosen)))
-
-    def rows(self, x: Floats) -> Iterator[RowsByPose]:
-        """Return the ``independent`` poses' rows of the fitted unknowns at x (P,)."""
-        return independent(pose_rows(self.problem, x, self.columns, self.pose))
-
-    def times(self, limits: tuple[int, int]) -> float:
-        """Return how many times as many poses or residuals there are, whichever is more."""
+    def some(self) -> tuple[LawProblem, int]:
+        """Return the problem of the ``acting`` coefficients and at most LEARNING random poses, and the stride of those for the noise."""
         residuals, numbers = 0, set[int]()
         for group in self.problem.groups:
             if group.row is not None:
                 poses, rows = np.unique(self.pose[group.row], return_counts=True)
                 residuals += int(np.minimum(rows * group.sensor_cov.shape[1], MOST_OF_POSE).sum())
                 numbers.update(poses.tolist())
-        return max(len(numbers) / limits[0], residuals / limits[1])
+        share = max(len(numbers) / LEARNING[0], residuals / LEARNING[1])
+        stride = max(1, int(FOR_NOISE * min(share, 1.0)))
+        if share <= 1.0:
+            return self.acting(), stride
+        chosen = np.random.default_rng(0).permutation(np.unique(self.pose))
+        is_chosen = np.isin(self.pose, chosen[: int(chosen.size / share)])
+        return replace(self.acting(), problem=only(self.problem, is_chosen)), stride
+
+    def rows(self, x: Floats) -> Iterator[RowsByPose]:
+        """Return the ``independent`` poses' rows of the fitted unknowns at x (P,)."""
+        return independent(pose_rows(self.problem, x, self.columns, self.pose))
 
     def by_modes(self, x: Floats) -> Floats:
         """Return T (k + 1, g + f + 1): rows [J|residual at x] times T are those by g and f, about the reference."""
@@ -178,7 +176,7 @@ def learn(problem: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS,
 
     They start from what was learned with more laws; with a noise alone, all variances start small.
     """
-    sample, linearised = problem.some(), LINEARISED
+    (sample, stride), linearised = problem.some(), LINEARISED
     if isinstance(start, Learned):
         variances, noise, x, linearised = problem.sizes(start.variances), start.noise, start.x, 1
     else:
@@ -186,7 +184,7 @@ def learn(problem: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS,
     shared = shared and bool((np.bincount(problem.pose) > 1).any())
     if shared and not noise.shared:
         noise = noise._replace(shared=SHARED_START, turned=SHARED_START)
-    stride, middle, rows = max(1, int(sample.times(FOR_NOISE))), x, list[RowsByPose]()
+    middle, rows = x, list[RowsByPose]()
     for i in steps_of(range(rounds), "learning the sizes of joint laws and noise"):
         if i < linearised:
             middle, rows = x, list(sample.rows(x))
