@@ -55,16 +55,16 @@ def gravity_of(table: ObservationTable, of_robot: tuple[float, float, float] | N
 
     Raises InputError for a row whose gravity has length 0.
     """
-    given = table.gravity
-    rows = np.flatnonzero(np.isfinite(given).all(axis=1))
+    declared = table.gravity
+    rows = np.flatnonzero(np.isfinite(declared).all(axis=1))
     if not rows.size:
         return Gravity(of_robot or DOWN, of_robot is not None)
-    length = np.linalg.norm(given[rows], axis=1)
+    length = np.linalg.norm(declared[rows], axis=1)
     if not length.all():
         raise InputError(
             f"{table.source[rows[length == 0.0][0]]}: gravity is 0; give its direction in the base frame (gravity_x_m_s2, …)"
         )
-    unit = given[rows] / length[:, None]
+    unit = declared[rows] / length[:, None]
     x, y, z = mean = unit.mean(axis=0) / max(float(np.linalg.norm(unit.mean(axis=0))), LEAST_TORQUE)
     return Gravity((float(x), float(y), float(z)), True, float(np.arccos(np.clip(unit @ mean, -1.0, 1.0)).max()))
 
@@ -138,8 +138,8 @@ def _sags(
 
 def torques(chain: Chain, masses: SagMasses, q: Floats) -> Floats:
     """Return torques (m, n) [kg·m] of unit masses and the chain's payload about the joint, with gravity of length 1, at readings q (n, j)."""
-    own = with_laws(chain, [masses])
-    return Sag.of_chain(own).by_parameters(own.params_nominal, q.T)
+    sagging = with_laws(chain, [masses])
+    return Sag.of_chain(sagging).by_parameters(sagging.params_nominal, q.T)
 
 
 class LawPrior(NamedTuple):

@@ -101,11 +101,11 @@ def regions(table: ObservationTable, pose: Indices) -> Indices:
     _, first, number = np.unique(pose, return_index=True, return_inverse=True)
     q, region = table.q[first], np.zeros(first.size, dtype=np.intp)
     for _ in range(HALVINGS):
-        for part in np.unique(region):
-            mine = np.flatnonzero(region == part)
-            if mine.size >= 2 * LEAST_OF_REGION:
-                joint = int(np.argmax(np.std(q[mine], axis=0)))
-                order = mine[np.argsort(q[mine, joint], kind="stable")]
+        for cell in np.unique(region):
+            members = np.flatnonzero(region == cell)
+            if members.size >= 2 * LEAST_OF_REGION:
+                joint = int(np.argmax(np.std(q[members], axis=0)))
+                order = members[np.argsort(q[members, joint], kind="stable")]
                 region[order[order.size // 2 :]] = region.max() + 1
     return region[number.ravel()]
 
@@ -121,8 +121,8 @@ def left_out_square(grams: Sequence[Floats], is_always: NDArray[np.bool_]) -> fl
         error = gram @ np.append(-u, 1.0)  # [G_r|y_r]ᵀ times the errors
         square += float(error[-1] - u @ error[:-1])
         private = np.flatnonzero(is_always & (np.diag(others)[:-1] <= PRIVATE * np.diag(total)[:-1]))
-        own = gram[np.ix_(private, private)]
-        square -= float(error[private] @ np.linalg.lstsq(own, error[private], rcond=PRIVATE)[0])
+        private_gram = gram[np.ix_(private, private)]
+        square -= float(error[private] @ np.linalg.lstsq(private_gram, error[private], rcond=PRIVATE)[0])
     return square
 
 
@@ -130,20 +130,20 @@ def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequ
     """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them; none if none does."""
     sample, _ = problem.some()
     sizes = np.sqrt(sample.sizes(learned.variances) @ sample.prior.spectra)
-    law = np.concatenate([np.full(sample.sigma.size, -1), sample.law_of_mode])
+    law_of_unknown = np.concatenate([np.full(sample.sigma.size, -1), sample.law_of_mode])
     change = sample.by_modes(learned.x) * np.concatenate([np.ones(sample.sigma.size), sizes, [1.0]])
     grams = []
     for number in np.unique(region):
         of_region = without_knowledge(only(sample.problem, region == number))
         rows = replace(sample, problem=of_region).rows(learned.x)
         grams.append(change.T @ pose_information(rows, len(change), learned.noise)[0] @ change)
-    visible = (law < 0) | (np.diag(np.sum(grams, axis=0))[:-1] > FAINT)
+    visible = (law_of_unknown < 0) | (np.diag(np.sum(grams, axis=0))[:-1] > FAINT)
     nats = {}
     for unit in ((), *units, problem.laws):
-        kept = visible & ~np.isin(law, [problem.laws.index(one) for one in unit])
+        kept = visible & ~np.isin(law_of_unknown, [problem.laws.index(law) for law in unit])
         of_kept = np.ix_(np.append(kept, True), np.append(kept, True))
-        square = left_out_square([gram[of_kept] for gram in grams], law[kept] < 0)
-        nats[unit] = 0.5 * square + sum(learned.nats[one] for one in unit)
+        square = left_out_square([gram[of_kept] for gram in grams], law_of_unknown[kept] < 0)
+        nats[unit] = 0.5 * square + sum(learned.nats[law] for law in unit)
     return min(nats, key=nats.__getitem__)
 
 

@@ -52,14 +52,14 @@ def sampled_curves(chain: Chain, laws: Sequence[Law], params: Floats, covariance
         if not isinstance(law, CurveKnots):
             continue
         readings = law_readings(law)
-        own = np.flatnonzero(curve.joints == law.joint)
+        coefficients = np.flatnonzero(curve.joints == law.joint)
         q = np.zeros((len(chain.joints), readings.size))
         q[law.joint] = readings
-        jac, at = curve.by_parameters(params, q)[own].T, curve.parameters[own]
-        variance = np.einsum("ni,ij,nj->n", jac, covariance[np.ix_(at, at)], jac)
+        jac, columns = curve.by_parameters(params, q)[coefficients].T, curve.parameters[coefficients]
+        variance = np.einsum("ni,ij,nj->n", jac, covariance[np.ix_(columns, columns)], jac)
         sigma = np.sqrt(np.maximum(variance, 0.0))
         name = chain.joints[law.joint].name
-        curves.append(SampledCurve(name, readings, jac @ params[at], sigma, law.covers(readings), law.covered))
+        curves.append(SampledCurve(name, readings, jac @ params[columns], sigma, law.covers(readings), law.covered))
     return tuple(curves)
 
 
@@ -106,6 +106,6 @@ def _spectrum(curve: SampledCurve, error: Floats) -> tuple[SineAmplitudes, Float
     basis, _ = np.linalg.qr(slow)
     sines = np.stack([np.cos(cycles[:, None] * readings), np.sin(cycles[:, None] * readings)], axis=1)
     faster = sines - (sines @ basis) @ basis.T
-    parts = np.linalg.solve(faster @ faster.swapaxes(1, 2), (faster @ values)[..., None])
-    waves = (parts * sines).sum(axis=1)
-    return SineAmplitudes(cycles, np.linalg.norm(parts[..., 0], axis=1), TURN / longest), waves
+    amplitudes = np.linalg.solve(faster @ faster.swapaxes(1, 2), (faster @ values)[..., None])
+    waves = (amplitudes * sines).sum(axis=1)
+    return SineAmplitudes(cycles, np.linalg.norm(amplitudes[..., 0], axis=1), TURN / longest), waves

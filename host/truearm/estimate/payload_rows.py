@@ -46,7 +46,7 @@ def payloads_of(rig: Rigs, table: ObservationTable) -> list[Payload]:
     bad = np.flatnonzero(mass < 0.0)
     if bad.size:
         raise ProblemError(f"{table.source[bad[0]]}: a payload of {mass[bad[0]]:g} kg; give 0 kg (no payload) or more")
-    of_rig = {name: Payload(one.payload, one.payload_centre) for name, one in rigs_by_name(rig).items()}
+    of_rig = {name: Payload(named.payload, named.payload_centre) for name, named in rigs_by_name(rig).items()}
     return [
         of_rig[str(name)] if np.isnan(m) else Payload(float(m), (x, y, z))
         for name, m, (x, y, z) in zip(table.rig, mass, np.nan_to_num(table.payload_centre).tolist(), strict=True)

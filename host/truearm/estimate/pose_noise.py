@@ -135,7 +135,9 @@ def pose_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Ind
         numbers = (np.zeros(0, dtype=np.intp) if group.row is None else group.row for group, _ in pieces)
         groups, declared = (group for group, _ in pieces), (of_group[0] for of_group in whitened)
         kinds = map(RowsOfKind, groups, numbers, declared, places)
-        rows, moved = (np.concatenate(arrays, axis=1) for arrays in zip(*(of[1:] for of in whitened), strict=True))
+        rows, moved = (
+            np.concatenate(arrays, axis=1) for arrays in zip(*(arrays[1:] for arrays in whitened), strict=True)
+        )
         n, w, _ = rows.shape
         yield RowsByPose(tuple(kinds), (rows.reshape(n * w, -1) @ by_unknowns).reshape(n, w, -1), moved)
 
@@ -298,9 +300,9 @@ def _parts(samples: Sequence[PoseSample], noise: PoseNoise) -> _Parts:
         columns = np.array(
             [(along**2).sum(axis=0), (sample.moved * by).sum(axis=(0, 1)), (by * (sample.spread @ by)).sum(axis=(0, 1))]
         )
-        own = np.array(
+        sensors = np.array(
             [(e**2).sum(), inverse.trace(axis1=1, axis2=2).sum(), (inverse * (sample.spread @ inverse)).sum()]
         )
         pose, joints = np.split(columns, [2 * MOTIONS], axis=1)
-        out += np.column_stack([own, pose[:, :MOTIONS].sum(axis=1), pose[:, MOTIONS:].sum(axis=1), joints])
+        out += np.column_stack([sensors, pose[:, :MOTIONS].sum(axis=1), pose[:, MOTIONS:].sum(axis=1), joints])
     return _Parts(*out)

@@ -43,21 +43,21 @@ def learned_scatter(
     """
     if fit.explained and not shared_poses(problem, pose):
         return None
-    of = law_problem(problem, columns, x, pose, {})
-    return scatter_of(of, learn(of, PoseNoise.of(1.0, len(problem.chain.joints), JOINT_NOISE)))
+    laws_problem = law_problem(problem, columns, x, pose, {})
+    return scatter_of(laws_problem, learn(laws_problem, PoseNoise.of(1.0, len(problem.chain.joints), JOINT_NOISE)))
 
 
-def scatter_of(of: LawProblem, learned: Learned) -> Scatter:
+def scatter_of(problem: LawProblem, learned: Learned) -> Scatter:
     """Return the scatter that was learned beside the laws of a problem."""
-    noise, joints = learned.noise, of.problem.chain.joints
+    noise, joints = learned.noise, problem.problem.chain.joints
     return Scatter(
         noise.sensor,
         math.sqrt(noise.shared),
         math.sqrt(noise.turned),
         dict(zip((joint.name for joint in joints), np.sqrt(noise.joint).tolist(), strict=True)),
         tuple(joint.name for joint in joints if joint.kind != "revolute"),
-        nats_of_scatter(of, learned),
-        shared_poses(of.problem, of.pose),
+        nats_of_scatter(problem, learned),
+        shared_poses(problem.problem, problem.pose),
     )
 
 
