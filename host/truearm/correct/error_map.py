@@ -35,7 +35,7 @@ from truearm.units import MM
 SAMPLES = 100  # of each of the two joints
 SPACING = 0.1  # m: farther from all samples, the arm does not reach
 MOST_CELLS = 250_000
-BLOCK = 4000  # cells whose derivatives are held at once: 3 × 54 each take 5 MB
+BLOCK = 2000  # cells whose derivatives are held at once
 NEWTON_STEPS = 6  # from the nearest sample they square the error, 25 mm, down to rounding
 LARGEST_STEP = 0.3  # rad
 PARALLEL = 0.02  # rad: axes that a drawing has parallel differ by less in a controller's calibration
@@ -125,13 +125,14 @@ def error_map(
     q_grid = np.full((v.size, u.size, q.size), np.nan)
     q_grid[index[:, 1], index[:, 0]] = samples
     distance, nearest = KDTree(flat).query(middles)
-    near = distance < max(cell, SPACING)
-    moved = _reach(pair, samples[nearest[near]], middles[near], joints, axes, side, cell)
-    q_grid[near] = np.where(np.isnan(moved), q_grid[near], moved)
-    rows, columns = np.nonzero(~np.isnan(q_grid[..., 0]))
+    rows, columns = np.nonzero((distance < max(cell, SPACING)) | ~np.isnan(q_grid[..., 0]))
     point, error, sigma = (np.full((v.size, u.size, *shape), np.nan) for shape in ((3,), (), ()))
     for first in range(0, rows.size, BLOCK):
         block = rows[first : first + BLOCK], columns[first : first + BLOCK]
+        moved = _reach(pair, samples[nearest[block]], middles[block], joints, axes, side, cell)
+        q_grid[block] = np.where(np.isnan(moved), q_grid[block], moved)
+        is_reached = ~np.isnan(q_grid[block][:, 0])
+        block = block[0][is_reached], block[1][is_reached]
         point[block] = believed(pair, q_grid[block])[:, :3, 3]
         error[block] = np.linalg.norm(reached(pair, q_grid[block])[:, :3, 3] - point[block], axis=1)
         sigma[block] = _sigma(pair, q_grid[block], covariance, unseen)

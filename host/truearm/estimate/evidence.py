@@ -18,7 +18,6 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
-from scipy.optimize import minimize
 
 from truearm.types import Floats
 
@@ -93,6 +92,7 @@ def solve_lower(lower: Floats, right_side: Floats) -> Floats:
 
 def learned(data: Seen, prior: ModePrior, variances: Floats, steps: int = STEPS) -> Floats:
     """Return the variances (v,) that maximise the evidence with the hyperprior, at most ``steps`` from where they are."""
+    from scipy.optimize import minimize  # slow to import, and large
 
     def cost(size: Floats) -> tuple[float, Floats]:
         weighed = weigh(data, (size * prior.cap) ** 2 @ prior.spectra)
