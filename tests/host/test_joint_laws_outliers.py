@@ -88,6 +88,7 @@ def test_the_reason_for_a_kept_row_is_that_of_the_fit(laws, why):
     rows = [{"weight": weight, "source": "a.csv row 9", "distance": 6.0} for weight in (0.0, 1.0)]
     document = {
         "suspect": rows,
+        "loss": "linear",
         "n_observations": 200,
         "with_outliers": None,
         "without_bad_rows": None,

@@ -210,6 +210,7 @@ REFUSED = {
     "out of reach": (f"W = {six(POSES[1] + np.eye(4, k=3) * 5.0)}", "movej(W)", "movel(W)", {3: "solution", 4: "solution"}),
     "no robot": ("movel(p[1000000,0,0,0,0,0])", {2: "range"}),
     "force": ("force_mode(p[0,0,0,0,0,0],[0,0,1,0,0,0],[0,0,1,0,0,0],2,[1,1,1,1,1,1])", {2: "aimless"}),
+    "lists for poses": ("movel(pose_add([0.3,-0.2,0.3,2.2,2.1,0.1], p[0,0,0.01,0,0,0]))", f"movel(pose_trans({six(POSES[1])}, [0,0,0.01,0,0,0]))", "set_tcp([0,0,0.1,0,0,0])", f"movel({six(POSES[1])})", f"set_tcp(p{written(TOOLS[0])})", {2: "type", 3: "type", 5: "type"}),
     "passed on": (f"W = {six(POSES[1])}", "elsewhere(W)", "movel(pose_trans(W, p[0,0,0,random(),0,0]))", {4: "run-time"}),
     "recursion": ("def f():", f"  movel({six(POSES[1])})", f"  set_tcp(p{written(TOOLS[1])})", "  f()", "end", f"set_tcp(p{written(TOOLS[0])})", "f()", {3: "several-tools", 10: "several-tools"}),
     "a hundred tools": (*100 * ("if random() > 0.5:", f"  set_tcp(p{written(TOOLS[1])})", "end"), f"movej({six(POSES[1])})", {302: "several-tools", 304: "several-tools"}),
@@ -554,6 +555,8 @@ BLIND_SCRIPTS = {
     "tool of a parameter": "def f(t):\nset_tcp(t)\nmovel(a) #R\nend\nf(T1)",
     "number by number": "d=p[a[0],a[1],a[2],a[3],a[4],a[5]]\nmovel(d) #R\nmovel(a)",
     "global of a function": "def f():\nglobal a=b\nend\nf()\nmovel(a)\nmovel(b)",
+    "tool made of one step twice": "s=p[0,0,0.01,0,0,0]\nset_tcp(pose_trans(s,s))\nmovel(a)",
+    "one step twice": "s=p[0,0,0.01,0,0,0.1]\nmovel(pose_trans(a,pose_trans(s,s)))",
     "offset of two names": "h=0.01\nk=h\nmovel(pose_trans(a,p[0,0,k*2,0,0,0]))",
     "offset that counts": "h=0\nwhile h<0.02:\nmovel(pose_add(a,p[0,0,h,0,0,0])) #R\nh=h+0.01\nend\nmovel(a)",
 }  # fmt: skip

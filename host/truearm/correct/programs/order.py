@@ -14,7 +14,7 @@ from truearm.correct.programs.program import Step
 
 MOST_ORIGINS = 4  # moves that may be the last one before a move; more count as unknown
 MOST_SETTINGS = 100  # of a tool or base that may be the last one before a move
-MOST_READINGS = 40  # of a text; loops and calls nested deeper leave all of it unknown
+MOST_READINGS = 40  # of a text, and one for each routine; loops nested deeper leave all of it unknown
 UNKNOWN: frozenset[None] = frozenset([None])
 LOOPS = (Step.LOOP, Step.REPEAT)
 T = TypeVar("T")
@@ -72,7 +72,7 @@ def preceding(
             crowded.add(key)
         return UNKNOWN if key in crowded else joined
 
-    for _ in range(MOST_READINGS):
+    for _ in range(MOST_READINGS + steps.count(Step.ROUTINE)):
         previous, blocks = [*last], list[_Block[T]]()
         state: frozenset[T | None] = UNKNOWN
         for index, step in enumerate(steps):

@@ -45,8 +45,8 @@ def check_reach(literal: Literal) -> None:
 
 
 def poses_of(literals: Sequence[Literal]) -> Floats:
-    """Return the poses (n, 4, 4) [m] of literals that are poses."""
-    poses = np.tile(np.eye(4), (len(literals), 1, 1))
+    """Return the poses (n, 4, 4) [m] of literals; NaN for joint readings."""
+    poses = np.full((len(literals), 4, 4), np.nan)
     for form in {literal.form for literal in literals if not literal.form.is_joints}:
         rows = [row for row, literal in enumerate(literals) if literal.form is form]
         poses[rows] = _poses(form, np.array([literals[row].numbers[: form.size] for row in rows]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -43,9 +43,10 @@ class Value(NamedTuple):
         """Whether it is joint readings."""
         return self.target.literal.form.is_joints
 
-    @property
     def pose(self) -> Floats:
-        """The pose (4, 4) that it is."""
+        """Return the pose (4, 4) that it is. Raises Uncertain for a list without p, which no controller takes for one."""
+        if self.is_joints:
+            raise Uncertain("type", type="pose")
         return np.asarray(self.target.left @ poses_of([self.target.literal])[0] @ self.target.right)
 
 
@@ -132,14 +133,13 @@ class _Reader:
             step, turn = IDENTITY.copy(), IDENTITY.copy()
             offset = self.pose(call.argument(1, "p_2"), call.scope)
             step[:3, 3], turn[:3, :3] = offset[:3, 3], offset[:3, :3]
+            if any(value.is_joints for value in first):
+                raise Uncertain("type", type="pose")
             return [Value(value.target.moved(step, turn)) for value in first]
         second = self.values(call.argument(1, "p_from_to"), call.scope)
         if len(first) * len(second) > MOST_TARGETS:
             raise Uncertain("many", most=MOST_TARGETS)
-        pairs = [(a.target, b.target, a.pose, b.pose) for a in first for b in second]
-        if any(a.literal is b.literal for a, b, *_ in pairs):
-            raise Uncertain("not-written")
-        return [Value(b.moved(left=p_a) if b.literal.spans else a.moved(right=p_b)) for a, b, p_a, p_b in pairs]
+        return [_joined(a, b) for a in first for b in second]
 
     def solved(self, call: Call) -> list[Value]:
         """Return the values of get_inverse_kin(x, qnear=…, tcp=…)."""
@@ -160,12 +160,14 @@ class _Reader:
     def pose(self, tokens: Tokens, scope: Scope) -> Floats:
         """Return the only pose (4, 4) of an expression. Raises Uncertain."""
         values = self.values(tokens, scope)
-        return only([value.pose for value in values], Uncertain("several", name="it"))
+        return only([value.pose() for value in values], Uncertain("several", name="it"))
 
     def tool(self, call: Call) -> Floats:
         """Return the tool (4, 4) in force at a call. Raises Uncertain."""
         setters = self.setters.get(call) or UNKNOWN
-        return self.script.once(setters, lambda: only(list(map(self.set_tool, setters)), Uncertain("several-tools")))
+        return self.script.once(
+            setters, lambda: only([self.set_tool(setter) for setter in _in_order(setters)], Uncertain("several-tools"))
+        )
 
     def set_tool(self, setter: Entry | None) -> Floats:
         """Return the tool that a set_tcp sets, or that of the beginning."""
@@ -197,6 +199,21 @@ class _Reader:
                 span = span if len(values) == 1 else None
                 goals.append(Goal(value.target, tool, argument=span, near=value.near))
         return goals
+
+
+def _in_order(entries: Origins) -> list[Entry | None]:
+    """Return entries by their places, so that the first reason is always the same one."""
+    return sorted(entries, key=lambda entry: entry.place if isinstance(entry, Call) else Place(-1, 0))
+
+
+def _joined(first: Value, second: Value) -> Value:
+    """Return the product of two poses. The last literal receives the correction, unless both are one literal."""
+    pose, further_pose = first.pose(), second.pose()
+    if first.target.literal is second.target.literal:
+        first = Value(replace(first.target, literal=replace(first.target.literal, spans=())))
+    elif second.target.literal.spans:
+        return Value(second.target.moved(left=pose))
+    return Value(first.target.moved(right=further_pose))
 
 
 def is_list(tokens: Tokens) -> bool:
