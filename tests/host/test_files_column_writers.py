@@ -2,6 +2,7 @@
 
 import csv
 import io
+import tracemalloc
 
 import numpy as np
 from hypothesis import example, given, settings
@@ -45,3 +46,20 @@ def test_bit_for_bit(tmp_path_factory, x, n, text):
 def test_one_column_of_one_row(tmp_path):
     assert written(tmp_path / "t.csv", {"x": np.array([-0.0])}) == [("-0",)]
     assert (tmp_path / "t.csv").read_bytes() == b'"x"\n-0\n'
+
+
+def test_npz_holds_one_batch_at_a_time(tmp_path):
+    n, batches = 50_000, 10
+    names = np.array(["bar", "gauge ä", ""])[np.arange(n) % 3]
+    columns = {"x": np.arange(n) / 7.0, "name": names, "none": np.full(n, "", dtype=np.str_)}
+    table = ArrowTable(tmp_path / "t.npz", columns)
+    for _ in range(batches):
+        table.write(columns)
+    tracemalloc.start()
+    table.close()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2 * names.nbytes + 8 * 65_536 * 4  # of 14 MB of names, 4 MB of numbers
+    with np.load(tmp_path / "t.npz") as read:
+        for title, column in columns.items():
+            np.testing.assert_array_equal(read[title], np.tile(column, batches))

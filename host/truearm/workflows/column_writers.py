@@ -1,12 +1,12 @@
 """Write tables of columns to disk in batches: CSV, NumPy's .npz, Parquet. Numbers are stored bit for bit.
 
-All are written as Parquet first, and converted when the table ends. Memory holds one batch, or one column.
+All are written as Parquet first, and converted when the table ends. Memory holds one batch.
 """
 
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +51,12 @@ class ArrowTable:
 def _arrow(columns: Columns) -> Any:
     import pyarrow
 
-    arrays = (
-        column.tolist() if column.dtype.kind == "U" else np.ascontiguousarray(column) for column in columns.values()
-    )
-    return pyarrow.table(dict(zip(columns, map(pyarrow.array, arrays), strict=True)))
+    def array(column: NDArray[Any]) -> Any:
+        if column.dtype.kind == "U":
+            return pyarrow.array(column.tolist(), pyarrow.string())
+        return pyarrow.array(np.ascontiguousarray(column))
+
+    return pyarrow.table({title: array(column) for title, column in columns.items()})
 
 
 def _write_csv(source: Path, path: Path) -> None:
@@ -70,11 +72,22 @@ def _write_csv(source: Path, path: Path) -> None:
 
 
 def _write_npz(source: Path, path: Path) -> None:
-    from pyarrow import parquet
+    from pyarrow import compute, parquet, types
 
     with zipfile.ZipFile(path, "w") as archive, parquet.ParquetFile(source) as file:
-        for title in file.schema_arrow.names:
-            column = file.read([title])[title].to_numpy()
-            column = column.astype(np.str_) if column.dtype.kind == "O" else column
-            with archive.open(f"{title}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, column, allow_pickle=False)
+        for field in file.schema_arrow:
+            if types.is_string(field.type):
+                lengths = (compute.max(compute.utf8_length(piece)).as_py() or 0 for piece in _pieces(file, field.name))
+                dtype = np.dtype(f"U{max([1, *lengths])}")
+            else:
+                dtype = np.dtype(field.type.to_pandas_dtype())
+            header = {"descr": dtype.str, "fortran_order": False, "shape": (file.metadata.num_rows,)}
+            with archive.open(f"{field.name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array_header_1_0(member, header)
+                for piece in _pieces(file, field.name):
+                    member.write(piece.to_numpy(zero_copy_only=False).astype(dtype).tobytes())
+
+
+def _pieces(file: Any, title: str) -> Iterator[Any]:
+    """Yield a column of a Parquet file batch by batch."""
+    return (batch.column(0) for batch in file.iter_batches(columns=[title]))
