@@ -551,6 +551,7 @@ class Estimate(Displayed):
     faults: tuple[Diagnosis, ...] = ()  # beyond chance (checks)
     claim: ToolClaim | None = None  # of the tool's error, with ``covariance`` to match; None: not examined
     prior_sigma: Floats = field(default_factory=lambda: np.zeros(0))  # (p,) about ``nominal``; inf for none
+    law_prior: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # (l, l) a root of the laws' prior precision
     applied: tuple[str, ...] = ()  # causes that were added to ``value``; the residuals are those before
     unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by unit, if χ² is above its range
     # (n,) where a row was not fitted: held out or, if no row is, in a fit without its pose; NaN for others

@@ -90,7 +90,9 @@ def examined(
         problem = only(problem, estimate.weight[fitted] > 0.0)
     measured = measured_order(table, chain, fitted)
     weight = row_weights(estimate)[fitted]
-    fit = whitened_fit(problem, estimate.value, estimate.free, measured, weight, estimate.law_parameters)
+    fit = whitened_fit(
+        problem, estimate.value, estimate.free, measured, weight, estimate.law_parameters, estimate.law_prior
+    )
     gram = tool_gram(chain, rig, table.select(~estimate.left_out), estimate, any_base)
     return of_fit(fit, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)], table, estimate.free)
 

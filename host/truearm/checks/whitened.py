@@ -136,12 +136,13 @@ def whitened_fit(
     measured: Measured,
     weight: Floats,
     laws: range = range(0),
+    law_prior: Floats | None = None,
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
     ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight`` (n,).
     The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without it they
-    would explain anything.
+    would explain anything. ``law_prior`` (l, l) is a root of its precision.
     """
     rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
     examined = rows_used[:: -(-rows_used.size // MOST_ROWS)]
@@ -177,13 +178,14 @@ def whitened_fit(
     wide, vague = (np.array([getattr(UNITS[u], size) for u in problem.units]) for size in ("wide_sigma", "vague_sigma"))
     mounted = np.pad(mounting(problem.chain, x[:p]).either, (0, wide.size - p))
     leeway, error = np.where(mounted, vague, wide), problem.start - x
-    rig_prior = np.concatenate(knowledge)
+    rig_prior, free = np.concatenate(knowledge), np.flatnonzero(columns).tolist()
 
     def with_prior(sigma: Floats, error: Floats) -> Floats:
-        sigma, error = sigma[columns], error[columns]
-        return np.concatenate([rig_prior, np.column_stack([np.diag(1.0 / sigma), error / sigma])])
+        rows = np.diag(1.0 / sigma)
+        if law_prior is not None:
+            rows[laws.start : laws.stop, laws.start : laws.stop] = law_prior.T
+        return np.concatenate([rig_prior, np.column_stack([rows, rows @ error])[columns][:, [*free, -1]]])
 
-    free = np.flatnonzero(columns).tolist()
     return WhitenedFit(
         row=np.searchsorted(examined, row[order]),
         component=component[order],

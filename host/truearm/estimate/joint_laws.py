@@ -60,6 +60,7 @@ from truearm.types import CurveKnots, Floats, Law, Mask, Rigs, thinned
 from truearm.units import UNITS
 
 MAX_ROUNDS = 6  # of fits with laws
+SMALLEST = 1e-2  # of the prior σ of a coefficient, that of its difference from the others if they are bound together
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
 ERRORS_EXPLAIN = (
     "faults, named above, explain the remaining residuals better than joint laws do; correct or apply them first"
@@ -280,10 +281,9 @@ class _Work:
         identifiable = np.insert(geometry.identifiable, [n_geometry] * added, True)
         sigma = np.where(identifiable & laws_problem.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
         prior_sigma = problem.prior_sigma.copy()
-        # One σ for all coefficients of a law, with which they are as far from 0 as in their prior.
-        counts = [law.size for law in laws_problem.laws]
-        square = np.add.reduceat(fitted.x[is_law] ** 2, np.cumsum([0, *counts[:-1]]))
-        prior_sigma[is_law] = np.repeat(np.sqrt(square / fitted.cost), counts)
+        sizes = laws_problem.sizes(learned.variances) @ laws_problem.prior.spectra
+        prior_root = laws_problem.basis * np.sqrt(sizes)
+        prior_sigma[is_law] = np.linalg.norm(prior_root, axis=1)
         weight, columns = geometry.weight[geometry.fitted], laws_problem.acting().columns
         acts = columns[laws_problem.columns]
         root = covariance_root(fitted.covariance[np.ix_(acts, acts)])
@@ -326,6 +326,7 @@ class _Work:
             faults=(),
             claim=None,
             prior_sigma=prior_sigma,
+            law_prior=_precision_root(prior_root),
             parts=rows.parts,
             suggested_free=np.append(geometry.suggested_free, np.zeros(added, dtype=bool)),
             with_outliers=geometry.with_outliers
@@ -333,6 +334,13 @@ class _Work:
                 value=np.insert(geometry.with_outliers.value, [n_geometry] * added, 0.0)
             ),
         )
+
+
+def _precision_root(root: Floats) -> Floats:
+    """Return W (l, l) with W Wᵀ the inverse of R Rᵀ, R being ``root`` (l, f); directions without variance get nearly none."""
+    covariance = root @ root.T
+    covariance += np.diag(SMALLEST**2 * np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)).T)
 
 
 def _outlying(rows: RowErrors, fitted: Mask) -> Mask:

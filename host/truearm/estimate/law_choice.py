@@ -131,7 +131,9 @@ def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequ
     sample, _ = problem.some()
     sizes = np.sqrt(sample.sizes(learned.variances) @ sample.prior.spectra)
     law_of_unknown = np.concatenate([np.full(sample.sigma.size, -1), sample.law_of_mode])
-    change = sample.by_modes(learned.x) * np.concatenate([np.ones(sample.sigma.size), sizes, [1.0]])
+    change = sample.by_modes(np.eye(sample.is_law.size + 1), learned.x) * np.concatenate(
+        [np.ones(sample.sigma.size), sizes, [1.0]]
+    )
     grams = []
     for number in np.unique(region):
         of_region = without_knowledge(only(sample.problem, region == number))

@@ -105,15 +105,18 @@ class LawProblem:
         """Return the ``independent`` poses' rows of the fitted unknowns at x (P,)."""
         return independent(pose_rows(self.problem, x, self.columns, self.pose))
 
-    def by_modes(self, x: Floats) -> Floats:
-        """Return T (k + 1, g + f + 1): rows [J|residual at x] times T are those by g and f, about the reference."""
-        g, f = self.sigma.size, self.basis.shape[1]
-        change = np.zeros((self.is_law.size + 1, g + f + 1))
-        change[np.flatnonzero(~self.is_law), np.arange(g)] = self.sigma
-        change[np.ix_(np.append(self.is_law, False), np.arange(g, g + f))] = self.basis
-        change[:-1, -1] = (x - self.reference)[self.columns]
-        change[-1, -1] = 1.0
-        return change
+    def by_modes(self, matrix: Floats, x: Floats) -> Floats:
+        """Return ``matrix`` (n, k + 1) times T (k + 1, g + f + 1): rows [J|residual at x] times T are by g and f, about the reference.
+
+        The basis has a block for each law; one product with all of it costs several times as much.
+        """
+        by_laws, laws = matrix[:, :-1][:, self.is_law], []
+        for number in range(len(self.laws)):
+            modes = self.law_of_mode == number
+            rows = self.basis[:, modes].any(axis=1)
+            laws.append(by_laws[:, rows] @ self.basis[np.ix_(rows, modes)])
+        residual = matrix[:, :-1] @ (x - self.reference)[self.columns] + matrix[:, -1]
+        return np.column_stack([matrix[:, :-1][:, ~self.is_law] * self.sigma, *laws, residual])
 
     def sizes(self, variances: Mapping[Law, Floats]) -> Floats:
         """Return the variances (v,) of all laws."""
@@ -161,14 +164,13 @@ class Learned(NamedTuple):
 class Posterior(NamedTuple):
     """The unknowns at given variances and noise: x (P,), the covariance (k, k) and the log evidence.
 
-    ``freedom`` are the degrees of freedom of the laws, tr(A C), and ``cost`` (laws,) is Σ f²/s of each.
+    ``freedom`` are the degrees of freedom of the laws, tr(A C).
     """
 
     x: Floats
     covariance: Floats
     evidence: float
     freedom: float
-    cost: Floats
 
 
 def learn(problem: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS, shared: bool = True) -> Learned:
@@ -229,9 +231,9 @@ class _Data(NamedTuple):
 
 def _data(problem: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: PoseNoise) -> _Data:
     """Return the information of rows that were linearised at x (P,)."""
-    change, g = problem.by_modes(x), problem.sigma.size
-    gram, logdet = pose_information(rows, len(change), noise)
-    gram = change.T @ gram @ change
+    g = problem.sigma.size
+    gram, logdet = pose_information(rows, problem.is_law.size + 1, noise)
+    gram = problem.by_modes(problem.by_modes(gram, x).T, x)
     geometry = gram[:g, :g]
     lower = np.linalg.cholesky(geometry + (1.0 + ROUNDING * np.trace(geometry)) * np.eye(g))
     half = solve_lower(lower, gram[:g, g:])
@@ -259,8 +261,7 @@ def _posterior(problem: LawProblem, x: Floats, data: _Data, variances: Floats) -
     out = x.copy()
     out[problem.columns] = problem.reference[problem.columns] + value[order]
     freedom = float(sizes @ (weighed.x**2).sum(axis=0))
-    cost = np.bincount(problem.law_of_mode, sizes * weighed.z**2, len(problem.laws)).astype(float)
-    return Posterior(out, covariance[np.ix_(order, order)], data.evidence + weighed.nats, freedom, cost)
+    return Posterior(out, covariance[np.ix_(order, order)], data.evidence + weighed.nats, freedom)
 
 
 def nearer_geometry(problem: LawProblem, anywhere: Problem, fit: Posterior, misfit: float) -> Posterior:
