@@ -255,6 +255,7 @@ OPTIONS = {
     "export result.json --format ur --out new.yaml": "Universal Robots",
     f"{EXPORT} --out result.json": "given-twice",
     f"{CORRECT} --home 1,2": "must be 6 finite numbers",
+    f"{CORRECT} --home=0,-90,5,-90,0,90,0": "must be 6 finite numbers",
     f"{CORRECT} --home 1,2,3,4,5,nan": "needs finite numbers",
     f"{CORRECT} --work 1,2,3": "needs 6 numbers",
     f"{CORRECT} --tool 0,0,0,0,0,9999": "rotation vector in deg",

@@ -119,6 +119,12 @@ def test_without_a_plan_the_events_say_which_line(lines, clean):
     assert (result.passes, len(result.table)) == ((), 0)
 
 
+def test_a_recording_that_ends_before_the_first_motion(clean):
+    """Or whose robot was never connected."""
+    result = synced([m for m in clean.messages if not m.topic.startswith("/robot/")])
+    assert (result.passes, len(result.table)) == ((), 0)
+
+
 def test_a_line_that_the_rig_has_not(clean):
     with pytest.raises(RigError, match="names line 'l1', which"):
         synced(clean.messages, replace(RIG, lines={"other": Device("other", tuple(map(tuple, 1e-8 * np.eye(3))))}))

@@ -108,6 +108,17 @@ def test_a_single_frame_behind_the_count_changes_nothing(seq):
     assert [block.gap for block in read(messages)[0]].count(True) == 1
 
 
+@pytest.mark.parametrize("number", [2**63, 2**70, -(2**70), -1, 2**1500])
+def test_numbers_that_no_box_can_send_are_malformed(number):
+    """As a type, and as an element that has no range of its own."""
+    box = long_box(4 * SECOND)
+    beat = next(m for m in box.messages if m.topic == "/box/heartbeat")
+    _, _, boot, *rest = cbor2.loads(beat.data)
+    odd = ([number, box.seq, boot, *rest], [wire.HEARTBEAT, box.seq + 1, boot, *(number for _ in rest)])
+    messages = [*box.messages, *(beat._replace(data=cbor2.dumps(frame)) for frame in odd)]
+    assert account(messages)["frames_malformed"] == 2
+
+
 @pytest.mark.parametrize("n", [1, SECOND, 5 * SECOND])
 def test_a_piece_that_stands_twice_in_a_file_is_malformed(n):
     messages = long_box(40 * SECOND).messages

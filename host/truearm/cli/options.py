@@ -192,7 +192,9 @@ def joints_of(shown: tuple[float, ...] | None, arm: Chain) -> tuple[float, ...] 
     from truearm.model.mimic import units_of
 
     units = units_of(len(shown or ()), arm.joint_units, arm.mimics)
-    return shown and tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=False))
+    if shown is None or len(shown) != len(units):
+        return shown
+    return tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=True))
 
 
 # Parsers of an option's text: they raise ValueError for a text in another form.

@@ -33,7 +33,6 @@ from truearm.types import Floats, rms
 from truearm.units import MM
 
 SAMPLES = 100  # of each of the two joints
-SPACING = 0.1  # m: farther from all samples, the arm does not reach
 MOST_CELLS = 250_000
 BLOCK = 2000  # cells whose derivatives are held at once
 NEWTON_STEPS = 6  # from the nearest sample they square the error, 25 mm, down to rounding
@@ -124,8 +123,8 @@ def error_map(
     middles = np.stack(np.meshgrid(u, v), axis=-1)
     q_grid = np.full((v.size, u.size, q.size), np.nan)
     q_grid[index[:, 1], index[:, 0]] = samples
-    distance, nearest = KDTree(flat).query(middles)
-    rows, columns = np.nonzero((distance < max(cell, SPACING)) | ~np.isnan(q_grid[..., 0]))
+    nearest = KDTree(flat).query(middles)[1]
+    rows, columns = (axis.ravel() for axis in np.indices((v.size, u.size)))
     point, error, sigma = (np.full((v.size, u.size, *shape), np.nan) for shape in ((3,), (), ()))
     for first in range(0, rows.size, BLOCK):
         block = rows[first : first + BLOCK], columns[first : first + BLOCK]

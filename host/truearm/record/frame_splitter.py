@@ -1,7 +1,7 @@
 """Split bytes that arrive in arbitrary pieces into frames and everything else (SPEC §1). Nothing that arrives is lost.
 
 The stream is split at the delimiters. A run between two delimiters is a frame if it decodes as COBS, its CRC matches
-and it is an array of a type, a frame count and more, as a reader of sessions demands (``session/frames.py``). Any other
+and it is an array that begins with a type and a frame count, as a reader of sessions demands (``session/frames.py``). Any other
 run is console text, such as a traceback or a damaged frame. A frame of a type that only the host sends is also treated
 as console text: a prompt or a terminal echoes its input.
 Shared or repeated delimiters need no special handling, because empty runs are dropped.
@@ -20,7 +20,6 @@ from truearm.session.frames import decode, is_echo
 
 MAX_RUN = 4096  # bytes; a longer run is not a frame and is returned in pieces of this size
 _ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stuffing
-_TYPES = range(256)
 _SEQ_END, _SEQ_HALF = 2**32, 2**31
 
 
@@ -116,6 +115,6 @@ def frame_of(run: bytes) -> tuple[list[Any] | None, bytes]:
             return None, run
         payload = raw[:-4]
         frame = decode(payload) if crc32(payload) == int.from_bytes(raw[-4:], "little") else None
-        if frame is not None and frame[0] in _TYPES and not is_echo(frame):
+        if frame is not None and not is_echo(frame):
             return frame, payload
     return None, run

@@ -133,7 +133,8 @@ def _robot(document: Document) -> Iterator[Finding]:
     if not robot["readings"]:
         return
     is_bad = any(robot[name] for name in ("lost", "gaps", "malformed", "restarts"))
-    yield stated("joint-readings-lost" if is_bad else "joint-readings", robot)
+    counts = {name: robot[name] for name in ("rate_hz", "lost", "gaps", "malformed", "restarts")}
+    yield stated("joint-readings-lost" if is_bad else "joint-readings", robot, **counts)
     for report in () if document["metadata"]["joints-added"] else robot["clock"]:
         if report["edges"] is not None:
             yield _edges(report["edges"])
@@ -142,7 +143,9 @@ def _robot(document: Document) -> Iterator[Finding]:
 
 def _edges(edges: Document) -> Finding:
     if not edges["used"]:
-        return stated("trigger-unseen", edges)
+        return stated(
+            "trigger-unseen", edges, **{name: value for name, value in edges.items() if not name.endswith("_ns")}
+        )
     least, most = map(_us, edges["falling_later_ns"])
     return stated("trigger", _in_us(edges), least=least, most=most, arrivals=not edges["in_use"])
 
@@ -206,7 +209,7 @@ def _notes(document: Document) -> Iterator[Finding]:
 
 def _in_us(entry: Document) -> dict[str, Any]:
     """Return an entry with its times in µs instead of ns."""
-    times = {name for name, time in entry.items() if name.endswith("_ns") and isinstance(time, float | int)}
+    times = [name for name, time in entry.items() if name.endswith("_ns") and isinstance(time, float | int)]
     converted = {f"{name[:-2]}us": US.of(NS.to_si(entry[name])) for name in times}
     return converted | {name: value for name, value in entry.items() if name not in times}
 

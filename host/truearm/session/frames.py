@@ -62,7 +62,7 @@ def decode(payload: bytes) -> list[Any] | None:
         return None
     if type(frame) is not list or len(frame) < 2 or type(frame[0]) is not int or type(frame[1]) is not int:
         return None
-    return frame if 0 <= frame[1] < 2**32 else None
+    return frame if 0 <= frame[0] < 256 and 0 <= frame[1] < 2**32 else None
 
 
 # The key "boot_id" and its unsigned integer in an ident, of which the first page has only a part.
@@ -75,11 +75,12 @@ _RANGES = {
     **dict.fromkeys(("stream", "n0", "flags"), range(MAX_N0)),
     **{"boot_id": range(2**32), "period_ns": range(1, 2**32)},
 }
-# By type of a frame: the types of its elements, and the index and range of those that have one.
+_INT64 = range(-(2**63), 2**63)  # of all other integers
+# By type of a frame: the types of its elements, and the index and range of the integers.
 _ELEMENTS = {
     kind: (
         [_TYPES.get(name, int) for name in wire.names(kind)],
-        [(k, _RANGES[name]) for k, name in enumerate(wire.names(kind), start=1) if name in _RANGES],
+        [(k, _RANGES.get(name, _INT64)) for k, name in enumerate(wire.names(kind), start=1) if name not in _TYPES],
     )
     for kind in wire.LAYOUT
 }
@@ -136,7 +137,7 @@ def conforms(frame: list[Any]) -> bool:
     if len(frame) <= wire.needed(kind) or list(map(type, frame[1 : len(types) + 1])) != types[: len(frame) - 1]:
         return False
     is_samples = kind != wire.DATA or (frame[6].tag == TAG_INT32 and type(frame[6].value) is bytes)
-    return is_samples and all(frame[k] in allowed for k, allowed in ranges)
+    return is_samples and all(frame[k] in allowed for k, allowed in ranges if k < len(frame))
 
 
 def fields_of(kind: int, payload: bytes) -> dict[str, Any] | None:

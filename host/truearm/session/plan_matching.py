@@ -266,7 +266,7 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig) -> list[LinePass]:
     """
     confirmed = [_mounted(marks, leg) for leg in legs]
     plan = marks.lines()
-    if plan is None:
+    if plan is None or not legs:
         passes = [LinePass(leg, words) for leg, words in zip(legs, confirmed, strict=True) if "line" in words]
     else:
         passes = _matched(legs, plan, confirmed)
