@@ -131,6 +131,9 @@ def test_a_value_that_may_be_missing_is_removed():
     ]
     assert firmware.check(new) is new
     assert with_assignment(new, "channel.lvdt.over=") == new
+    assert "calibration" in config["channels"][0]
+    for nothing in ("", "{}"):
+        assert "calibration" not in with_assignment(config, f"channel.lvdt.calibration={nothing}")["channels"][0]
     assert with_assignment(config, "magnetostrictive.serial=")["magnetostrictive"]["serial"] == ""
     with pytest.raises(ConfigError, match="osr"):
         with_assignment(config, "osr=")

@@ -6,6 +6,7 @@ own client library (UniversalRobots/Universal_Robots_Client_Library, tests/test_
 """
 
 import json
+import math
 import socket
 import struct
 import threading
@@ -283,6 +284,8 @@ class TestClient:
     def test_an_impossible_time_is_no_reading(self, t):
         lines = readings(WHOLE, data(1.0) + data(t) + data(1.002), 3)
         assert [parse_line(line) is not None for line in lines] == [True, False, True]
+        if not math.isfinite(t):  # which a line cannot hold
+            assert bytes.fromhex(json.loads(lines[1])["hex"]) == data(t)[3:]
 
     def test_the_stamp_is_that_of_the_last_byte(self):
         clock = HostClock()

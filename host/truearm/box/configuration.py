@@ -172,7 +172,7 @@ def _places(config: Values, channels: Sequence[Mapping[str, Any]], name: str) ->
 def with_assignment(config: Values, text: str) -> Values:
     """Return ``config`` with one KEY=VALUE changed, such as ``channel.lvdt.gain=2``. Raises ConfigError.
 
-    Without a value, a key that the box does not need is removed: ``channel.lvdt.over=``.
+    Without a value, a key that the box does not need is removed: ``channel.lvdt.over=``, ``channel.lvdt.calibration=``.
     Combinations of values are not checked here; call ``check`` after all changes.
     """
     path, equals, value = map(str.strip, text.partition("="))
@@ -183,12 +183,15 @@ def with_assignment(config: Values, text: str) -> Values:
     for parent, child in ((changed, "thermometers"), *((channel, "calibration") for channel in changed["channels"])):
         parent.setdefault(child, {})  # removed again if it stays empty
     by_number, by_name = tables_of(changed, range(len(names))), tables_of(changed, names)
-    tables = {path: (values, table) for path, values, table in chain(by_number, by_name)}
+    tables = {path: (values, table) for path, values, table in chain(by_number, reversed([*by_name]))}
     if prefix not in tables:
         listed = ", ".join(path for path, *_ in tables_of(config, names) if path)
         raise ConfigError(f"{prefix[:60]!r} is not a table of the configuration; its tables are {listed}")
     values, table = tables[prefix]
     keys = {key.name: key for key in config_keys(table)}
+    if name not in keys and name in REMOVABLE & values.keys() and value in ("", "{}"):
+        del values[name]
+        return merged(changed, {}, {})
     if name not in keys:
         nested = [] if prefix else [f"{title}.…" for title in (*SUBTABLES, "channel.NAME", "channel.NAME.calibration")]
         raise ConfigError(f"unknown key {path[:60]!r}; {hint(name, [*keys, *nested])}")

@@ -28,6 +28,7 @@ from truearm_wire.messages import EVENT, HEARTBEAT, START, SYNC_REPLY, TEMPERATU
 
 WINDOW_S = 1.0  # averaging time of displayed values
 PROBE_S = 0.25
+MOST_PROBES = 16  # unanswered for four seconds
 LEAST_EXCHANGES, MOST_EXCHANGES = 3, round(60.0 / PROBE_S)
 RATE_KNOWN_PPM = 100.0  # a bound of the rate's error above it is worse than assuming equal clocks: crystals stay within
 LOSSES = {  # counters of a heartbeat
@@ -72,7 +73,9 @@ class Watch:
     exchanges: deque[tuple[int, int, int, int]] = field(  # t0, t1, t2, t3
         default_factory=lambda: deque(maxlen=MOST_EXCHANGES)
     )
-    probe: tuple[int, int] = -1, 0  # id and t0 of the last clock request
+    probes: deque[tuple[int, int]] = field(  # id and t0 of the last clock requests, which a slow link answers late
+        default_factory=lambda: deque(maxlen=MOST_PROBES)
+    )
     edges: int = 0
     restarts: int = 0
 
@@ -89,8 +92,8 @@ class Watch:
             self.thermometers[fields["thermometer"]] = MDEGC.to_si(fields["temperature_mdegc"])
         elif sent.kind == EVENT:
             self.edges += 1
-        elif sent.kind == SYNC_REPLY and fields["id"] == self.probe[0]:
-            self.exchanges.append((self.probe[1], fields["t1_us"], fields["t2_us"], sent.t_host_ns))
+        elif sent.kind == SYNC_REPLY and (t0 := dict(self.probes).get(fields["id"])) is not None:
+            self.exchanges.append((t0, fields["t1_us"], fields["t2_us"], sent.t_host_ns))
 
 
 def monitor_box(
@@ -117,7 +120,7 @@ def monitor_box(
                 time_s = time.monotonic()
                 if time_s >= probe_s:
                     probe_s = time_s + PROBE_S
-                    watch.probe = box.probe()
+                    watch.probes.append(box.probe())
                 if time_s >= show_s:
                     show_s = time_s + interval_s
                     show([*rows_of(watch, time_s - begun_s, box)])

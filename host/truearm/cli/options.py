@@ -203,7 +203,7 @@ def joints_of(shown: tuple[float, ...] | None, arm: Chain) -> tuple[float, ...] 
 def numbers_of(text: str) -> tuple[float, ...]:
     """Return finite numbers that commas separate."""
     values = tuple(map(float, text.split(",")))
-    if not all(map(math.isfinite, values)):
+    if not all(map(math.isfinite, values)) or "_" in text or not text.isascii():
         raise ValueError(text)
     return values
 
@@ -261,16 +261,18 @@ def span_of(text: str) -> tuple[float, ...]:
 
 def size_of(text: str) -> tuple[float, float]:
     """Return a width and a height [m] from a text in mm."""
-    width, height = numbers_of(text.replace("x", ","))
-    if not 0.0 < min(width, height) <= max(width, height) <= LARGEST_MM:
+    width, height = (numbers_of(side)[0] for side in text.split("x"))
+    if "," in text or not 0.0 < min(width, height) <= max(width, height) <= LARGEST_MM:
         raise ValueError(text)
     return MM.to_si(width), MM.to_si(height)
 
 
 def joint_pair(text: str) -> tuple[int, int]:
     """Return the numbers of two joints."""
-    first, second = map(int, text.split(","))
-    return first, second
+    first, second = numbers_of(text)
+    if not (first.is_integer() and second.is_integer()):
+        raise ValueError(text)
+    return int(first), int(second)
 
 
 def renames_of(text: str) -> tuple[tuple[str, str], ...]:

@@ -26,7 +26,7 @@ COMBINATIONS = {  # the field of a result, what its combinations are, and what t
     ),
     "hardly_seen": (
         "weakly identifiable",
-        f"The observations alone determine them less accurately than a manufacturer's drawing ({', '.join(tolerances('weak'))}; a delay of the joint readings: {MS.text(UNITS['s'].weak_sigma)}).",
+        f"The observations alone determine them less accurately than a manufacturer's drawing ({', '.join(tolerances('weak'))}; where a delay of the joint readings is free, {MS.text(UNITS['s'].weak_sigma)}).",
     ),
 }
 

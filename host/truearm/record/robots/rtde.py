@@ -16,6 +16,7 @@ recorder keeps them in ``/robot/console``. A package with all fields takes about
 from __future__ import annotations
 
 import json
+import math
 from contextlib import suppress
 from urllib.parse import parse_qsl, urlsplit
 
@@ -161,7 +162,9 @@ class RtdeLink(LinkOnTop):
 
     def _line(self, kind: int, payload: bytes) -> bytes:
         values = self._recipe.values(payload) if kind == rtde.DATA and self._recipe is not None else None
-        if values is not None:
+        if values is not None and all(
+            map(math.isfinite, (values["timestamp"], *values["actual_q"]))
+        ):  # JSON has no others
             return self._reading(**values) + b"\n"
         row: dict[str, object] = {"rtde": kind, "hex": payload.hex()}
         if kind == rtde.TEXT and (text := rtde.text_message(payload)):
