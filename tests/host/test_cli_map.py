@@ -205,6 +205,18 @@ def test_a_map_has_no_holes_and_its_cells_are_at_their_middles(cell):
     assert ((found.q[full] >= lower) & (found.q[full] <= upper)).all()
 
 
+def test_a_section_over_a_whole_turn_has_no_holes():
+    """Joint 2 of a UR turns once, and both its ends are one posture: a solution may lie beyond the nearer one."""
+    chain = builtin_robot("ur10e").chain
+    nominal, q = chain.params_nominal, np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+    p = nominal.size
+    found = error_map(ModelPair(chain, nominal, nominal), q, (1, 2), 0.025, np.zeros((p, p)), np.zeros((p, 0)))
+    full = ~np.isnan(found.error)
+    inner = full[:-2, 1:-1] & full[2:, 1:-1] & full[1:-1, :-2] & full[1:-1, 2:]
+    assert inner.sum() > 5000
+    assert full[1:-1, 1:-1][inner].all()
+
+
 def test_a_page_of_many_cells_stays_small(result, tmp_path, run):
     table, page = tmp_path / "map.csv", tmp_path / "map.html"
     assert run("map", result, "--cell-mm", 12, "--out", table, "--report", page).code == 0

@@ -188,7 +188,7 @@ def test_the_wheel_flashes_a_box_without_a_checkout(environment, folder):
         assert f"box/image/{image.name}: for the RP2040" in first
         assert Path(first.partition(":")[0]).read_bytes() == image.read_bytes()
     else:
-        assert f"is not part of this installation{image.name}; give the image to flash" in done.stderr
+        assert f"{image.name} is not part of this installation; give the image to flash" in done.stderr
 
 
 def test_links_of_the_readme_are_absolute_where_the_repository_has_an_address(tmp_path, monkeypatch):

@@ -89,12 +89,19 @@ def examined(
     if estimate.weight.size:
         problem = only(problem, estimate.weight[fitted] > 0.0)
     measured = measured_order(table, chain, fitted)
-    weight = row_weights(estimate)[fitted]
-    fit = whitened_fit(
-        problem, estimate.value, estimate.free, measured, weight, estimate.law_parameters, estimate.law_prior
-    )
     gram = tool_gram(chain, rig, table.select(~estimate.left_out), estimate, any_base)
-    return of_fit(fit, gram, estimate.covariance[np.ix_(estimate.free, estimate.free)], table, estimate.free)
+    covariance = estimate.covariance[np.ix_(estimate.free, estimate.free)]
+    laws = estimate.law_parameters, estimate.law_prior
+
+    def by_weights(weight: Floats) -> Examination | None:
+        fit = whitened_fit(problem, estimate.value, estimate.free, measured, weight[fitted], *laws)
+        return of_fit(fit, gram, covariance, table, estimate.free)
+
+    weight = row_weights(estimate)
+    examination = by_weights(np.ones(len(table)))
+    # Rows that a loss ignores may be those of one item that is wrong: all of them together show it.
+    is_explained = examination is not None and bool(examination.faults)
+    return examination if is_explained or bool((weight == 1.0).all()) else by_weights(weight)
 
 
 def row_weights(estimate: Estimate) -> Floats:

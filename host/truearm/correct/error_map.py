@@ -33,6 +33,7 @@ from truearm.types import Floats, rms
 from truearm.units import MM
 
 SAMPLES = 100  # of each of the two joints
+NEAREST = 4  # samples from which a cell is tried
 MOST_CELLS = 250_000
 BLOCK = 2000  # cells whose derivatives are held at once
 NEWTON_STEPS = 6  # from the nearest sample they square the error, 25 mm, down to rounding
@@ -123,12 +124,16 @@ def error_map(
     middles = np.stack(np.meshgrid(u, v), axis=-1)
     q_grid = np.full((v.size, u.size, q.size), np.nan)
     q_grid[index[:, 1], index[:, 0]] = samples
-    nearest = KDTree(flat).query(middles)[1]
+    nearest = KDTree(flat).query(middles, range(1, NEAREST + 1))[1]
     rows, columns = (axis.ravel() for axis in np.indices((v.size, u.size)))
     point, error, sigma = (np.full((v.size, u.size, *shape), np.nan) for shape in ((3,), (), ()))
     for first in range(0, rows.size, BLOCK):
         block = rows[first : first + BLOCK], columns[first : first + BLOCK]
-        moved = _reach(pair, samples[nearest[block]], middles[block], joints, axes, side, cell)
+        moved = np.full_like(q_grid[block], np.nan)
+        for k in range(NEAREST):  # the nearest may be a turn away, where the middle is beyond a limit
+            missed = np.isnan(moved[:, 0]) & (nearest[block][:, k] < len(samples))
+            start = samples[nearest[block][missed, k]]
+            moved[missed] = _reach(pair, start, middles[block][missed], joints, axes, side, cell)
         q_grid[block] = np.where(np.isnan(moved), q_grid[block], moved)
         is_reached = ~np.isnan(q_grid[block][:, 0])
         block = block[0][is_reached], block[1][is_reached]

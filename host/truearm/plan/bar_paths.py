@@ -154,6 +154,7 @@ def way_without_bar(site: Site, start: Floats, end: Floats, goal: str, seed: int
     """
     branch = site.arm.branch
     postures = np.random.default_rng([seed, 0xDE700]).uniform(branch.lower, branch.upper, (DETOURS, len(start)))
+    postures = postures[np.argsort(np.abs(postures - start).max(axis=1) + np.abs(postures - end).max(axis=1))]
     tree, other_tree = first, last = _Tree(start), _Tree(end)
     for posture in (end, *postures):
         added = tree.extend(site, posture)
@@ -170,6 +171,7 @@ def _straightened(site: Site, stops: Floats) -> Floats:
     while kept[-1] < len(stops) - 1:
         ahead = stops[kept[-1] + 1 :]
         is_free = moves_allowed(site, np.broadcast_to(stops[kept[-1]], ahead.shape), ahead, None)
+        is_free[0] = True  # as the tree found
         kept.append(len(stops) - 1 - int(np.argmax(is_free[::-1])))
     return stops[kept[1:-1]]
 
