@@ -1,19 +1,16 @@
 """Find dwells, the times when the robot stood still, from its joint readings.
 
 How much a reading varies at rest is estimated from the readings: the tenth percentile of each joint's range over
-windows of four bins (0.2 s), if the robot rests for a tenth of the time. Three times that is the threshold, 8 to 13
-standard deviations of a reading, but at least two steps of the quantisation and one microradian. Motion crosses it at once.
+windows of four bins (0.2 s). Three times that is the threshold, 8 to 13 standard deviations of a reading, but at least
+two steps of the quantisation and one microradian.
 
-Bins that share a window with a range below the threshold belong together; a chain of them is a stop. ``settled_from()``
-removes slow creep: a dwell begins where the bin means stay at the level of the stop's second half, within the scatter of
-bins in resting stops. The beginning of a stop is always discarded: the robot's clock may run late, and a window may
-extend into the motion.
+A chain of windows below the threshold is a stop. ``settled_from()`` removes slow creep: a dwell begins where the bin
+means stay at the level of the stop's second half. The beginning of a stop is always discarded: the robot's clock may
+run late, and a window may extend into the motion.
 
-**Manually noted joints**, read off a pendant, arrive every few seconds, so they cannot show when the robot stood still.
-The ball-bar can: the stops of its length are found in the same way as those of joints (``find_stops()``). A reading noted
-while the bar rested belongs to that rest. Two differing readings in one rest mean that the robot moved without the bar
-showing it. A reading at any other time belongs to no rest. A motion that keeps the bar's length constant to within a few
-noise standard deviations remains undetected.
+**Manually noted joints** arrive every few seconds, so they cannot show when the robot stood still. The ball-bar's
+length can, by ``find_stops()``. A reading noted while the bar rested belongs to that rest; two that differ in one rest
+mean that the robot moved unseen. A motion that keeps the length constant remains undetected.
 """
 
 from __future__ import annotations
