@@ -44,6 +44,7 @@ from truearm.types import Ints, Message
 MAX_CHUNK_BYTES = 64 << 20
 MAX_ATTACHMENT_BYTES = 16 << 20
 MAX_METADATA_BYTES = 1 << 20
+MAX_SUMMARY_BYTES = 16 << 20  # of a day; a length in it may claim gigabytes
 MAX_CHANNELS = 1000
 
 CRC = "crc32"  # a key of every metadata record of ours
@@ -535,9 +536,9 @@ class RecordWalk:
         """Read what a complete file repeats at its end: its channels, and times and number of the messages."""
         self._file.seek(self._size - len(MCAP0_MAGIC) - FOOTER_BYTES)
         self._file.seek(min(int.from_bytes(self._file.read(8), "little"), self._size))
-        channels = self.session.channels
+        channels, summary = self.session.channels, io.BytesIO(self._file.read(MAX_SUMMARY_BYTES))
         try:
-            for record in StreamReader(self._file, skip_magic=True, record_size_limit=MAX_METADATA_BYTES).records:
+            for record in StreamReader(summary, skip_magic=True, record_size_limit=MAX_METADATA_BYTES).records:
                 if isinstance(record, Channel) and len(channels) < MAX_CHANNELS:
                     channels[record.id] = record.topic
                 elif isinstance(record, Statistics):
