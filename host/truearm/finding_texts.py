@@ -626,6 +626,40 @@ VALIDATION: Mapping[str, Statement] = {
     ),
 }
 
+CERTIFIED = "{error:.3g}[, twice the RMS error of {rows:#row}|| (k = 2) at the tool in the measured region]"
+
+CERTIFICATE: Mapping[str, Statement] = {
+    # the decision
+    "certified": result(f"[{{tolerance:!}}PASS: ]{CERTIFIED}[, tolerance {{tolerance:g}}||; no tolerance was given]."),
+    "tolerance-exceeded": refusal(f"FAIL: {CERTIFIED}, tolerance {{tolerance:g}}."),
+    "not-decided": warning(
+        "NOT DECIDED: [{reused:!}the identification used these measurements||the observations do not determine the error of the tool].",
+        "[{reused:!}Validate with other measurements.]",
+    ),
+    "not-certified": refusal("NOT USABLE: {because}."),
+    # what the error does not include
+    "excludes-conditions": note(
+        "The error leaves out other poses, payloads and temperatures than those of the measurement, the arm in motion (its controller's path errors, vibration), and the mounting of base and tool in the cell. Steel expands by about {steel:g} µm per metre and kelvin, aluminium by {aluminium:g}."
+    ),
+    "excludes-repeatability": note(
+        "The error leaves out the arm's own repeatability, as far as the measured rows do not show it.",
+        "Measure it with truearm characterize.",
+    ),
+    "excludes-displacement": note(
+        "The error leaves out a common displacement of all poses: the observations do not determine where the base stands."
+    ),
+    "excludes-lengths": note(
+        "The error leaves out errors of the length of {bars}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre.",
+        "Give the sigma of each in the rig.",
+    ),
+    "excludes-other-poses": note(
+        "The error leaves out errors that only other poses would show: nothing was held out.", "Use truearm validate."
+    ),
+    "excludes-directions": note(
+        "The error leaves out directions in which nothing was measured: a length shows only the error along it."
+    ),
+}
+
 CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
     "mounting-held": warning(
         "The {what} ({names}) was held at its nominal value, because [{items:!}the positions of the {items} are unknown||such observations cannot determine it in any pose]. An error in it [{base:!}moves and turns all targets together, as one body||is the same offset in the end's frame at every pose].",
@@ -765,6 +799,7 @@ STATEMENTS: Mapping[str, Statement] = {
     **RECORDING,
     **REPEATABILITY,
     **VALIDATION,
+    **CERTIFICATE,
     **CALIBRATION,
     **MAP,
     **CORRECTION,

@@ -250,7 +250,6 @@ RECORDINGS = tuple(
 )
 CERTIFICATE = Certificate(
     "Certificate of calibration",
-    "PASS: 0.214 mm at the tool in the measured region (k = 2), tolerance 0.3 mm.",
     (
         (
             "What",
@@ -288,7 +287,12 @@ CERTIFICATE = Certificate(
             shortened(tuple((f"observations: monday{i}.mcap", f"SHA-256 {f'{i}' * 64}") for i in range(12))),
         ),
     ),
-    (*ALWAYS_EXCLUDED, *(f"Sentence {i} about what the errors do not include, with its reason." for i in range(3))),
+    (
+        Finding("certified", {"error": {"mm": 0.214}, "tolerance": {"mm": 0.3}, "rows": None}),
+        *ALWAYS_EXCLUDED,
+        Finding("excludes-lengths", {"bars": ["b46", "b61", "b92"]}),
+        *map(Finding, ("excludes-displacement", "excludes-other-poses", "excludes-directions")),
+    ),
 )
 
 

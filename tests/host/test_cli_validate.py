@@ -1,6 +1,5 @@
 """``truearm validate``: verdicts on robots that are unchanged, that changed, and that are different robots."""
 
-import html
 import json
 import re
 from dataclasses import replace
@@ -13,6 +12,7 @@ import pytest
 from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 from tests.host.findings_bench import listed
 
+from truearm.findings import findings_of
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
 from truearm.report.validation_findings import validation_findings
@@ -88,15 +88,17 @@ def test_a_page_has_a_certificate_of_the_validation(folder, run, tmp_path, monke
     (tmp_path / FILE).write_text(format_project(Project("puma560", customer="<Acme>")))
     monkeypatch.chdir(tmp_path)
     details = ["--number", "TV-9", "--report", page]
-    for tolerance, decision in ((0.9 * twice, "FAIL"), (1.1 * twice, "PASS")):
+    for tolerance, decision in ((0.9 * twice, "tolerance-exceeded"), (1.1 * twice, "certified")):
         given = ["validate", folder / "result.json", path, "--rig", folder / "rig.toml", *details]
-        code, said, _ = run(*given, "--tolerance-mm", f"{tolerance:.4f}", "--force")
+        code, said, _ = run(*given, "--tolerance-mm", f"{tolerance:.4f}", "--force", "--json")
         assert code == 0
-        assert found["verdict"] in " ".join(said.split())
+        verdict, decided, *others = findings_of(json.loads(said))
+        assert verdict.text() == found["verdict"]
+        assert (decided.code, decided.values["rows"]) == (decision, 180)
+        assert decided.values["error"]["mm"] == pytest.approx(twice)
+        assert {"excludes-directions", "excludes-conditions"} < {finding.code for finding in others}
         text = page.read_text("utf-8")
-        decided = html.unescape(re.search(r'<p class="decision">(.*?)</p>', text).group(1))
-        assert decided.startswith(f"{decision}: {twice:.3g} mm, ")
-        assert "180 rows" in decided
+        assert f'<p class="decision">{decided.text()}</p>' in text
     rows = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>(.*?)</tr>", text)]
     (whole,) = (row for row in rows if row[0] == "all, RMS")
     assert whole[1:3] == [f"{found[f'rms_{name}_mm']:.4f}" for name in ("before", "after")]

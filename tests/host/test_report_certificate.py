@@ -20,6 +20,7 @@ from session_stream import RIG, session, write_session
 import truearm
 from truearm.cli.main import main
 from truearm.estimate.prediction import nominal_error
+from truearm.findings import findings_of
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
 from truearm.report.certificate import facts_of, sensor_facts
@@ -138,6 +139,25 @@ def test_a_tolerance_is_compared_with_twice_the_error_of_the_tool(made, tmp_path
     below, above = said.values()
     assert below.startswith(f"FAIL: {size(worst / 1e3, 'm')} ")
     assert above.startswith(f"PASS: {size(worst / 1e3, 'm')} ")
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "code"), [(None, "certified"), ("50", "certified"), ("0.001", "tolerance-exceeded")]
+)
+def test_the_decision_and_what_it_leaves_out_are_findings(made, tmp_path, run, tolerance, code):
+    limit = ["--tolerance-mm", tolerance] if tolerance else []
+    outcome = run(*made, *limit, "--json")
+    answer = json.loads(outcome.out)
+    decision, *excluded = findings_of(answer)
+    assert (decision.code, decision.values["tolerance"]) == (code, tolerance and {"mm": float(tolerance)})
+    assert {finding.code for finding in excluded} == {
+        "excludes-lengths",
+        "excludes-conditions",
+        "excludes-repeatability",
+    }
+    page = words((tmp_path / "page.html").read_text("utf-8"))
+    assert all(finding.text() in page for finding in (decision, *excluded))
+    assert decision.text() == answer["decision"]
 
 
 def test_the_error_of_the_nominal_robot_is_that_of_the_arm_and_not_of_its_mounting(noisy):

@@ -176,7 +176,7 @@ def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, co
         section("The places", table(_place_table(calibration))),
     )
     subtitle = f"{counted(n_places, 'place')}, {time.date().isoformat()}"
-    first = certificate_section(Certificate("Calibration of a sensor", "", groups))
+    first = certificate_section(Certificate("Calibration of a sensor", groups))
     return html_page("truearm", f"Calibration of {name}", subtitle, blocks, certificate=first)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from truearm.findings import Finding, option
 from truearm.report.page import escape, fact_list, sentences
 from truearm.text import counted
 from truearm.units import DEGC
@@ -35,12 +36,11 @@ class Recording(NamedTuple):
 
 @dataclass(frozen=True)
 class Certificate:
-    """The content of page one: the decision in a sentence, groups of facts, and sentences on what the errors do not include."""
+    """The content of page one: groups of facts, and findings: the decision, then what the error does not include."""
 
     heading: str
-    decision: str
     groups: tuple[tuple[str, Facts], ...]
-    excluded: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def facts_of(recordings: Sequence[Recording]) -> Facts:
@@ -89,10 +89,11 @@ def recorded(recordings: Sequence[Recording]) -> str:
 def certificate_section(certificate: Certificate) -> str:
     """Return page one as HTML."""
     body = "".join(f"<h3>{escape(title)}</h3>{fact_list(facts)}" for title, facts in certificate.groups if facts)
-    excluded = f"<h3>Not included</h3>{sentences(certificate.excluded, 'excluded')}" * bool(certificate.excluded)
+    texts = [finding.text(option) for finding in certificate.findings]
+    decision = "".join(f'<p class="decision">{escape(text, 400)}</p>' for text in texts[:1])
+    excluded = f"<h3>Not included</h3>{sentences(texts[1:], 'excluded')}" if texts else ""
     return (
-        f'<section class="certificate"><h2>{certificate.heading}</h2>'
-        f'<p class="decision">{escape(certificate.decision)}</p>{body}{excluded}'
+        f'<section class="certificate"><h2>{certificate.heading}</h2>{decision}{body}{excluded}'
         f'<div class="signature">{SIGNATURE}</div></section>\n'
     )
 

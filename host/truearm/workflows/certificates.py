@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -30,11 +30,8 @@ NOT_GIVEN = "not given"
 FEWEST = 10  # rows whose error before is given
 STEEL, ALUMINIUM = 12e-6, 23e-6  # 1/K
 ALWAYS_EXCLUDED = (
-    "Poses outside the measured region, and other payloads than those stated.",
-    "The arm in motion: its controller's path errors, and vibration.",
-    "The mounting of base and tool in the cell: it is measured separately.",
-    "The arm's own repeatability, as far as the fitted rows do not show it (truearm characterize measures it).",
-    f"The arm's expansion at another temperature: about {PPM.of(STEEL):g} µm per metre and kelvin of steel, {PPM.of(ALUMINIUM):g} of aluminium.",
+    Finding("excludes-conditions", {"steel": PPM.of(STEEL), "aluminium": PPM.of(ALUMINIUM)}),
+    Finding("excludes-repeatability"),
 )
 
 
@@ -69,14 +66,13 @@ def calibration_certificate(
         ", ".join(identification.document["held_out_by"]),
     )
     rows += [(f"{figures.n} held out ({groups})", _figures_text(figures, si)) for si, figures in held_out.items()]
-    rows += [("independent validation", "none: nothing was held out; see truearm validate")] * (not held_out)
+    rows += [("independent validation", "none")] * (not held_out)
     if tool is not None and "m" in held_out:
         tool = max(tool, COVERAGE * held_out["m"].rms)
     gain = gain_of(e.mean_change) is Gain.NONE
-    problem = "no better than the nominal robot" if gain else identification.stored.unusable_because
+    problem = "it is no better than the nominal robot" if gain else identification.stored.unusable_because
     return Certificate(
         f"Certificate of {'a simulated ' * identification.table.simulated}calibration",
-        _decision(issue.tolerance, tool, f" (k = {COVERAGE:g}) at the tool in the measured region", problem),
         (
             ("What", _subject(identification, issue, recordings, "result")),
             ("Error of the tool in the measured region", errors),
@@ -85,7 +81,7 @@ def calibration_certificate(
             ("Conditions", conditions(recordings)),
             ("Files read", _files(inputs)),
         ),
-        _excluded(identification),
+        (_decision(issue.tolerance, tool, problem), *_excluded(identification)),
     )
 
 
@@ -99,13 +95,10 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
         if si in validation.expected:
             errors.append(("expected from noise and calibration", f"{size(validation.expected[si], si)} RMS"))
     error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
-    reused = "the identification used these measurements" if validation.document["identified_from"] else ""
-    rows = counted(validation.n, "row")
+    reused, simulated = bool(validation.document["identified_from"]), bool(validation.document["simulated"])
+    decision = _decision(issue.tolerance, error, calibration.stored.unusable_because, reused, validation.n)
     return Certificate(
-        f"Certificate of {'a simulated ' * bool(validation.document['simulated'])}validation",
-        _decision(
-            issue.tolerance, error, f", twice the RMS error of {rows}", calibration.stored.unusable_because, reused
-        ),
+        f"Certificate of {'a simulated ' * simulated}validation",
         (
             ("What", _subject(calibration, issue, recordings, "validated result")),
             (
@@ -116,7 +109,7 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
             ("Conditions", conditions(recordings)),
             ("Files read", _files(inputs)),
         ),
-        ("Directions in which nothing was measured: a length shows only the error along it.", *ALWAYS_EXCLUDED),
+        (decision, *[Finding("simulated")] * simulated, Finding("excludes-directions"), *ALWAYS_EXCLUDED),
     )
 
 
@@ -155,17 +148,16 @@ def _tool_error(identification: Identification) -> float | None:
 
 
 def _decision(
-    tolerance: float | None, error: float | None, scope: str, problem: str | None, undecided: str = ""
-) -> str:
-    """Return the error (k = 2) and whether it is within the tolerance, in a sentence."""
+    tolerance: float | None, error: float | None, problem: str | None, reused: bool = False, rows: int | None = None
+) -> Finding:
+    """Return the expanded error and whether it is within the tolerance; ``rows`` that validate, if it is of these."""
     if problem:
-        return f"NOT USABLE: {problem}."
-    if error is None or undecided:
-        return f"NOT DECIDED: {undecided or 'the observations do not determine the error of the tool'}."
-    statement = f"{size(error, 'm')}{scope}"
-    if tolerance is None:
-        return f"{statement}; no tolerance was given."
-    return f"{'PASS' if error <= tolerance else 'FAIL'}: {statement}, tolerance {MM.text(tolerance)}."
+        return Finding("not-certified", {"because": problem})
+    if error is None or reused:
+        return Finding("not-decided", {"reused": reused})
+    limit = None if tolerance is None else {"mm": MM.of(tolerance)}
+    values = {"error": {"mm": MM.of(error)}, "tolerance": limit, "rows": rows}
+    return Finding("tolerance-exceeded" if tolerance is not None and error > tolerance else "certified", values)
 
 
 def _region(calibration: Calibration, table: ObservationTable) -> str:
@@ -204,17 +196,16 @@ def _files(inputs: Sequence[Input]) -> Facts:
     return shortened(tuple((f"{file.role}: {file.name}", f"SHA-256 {file.sha256}") for file in inputs))
 
 
-def _excluded(identification: Identification) -> tuple[str, ...]:
+def _excluded(identification: Identification) -> Iterator[Finding]:
     """Return what the error of the tool does not include."""
-    e, sentences = identification.estimate, [Finding("simulated").text()] if identification.simulated else []
+    if identification.simulated:
+        yield Finding("simulated")
     if identification.predicted and identification.predicted.relative:
-        sentences.append("A common displacement of all poses: the observations do not determine where the base stands.")
+        yield Finding("excludes-displacement")
     rigs = rigs_by_name(identification.rig).values()
     exact = {name for rig in rigs for name, bar in rig.bars.items() if not bar.zero_sigma}
     if names := sorted(exact & set(identification.table.bar.tolist())):
-        sentences.append(
-            f"Errors of the length of {', '.join(names[:3])}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre."
-        )
-    if e.held_out is None:
-        sentences.append("Errors that only other poses would show: nothing was held out.")
-    return (*sentences, *ALWAYS_EXCLUDED)
+        yield Finding("excludes-lengths", {"bars": names[:3]})
+    if identification.estimate.held_out is None:
+        yield Finding("excludes-other-poses")
+    yield from ALWAYS_EXCLUDED

@@ -12,7 +12,7 @@ import numpy as np
 from truearm.disk import sha256, write_atomic
 from truearm.errors import Argument, InputError
 from truearm.estimate.result_file import Result, read_result
-from truearm.findings import findings_of
+from truearm.findings import entries, findings_of
 from truearm.model.robot_file import load_robot
 from truearm.progress import step
 from truearm.report.certificate import Certificate, certificate_section
@@ -77,8 +77,9 @@ def _nearby(result: Path, stored: Result, role: str) -> list[Path]:
 
 @step("validating")
 def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: bool = False) -> Validation:
-    """Judge a result by independent observations; ``keep_rig`` as in ``validated``. Write the page ``files.report`` if there is one.
+    """Judge a result by independent observations; ``keep_rig`` as in ``validated``.
 
+    If there is a page ``files.report``, write it, and add the findings of its certificate, the decision after the verdict.
     Raises InputError with a one-line message.
     """
     measured = measured_files(result, files.robot, files.sources, [("page", files.report)], files.force)
@@ -87,6 +88,10 @@ def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: b
         certificate = validation_certificate(measured, validation, issue)
         name = measured.calibration.chain.name
         write_atomic(files.report, validation_page(name, certificate, validation.document, files.command))
+        decision, *excluded = entries(finding for finding in certificate.findings if finding.code != "simulated")
+        stated, place = validation.document["findings"], 1 + validation.document["simulated"]
+        findings = [*stated[:place], decision, *stated[place:], *excluded]
+        return replace(validation, document={**validation.document, "findings": findings})
     return validation
 
 
