@@ -484,6 +484,10 @@ SESSION: Mapping[str, Statement] = {
         "{missing_stops:#interrogation} of the magnetostrictive head without a stop pulse.",
         "Bring the magnet closer to the rod.",
     ),
+    "malformed-plan": warning(
+        "{plan_events_malformed:#row of the plan or event is|rows of the plan or events are} malformed and not used.",
+        "Check what was mounted with truearm session relabel.",
+    ),
     "received": note(
         "[{complete:!}Nothing lost, nothing duplicated, no restart: ]{frames:#frame} received, {samples:#sample} in {blocks:#block}[; also counted: {counts}]."
     ),

@@ -154,6 +154,10 @@ def test_without_a_rig(made, tmp_path):
     tables, said = export(tmp_path / "s.mcap", tmp_path / "y", "npz", "--rig", str(tmp_path / "rig.toml"))
     assert len(tables["observations"]["length_m"]) >= 3
     assert said["not_paired"] == ""
+    (tmp_path / "s.labels.json").write_text("{}")
+    tables, said = export(tmp_path / "s.mcap", tmp_path / "z", "npz", "--rig", str(tmp_path / "rig.toml"))
+    assert "s.labels.json" in said["not_paired"]
+    assert len(tables["dwells"]["q1_rad"]) >= 3
 
 
 @pytest.mark.parametrize("format", FORMATS)

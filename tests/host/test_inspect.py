@@ -30,6 +30,7 @@ def test_json_says_what_was_put_in(stream, tmp_path, run):
     spoilt.insert(places[40], Message("/box/console", 5 * 10**9, EVIL))
     spoilt.insert(places[30], spoilt[places[30]])
     del spoilt[places[20]]
+    spoilt += [Message("/plan", 9 * 10**9, b'{"q": "x"}'), Message("/events", 9 * 10**9, b"{}")]
     code, out, err = run("inspect", write_session(tmp_path / "s.mcap", spoilt, RIG), "--json")
     assert (code, err) == (0, "")
     said = json.loads(out)
@@ -37,6 +38,7 @@ def test_json_says_what_was_put_in(stream, tmp_path, run):
     assert (losses["frames_lost"], losses["samples_lost"], losses["frames_malformed"]) == (1, 13, 1)
     assert (losses["console_runs"], losses["console_bytes"]) == (1, len(EVIL))
     assert not {"restarts", "samples_overrun", "sync_unanswered"} & set(losses)
+    assert listed(said)["malformed-plan"]["plan_events_malformed"] == 2
     (adc,) = said["streams"]
     assert adc["rate_nominal_hz"] == pytest.approx(1e9 / PERIOD_NS)
     assert adc["rate_by_host_hz"] == pytest.approx(1e9 / PERIOD_NS, rel=1e-6)  # stamps are cut to 1 µs over 15 s

@@ -198,12 +198,14 @@ def export_session(request: ExportSession) -> Answer:
     """
     from truearm.workflows.export_session import export_session_files
 
-    tables = export_session_files(request)
+    document = export_session_files(request)
+    tables = document["tables"]
     rows = {name: table["rows"] for name, table in tables.items()}
     nouns = {name: "sample" if "gap" in table["columns"] else "row" for name, table in tables.items()}
-    lines = (f"{one_line(str(request.out))}/{name}: {counted(n, nouns[name])}" for name, n in rows.items())
+    lines = [f"{one_line(str(request.out))}/{name}: {counted(n, nouns[name])}" for name, n in rows.items()]
+    lines += [f"no observations: {document['not_paired']}"] * bool(document["not_paired"])
     warn_of_further_parts(request.session, "export each part separately: each has clocks of its own")
-    return Answer({"folder": str(request.out), "rows": rows}, lines)
+    return Answer({"folder": str(request.out), "rows": rows, "not_paired": document["not_paired"]}, lines)
 
 
 SHOWN = 10  # damaged places that are listed

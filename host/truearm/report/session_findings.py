@@ -17,6 +17,7 @@ LOSSES = {  # the counters of a finding
     "lost-in-box": ("samples_overrun", "overruns", "dropped"),
     "box-faults": ("converter_faults", "crc_errors", "converter_resets", "thermometer_errors", "restarts"),
     "missing-stop-pulses": ("missing_stops",),
+    "malformed-plan": ("plan_events_malformed",),
 }
 RECEIVED = ("frames", "samples", "blocks")
 REJECTED = {  # the reasons of a finding

@@ -132,7 +132,7 @@ def survey(source: Source, ident: Ident | None = None, wander: float = WANDER) -
     }
     dwells = manual_dwells(joints, samples[BAR][0]) if has_manual_joints(joints) else find_dwells(joints)
     return Survey(
-        losses=box.losses(),
+        losses=replace(box.losses(), plan_events_malformed=marks.malformed),
         streams=box.streams(),
         segments=tuple(box.segments),
         clocks=clocks,

@@ -23,12 +23,13 @@ import numpy as np
 
 from truearm.errors import Argument, RigError
 from truearm.session.dwells import POSE_TOLERANCE, Dwell
-from truearm.session.joint_format import are_joints
+from truearm.session.joint_format import Joints
 from truearm.session.line_passes import LONGEST_S, Leg, LinePass
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, MOUNTING, DwellLabel, Floats, Move, Plan, Rig
 
 FITTINGS = (*MOUNTED, "shell")
 MAX_NAME = 64
+MAX_KINDS = 100  # of events
 REPEAT = 0.25
 BACK = 1.125
 
@@ -53,39 +54,42 @@ class PlanRow(NamedTuple):
     move: str
 
 
+_NAMES = [(key, str | None, None) for key in FITTINGS]
+_ROW: Any = msgspec.defstruct("_Row", [("q", Joints), ("move", Move, Move.DWELL), *_NAMES])
+_EVENT: Any = msgspec.defstruct("_Event", [("kind", str), *_NAMES])
+
+
 @dataclass
 class Marks:
-    """Collects the contents of ``/plan`` and ``/events``."""
+    """Collects the contents of ``/plan`` and ``/events``. ``malformed``: messages that cannot be used."""
 
     rows: list[PlanRow] = field(default_factory=list)
     mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
     kinds: dict[str, int] = field(default_factory=dict)
+    malformed: int = 0
 
     def feed(self, topic: str, t_host_ns: int, data: bytes) -> None:
-        """Take one message of either topic; one that is malformed is ignored."""
+        """Take one message of either topic."""
         try:
-            document = msgspec.json.decode(data, type=dict[str, Any])
-        except (msgspec.MsgspecError, ValueError, RecursionError):
+            document = msgspec.json.decode(data, type=_ROW if topic == "/plan" else _EVENT)
+            if topic == "/plan" and self.rows and len(self.rows[0].q) != len(document.q):
+                raise ValueError  # another number of joints
+        except (ValueError, RecursionError):
+            self.malformed += 1
             return
         if topic == "/plan":
-            self._plan(document)
-        else:
-            kind = document.get("kind")
-            if isinstance(kind, str) and (kind in self.kinds or len(self.kinds) < 100):
-                self.kinds[kind] = self.kinds.get(kind, 0) + 1
-            if kind == "mounted":
-                insort(self.mountings, (t_host_ns, _fittings(document)), key=itemgetter(0))
-
-    def _plan(self, document: Mapping[str, Any]) -> None:
-        q, move = document.get("q"), document.get("move", Move.DWELL)
-        if are_joints(q) and move in tuple(Move) and (not self.rows or len(self.rows[0].q) == len(q)):
-            self.rows.append(PlanRow([float(value) for value in q], _fittings(document), move))
+            self.rows.append(PlanRow(document.q, _fittings(document), document.move))
+            return
+        if document.kind in self.kinds or len(self.kinds) < MAX_KINDS:
+            self.kinds[document.kind] = self.kinds.get(document.kind, 0) + 1
+        if document.kind == "mounted":
+            insort(self.mountings, (t_host_ns, _fittings(document)), key=itemgetter(0))
 
     def with_plan(self, plan: Plan) -> Marks:
         """Return the same with the rows of another plan."""
         names = [{key: str(getattr(plan, key)[row]) for key in plan.IDS} for row in range(len(plan))]
-        rows = zip(plan.q.tolist(), map(_fittings, names), plan.move.tolist(), strict=True)
-        return replace(self, rows=[PlanRow(*row) for row in rows])
+        rows = zip(plan.q.tolist(), names, plan.move.tolist(), strict=True)
+        return replace(self, rows=[PlanRow(q, {k: v for k, v in named.items() if v}, move) for q, named, move in rows])
 
     @property
     def dwells(self) -> tuple[int, ...]:
@@ -214,9 +218,9 @@ def _words(mounted: Mapping[str, str], keys: Sequence[str]) -> str:
     return " ".join(mounted.get(key) or "?" for key in keys)
 
 
-def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
-    named = {key: document.get(key) for key in FITTINGS}
-    return {key: str(value)[:MAX_NAME] for key, value in named.items() if isinstance(value, str) and value}
+def _fittings(document: Any) -> dict[str, str]:
+    """Return what a row or an event names."""
+    return {key: name[:MAX_NAME] for key in FITTINGS if (name := getattr(document, key))}
 
 
 def paired(dwells: Sequence[Dwell], marks: Marks) -> list[Dwell]:

@@ -69,6 +69,7 @@ class Losses:
     starts: int = 0  # how often n0 began again without a restart
     sync_requests: int = 0
     sync_unanswered: int = 0
+    plan_events_malformed: int = 0  # rows of the plan and events that cannot be used
     # Number of heartbeats, sum of every counter in them since the session began, and worst of every extreme; None without one
     box: Mapping[str, int | None] = field(default_factory=dict)
 

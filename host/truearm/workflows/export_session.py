@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from truearm.disk import check_new_folder, sha256, working_folder
 from truearm.errors import InputError, WriteError
@@ -30,8 +30,8 @@ SAID = "session.json"
 
 
 @step("exporting the session")
-def export_session_files(request: ExportSession) -> dict[str, dict[str, Any]]:
-    """Write all tables, or none; return the rows and titles of each by name. Raises InputError, SessionError, WriteError."""
+def export_session_files(request: ExportSession) -> dict[str, Any]:
+    """Write all tables, or none; return the contents of session.json. Raises InputError, SessionError, WriteError."""
     units = () if request.robot.robot is None else request.robot.load().chain.joint_units
     rig = None if request.rig is None else read_rig(request.rig)
     out = request.out
@@ -49,7 +49,7 @@ def export_session_files(request: ExportSession) -> dict[str, dict[str, Any]]:
             os.replace(tables_folder, out)
     except OSError as exc:
         raise WriteError(f"{out}: cannot be written: {system_reason(exc)}; nothing was exported") from exc
-    return cast("dict[str, dict[str, Any]]", document["tables"])
+    return document
 
 
 def _export(
@@ -89,11 +89,14 @@ def _tables(session: Session, survey: Survey, rig: Rig | None, units: Sequence[s
     plan = plan_columns(survey, units)
     if plan is not None:
         yield "plan", plan
-    rig = rig or attached_rig(session, session.path)
-    if rig is None:
+    try:
+        rig = rig or attached_rig(session, session.path)
+        if rig is None:
+            raise InputError("was recorded without a rig; give a rig to get observations")
+        result = observations(survey, rig, session.path.name, labels=read_labels(session.path))
+    except InputError:
         yield "dwells", dwell_columns(survey, survey.dwells, units)
-        raise InputError("was recorded without a rig; give a rig to get observations")
-    result = observations(survey, rig, session.path.name, labels=read_labels(session.path))
+        raise
     yield "dwells", dwell_columns(survey, result.dwells, units)
     if result.passes:
         yield "passes", pass_columns(result.passes)
