@@ -207,26 +207,3 @@ def test_faults_of_the_sensors_are_flagged_where_they_were(disturbed, stream, fl
     assert set(near) <= {1, 2}
     assert sum(near) == len(flagged)
     assert not any(b.flags & flag for b in disturbed.blocks(1 - stream))
-
-
-@VM_FIRST
-def test_a_firmware_that_hangs_is_restarted_by_its_watchdog(level, tmp_path):
-    with lab_of(level, faults=[Fault(5.0, "hang")]) as lab:
-        session = record_lab(lab, tmp_path / "s.mcap", 8.5)
-    causes = [beat["reset_cause"] for beat in session.heartbeats()]
-    assert causes[0] == 1
-    assert causes[-1] == 2
-    assert session.summary.counters.restarts == 1
-    starts = [i for i, b in enumerate(session.blocks(0)) if b.n0 == 0]
-    assert len(starts) == 2
-    assert len(session.blocks(0)) - starts[1] > 50, "it streams again"
-
-
-@VM_FIRST
-def test_an_exception_is_told_at_the_next_connect_and_kept_until_reset(level, tmp_path):
-    with lab_of(level, faults=[Fault(5.0, "crash")]) as lab:
-        record_lab(lab, tmp_path / "a.mcap", 4.5)  # until it has booted again
-        again = record_lab(lab, tmp_path / "b.mcap", 1)
-    (fault,) = again.summary.faults
-    assert "the box's firmware stopped" in fault
-    assert "injected by the simulator" in fault

@@ -111,17 +111,6 @@ def test_no_box_there(capsys):
     assert "plugged in" in capsys.readouterr().err
 
 
-def test_the_box_that_is_plugged_in_is_tested(monkeypatch, capsys):
-    """As record does, without --box."""
-    with served() as (device, _, _):
-        port = ports.UsbPort(device, "2e8a:0005", "", "MicroPython", True)
-        monkeypatch.setattr(ports, "find_boxes", lambda: [port])
-        assert box("test") in (0, 1)
-    out, err = capsys.readouterr()
-    assert f"box: {device}" in err
-    assert "passed" in out
-
-
 def test_a_box_that_streams_is_left_alone_until_stop(capsys):
     from truearm_wire.messages import START
 

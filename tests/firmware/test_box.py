@@ -145,22 +145,6 @@ def test_a_command_is_executed_once(bench):
     assert data_of(bench.sample(13))[0][3] == 26, "the repeated start did not begin again"
 
 
-def test_rubbish_is_counted_and_harmless(bench):
-    rubbish = [b"\x05hello\0", b"\xff" * 300 + b"\0"]
-    rubbish += [
-        frame.frame(cbor.encode(x)) for x in ([48, 2**30], [48, 0], [48, b"1"], [48], {"a": 1}, [7, 1], [99, 8])
-    ]
-    rubbish += [
-        frame.frame(bytes([0x82, 0x18, 0x20, 0x1B, 1, 2, 3, 4, 5, 6, 7, 8])),  # an id beyond 2^30
-        frame.frame(bytes([0x82, 0x18, 0x20, 0x49]) + b"\xff" * 9),  # an id that is not an integer
-    ]
-    for run in rubbish:
-        assert bench.give(rx=run) == []
-    (beat,) = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT]
-    assert beat[8] == len(rubbish)
-    assert bench.give(rx=command(32, 1))[0][0] == SYNC
-
-
 @pytest.mark.parametrize(
     "payload",
     [

@@ -6,14 +6,11 @@ have a shortest latency, different in each direction, tails, stalls, losses. Box
 2^32 µs.
 
 Clocks also step, are slewed, change their rate permanently; exchanges are rare, lost, wrong (``CHANGES``).
-
-    python -m tests.host.clock_scenarios 200    prints a comparison of errors and bounds
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -319,25 +316,3 @@ def robot_scenario(seed, seconds=240.0, host_steps=0, robot_steps=0, slews=0):
     # Where its clock goes back, the controller shows one time twice.
     once = (shown >= np.maximum.accumulate(shown)) & (shown <= np.minimum.accumulate(shown[::-1])[::-1])
     return Outcome((late - 1e6 * link.least)[once], 1e-3 * fitted.bound_at(shown)[once], 1e6 * link.least)
-
-
-def table(outcomes):
-    """Return a summary of many outcomes as text."""
-    worst = np.array([o.ratio.max() for o in outcomes])
-    error = np.array([np.abs(o.error).max() for o in outcomes])
-    bound = np.array([np.median(o.bound) for o in outcomes])
-    rows = [f"within the bound: {int(np.sum(worst <= 1.0))} of {len(outcomes)}"]
-    for name, values in (("largest error/bound", worst), ("largest error, µs", error), ("median bound, µs", bound)):
-        shown = ", ".join(f"{p} %: {np.percentile(values, p):.3g}" for p in (0, 10, 50, 90, 100))
-        rows.append(f"  {name:20} {shown}")
-    return "\n".join(rows)
-
-
-if __name__ == "__main__":
-    n = int(sys.argv[1])
-    for name, change in CHANGES.items():
-        print(f"{name}, " + table([changing_scenario(seed, change).outcome for seed in range(n)]))
-    print("box, " + table([box_scenario(seed) for seed in range(n)]))
-    print("robot, " + table([robot_scenario(seed) for seed in range(n)]))
-    nominal = [box_scenario(seed, nominal=True) for seed in range(n // 4)]
-    print("nominal, standard deviation of a session, µs: largest %.2f" % max(np.std(o.error) for o in nominal))

@@ -6,10 +6,11 @@ import select
 import socket
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 from record_box import Box, Lab
+from tests.host.tcp_peer import Peer
 
 from truearm.record.links import HostClock
 
@@ -49,41 +50,33 @@ def box_on_a_socket(waits=False):
     ``waits``: it is plugged in at the recorder's first byte, after pyserial emptied the input of the port that it
     opened.
     """
-    listener = socket.create_server(("127.0.0.1", 0))
     stop = threading.Event()
     lab, box = real_time_box()
 
-    def serve():
-        peer, _ = listener.accept()
-        with peer, listener:  # no second connection is made
-            if waits:
-                peer.recv(1, socket.MSG_PEEK)
-            play(box, lab, peer.fileno(), stop)
+    def talk(peer):
+        if waits:
+            peer.recv(1, socket.MSG_PEEK)
+        play(box, lab, peer.fileno(), stop)
 
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    yield box, f"socket://127.0.0.1:{listener.getsockname()[1]}"
+    recorder = Peer(talk)
+    yield box, f"socket://{recorder.address}"
     stop.set()
-    thread.join(PATIENCE_S)
-    listener.close()
+    recorder.close()
+
+
+def line_of(k, period_s=0.01):
+    """Return reading number k of a robot of two joints."""
+    return json.dumps({"t": period_s * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n"
 
 
 def serve_robot(seconds):
-    listener = socket.create_server(("127.0.0.1", 0))
+    def talk(peer):
+        for k in range(round(50 * seconds)):
+            peer.sendall(line_of(k, 0.02))
+            time.sleep(0.02)
+        peer.sendall(b'{"end": true}\n')
 
-    def serve():
-        peer, _ = listener.accept()
-        with peer, listener, suppress(OSError):  # from a recorder that was killed
-            end = time.monotonic() + seconds
-            seq = 0
-            while time.monotonic() < end:
-                peer.sendall(json.dumps({"t": 0.02 * seq, "seq": seq, "q": [0.1, 0.2]}).encode() + b"\n")
-                seq += 1
-                time.sleep(0.02)
-            peer.sendall(b'{"end": true}\n')
-
-    threading.Thread(target=serve, daemon=True).start()
-    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+    return f"tcp://{Peer(talk).address}"
 
 
 class OnTerminals:

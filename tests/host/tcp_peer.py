@@ -2,25 +2,33 @@
 
 import socket
 import threading
+from contextlib import suppress
 
 from truearm.errors import LinkClosed
 
 
 class Peer:
-    """A listener; the other end is the robot's address."""
+    """A listener that sends its clients data, or talks to them, one after the other; the other end is the robot's address."""
 
-    def __init__(self, data):
+    def __init__(self, talk, clients=1):
+        self._talk = talk if callable(talk) else lambda peer: peer.sendall(talk)
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
-        self._data = data
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(clients,), daemon=True)
         self._thread.start()
 
-    def _run(self):
-        peer, _ = self._listener.accept()
-        with peer:
-            peer.sendall(self._data)
+    def _run(self, clients):
+        with self._listener, suppress(OSError):  # from a client that leaves
+            for _ in range(clients):
+                peer, _ = self._listener.accept()
+                with peer:
+                    self._talk(peer)
+
+    def close(self):
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)  # close alone does not end an accept under way
         self._listener.close()
+        self._thread.join(20.0)
 
 
 class Played:

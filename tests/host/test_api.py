@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from identify_bench import exact_lengths
 from session_stream import RIG, session, write_session
-from tests.refusals import refused
 
 import truearm
 from truearm.correct.methods import Method
@@ -562,19 +561,6 @@ def test_odd_values_of_every_argument_are_refused_with_a_text(folder, robot, tab
         assert len(texts) > len(ODD) / 3, (call, name)
         assert name == "named" or any(text.startswith(f"{name}: must be ") for text in texts), (call, name)
         assert not any("\n" in text for text in texts)
-
-
-def test_files_that_are_not_there(folder, tmp_path, result):
-    for name in ("missing.mcap", "missing.csv"):
-        with refused("missing-file", place=tmp_path / name):
-            truearm.read_session(tmp_path / name)
-    for call in (truearm.read_session, truearm.read_rig, truearm.read_result):
-        with pytest.raises(InputError, match=r"^path: ''"):
-            call("")
-    with pytest.raises(InputError, match=r"^robot: ''"):
-        truearm.load_robot("")
-    with pytest.raises(InputError, match=r"^path: 'x+'… .*too long"):
-        truearm.write_result("x" * 300, result)
 
 
 def test_wrong_rows_tables_and_rows_in_memory_are_named(table, robot, rig, tmp_path):

@@ -1,22 +1,18 @@
 """``truearm export``: with the exported file the true robot reaches its targets; real data; bad input."""
 
 import json
-import runpy
 from pathlib import Path
 
 import correct_bench
 import numpy as np
 import pytest
-from puma_bench import CHAIN, DESIGN, TRUTH
+from puma_bench import CHAIN, DESIGN
 from tests.host.findings_bench import listed
 
-import truearm
-from truearm.correct.inverse import inverse
 from truearm.estimate.identify import identify
 from truearm.estimate.result_file import read_result
 from truearm.kinds.rig_file import read_rig
-from truearm.kinds.table import ObservationTable
-from truearm.kinds.table_file import read_table, write_table
+from truearm.kinds.table_file import read_table
 from truearm.model.chain import forward
 from truearm.model.robot_file import load_robot
 
@@ -26,42 +22,6 @@ MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     return correct_bench.write(tmp_path_factory.mktemp("export") / "result.json", correct_bench.identified())
-
-
-def seats(q):
-    """Return a table with the poses and no other relevant content."""
-    n, empty = len(q), np.full(len(q), "")
-    nothing = dict.fromkeys(("bar", "chuck", "sphere", "shell", "source"), empty)
-    return ObservationTable(
-        q=q,
-        kind=np.full(n, "seat"),
-        value=np.full(n, np.nan),
-        sigma=np.full(n, np.nan),
-        socket=np.full(n, "0"),
-        place=np.full(n, "a"),
-        **nothing,
-    )
-
-
-def test_through_an_exported_urdf_the_true_robot_lands_within_half_a_millimetre(result, tmp_path, run):
-    """A controller that takes a URDF has no encoder gains: the rest was refitted with k = 1 over the region of the task."""
-    q = correct_bench.good_poses(200)
-    fitted, judged = q[::2], q[1::2]
-    write_table(tmp_path / "region.csv", seats(fitted), ("rad",) * 6)
-    out = tmp_path / "puma.urdf"
-    code, said, err = run(
-        "export", result, "--format", "urdf", "--out", out, "--over", tmp_path / "region.csv", "--json"
-    )
-    assert code == 0, err
-    assert listed(json.loads(said))["exported"]["n"] == 100
-    chain = load_robot(str(out)).chain
-    targets = forward(CHAIN, DESIGN, judged)
-    found = inverse(chain, chain.params_nominal, targets, judged)
-    assert found.reached.all()
-    missed = np.linalg.norm((forward(CHAIN, TRUTH, found.q) - targets)[:, :3, 3], axis=1)
-    before = np.linalg.norm((forward(CHAIN, TRUTH, judged) - targets)[:, :3, 3], axis=1)
-    assert np.sqrt(np.mean(before**2)) > 15e-3
-    assert np.sqrt(np.mean(missed**2)) < 0.5e-3
 
 
 def test_only_what_the_user_may_adjust_changes(result, tmp_path, run):
@@ -111,24 +71,3 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
         forward(before, stored.column("value")[stored.column("of") == "robot"], q),
         atol=1e-12,
     )
-
-
-@pytest.mark.parametrize("form", ["dh", "mdh"])
-def test_rows_of_an_arm_with_parallel_axes_hold_everything(result, tmp_path, run, form):
-    out = tmp_path / "rows.toml"
-    assert run("export", result, "--format", form, "--out", out, "--json")[0] == 0
-    calibration, again = truearm.read_result(result), load_robot(str(out)).chain
-    q = np.random.default_rng(3).uniform(-2.0, 2.0, (50, 6))
-    np.testing.assert_allclose(
-        forward(again, again.params_nominal, q), forward(calibration.chain, calibration.identified, q), atol=1e-9
-    )
-
-
-def test_an_evaluator_of_a_result_holds_its_gains_too(result, tmp_path, run):
-    code, out, _ = run("export", result, "--format", "evaluator-python", "--out", tmp_path / "arm.py")
-    assert code == 0
-    assert "holds everything" in out
-    arm = runpy.run_path(str(tmp_path / "arm.py"))
-    q = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
-    np.testing.assert_allclose(arm["forward"](q), truearm.read_result(result).forward(q)[:3], atol=1e-12)
-    assert run("export", result, "--format", "evaluator-c", "--out", tmp_path / "arm.py")[0] == 2

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import ulb_bench
 from command_line import Run, told
-from identify_bench import MUKCA, SIGMA, exact_lengths, identified
+from identify_bench import MUKCA, exact_lengths, identified
 from tests.host.findings_bench import stated
 from tests.refusals import shown
 
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
-from truearm.kinds.table_file import read_table, write_table
+from truearm.kinds.table_file import write_table
 from truearm.types import Rig
 
 
@@ -97,20 +97,6 @@ def test_parameters_are_freed_beside_the_robot_files_own(run: Run, good: list[ob
     told(run(*good, "--also-free", "joint2.ofset"), "like joint2.offset")
 
 
-def test_several_tables_are_one_and_save_table_writes_it(run: Run, good: list[object], tmp_path: Path) -> None:
-    saved = tmp_path / "all.csv"
-    first = good[1]
-    second = tmp_path / "second.csv"
-    table = read_table(Path(str(first)))
-    again = replace(table, value=table.value + SIGMA * np.random.default_rng(8).normal(size=len(table)))
-    write_table(second, again, ("rad",) * 6)
-    both = json.loads(run(good[0], first, second, *good[2:], "--table-out", saved, "--json").out)
-    assert both["n_observations"] == 180
-    back = read_table(saved, ("rad",) * 6)
-    np.testing.assert_array_equal(back.q, np.concatenate([table.q, table.q]))
-    np.testing.assert_array_equal(back.value, np.concatenate([table.value, again.value]))
-
-
 def test_rigs_with_names_are_of_the_rows_that_name_them(
     run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]
 ) -> None:
@@ -136,28 +122,6 @@ def test_rigs_with_names_are_of_the_rows_that_name_them(
     told(run(*plain, "--rig", mon, "--rig", bare), "several rigs need names")
     told(run(*plain, "--rig", bare, "--rig", bare), "several rigs need names")
     told(run(*plain, "--rig", mon, "--rig", tue, "--rig", f"wed={bare}"), "no row")
-
-
-def test_lines_are_fitted_and_held_out(run: Run, tmp_path: Path) -> None:
-    """Renders' problem on tables: two of six lines are held out, each placed by its own rows."""
-    wrong = ulb_bench.NOMINAL.copy()
-    wrong[ulb_bench.OFFSETS] += 0.01
-    table = ulb_bench.lines(6, 12, wrong, np.random.default_rng(2))
-    write_table(tmp_path / "t.csv", table, ("rad",) * 6)
-    write_rig(tmp_path / "rig.toml", ulb_bench.rig(table))
-    arguments = ["identify", tmp_path / "t.csv", "--model", "ulb", "--rig", tmp_path / "rig.toml", "--solver", "map"]
-    arguments += ["--free", "joint[2-6].offset", "--hold-out", "line=l0", "--hold-out", "line=l1"]
-    result = json.loads(run(*arguments, "--prior", "none", "--json").out)
-    assert result["status"] == "converged"
-    assert (result["held_out"]["n"], result["held_out"]["n_settled"]) == (24, 12)
-    assert result["held_out"]["rms_mm"] < 0.2 * result["held_out_before"]["rms_mm"]
-    assert result["rank"] == 4  # the tool lies on the last axis, which its offset turns about
-    assert result["additions"] == []  # no further line shows it, and the user has no other equipment
-    for p in result["parameters"]:
-        if p["of"] == "robot" and p["sigma"] is not None:
-            # 4 σ: one of four clean parameters lies beyond in one draw of 4,000
-            assert abs(p["value"] - p["nominal"] - 0.01) < 4 * p["sigma"]
-    assert stated(result)["identified"].values["unseen"] == 1
 
 
 def documented_figures() -> list[list[str]]:

@@ -162,19 +162,6 @@ def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, of, chan
     assert (folder / "rig.toml").read_bytes() == before
 
 
-@pytest.mark.parametrize("option", ["--out", "--rig-out", "--program-out"])
-def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, option):
-    suffix = {"--out": ".csv", "--rig-out": ".toml", "--program-out": ".script"}[option]
-    own, precious = folder / f"own{option}{suffix}", folder / f"precious{suffix}"
-    precious.write_text("precious")
-    given = ("plan", "line", *LINES, "--rig", str(folder / "rig.toml"), option)
-    assert main([*given, str(precious)]) == 2
-    ended(capsys.readouterr().err, "file-exists")
-    assert precious.read_text() == "precious"
-    assert [main([*given, str(own), *force]) for force in ((), (), ["--force"])] == [0, 2, 0]
-    ended(capsys.readouterr().err, "file-exists", "--force")
-
-
 def test_check_poses_that_are_not_planned_are_named(folder, capsys):
     assert main(["plan", "ballbar", *COMMON, "--rig", str(folder / "rig.toml"), "--check-poses", "7", "--json"]) == 0
     findings = listed(json.loads(capsys.readouterr().out))

@@ -27,7 +27,7 @@ from truearm.model.robot import builtin_robot, parse_robot
 from truearm.model.robot_file import load_robot
 from truearm.record.robots import ur_primary
 from truearm.session.session_file import open_session
-from truearm.workflows.controller_model import controller_state, controller_text, drawing_text
+from truearm.workflows.controller_model import controller_state, controller_text
 
 UR5E = builtin_robot("ur5e")
 SEED = 6  # of an arm with d of 340 m
@@ -99,15 +99,6 @@ def test_a_wrist_that_is_turned_is_another_arm(run, tmp_path, controller):
     )
     assert code == 2
     assert "differs from ur5e by up to 0 mm and 17 deg" in " ".join(err.split())
-
-
-def test_a_robot_is_not_written_into_a_file_of_another_kind(run, tmp_path):
-    (tmp_path / "calibration.conf").write_text(conf_of(built_rows(UR5E.chain, SEED)))
-    out = tmp_path / "robot.txt"
-    code, _, err = run("robot", "read", tmp_path / "calibration.conf", "--model", "ur5e", "--out", out)
-    assert code == 2
-    assert "robot.txt: is not a name for this kind of file; give a name that ends in .toml" in " ".join(err.split())
-    assert not out.exists()
 
 
 def conf_of(rows, checksums="0x1, 0x2, 0x3, 0x4, 0x5, 0xffffffff"):
@@ -299,11 +290,6 @@ def test_a_file_whose_rows_cannot_hold_the_controller_is_refused(run, tmp_path, 
     )
     assert code == 2
     assert "cannot hold" in err
-
-
-def test_a_urdf_has_no_drawing_to_compare_with():
-    with pytest.raises(RobotError, match="URDF"):
-        drawing_text("arm.urdf")
 
 
 def test_report_and_validation_tell_controller_drawing_and_identified_robot_apart():

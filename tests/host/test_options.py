@@ -101,16 +101,6 @@ def test_a_wrong_robot_is_answered_by_what_it_means(typed, meant):
         load_robot(typed)
 
 
-def test_no_command_has_an_earlier_word():
-    for name, command in commands().items():
-        words = {word for one in command.params for word in one.opts}
-        for earlier, now in EARLIER.items():
-            *of, old = earlier.split()
-            if not of or name == f"truearm {of[0]}":
-                assert old not in words - {"--rig"} or now not in words, name
-            assert name != f"truearm {earlier}"
-
-
 @pytest.mark.parametrize(
     ("typed", "meant"),
     [

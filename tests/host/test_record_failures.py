@@ -8,11 +8,12 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing
 
 import pytest
 from record_real import PATIENCE_S, box_on_a_socket
 from test_record_command import posix
+from tests.host.tcp_peer import Peer
 from tests.refusals import shown
 
 from truearm.cli.main import main
@@ -21,26 +22,6 @@ from truearm.record.links import HostClock, SerialLink, TcpLink
 from truearm.session.session_file import open_session
 
 PRECIOUS = b"\x89MCAP0\r\nan earlier recording"
-
-
-@contextmanager
-def server(talk):
-    """Run a TCP server whose one peer is passed to ``talk``; yield host:port."""
-    listener = socket.create_server(("127.0.0.1", 0))
-
-    def serve():
-        try:
-            peer, _ = listener.accept()
-            with peer:
-                talk(peer)
-        except OSError:
-            return
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    yield f"127.0.0.1:{listener.getsockname()[1]}"
-    listener.close()
-    thread.join(PATIENCE_S)
 
 
 def silent(peer):
@@ -73,8 +54,8 @@ class TestWhatIsThereStays:
     def test_nobody_answers(self, out, capsys, talk, before):
         if before is not None:
             out.write_bytes(before)
-        with server(talk) as address:
-            assert main(["record", "--box", f"socket://{address}", "--out", str(out), "--force"]) == 1
+        with closing(Peer(talk)) as robot:
+            assert main(["record", "--box", f"socket://{robot.address}", "--out", str(out), "--force"]) == 1
         assert "no answer to 'identify'" in capsys.readouterr().err
         assert (out.read_bytes() if out.exists() else None) == before
 
@@ -88,10 +69,10 @@ def test_interrupted_before_the_box_answered(out):
         asked.set()
         silent(peer)
 
-    with server(listen) as address:
+    with closing(Peer(listen)) as box:
         command = [sys.executable, "-c", "import sys; from truearm.cli.main import main; sys.exit(main())", "record"]
         process = subprocess.Popen(
-            [*command, "--box", f"socket://{address}", "--out", str(out)], stderr=subprocess.PIPE, text=True
+            [*command, "--box", f"socket://{box.address}", "--out", str(out)], stderr=subprocess.PIPE, text=True
         )
         assert asked.wait(PATIENCE_S)  # the recorder has begun to ask and will do so for 5 s
         process.send_signal(signal.SIGINT)
@@ -149,8 +130,8 @@ class TestTheRobotIsNone:
                 peer.sendall(piece)
                 time.sleep(pause_s)
 
-        with box_on_a_socket() as (box, device), server(robot) as address:
-            arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
+        with box_on_a_socket() as (box, device), closing(Peer(robot)) as served:
+            arguments = ["--box", device, "--address", f"tcp://{served.address}", "--out", str(out)]
             assert main(["record", *arguments]) == 4
         (complaint,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("truearm: "))
         assert says in complaint
@@ -167,8 +148,8 @@ class TestTheRobotIsNone:
                 time.sleep(0.01)
             peer.sendall(b'{"end": true}\n')
 
-        with box_on_a_socket() as (_, device), server(robot) as address:
-            arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
+        with box_on_a_socket() as (_, device), closing(Peer(robot)) as served:
+            arguments = ["--box", device, "--address", f"tcp://{served.address}", "--out", str(out)]
             assert main(["record", *arguments]) == 0
         assert (shown["recorded"]["readings"], shown["recording-disturbed"]["robot_other_joints"]) == (50, 50)
         capsys.readouterr()

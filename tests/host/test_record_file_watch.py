@@ -6,20 +6,18 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from record_box import HOST_0, SECOND, Box
 from record_files import events, run, topics
-from record_real import box_on_a_socket
+from record_real import box_on_a_socket, line_of
 from test_record_command import RIG
+from tests.host.tcp_peer import Peer
 
 from truearm.errors import SessionError, WriteError
 from truearm.record.recorder import RecordOptions, record
@@ -241,18 +239,14 @@ sys.exit(main())
 
 def flood(lines=None):
     """Return the address of a robot that sends as fast as it can: one reading, and then readings or other ``lines``."""
-    listener = socket.create_server(("127.0.0.1", 0))
-    readings = b"".join(json.dumps({"t": 1e-4 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n" for k in range(5000))
+    readings = b"".join(line_of(k, 1e-4) for k in range(5000))
 
-    def serve():
-        peer, _ = listener.accept()
-        with peer, listener, suppress(OSError):
-            peer.sendall(readings.partition(b"\n")[0] + b"\n")
-            while True:
-                peer.sendall(lines or readings)
+    def talk(peer):
+        peer.sendall(line_of(0))
+        while True:
+            peer.sendall(lines or readings)
 
-    threading.Thread(target=serve, daemon=True).start()
-    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+    return f"tcp://{Peer(talk).address}"
 
 
 def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):

@@ -1,17 +1,15 @@
 """A robot whose readings cannot be stored at once: late readings are complete, lost ones are not."""
 
 import json
-import socket
 import subprocess
 import sys
-import threading
 import time
-from contextlib import suppress
 
 import pytest
 from record_box import HOST_0, SECOND, Box, Robot, Wire
 from record_files import run, topics
-from record_real import box_on_a_socket
+from record_real import box_on_a_socket, line_of
+from tests.host.tcp_peer import Peer
 
 from truearm.record.links import Backlog
 from truearm.workflows.record import what_is_missing
@@ -24,22 +22,15 @@ SMALL_QUEUE = (
 
 def bursting_robot(lost):
     """Return the address of a robot that sends a burst, then a few readings as they come; ``lost`` are left out."""
-    listener = socket.create_server(("127.0.0.1", 0))
 
-    def line(k):
-        return json.dumps({"t": 0.01 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n"
+    def talk(peer):
+        peer.sendall(b"".join(map(line_of, range(BURST))))
+        for k in range(BURST + lost, BURST + lost + 100):
+            peer.sendall(line_of(k))
+            time.sleep(0.01)
+        peer.sendall(b'{"end": true}\n')
 
-    def serve():
-        peer, _ = listener.accept()
-        with peer, listener, suppress(OSError):
-            peer.sendall(b"".join(line(k) for k in range(BURST)))
-            for k in range(BURST + lost, BURST + lost + 100):
-                peer.sendall(line(k))
-                time.sleep(0.01)
-            peer.sendall(b'{"end": true}\n')
-
-    threading.Thread(target=serve, daemon=True).start()
-    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+    return f"tcp://{Peer(talk).address}"
 
 
 @pytest.mark.parametrize(("lost", "code"), [(0, 0), (7, 4)])

@@ -215,16 +215,9 @@ class TestTcp:
 
     def test_a_header_counts_for_the_connections_behind_it_too(self):
         """A program prints it once, and goes on when the network is back. The first row of a connection may have lost its head."""
-        listener = socket.create_server(("127.0.0.1", 0))
-
-        def robot():
-            for said in (b"t_s,q1_deg\n1,90\n", b"2.5,90\n13,180\n"):
-                peer, _ = listener.accept()
-                with peer:
-                    peer.sendall(said)
-
-        threading.Thread(target=robot, daemon=True).start()
-        link, lines = open_source(f"lines+tcp://127.0.0.1:{listener.getsockname()[1]}", HostClock()), []
+        texts = iter((b"t_s,q1_deg\n1,90\n", b"2.5,90\n13,180\n"))
+        robot = Peer(lambda peer: peer.sendall(next(texts)), clients=2)
+        link, lines = open_source(f"lines+tcp://{robot.address}", HostClock()), []
         for again in (False, True):
             assert not again or link.reopen(PATIENCE_S)
             got = b""
@@ -233,7 +226,6 @@ class TestTcp:
                     got += b"".join(data for _, data in link.read(0.1))
             lines.append([parse_line(line) and parse_line(line).t for line in got.splitlines()])
         link.close()
-        listener.close()
         assert lines == [[None, 1.0], [None, 13.0]]
 
     def test_a_header_that_is_not_understood_ends_it(self):

@@ -2,11 +2,12 @@
 
 import json
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
 from test_record_command import box_on_a_socket
-from test_record_failures import server
+from tests.host.tcp_peer import Peer
 
 from truearm.cli.main import main
 from truearm.session.session_file import open_session
@@ -19,11 +20,9 @@ def rows_of(path):
 def recorded(tmp_path, capsys, talk, address):
     """Return the session of a robot that talks and then closes its stream, and inspect's account of the robot."""
     out = tmp_path / "s.mcap"
-    with box_on_a_socket() as (_, device), server(talk) as peer:
-        assert (
-            main(["record", "--box", device, "--address", address.format(peer), "--patience-s", "0", "--out", str(out)])
-            == 0
-        )
+    with box_on_a_socket() as (_, device), closing(Peer(talk)) as robot:
+        source = ["--address", address.format(robot.address), "--patience-s", "0"]
+        assert main(["record", "--box", device, *source, "--out", str(out)]) == 0
     capsys.readouterr()
     assert main(["inspect", str(out), "--json"]) == 0
     return out, json.loads(capsys.readouterr().out)["robot"]
@@ -56,9 +55,9 @@ def test_a_header_that_is_not_understood_is_said(tmp_path, capsys):
         time.sleep(1.0)
 
     out = tmp_path / "s.mcap"
-    with box_on_a_socket() as (_, device), server(robot) as peer:
-        arguments = ["--box", device, "--address", f"lines+tcp://{peer}", "--out", str(out), "--duration-s", "3"]
-        assert main(["record", *arguments]) == 4
+    with box_on_a_socket() as (_, device), closing(Peer(robot)) as served:
+        source = ["--address", f"lines+tcp://{served.address}", "--duration-s", "3"]
+        assert main(["record", "--box", device, *source, "--out", str(out)]) == 4
     # the box here has no calibrated channel; whether its warning comes before the end is a matter of milliseconds
     complaint = [line for line in capsys.readouterr().err.splitlines() if "warning: no channel" not in line]
     assert len(complaint) == 1

@@ -16,6 +16,7 @@ from contextlib import suppress
 import pytest
 from record_files import events, topics
 from record_real import box_on_a_socket
+from tests.host.tcp_peer import Peer
 
 from truearm.cli.main import main
 from truearm.errors import InputError, LinkError
@@ -124,40 +125,34 @@ class TestBytes:
         assert packages.push(DATA_Q) == []
 
 
-class Controller:
+class Controller(Peer):
     """A controller that expects requests byte by byte and answers each as the script has it; then ``last`` is done."""
 
     def __init__(self, script, last=lambda peer: None, connections=1):
-        self.listener = socket.create_server(("127.0.0.1", 0))
-        self.url = f"rtde://127.0.0.1:{self.listener.getsockname()[1]}"
-        self.wrong = []
-        self.after = b""
+        self.wrong, self.after = [], b""
         self._script, self._last = script, last
-        self._thread = threading.Thread(target=lambda: [self._run() for _ in range(connections)], daemon=True)
-        self._thread.start()
+        super().__init__(self._play, connections)
+        self.url = f"rtde://{self.address}"
 
-    def _run(self):
-        peer, _ = self.listener.accept()
-        with peer:
-            peer.settimeout(PATIENCE_S)
-            for request, answer in self._script:
-                got = b""
-                while len(got) < len(request):
-                    piece = peer.recv(len(request) - len(got))
-                    if not piece:
-                        return
-                    got += piece
-                if got != request:
-                    self.wrong.append((got, request))
-                peer.sendall(answer)
-            self._last(peer)
-            with suppress(OSError):  # a client that leaves while something is on its way to it resets the connection
-                while piece := peer.recv(4096):
-                    self.after += piece
+    def _play(self, peer):
+        peer.settimeout(PATIENCE_S)
+        for request, answer in self._script:
+            got = b""
+            while len(got) < len(request):
+                piece = peer.recv(len(request) - len(got))
+                if not piece:
+                    return
+                got += piece
+            if got != request:
+                self.wrong.append((got, request))
+            peer.sendall(answer)
+        self._last(peer)
+        with suppress(OSError):  # a client that leaves while something is on its way to it resets the connection
+            while piece := peer.recv(4096):
+                self.after += piece
 
     def finish(self):
-        self._thread.join(PATIENCE_S)
-        self.listener.close()
+        self.close()
         assert not self.wrong
 
 

@@ -4,17 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.host.clock_scenarios import CHANGES, box_scenario, changing_scenario, robot_scenario, table
+from tests.host.clock_scenarios import CHANGES, box_scenario, changing_scenario, robot_scenario
 
 
 def judge(outcomes, widest_us):
     """Every error within its bound; bounds that say something."""
-    said = table(outcomes)
-    print("\n" + said)
-    assert all(np.all(np.abs(o.error) <= o.bound) for o in outcomes), said
     ratios = np.array([o.ratio.max() for o in outcomes])
-    assert np.median(ratios) > 0.1, said  # a bound ten times the largest error of a session were none
-    assert np.median([np.median(o.bound) for o in outcomes]) < widest_us, said
+    assert ratios.max() <= 1.0, np.flatnonzero(ratios > 1.0)
+    assert np.median(ratios) > 0.1  # a bound ten times the largest error of a session were none
+    assert np.median([np.median(o.bound) for o in outcomes]) < widest_us
 
 
 @pytest.mark.parametrize("seeds", [range(20), pytest.param(range(20, 200), marks=pytest.mark.soak)], ids=["20", "180"])

@@ -118,20 +118,6 @@ def test_only_what_reaches_the_sources_is_taken_from_the_machines_apt():
     assert [line for line in taken + left if debian.ACQUIRE.match(line)] == taken
 
 
-def test_os_release(tmp_path):
-    path = tmp_path / "os-release"
-    assert debian.os_release(path) == {}
-    path.write_text('# a comment\nNAME="Debian GNU/Linux"\nVERSION_CODENAME=bookworm\nID=debian\n')
-    assert debian.os_release(path)["VERSION_CODENAME"] == "bookworm"
-    assert debian.os_release(path)["NAME"] == "Debian GNU/Linux"
-
-
-def test_elf_header_of_this_python():
-    python = Path(sys.executable).resolve().read_bytes()
-    assert micropython.elf_bits(python) == (64 if sys.maxsize > 2**32 else 32)
-    assert Path(micropython.elf_interpreter(python)).name.startswith("ld-")
-
-
 def test_search_order(tmp_path):
     named = fake(tmp_path / "named", says("1 27 0", 2**31 - 1))
     on_path = fake(tmp_path / "bin", says("1 26 1"))

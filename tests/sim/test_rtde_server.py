@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import PORT
 from truearm_sim.ports import Port
-from truearm_sim.rtde_server import RtdeServer, type_of
+from truearm_sim.rtde_server import RtdeServer
 from truearm_sim.world import Setup, World, standard_plan
 
 WORLD = World(1, standard_plan(9, 1), setup=Setup(robot_rate=500.0))
@@ -148,11 +148,6 @@ class TestProtocol:
         assert len(told) == pytest.approx(101, abs=1)
         assert ask(server, rtde.package(rtde.PAUSE), until_ns=1_000_000_000) == [(rtde.PAUSE, b"\1")]
 
-    def test_inputs_are_not_served_and_it_says_so(self):
-        ((kind, payload),) = ask(RtdeServer(Asked(), 500.0), rtde.package(ord("I"), b"speed_slider_mask"))
-        assert kind == rtde.TEXT
-        assert rtde.text_message(payload) == ("warning", "truearm_sim", "package type 73 is not served")
-
     @settings(max_examples=200, deadline=None)
     @given(
         st.lists(st.tuples(st.sampled_from(b"VvOSPUMI"), st.binary(max_size=40)), max_size=6), st.binary(max_size=40)
@@ -176,19 +171,3 @@ class TestProtocol:
         server = RtdeServer(Asked(), 500.0)
         ask(server, b"\0\0\0\0")
         assert server.port.client is None
-
-    @pytest.mark.parametrize(
-        ("name", "type_"),
-        [
-            ("actual_q", "VECTOR6D"),
-            ("robot_mode", "INT32"),
-            ("output_int_register_12", "INT32"),
-            ("output_double_register_0", "DOUBLE"),
-            ("output_bit_register_64", "BOOL"),
-            ("joint_mode", "VECTOR6INT32"),
-            ("actual_digital_input_bits", "UINT64"),
-            ("x", rtde.NOT_FOUND),
-        ],
-    )
-    def test_types_of_the_description(self, name, type_):
-        assert type_of(name) == type_

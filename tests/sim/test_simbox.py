@@ -75,13 +75,6 @@ def test_at_the_prompt_the_box_is_silent_until_power_fails(talk):
     assert beats(box.run(2500))
 
 
-def test_a_reset_by_command_is_its_own_cause(talk):
-    box = talk()
-    box.run(2)
-    box.run(2, (messages.RESET, 1, 0))
-    assert {beat["reset_cause"] for beat in beats(box.run(2500))} == {3}
-
-
 def test_the_output_is_seen_and_goes_with_the_power(talk):
     box = talk()
     box.run(2)
