@@ -12,7 +12,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe, with_prior
 from truearm.estimate.problem import build_problem
 from truearm.estimate.recursive import Filter, rows_of, run, start, update
-from truearm.estimate.whitened_rows import deleted_distance, gate
+from truearm.estimate.whitened_rows import distance_without, gate, leverages
 
 PRIOR = {ULB.parameter_names[i]: 0.052 for i in OFFSETS}
 
@@ -83,18 +83,18 @@ def test_deleted_distances_and_the_gate():
     flat, values = jac.reshape(-1, 5), residual.ravel()
     P = np.linalg.inv(flat.T @ flat)
     left = residual - jac @ (P @ flat.T @ values)
-    found = deleted_distance(jac, left, np.linalg.cholesky(P), np.ones(12))
+    found = distance_without(leverages(jac @ np.linalg.cholesky(P)), left, np.ones(12))
     for i in range(12):
         keep = np.repeat(np.arange(12) != i, 2)
         rest = np.linalg.inv(flat[keep].T @ flat[keep])
         nu = residual[i] - jac[i] @ rest @ flat[keep].T @ values[keep]
         expected = nu @ np.linalg.solve(np.eye(2) + jac[i] @ rest @ jac[i].T, nu)
         assert found[i] == pytest.approx(expected, rel=1e-9)
-        out = deleted_distance(jac[i : i + 1], nu[None], np.linalg.cholesky(rest), np.zeros(1))
+        out = distance_without(leverages(jac[i : i + 1] @ np.linalg.cholesky(rest)), nu[None], np.zeros(1))
         assert out[0] == pytest.approx(expected, rel=1e-9)
     jac = np.array([[[1.0, 0.0]], [[1.0, 0.0]], [[0.0, 1e-3]]])
     P = np.diag([0.5, 1e6])
-    assert deleted_distance(jac, np.array([[0.5], [-0.5], [1e-9]]), np.sqrt(P), np.ones(3))[2] == 0.0
+    assert distance_without(leverages(jac @ np.sqrt(P)), np.array([[0.5], [-0.5], [1e-9]]), np.ones(3))[2] == 0.0
     assert gate(1) == pytest.approx(stats.chi2.isf(1e-6, 1))
     np.testing.assert_allclose(gate(np.array([1, 3])), stats.chi2.isf(1e-6, [1, 3]))
 

@@ -154,10 +154,10 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
             wide, columns, x, Options(PRELIMINARY, damping=Damping(correctors=0), ends=Ends(steps=1, predicted=1e-4))
         ).x,
     )
-    misfit, rms = _misfit(problem, x, columns)
+    misfit, rms = _misfit(problem, x)
     if rms > HEAVY * misfit:  # many bad rows bend the fit, so that the others err too
         x = fit(wide, columns, x, Options(loss=Loss.CAUCHY)).x
-        misfit, _ = _misfit(problem, x, columns)
+        misfit, _ = _misfit(problem, x)
     data = of_rows(problem, x, columns)
     root = data.root if settled(problem, x) is problem else _root(problem, x, free)
     weak = weakly_identifiable(root / misfit, n, unit[free], least=RANK_TOLERANCE)
@@ -193,10 +193,10 @@ def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
     return table.select(rows).replace(q=q)
 
 
-def _misfit(problem: Problem, x: Floats, columns: Mask) -> tuple[float, float]:
+def _misfit(problem: Problem, x: Floats) -> tuple[float, float]:
     """Return the ratio of the median row's residual to its expected value, 1 to LARGEST_MISFIT; and that of their RMS."""
     ratios, squares = [], []
-    for block in whitened_blocks(problem, x, columns):
+    for block in whitened_blocks(problem, x, np.zeros(x.size, dtype=bool)):
         if block.row is not None:
             length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
             ratios.append(length / np.sqrt(special.chdtri(width, 0.5)))

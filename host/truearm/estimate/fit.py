@@ -36,7 +36,7 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
     Of more than MANY observations, every so manieth is fitted first: this costs little, and ends close to the minimum.
     """
     stride = sum(len(group.sensor_cov) for group in problem.groups) // MANY
-    if stride > 1:
+    if stride > 1 and columns.any():
         thinned = (group if group.row is None else group.take(slice(None, None, stride)) for group in problem.groups)
         x = fit(replace(problem, groups=tuple(thinned)), columns, x, options._replace(on_step=None)).x
     unknowns, iterations, prior = x[columns], 0, problem.prior_sigma[columns]

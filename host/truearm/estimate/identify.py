@@ -48,7 +48,7 @@ from truearm.estimate.problem import (
     settled,
     without_effect_priors,
 )
-from truearm.estimate.row_errors import RowErrors, left_out_errors, row_errors
+from truearm.estimate.row_errors import Judge, RowErrors, judging, left_out_errors
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options, Solution, goodness_of, rms_of, solver_named
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
@@ -134,11 +134,11 @@ def identify(
         if options.progress is not None:
             options.progress(iteration, history[-1])
 
-    nominal = _nominal(task, options)
-    solution, complete, outlying = _solved(task, nominal, options, on_step)
+    nominal, judge = _nominal(task, options), judging(problem, columns, task.pose)
+    solution, complete, outlying = _solved(task, nominal, options, judge, on_step)
     x, root = solution.x, solution.information.half
     fitted_problem = only(problem, solution.weight > 0.0)
-    quality = _quality(task, solution, solution is complete, root, options)
+    quality = _quality(task, solution, solution is complete, judge, options)
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
     covariance = np.zeros((x.size, x.size))
@@ -281,7 +281,7 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
 
 
 def _solved(
-    task: _Task, nominal: _Nominal, options: SolverOptions, on_step: Callable[[int, Residuals], None]
+    task: _Task, nominal: _Nominal, options: SolverOptions, judge: Judge, on_step: Callable[[int, Residuals], None]
 ) -> tuple[Solution, Solution, NDArray[np.bool_]]:
     """Return the fit, that of all rows (the same, unless outliers were left out), and which rows (n_rows,) are outlying."""
     problem, columns, gross = task.problem, task.columns, nominal.gross
@@ -296,7 +296,7 @@ def _solved(
     if options.outliers is not None:
         return weightless(problem, columns, begun, ~gross), complete, gross
     if _rejects(options) and begun.status == "converged":
-        rejected = without_outliers(problem, columns, begun, how_to, gross)
+        rejected = without_outliers(problem, columns, begun, how_to, gross, judge)
         if rejected is not None:
             return rejected.fit if rejected.explained else complete, complete, rejected.fit.weight == 0.0
     return complete, complete, complete.weight == 0.0
@@ -311,21 +311,21 @@ class _Quality(NamedTuple):
     inliers: Problem
 
 
-def _quality(task: _Task, solution: Solution, is_complete: bool, root: Floats, options: SolverOptions) -> _Quality:
-    """Judge the rows by a fit, with the covariance ``root @ root.T`` of its unknowns; ``is_complete``: it used all rows."""
-    problem, columns = task.problem, task.columns
-    rows = row_errors(problem, solution.x, columns, root, solution.weight, task.pose)
+def _quality(task: _Task, solution: Solution, is_complete: bool, judge: Judge, options: SolverOptions) -> _Quality:
+    """Judge the rows by a fit; ``is_complete``: it used all rows."""
+    problem, columns, rows = task.problem, task.columns, judge(solution, solution.weight)
     quality = goodness_of(problem, columns, solution)
     if options.loss != Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
         inliers = only(problem, ~rows.beyond)
         tolerated = inliers if rows.beyond.mean() <= MOST_BAD else problem
+        root = solution.information.half
         shares = prior_shares(root, solution.prior_sigma)
         quality = goodness(*weighted_chi2(tolerated, solution.x, Loss(options.loss)), shares)
         left_out = left_out_errors(inliers, solution.x, columns, root, task.pose)
         return _Quality(quality, None, rows._replace(left_out=left_out), inliers)
     bad = None
     if _rejects(options) and is_complete and solution.status == "converged" and not quality.explained:
-        bad = without_bad_rows(problem, columns, solution, quality, Options(options.max_iterations))
+        bad = without_bad_rows(problem, columns, solution, quality, Options(options.max_iterations), judge)
     if bad is not None:
         rows = rows._replace(distance=bad.distance, beyond=bad.bad)
     return _Quality(quality, bad, rows, only(problem, solution.weight > 0.0))

@@ -26,10 +26,11 @@ from truearm.estimate.fit import fit
 from truearm.estimate.information import observe
 from truearm.estimate.prediction import moves
 from truearm.estimate.problem import Problem
+from truearm.estimate.row_errors import Judge, RowErrors
 from truearm.estimate.solution import Options, Solution, goodness_of, rms_of
 from truearm.estimate.solvers import Loss
 from truearm.estimate.uncertainty import Goodness
-from truearm.estimate.whitened_rows import gate, only, squared_distances, whitened_blocks
+from truearm.estimate.whitened_rows import gate, only, whitened_blocks
 from truearm.model.chain import Chain
 from truearm.results import OtherFit
 from truearm.types import Floats, Indices, Mask
@@ -56,7 +57,7 @@ def gross_rows(problem: Problem, columns: Mask, x: Floats) -> tuple[Mask, Floats
     """
     gross, x_others = np.zeros(problem.n_rows, dtype=bool), x
     for _ in range(GROSS_ROUNDS):
-        size = _times_the_median(problem, x_others, columns, gross)
+        size = _times_the_median(problem, x_others, gross)
         candidates = size > GROSS
         if np.array_equal(candidates, gross):
             break
@@ -67,10 +68,10 @@ def gross_rows(problem: Problem, columns: Mask, x: Floats) -> tuple[Mask, Floats
     return gross, x_others
 
 
-def _times_the_median(problem: Problem, x: Floats, columns: Mask, gross: Mask) -> Floats:
+def _times_the_median(problem: Problem, x: Floats, gross: Mask) -> Floats:
     """Return each row's whitened residual (n_rows,) over the median of those of its kind that are not gross."""
     size = np.zeros(problem.n_rows)
-    for block in whitened_blocks(problem, x, columns):
+    for block in whitened_blocks(problem, x, np.zeros(x.size, dtype=bool)):
         if block.row is not None:
             length = np.linalg.norm(block.residual, axis=1)
             accepted = length[~gross[block.row]]
@@ -85,15 +86,14 @@ def single(bad: Mask) -> bool:
 
 
 class Settled(NamedTuple):
-    """The fit of the rows that a choice includes, (n_rows,), the squared distance of each row, and its residuals.
+    """The fit of the rows that a choice includes, (n_rows,), and the errors of each row.
 
     ``is_stable`` is False if the choice recurs or leaves out too many rows, or if the fit does not converge.
     """
 
     fit: Solution
     included: Mask
-    square: Floats
-    width: Indices
+    rows: RowErrors
     is_stable: bool
 
 
@@ -105,6 +105,7 @@ def settled(
     choose: Callable[[Floats, Indices, Mask], Mask],
     largest_share: float,
     options: Options,
+    judge: Judge,
 ) -> Settled:
     """Alternate the choice of rows and their fit, from a ``solution`` over x[columns] with the rows' ``weight`` (n_rows,).
 
@@ -113,8 +114,8 @@ def settled(
     """
     included, choices, is_stable = weight > 0.0, set[bytes](), False
     for _ in range(MAX_ROUNDS):
-        square, width = squared_distances(problem, solution.x, columns, solution.information.half, weight)
-        chosen = choose(square, width, included)
+        rows = judge(solution, weight)
+        chosen = choose(rows.distance**2, rows.width, included)
         is_stable = np.array_equal(chosen, included)
         if is_stable or (~chosen).mean() > largest_share or chosen.tobytes() in choices:
             break
@@ -123,7 +124,7 @@ def settled(
         solution = fit(only(problem, included), columns, solution.x, options._replace(on_step=None))
         if solution.status != "converged":
             break
-    return Settled(solution, included, square, width, is_stable)
+    return Settled(solution, included, rows, is_stable)
 
 
 class Rejection(NamedTuple):
@@ -134,7 +135,7 @@ class Rejection(NamedTuple):
 
 
 def without_outliers(
-    problem: Problem, columns: Mask, solution: Solution, options: Options, gross: Mask
+    problem: Problem, columns: Mask, solution: Solution, options: Options, gross: Mask, judge: Judge
 ) -> Rejection | None:
     """Return the fit without outliers; None if there are none, or if the model is wrong.
 
@@ -145,14 +146,14 @@ def without_outliers(
         return within(square, gate(width) * misfit(square, width, included), included)
 
     # Where the misfit varies, the choice may not settle: clean rows follow those that are farthest.
-    rows = settled(problem, columns, solution, (~gross).astype(float), choose, MOST, options)
-    if rows.fit.status != "converged" or rows.included.all() or not single(~rows.included):
+    good = settled(problem, columns, solution, (~gross).astype(float), choose, MOST, options, judge)
+    if good.fit.status != "converged" or good.included.all() or not single(~good.included):
         return None
-    explained = rows.is_stable and bool((rows.square > gate(rows.width)).mean() <= MOST)
-    if not explained and not matter(rows.square, ~rows.included):
+    explained = good.is_stable and bool(good.rows.beyond.mean() <= MOST)
+    if not explained and not matter(good.rows.distance**2, ~good.included):
         return None
-    refit = rows.fit._replace(iterations=solution.iterations, message=solution.message)
-    return Rejection(weightless(problem, columns, refit, rows.included), explained)
+    refit = good.fit._replace(iterations=solution.iterations, message=solution.message)
+    return Rejection(weightless(problem, columns, refit, good.included), explained)
 
 
 class WithoutBad(NamedTuple):
@@ -165,26 +166,28 @@ class WithoutBad(NamedTuple):
 
 
 def without_bad_rows(
-    problem: Problem, columns: Mask, solution: Solution, quality: Goodness, options: Options
+    problem: Problem, columns: Mask, solution: Solution, quality: Goodness, options: Options, judge: Judge
 ) -> WithoutBad | None:
     """Return the fit without the bad rows; None if there are none, or if they do not explain χ².
 
     ``solution`` is the least-squares fit of all rows over x[columns], with the ``quality`` that is out of its range.
     """
-    square, width = squared_distances(problem, solution.x, columns, solution.information.half, np.ones(problem.n_rows))
-    usual = float(np.nanmax(misfit(square, width, np.isfinite(square)), initial=1.0))
+    rows = judge(solution, solution.weight)
+    usual = float(np.nanmax(misfit(rows.distance**2, rows.width, np.isfinite(rows.distance)), initial=1.0))
     if not quality.reduced > HEAVY * usual:
         return None
     robust = fit(problem, columns, solution.x, options._replace(on_step=None, loss=Loss.CAUCHY))
-    good = settled(
-        problem, columns, robust, robust.weight, lambda square, width, _: ~(square > gate(width)), MOST_BAD, options
-    )
+
+    def choose(square: Floats, width: Indices, included: Mask) -> Mask:
+        return ~(square > gate(width))
+
+    good = settled(problem, columns, robust, robust.weight, choose, MOST_BAD, options, judge)
     bad = ~good.included
     if not good.is_stable or not bad.any() or longest_run(bad) > _longest_by_chance(bad):
         return None
     remaining = goodness_of(problem, columns, good.fit)
     explained = remaining.explained and remaining.freedom >= LEAST_LEFT
-    return WithoutBad(bad, np.sqrt(good.square), good.fit, remaining) if explained else None
+    return WithoutBad(bad, good.rows.distance, good.fit, remaining) if explained else None
 
 
 def _longest_by_chance(bad: Mask) -> float:

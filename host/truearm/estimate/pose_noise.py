@@ -122,15 +122,25 @@ class RowsByPose(NamedTuple):
         return noise.covariances(self.moved)
 
 
-def pose_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices) -> Iterator[RowsByPose]:
+def pose_rows(
+    problem: Problem,
+    x: Floats,
+    columns: NDArray[np.bool_],
+    pose: Indices,
+    root: Floats | None = None,
+    motions: bool = True,
+) -> Iterator[RowsByPose]:
     """Return all poses in chunks with equally many rows of each kind per pose.
 
-    The unknowns are x[columns], linearised at x. ``pose`` (n_rows,) holds the numbers of the poses.
+    The unknowns are x[columns], linearised at x, or these by ``root`` (k, r). ``pose`` (n_rows,) holds the numbers of the
+    poses. Without ``motions``, ``moved`` has no columns.
     """
-    by_unknowns = _by_unknowns(problem, x, columns)
+    by_unknowns: Floats | csr_array = _by_unknowns(problem, x, columns)
+    if root is not None:
+        by_unknowns = np.column_stack([by_unknowns[:, :-1] @ root, np.eye(by_unknowns.shape[0])[:, -1]])
     for pieces in _pieces(problem.groups, pose, by_unknowns.shape[0]):
         ends = np.cumsum([count * group.sensor_cov.shape[1] for group, count in pieces]).tolist()
-        whitened = [_whitened(problem, x, group, count) for group, count in pieces]
+        whitened = [_whitened(problem, x, group, count, by_unknowns, motions) for group, count in pieces]
         places = (slice(first, last) for first, last in pairwise([0, *ends]))
         numbers = (np.zeros(0, dtype=np.intp) if group.row is None else group.row for group, _ in pieces)
         groups, declared = (group for group, _ in pieces), (of_group[0] for of_group in whitened)
@@ -138,8 +148,7 @@ def pose_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Ind
         rows, moved = (
             np.concatenate(arrays, axis=1) for arrays in zip(*(arrays[1:] for arrays in whitened), strict=True)
         )
-        n, w, _ = rows.shape
-        yield RowsByPose(tuple(kinds), (rows.reshape(n * w, -1) @ by_unknowns).reshape(n, w, -1), moved)
+        yield RowsByPose(tuple(kinds), rows, moved)
 
 
 def _pieces(groups: Sequence[Group], pose: Indices, width: int) -> Iterator[list[tuple[Group, int]]]:
@@ -169,19 +178,24 @@ def _pieces(groups: Sequence[Group], pose: Indices, width: int) -> Iterator[list
             ]
 
 
-def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> tuple[Floats, Floats, Floats]:
-    """Return the rows' declared covariances; of their poses wrenches, by the rig's unknowns, residual; and ``moved``."""
+def _whitened(
+    problem: Problem, x: Floats, piece: Group, count: int, by_unknowns: Floats | csr_array, motions: bool
+) -> tuple[Floats, Floats, Floats]:
+    """Return the rows' declared covariances; of their poses the rows of ``RowsByPose``, and ``moved``."""
     lin = piece.evaluate(problem.chain, x)
     w, n, _ = lin.wrenches.shape
-    end = folded(problem.chain, x[: problem.n_robot]).end
-    moved = lin.wrenches @ np.concatenate([end[:, ::2], end[:, 1::2]], axis=1)
-    columns = (lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None], moved, lin.by_joints)
+    columns = [lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None]]
+    flat = np.concatenate([np.moveaxis(column, 2, 0) for column in columns]).reshape(-1, w * n)
+    columns = [np.moveaxis((by_unknowns.T @ flat).reshape(-1, w, n), 0, 2)]
+    if motions:
+        end = folded(problem.chain, x[: problem.n_robot]).end
+        columns += [lin.wrenches @ np.concatenate([end[:, ::2], end[:, 1::2]], axis=1), lin.by_joints]
     stacked = np.concatenate([np.moveaxis(column, 2, 0) for column in columns])
     declared = residual_cov(piece.sensor_cov, lin.jac_joints, problem.joint_cov)
     whiten(stacked, declared)
     rows = np.ascontiguousarray(stacked.transpose(2, 1, 0)).reshape(n // count, count * w, -1)
-    k = moved.shape[2] + lin.by_joints.shape[2]
-    return declared, rows[..., :-k], rows[..., -k:]
+    k = by_unknowns.shape[1]
+    return declared, rows[..., :k], rows[..., k:]
 
 
 def independent(rows: Iterable[RowsByPose]) -> Iterator[RowsByPose]:
@@ -216,7 +230,7 @@ def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -
 
 
 def _by_unknowns(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
-    """Return (b + r + 1, k + 1), nearly all zeros: what ``_whitened`` has times it are the rows of ``RowsByPose``."""
+    """Return (b + r + 1, k + 1), nearly all zeros: wrenches, by the rig's unknowns and residual times it are rows of ``RowsByPose``."""
     robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
     twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
     b, p = twists.shape

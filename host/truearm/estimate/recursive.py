@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from truearm.estimate.fit import fit
 from truearm.estimate.outliers import settled, weightless, within
 from truearm.estimate.problem import Problem
+from truearm.estimate.row_errors import judging
 from truearm.estimate.solution import Options, Solution, prior_error
 from truearm.estimate.whitened_rows import gate, whitened_blocks
 from truearm.types import Floats, Indices, Mask
@@ -90,7 +91,8 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
     solution, included = fit(problem, columns, x, options), np.ones(problem.n_rows, dtype=bool)
     iterations = solution.iterations
     if solution.status == "converged":
-        choice = settled(problem, columns, solution, included.astype(float), _by_gate, 1.0, options)
+        judge = judging(problem, columns, np.arange(problem.n_rows))
+        choice = settled(problem, columns, solution, included.astype(float), _by_gate, 1.0, options, judge)
         solution, included = choice.fit, choice.included
         if choice.is_stable:
             rows = rows_of(problem, solution.x, columns)

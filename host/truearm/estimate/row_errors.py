@@ -13,7 +13,7 @@ declared noise. L is the root of its declared covariance. Anything above that is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from truearm.estimate.pose_noise import PoseNoise, RowsByPose, pose_rows
 from truearm.estimate.problem import Problem
+from truearm.estimate.solution import Solution
 from truearm.estimate.whitened_rows import (
     distance_without,
     gate,
     in_units,
     leverages,
     noise_root,
-    seen_by,
     solve_semidefinite,
 )
 from truearm.kinds.group import Group, unit_columns
@@ -44,6 +44,23 @@ class RowErrors(NamedTuple):
     width: Indices  # (n,) residuals of a row
     left_out: Residuals  # magnitude of the error in a fit without the row's pose; NaN where that is undetermined
     parts: Mapping[str, ResidualParts]  # of the RMS residual: due to declared noise, and the rest
+
+
+Judge = Callable[[Solution, Floats], RowErrors]
+
+
+def judging(problem: Problem, columns: NDArray[np.bool_], pose: Indices) -> Judge:
+    """Return ``row_errors`` of fits of x[columns] with the weights (n,) of their rows; those of the last fit are kept."""
+    last: dict[bytes, RowErrors] = {}
+
+    def judge(solution: Solution, weight: Floats) -> RowErrors:
+        fit = solution.x.tobytes() + weight.tobytes()
+        if fit not in last:
+            last.clear()
+            last[fit] = row_errors(problem, solution.x, columns, solution.information.half, weight, pose)
+        return last[fit]
+
+    return judge
 
 
 def row_errors(
@@ -63,8 +80,8 @@ def row_errors(
     distance, width = np.full(problem.n_rows, np.nan), np.ones(problem.n_rows, dtype=np.intp)
     left_out, squares = problem.no_residuals(), dict[str, list[Floats]]()
     pose_number = np.where(weight > 0.0, pose, pose + 1 + pose.max(initial=0))  # a pose of what is predicted alone
-    for poses in _poses(problem, x, columns, pose_number, noise):
-        leverage, residual = leverages(seen_by(poses.rows[..., :-1], root)), poses.rows[..., -1:]
+    for poses in _poses(problem, x, columns, root, pose_number, noise):
+        leverage, residual = leverages(poses.rows[..., :-1]), poses.rows[..., -1:]
         f, absorbed, hat, covariance = residual, leverage, leverage, None
         if noise is not None:
             covariance = poses.covariances(noise)
@@ -99,19 +116,18 @@ def row_errors(
 def left_out_errors(problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices) -> Residuals:
     """Return the magnitude (n_rows,) of each row's error in a fit without its pose, by SI unit, as ``row_errors`` does."""
     errors = problem.no_residuals()
-    for poses in _poses(problem, x, columns, pose, None):
-        leverage = leverages(seen_by(poses.rows[..., :-1], root))
-        alone = poses.expanded(_without_pose(leverage, poses.rows[..., -1:], None))
+    for poses in _poses(problem, x, columns, root, pose, None):
+        alone = poses.expanded(_without_pose(leverages(poses.rows[..., :-1]), poses.rows[..., -1:], None))
         for group, row, declared, place in poses.kinds:
             _note(errors, group, noise_root(declared), alone[:, place].reshape(row.size, -1))
     return errors
 
 
 def _poses(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise | None
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices, noise: PoseNoise | None
 ) -> Iterator[RowsByPose]:
-    """Yield the table's rows by pose, on a basis of their derivatives, residuals and motions by noise."""
-    for poses in pose_rows(problem, x, columns, pose):
+    """Yield the table's rows [J S|f] by pose, S the ``root``, on a basis of them and of motions by noise."""
+    for poses in pose_rows(problem, x, columns, pose, root, noise is not None):
         if not poses.is_knowledge:
             columns_of = poses.rows if noise is None else np.concatenate([poses.rows, poses.moved], axis=2)
             yield poses.projected(columns_of)

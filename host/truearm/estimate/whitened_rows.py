@@ -94,23 +94,8 @@ def weighted_chi2(problem: Problem, x: Floats, loss: Loss) -> tuple[float, int]:
     return chi2, count
 
 
-def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, weight: Floats) -> Floats:
-    """Return the squared distance (n,) of each observation from its prediction by all others.
-
-    jac is (n, w, k), residual e (n, w) at the estimate, S (k, ·) with P = S Sᵀ, and ω (n,) the weights of the
-    observations; see ``distance_without``.
-    """
-    return distance_without(leverages(seen_by(jac, covariance_root)), residual, weight)
-
-
-def seen_by(jac: Floats, covariance_root: Floats) -> Floats:
-    """Return J S (n, w, r) of jac (n, w, k)."""
-    n, width, k = jac.shape
-    return np.asarray((jac.reshape(n * width, k) @ covariance_root).reshape(n, width, -1 if k else 0))
-
-
 def leverages(sensitivity: Floats) -> Floats:
-    """Return H (n, w, w) of ``sensitivity`` (n, w, r) = J S."""
+    """Return H (n, w, w) of ``sensitivity`` (n, w, r) = J S, with P = S Sᵀ."""
     return np.asarray(sensitivity @ sensitivity.swapaxes(1, 2))
 
 
@@ -150,18 +135,6 @@ def gate(width: NDArray[np.intp] | int, level: float = GATE_LEVEL) -> Floats:
     """Return the squared distance that a clean row of ``width`` residuals exceeds with probability ``level``."""
     widths, index = np.unique(width, return_inverse=True)
     return np.asarray(special.chdtri(widths, level)[index])
-
-
-def squared_distances(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
-) -> tuple[Floats, Indices]:
-    """Return the squared distance (n_rows,) of each row from its prediction by all others, and its number of residuals."""
-    square, width = np.full(problem.n_rows, np.nan), np.ones(problem.n_rows, dtype=np.intp)
-    for block in whitened_blocks(problem, x, columns):
-        if block.row is not None:
-            square[block.row] = deleted_distance(block.jac, block.residual, covariance_root, weight[block.row])
-            width[block.row] = block.residual.shape[1]
-    return square, width
 
 
 def only(problem: Problem, included: NDArray[np.bool_]) -> Problem:
