@@ -8,8 +8,8 @@ import pytest
 from puma_bench import CHAIN, FREE, RIG, random_table
 
 from truearm.estimate.parameter_update import stepper
-from truearm.estimate.payload_rows import with_payloads
 from truearm.estimate.problem import build_problem
+from truearm.estimate.systematic_effects import with_payloads
 from truearm.types import Payload, Point, Rig
 
 

@@ -1,4 +1,4 @@
-"""Circumstances of rows that an error may follow: time, the box's temperature, and the direction of each joint."""
+"""Circumstances of rows that an error may follow: time, the box's temperature, each joint's direction, the payload."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import NamedTuple, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.errors import ProblemError
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import DriftWith
-from truearm.types import Floats, Indices
+from truearm.types import Floats, Indices, Payload, Rigs, rigs_by_name
 
 SAME_POSE = 1e-3  # rad or m: joint readings that differ by less belong to one pose
 NOWHERE = np.zeros(0)  # motions of what is not a joint
@@ -119,3 +120,19 @@ def runs(*columns: NDArray[np.str_]) -> Indices:
     for column in columns:
         changed |= column[1:] != column[:-1]
     return np.concatenate([[0], np.cumsum(changed)])[: len(columns[0])]
+
+
+def payloads_of(rig: Rigs, table: ObservationTable) -> list[Payload]:
+    """Return the payload of each row (n): the row's own, otherwise that of its rig.
+
+    Raises ProblemError for a negative mass.
+    """
+    mass = table.payload
+    bad = np.flatnonzero(mass < 0.0)
+    if bad.size:
+        raise ProblemError(f"{table.source[bad[0]]}: a payload of {mass[bad[0]]:g} kg; give 0 kg (no payload) or more")
+    of_rig = {name: Payload(named.payload, named.payload_centre) for name, named in rigs_by_name(rig).items()}
+    return [
+        of_rig[str(name)] if np.isnan(m) else Payload(float(m), (x, y, z))
+        for name, m, (x, y, z) in zip(table.rig, mass, np.nan_to_num(table.payload_centre).tolist(), strict=True)
+    ]

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from truearm.estimate.circumstances import payloads_of
 from truearm.estimate.defaults import LEAST_POSES, in_any_pose
 from truearm.estimate.identifiability import spread
 from truearm.estimate.identify import determined, judged, merged
@@ -32,7 +33,6 @@ from truearm.estimate.law_fit import LawProblem, law_problem, learn, nearer_geom
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import poses
 from truearm.estimate.outliers import matter, misfit, single, within
-from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Problem, build_problem, modelled_of, settled, without_knowledge
 from truearm.estimate.row_errors import RowErrors, row_errors

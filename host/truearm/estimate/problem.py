@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
-from truearm.estimate.circumstances import Circumstances
-from truearm.estimate.payload_rows import payloads_of, with_payloads
+from truearm.estimate.circumstances import Circumstances, payloads_of
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
 from truearm.estimate.systematic_effects import (
@@ -36,6 +35,7 @@ from truearm.estimate.systematic_effects import (
     modelled_effects,
     motion_of_body,
     with_effects,
+    with_payloads,
 )
 from truearm.kinds.group import Group
 from truearm.kinds.registry import end_points, kinds

@@ -11,9 +11,9 @@ The score test uses these derivatives. A fit with effects as parameters evaluate
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,12 @@ from truearm.kinds.group import Group, GroupOfOther, KindFault
 from truearm.kinds.linearised import Linearised
 from truearm.kinds.unknowns import Fault
 from truearm.model.chain import Chain
+from truearm.model.law_chain import carries
 from truearm.model.poses import pose_of, six_of
-from truearm.model.rotation import left_jacobian, rotation
+from truearm.model.rotation import left_jacobian
 from truearm.model.transforms import Element
 from truearm.results import Effect
-from truearm.types import Floats, Indices, Mask
+from truearm.types import Floats, Indices, Mask, Payload
 
 # First columns of ``Linearised.wrenches``: force and couple on each axis of the base frame, derivatives by its
 # displacement.
@@ -144,32 +145,35 @@ def motion_of_body(names: Sequence[str], points: Mapping[str, Floats], about: Fl
 
 @dataclass(frozen=True, kw_only=True)
 class EffectRows(GroupOfOther):
-    """n observations of another group, with effects as the last parameters of x.
+    """n observations of another group under one payload, with effects as the last parameters of x.
 
-    Rows with the same items off, and by the whole effect, have one ``setting``. They are evaluated with these items
-    displaced, because an item that is centimetres off changes a length by tenths of a millimetre more than its
-    derivative says. Effects that are not ``whole`` (drifts, and joints, which are off by milliradians) are linear.
+    They are evaluated with their items displaced by the ``whole`` effects, because an item that is centimetres off
+    changes a length by tenths of a millimetre more than its derivative says. All rows have these to the same extent.
+    The other effects (drifts, and joints, which are off by milliradians) are linear.
     """
 
-    SHARED = ("constants", "bodies", "columns", "whole")
+    SHARED = ("constants", "payload", "bodies", "columns", "whole")
 
+    payload: Payload | None = None  # None: that of the chain
     bodies: Floats  # (c, t) of ``Errors``
     columns: Indices  # (e,) of ``error_columns``
     whole: NDArray[np.bool_]  # (e,)
     profile: Floats  # (n, e)
-    setting: Indices  # (n,) the same for rows with the same profile of the whole effects
     held: Floats | None = None  # (n, w, e) derivatives by the linear effects, if they are not those at x
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (n·w,) and their derivatives at x (P,)."""
+        if not self.columns.size:
+            return self.inner.evaluate(self._loaded(chain), x)
         lin = self.opened(chain, x)
         return lin._replace(jac_rig=lin.jac_rig[:, :, : x.size - len(chain.parameters)])
 
     def opened(self, chain: Chain, x: Floats) -> Linearised:
         """Return the same as ``evaluate``, with derivatives by the known constants after the effects in ``jac_rig``."""
-        size = x.size - self.columns.size
+        if not self.columns.size:
+            return self.inner.opened(self._loaded(chain), x)
         lin, by_effects = self._displaced(chain, x)
-        linear = ~self.whole
+        size, linear = x.size - self.columns.size, ~self.whole
         if self.held is not None:
             by_effects[:, :, linear] = self.held.swapaxes(0, 1)[:, :, linear]
         unknown, fixed = np.split(lin.jac_rig, [size - len(chain.parameters)], axis=2)
@@ -179,22 +183,12 @@ class EffectRows(GroupOfOther):
     def _displaced(self, chain: Chain, x: Floats) -> tuple[Linearised, Floats]:
         """Return the inner group with the items displaced by the whole effects, and derivatives (w, n, e) by all effects."""
         inside, off = np.split(x, [x.size - self.columns.size])
-        pieces, row_sets = [], []
-        for number in np.unique(self.setting):
-            rows = np.flatnonzero(self.setting == number)
-            amount = np.where(self.whole, off * self.profile[rows[0]], 0.0)
-            lin, errors = _with_items_off(self.inner.take(rows), chain, inside, self.bodies, self.columns, amount)
-            pieces.append((lin, errors[:, :, self.columns] * self.profile[rows]))
-            row_sets.append(rows)
-        if len(pieces) == 1:
-            return pieces[0]
-        order = np.argsort(np.concatenate(row_sets))
-        wrenches, jac_rig, by_joints, by_effects = (
-            np.concatenate(arrays, axis=1)[:, order]
-            for arrays in zip(*((lin.wrenches, lin.jac_rig, lin.by_joints, by) for lin, by in pieces), strict=True)
-        )
-        residual = np.concatenate([lin.residual.reshape(lin.wrenches.shape[1], -1) for lin, _ in pieces])[order]
-        return Linearised(residual.ravel(), wrenches, pieces[0][0].twists, jac_rig, by_joints), by_effects
+        amount = np.where(self.whole, off * self.profile[0], 0.0)
+        lin, errors = _with_items_off(self.inner, self._loaded(chain), inside, self.bodies, self.columns, amount)
+        return lin, errors[:, :, self.columns] * self.profile
+
+    def _loaded(self, chain: Chain) -> Chain:
+        return chain if self.payload is None else carries(chain, self.payload)
 
     def hold(self, chain: Chain, x: Floats) -> EffectRows:
         """Hold the derivatives by the linear effects: ``evaluate`` neglects that they change with x."""
@@ -202,11 +196,11 @@ class EffectRows(GroupOfOther):
 
     def settle(self, chain: Chain, x: Floats) -> EffectRows:
         """Settle as ``inner`` does without effects."""
-        return replace(self, inner=self.inner.settle(chain, x[: x.size - self.columns.size]))
+        return replace(self, inner=self.inner.settle(self._loaded(chain), x[: x.size - self.columns.size]))
 
     def faults(self, chain: Chain, x: Floats) -> list[KindFault]:
         """Return those of ``inner`` without effects."""
-        return self.inner.faults(chain, x[: x.size - self.columns.size])
+        return self.inner.faults(self._loaded(chain), x[: x.size - self.columns.size])
 
 
 def _with_items_off(
@@ -215,8 +209,7 @@ def _with_items_off(
     """Return a group with items off by an ``amount`` (e,) of some ``columns`` of its ``error_columns``; and these at it.
 
     The numbers of the rig are other numbers. The base is moved by a rotation vector about its origin, then displaced:
-    the chain begins with that motion. Its wrenches at the origin are returned in the axes of the base before it, as the
-    chain's ``twists`` need them. A motion of the tool or a place moves each of its points as its derivatives say.
+    the chain begins with that motion. A motion of the tool or a place moves each of its points as its derivatives say.
     """
     p, joints = len(chain.parameters), len(chain.joints)
     rig = x.size - p + group.constants.size
@@ -226,19 +219,14 @@ def _with_items_off(
     unknown, fixed = np.split(off, [x.size - p])
     displaced = np.concatenate([x[:p], x[p:] + unknown])
     group = replace(group, constants=group.constants + fixed) if fixed.any() else group
-    base = motion[rig + joints :][: len(BASE)]
-    if not base.any():
-        lin = group.opened(chain, displaced)
-        return lin, error_columns(lin, bodies)
-    shift, turn = base[::2], base[1::2]
-    lin = group.opened(replace(chain, elements=(*_moved_by(shift, turn), *chain.elements)), displaced)
-    force, moment = lin.wrenches[..., : len(BASE) : 2], lin.wrenches[..., 1 : len(BASE) : 2]
-    moment = moment - np.cross(shift, force)
-    by_base, of_base, rot = np.empty((*force.shape[:2], 6)), lin.wrenches.copy(), rotation(turn)
-    by_base[..., ::2], by_base[..., 1::2] = force, moment @ left_jacobian(turn)
-    of_base[..., : len(BASE) : 2], of_base[..., 1 : len(BASE) : 2] = force @ rot, moment @ rot
-    errors = error_columns(lin._replace(wrenches=by_base), bodies)
-    return lin._replace(wrenches=of_base, twists=group.take(slice(0, 1)).opened(chain, displaced).twists), errors
+    shift, turn = motion[rig + joints :][: len(BASE)].reshape(-1, 2).T
+    if shift.any() or turn.any():
+        chain = replace(chain, elements=(*_moved_by(shift, turn), *chain.elements))
+    lin = group.opened(chain, displaced)
+    by_base = lin.wrenches[..., : len(BASE)].copy()
+    force, moment = by_base[..., ::2], by_base[..., 1::2]
+    by_base[..., 1::2] = (moment - np.cross(shift, force)) @ left_jacobian(turn)
+    return lin, error_columns(lin._replace(wrenches=by_base), bodies)
 
 
 def _moved_by(shift: Floats, turn: Floats) -> tuple[Element, ...]:
@@ -255,15 +243,38 @@ def with_effects(
 
     ``whole`` (e,) are those that displace items; their profiles are 0 or 1.
     """
+    effects: Mapping[str, Any] = {"bodies": bodies, "columns": columns, "whole": whole}
     setting = np.unique(profiles[:, whole], axis=0, return_inverse=True)[1].ravel()
     return tuple(
         EffectRows.around(
             group,
-            bodies=bodies,
-            columns=columns,
-            whole=whole,
             profile=np.zeros((len(group.sensor_cov), columns.size)) if group.row is None else profiles[group.row],
-            setting=np.zeros(len(group.sensor_cov), dtype=np.intp) if group.row is None else setting[group.row],
+            **effects,
         )
-        for group in groups
+        for group in _split(groups, setting)
     )
+
+
+def with_payloads(groups: Sequence[Group], payloads: Sequence[Payload]) -> tuple[Group, ...]:
+    """Return the groups under the payloads of their rows (n_rows,); knowledge that is not a row has none."""
+    nothing: Mapping[str, Any] = {
+        "bodies": np.zeros((0, 0)),
+        "columns": np.zeros(0, np.intp),
+        "whole": np.zeros(0, bool),
+    }
+    different = {payload: k for k, payload in enumerate(dict.fromkeys(payloads))}
+    number = np.array([different[payload] for payload in payloads], dtype=np.intp)
+    return tuple(
+        group
+        if group.row is None
+        else EffectRows.around(group, payload=payloads[group.row[0]], profile=np.zeros((len(group.row), 0)), **nothing)
+        for group in _split(groups, number)
+    )
+
+
+def _split(groups: Sequence[Group], number: Indices) -> Iterator[Group]:
+    """Return the groups split by the numbers (n_rows,) of their rows."""
+    for group in groups:
+        numbers = np.zeros(len(group.sensor_cov), dtype=np.intp) if group.row is None else number[group.row]
+        for k in np.unique(numbers):
+            yield group.take(numbers == k)

@@ -22,10 +22,10 @@ import numpy as np
 from truearm.checks.examination import MEAN, faults_beside
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
+from truearm.estimate.circumstances import payloads_of
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import moved
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.result_document import copies_of, fault_entries
 from truearm.estimate.result_file import Input
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
