@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cbor2
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from record_box import array, data, frame, run_of, u32, u64
 
@@ -55,16 +55,6 @@ class TestSplitter:
         assert rejoined(items) == stream.replace(b"\0", b"")
         assert items == split([stream])
 
-    @settings(max_examples=20)
-    @given(st.integers(1, 3 * MAX_RUN), st.lists(st.integers(1, 2 * MAX_RUN), min_size=1, max_size=3))
-    def test_long_runs_come_in_the_same_pieces_however_cut(self, n, lengths):
-        stream = b"a" * n + frame(data(1, 0, 0)) + b"b" * (MAX_RUN + 1)
-        items = split(cut(stream, lengths))
-        assert items == split([stream])
-        assert rejoined(items) == stream.replace(b"\0", b"")
-        assert max(len(item) for _, item in items) <= MAX_RUN
-        assert (True, data(1, 0, 0)) in items
-
     @given(
         st.lists(st.tuples(payloads, junk, st.sampled_from([b"", b"\0", b"\0\0\0"])), min_size=1, max_size=20),
         st.lists(st.integers(1, 100), min_size=1, max_size=5),
@@ -79,7 +69,9 @@ class TestSplitter:
         runs = Runs(b"\0", MAX_RUN)
         n_out = 0
         for _ in range(1000):
-            n_out += sum(len(piece) for _, piece in runs.push(b"x" * 1000))
+            pieces = [piece for _, piece in runs.push(b"x" * 1000)]
+            assert all(len(piece) <= MAX_RUN for piece in pieces)
+            n_out += sum(map(len, pieces))
         assert n_out + len(runs.flush()) == 1_000_000
         assert 1_000_000 - n_out <= MAX_RUN
         run = run_of(data(1, 0, 0))
@@ -138,10 +130,7 @@ class TestPayload:
     [
         ([7, 8, 10, 11], 1, 0),
         ([7, 8, 8, 9], 0, 1),
-        ([7, 8, 5000, 9, 10], 0, 1),  # 4991 frames were once said to be lost
-        ([7, 8, 5000, 11, 12], 2, 1),
-        ([7, 8, 5000, 5000, 5001], 4991, 1),
-        ([2**32 - 2, 40, 2**32 - 1, 0], 0, 1),
+        ([2**32 - 2, 1, 2], 2, 0),
         ([7, 8, 0, 1], 0, 2),  # restarted
     ],
 )

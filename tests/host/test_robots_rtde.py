@@ -109,12 +109,6 @@ class TestBytes:
         recipe = rtde.recipe_of(["x"], b"\7" + type_.encode())
         assert recipe.values(b"\7" + bytes.fromhex(data)) == {"x": value}
 
-    def test_a_text_message(self):
-        ((_, payload),) = rtde.Packages().push(TEXT)
-        assert rtde.text_message(payload) == ("warning", "Controlle", "Stopped")
-        for end in range(len(payload)):
-            assert rtde.text_message(payload[:end]) is None
-
     @pytest.mark.parametrize("size", [0, 1, 2])
     def test_a_size_that_cannot_be(self, size):
         packages = rtde.Packages()
@@ -266,21 +260,21 @@ class TestClient:
         )
         lines = readings(WHOLE, TEXT + unknown + short + other + data(5.0), 5)
         text, *strangers, reading = map(json.loads, lines)
-        assert text == {"rtde": "text", "level": "warning", "source": "Controlle", "text": "Stopped"}
-        assert [bytes.fromhex(row["hex"]) for row in strangers] == [unknown[3:], short[3:], other[3:]]
+        assert text == {"rtde": ord("M"), "payload": "\x07Stopped\tControlle\x02"}
+        assert [row["payload"].encode("latin-1") for row in strangers] == [unknown[3:], short[3:], other[3:]]
         assert [row["rtde"] for row in strangers] == [2, 85, 85]
         assert reading["t"] == 5.0
         assert not any(parse_line(line) for line in lines[:-1])
         script = [*WHOLE[:-1], (START, TEXT + STARTED + data(1.0))]
         lines = readings([(script[0][0], TEXT + script[0][1]), *script[1:]], data(1.002), 4)
-        assert [sorted(json.loads(line))[0] for line in lines] == ["level", "level", "current", "current"]
+        assert [sorted(json.loads(line))[0] for line in lines] == ["payload", "payload", "current", "current"]
 
     @pytest.mark.parametrize("t", [float("nan"), float("inf"), -1.0, 1e300])
     def test_an_impossible_time_is_no_reading(self, t):
         lines = readings(WHOLE, data(1.0) + data(t) + data(1.002), 3)
         assert [parse_line(line) is not None for line in lines] == [True, False, True]
         if not math.isfinite(t):  # which a line cannot hold
-            assert bytes.fromhex(json.loads(lines[1])["hex"]) == data(t)[3:]
+            assert json.loads(lines[1])["payload"].encode("latin-1") == data(t)[3:]
 
     def test_the_stamp_is_that_of_the_last_byte(self):
         clock = HostClock()
@@ -307,7 +301,7 @@ class TestClient:
         link = RtdeLink(controller.url, HostClock())
         reading, broken = map(json.loads, lines_of(link, 2))
         assert reading["t"] == 1.0
-        assert bytes.fromhex(broken["hex"]) == b"\0\0\0junk"
+        assert broken["payload"].encode() == b"\0\0\0junk"
         with pytest.raises(LinkError, match="RTDE"):
             lines_of(link, 3)
         link.close()

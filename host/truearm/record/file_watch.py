@@ -12,7 +12,6 @@ import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from enum import StrEnum
 from functools import reduce
 from itertools import count
 from pathlib import Path
@@ -23,25 +22,18 @@ from truearm.record.write_lock import hold
 COPIED_BYTES = 1 << 20  # per step
 
 
-class FileLoss(StrEnum):
-    """What happened to an open file."""
+def file_loss(file: BinaryIO, path: Path, size: int) -> str:
+    """Return what happened to ``file``, opened at ``path`` with ``size`` bytes written; "" if nothing.
 
-    TRUNCATED = "truncated"
-    DELETED = "deleted"
-    REPLACED = "replaced"
-    RENAMED = "renamed"
-
-
-def file_loss(file: BinaryIO, path: Path, size: int) -> FileLoss | None:
-    """Return what happened to ``file``, opened at ``path`` with ``size`` bytes written; None if it is unchanged."""
+    It is "truncated", "renamed", "deleted" or "replaced".
+    """
     status = os.fstat(file.fileno())
     if status.st_size < size:
-        return FileLoss.TRUNCATED
+        return "truncated"
     try:
-        path_status = path.stat()
+        return "" if os.path.samestat(status, path.stat()) else "replaced"
     except OSError:
-        return FileLoss.DELETED if status.st_nlink == 0 else FileLoss.RENAMED
-    return None if os.path.samestat(status, path_status) else FileLoss.REPLACED
+        return "renamed" if status.st_nlink else "deleted"
 
 
 def rescued_file(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:
@@ -88,9 +80,6 @@ def _pieces(file: BinaryIO, size: int) -> Iterator[bytes]:
         size -= len(data)
 
 
-def content_crc(file: BinaryIO, size: int) -> int | None:
-    """Return the CRC-32 of the first ``size`` bytes of an open file, None if it is shorter. Takes about 1 s per GB."""
-    try:
-        return reduce(lambda crc, data: zlib.crc32(data, crc), _pieces(file, size), 0)
-    except OSError:
-        return None
+def content_crc(file: BinaryIO, size: int) -> int:
+    """Return the CRC-32 of the first ``size`` bytes of an open file. Takes about 1 s per GB. Raises OSError if it is shorter."""
+    return reduce(lambda crc, data: zlib.crc32(data, crc), _pieces(file, size), 0)

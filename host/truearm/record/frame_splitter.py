@@ -18,15 +18,15 @@ from cobs import cobs
 
 from truearm.session.frames import decode, is_echo
 
-MAX_RUN = 4096  # bytes; a longer run is not a frame and is returned in pieces of this size
+MAX_RUN = 4096  # bytes; a longer run is not a frame and is returned in pieces
 _ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stuffing
 _SEQ_END, _SEQ_HALF = 2**32, 2**31
 
 
 class Runs:
-    """The runs of bytes between delimiters in a stream that arrives in arbitrary pieces; memory stays below ``limit``.
+    """The runs of bytes between delimiters in a stream that arrives in arbitrary pieces.
 
-    The runs do not depend on how the stream was split.
+    A run beyond ``limit`` is returned in pieces, so memory stays below the limit and one piece of the stream.
     """
 
     def __init__(self, delimiter: bytes, limit: int) -> None:
@@ -37,20 +37,14 @@ class Runs:
 
     def push(self, data: bytes) -> list[tuple[bool, bytes]]:
         """Return ``(whole, bytes)`` for every run finished by ``data``; pieces of a run beyond the limit are not whole."""
-        runs = data.split(self._delimiter)
-        runs[0] = self._remainder + runs[0]
-        self._remainder = runs.pop()
+        *runs, self._remainder = (self._remainder + data).split(self._delimiter)
         items: list[tuple[bool, bytes]] = []
         for run in runs:
-            if self._overlong or len(run) > self._limit:
-                items += [(False, piece) for piece in self._pieces(run)]
-                self._overlong = False
-            elif run:
-                items.append((True, run))
+            items += self._pieces(run)
+            self._overlong = False
         if len(self._remainder) > self._limit:
-            *full, self._remainder = self._pieces(self._remainder)
-            items += [(False, piece) for piece in full]
-            self._overlong = True
+            items += self._pieces(self._remainder)
+            self._overlong, self._remainder = True, b""
         return items
 
     def flush(self) -> bytes:
@@ -58,20 +52,17 @@ class Runs:
         remainder, self._remainder, self._overlong = self._remainder, b"", False
         return remainder
 
-    def _pieces(self, run: bytes) -> list[bytes]:
-        return [run[i : i + self._limit] for i in range(0, len(run), self._limit)]
+    def _pieces(self, run: bytes) -> list[tuple[bool, bytes]]:
+        is_whole = len(run) <= self._limit and not self._overlong
+        return [(is_whole, run[k : k + self._limit]) for k in range(0, len(run), self._limit)]
 
 
 class FrameCount:
-    """Counts the frames that a link lost, and those out of place, by the frames' own count.
-
-    A frame ahead of the count shows a loss, unless the next frame does not follow it: then it was damaged, and nothing is lost.
-    """
+    """Counts the frames that a link lost, and those behind the count, by the frames' own count (SPEC §4)."""
 
     def __init__(self) -> None:
         self.lost = self.odd = 0
         self._next: int | None = None
-        self._jump = 0  # of the last frame
 
     def clear(self) -> None:
         """Count from the next frame on."""
@@ -82,12 +73,9 @@ class FrameCount:
         ahead = 0 if self._next is None else (seq - self._next + _SEQ_HALF) % _SEQ_END - _SEQ_HALF
         if ahead < 0:
             self.odd += 1
-            skipped = ahead + self._jump + 1  # since the frame before the last one
-            if skipped < 0 or ahead == -1:
-                return False
-            ahead, self.lost = skipped, self.lost - self._jump
+            return False
         self.lost += ahead
-        self._next, self._jump = seq + 1, ahead
+        self._next = seq + 1
         return True
 
 

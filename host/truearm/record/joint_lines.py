@@ -22,50 +22,20 @@ from truearm.session.session_file import LATEST_NS
 
 MAX_LINE = 8192  # bytes
 SILENCE_S = 3.0
-END = b'{"end": true}'
+END = b'{"end":true}'
 EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
 
 
-class JointLines:
-    """Lines of a robot's stream, exactly as received without their line feed.
-
-    A joint line is one that ``parse_line`` accepts, with as many joints as the first. Takes about 3 µs per line of six
-    joints.
-    """
-
-    def __init__(self) -> None:
-        self._runs = Runs(b"\n", MAX_LINE)
-        self._n_joints: int | None = None
-        self.other_joints = 0  # readings with a different number of joints from the first
-
-    def push(self, data: bytes) -> list[tuple[JointLine | None, bytes]]:
-        """Return the lines in order, joint lines with their contents and all others with None."""
-        return [(self._reading(line) if is_whole else None, line) for is_whole, line in self._runs.push(data)]
-
-    def flush(self) -> bytes:
-        """Return what follows the last line feed when the stream has ended."""
-        return self._runs.flush()
-
-    def _reading(self, line: bytes) -> JointLine | None:
-        reading = parse_line(line)
-        if reading is None:
-            return None
-        if self._n_joints is None:
-            self._n_joints = len(reading.q)
-        if len(reading.q) == self._n_joints:
-            return reading
-        self.other_joints += 1
-        return None
-
-
 class RobotIntake:
-    """The robot's side of a recording.
+    """The robot's side of a recording: the lines of its stream, as received without their line feed.
+
+    A reading is a line that ``parse_line`` accepts, with as many joints as the first.
 
     ``lost``: why it is away, None while it is there. It has ``ended``, or it is away since ``lost_ns`` and may come back;
     its first reading ends the loss, not its link. ``heard_ns``: time of the last reading.
     """
 
-    def __init__(self, link: Link, writer: SessionWriter, clock: Clock, counters: Counters, operator: Operator) -> None:
+    def __init__(self, link: Link, clock: Clock, writer: SessionWriter, counters: Counters, operator: Operator) -> None:
         self.lost: LinkError | None = None
         self.lost_ns = 0
         self.ended = False
@@ -76,7 +46,8 @@ class RobotIntake:
         self._clock = clock
         self._counters = counters
         self._operator = operator
-        self._lines = JointLines()
+        self._runs = Runs(b"\n", MAX_LINE)
+        self._joints = 0  # of the first reading
         self._silent = False
         self._last: JointLine | None = None  # reading
         self._linked = True
@@ -173,18 +144,19 @@ class RobotIntake:
         return isinstance(self.lost, LinkClosed)
 
     def _take(self, t_host_ns: int, data: bytes) -> None:
-        for reading, line in self._lines.push(data):
+        for is_whole, line in self._runs.push(data):
+            reading = parse_line(line) if is_whole else None
             if reading is not None:
-                self._take_reading(t_host_ns, line, reading)
-                continue
+                self._joints = self._joints or len(reading.q)
+                if len(reading.q) == self._joints:
+                    self._take_reading(t_host_ns, line, reading)
+                    continue
+                self._counters.robot_other_joints += 1
             self._store_console(t_host_ns, line)
-            if line.strip().replace(b" ", b"") == END.replace(b" ", b"") and not self.ended:
-                self.ended, self.lost = (
-                    True,
-                    LinkClosed(f"{self._link.name}: the robot reported that its program has ended"),
-                )
-                self._writer.event("robot-closed", t_host_ns, text=str(self.lost))
-        self._counters.robot_other_joints = self._lines.other_joints
+            if line.strip().replace(b" ", b"") == END and not self.ended:
+                text = f"{self._link.name}: the robot reported that its program has ended"
+                self.ended, self.lost = True, LinkClosed(text)
+                self._writer.event("robot-closed", t_host_ns, text=text)
 
     def _take_reading(self, t_host_ns: int, line: bytes, reading: JointLine) -> None:
         if self.lost is not None and not self.ended:
@@ -215,7 +187,7 @@ class RobotIntake:
 
     def flush(self, t_host_ns: int) -> None:
         """Store what came behind the last line feed."""
-        remainder = self._lines.flush()
+        remainder = self._runs.flush()
         if remainder:
             self._store_console(t_host_ns, remainder)
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any
 
 from truearm.errors import LinkError, ProtocolError, RefusedError, TruearmError
@@ -17,7 +18,7 @@ from truearm.record.box_storage import BoxStorage, ClockExchanges
 from truearm.record.joint_lines import EXPECTED, RobotIntake
 from truearm.record.links import Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Counters, Operator, RecordSummary, Status
-from truearm.record.requests import RETRIES, SECOND, Requests
+from truearm.record.requests import SECOND, Requests
 from truearm.record.session_writer import SessionWriter
 from truearm.schema import quoted
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
@@ -88,44 +89,36 @@ def record(
     another protocol or has been replaced by another one, TruearmError if the file cannot be written, and whatever
     ``operator`` raises to refuse the box. Data received until then is kept in the file.
     """
-    for name, entries in options.head:
-        writer.metadata(name, entries)
     return _Recorder(link, writer, clock, robot, options, operator or Operator(), interrupted).run()
 
 
+@dataclass
 class _Recorder:
-    def __init__(
-        self,
-        link: Link,
-        writer: SessionWriter,
-        clock: Clock,
-        robot: Link | None,
-        options: RecordOptions,
-        operator: Operator,
-        interrupted: Callable[[], bool],
-    ) -> None:
-        self._link = link
-        self._writer = writer
-        self._clock = clock
-        self._options = options
-        self._operator = operator
-        self._interrupted = interrupted
-        self._patience_ns = int(options.patience_s * SECOND)
+    _link: Link
+    _writer: SessionWriter
+    _clock: Clock
+    _robot_link: Link | None
+    _options: RecordOptions
+    _operator: Operator
+    _interrupted: Callable[[], bool]
+    _counters: Counters = field(default_factory=Counters)
+    _state: str = "identifying"
+    _to_set_up: bool = True
+    _started_ns: int | None = None
+    _silent: bool = False
+    _box_gone: str = ""
+    _robot_gone: str = ""
+    _file_losses: int = 0  # reported in an event so far
 
-        self._counters = Counters()
-        self._exchanges = ClockExchanges(writer, self._counters)
-        now_ns = clock.now_ns()
-        self._requests = Requests(link, clock, self._await)
-        self._box = BoxStorage(writer, self._counters, self._exchanges, self._requests, operator)
-        self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters, operator)
-        self._state = "identifying"
-        self._to_set_up = True
-        self._to_ask = False  # whether to check that the box is still the same
-        self._started_ns: int | None = None
-        self._silent = False
-        self._box_gone = self._robot_gone = ""
-        self._file_losses = 0  # reported in an event so far
-        self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = now_ns
+    def __post_init__(self) -> None:
+        self._patience_ns = int(self._options.patience_s * SECOND)
+        shared = self._writer, self._counters
+        self._exchanges = ClockExchanges(*shared)
+        self._requests = Requests(self._link, self._clock, self._await)
+        self._box = BoxStorage(*shared, self._exchanges, self._requests, self._operator)
+        robot = self._robot_link
+        self._robot = None if robot is None else RobotIntake(robot, self._clock, *shared, self._operator)
+        self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = self._clock.now_ns()
 
     # --- the course of a recording
 
@@ -142,8 +135,9 @@ class _Recorder:
             end = _Ended("failed", str(exc))
             raise
         finally:
-            duration_s = self._elapsed_s()
+            end_ns, duration_s = self._clock.now_ns(), self._elapsed_s()
             self._finish(end)
+        silent_s = min((end_ns - (self._box.spoke_ns or 0)) / SECOND, duration_s)
         return RecordSummary(
             end.reason,
             end.text,
@@ -151,18 +145,20 @@ class _Recorder:
             self._counters,
             self._box.faults,
             tuple(self._writer.losses),
-            self._box_gone and f"silent for the last {duration_s - self._heard_s():.1f} s ({self._box_gone})",
+            self._box_gone and f"silent for the last {max(silent_s, 0.0):.1f} s ({self._box_gone})",
             self._robot_gone,
         )
 
     def _write_head(self) -> None:
-        now_ns = self._clock.now_ns()
-        if self._options.rig_toml is not None:
-            self._writer.attach("rig.toml", self._options.rig_toml)
-        for pose in self._options.plan:
+        now_ns, options = self._clock.now_ns(), self._options
+        for name, entries in options.head:
+            self._writer.metadata(name, entries)
+        if options.rig_toml is not None:
+            self._writer.attach("rig.toml", options.rig_toml)
+        for pose in options.plan:
             self._writer.add_json("/plan", now_ns, pose)
-        if self._options.mounted:
-            self._writer.event("mounted", now_ns, **self._options.mounted)
+        if options.mounted:
+            self._writer.event("mounted", now_ns, **options.mounted)
 
     def _record(self) -> None:
         while True:
@@ -170,8 +166,10 @@ class _Recorder:
                 self._check_end()
                 if self._to_set_up or self._box.restarted or self._box.stopped:
                     self._set_up()
-                elif self._to_ask or self._box.suspect:
-                    self._ask()
+                elif self._box.suspect:
+                    self._requests.ask(IDENTIFY)
+                    if not self._box.restarted:
+                        self._box.cleared()
                 self._pump(CHORES_NS)
             except (ProtocolError, RefusedError):
                 raise
@@ -183,38 +181,29 @@ class _Recorder:
         if self._box.stopped and not (self._to_set_up or self._box.restarted):
             self._writer.event("box-stopped", self._clock.now_ns())
         self._box.restarted = self._box.stopped = False
-        self._command(IDENTIFY)
-        self._command(STOP, may_fail=True)  # a killed recorder left it streaming
+        self._requests.ask(IDENTIFY)
+        with suppress(RefusedError):
+            self._requests.ask(STOP)  # a killed recorder left it streaming
         self._configure()
         self._operator.approve(self._requests.identified())
-        self._command(START)
+        self._requests.ask(START)
         self._box.stopped = False
         now_ns = self._clock.now_ns()
         self._writer.event("start", now_ns)
         if self._started_ns is None:
             self._started_ns = now_ns
             self._writer.keep()
-        self._to_set_up = self._to_ask = False
+        self._to_set_up = False
         self._state = "recording"
 
     def _configure(self) -> None:
-        osr = self._options.osr
-        differing = [
-            s for s in self._requests.identified().streams.values() if osr is not None and s.osr not in (0, osr)
-        ]
+        osr, streams = self._options.osr, self._requests.identified().streams.values()
+        differing = [stream for stream in streams if osr is not None and stream.osr not in (0, osr)]
         for stream in differing:
-            self._command(CONFIGURE, stream.id, osr)
+            self._requests.ask(CONFIGURE, stream.id, osr)
         if differing:
-            self._command(IDENTIFY)  # period and group delay depend on the osr
+            self._requests.ask(IDENTIFY)  # period and group delay depend on the osr
         self._writer.metadata("box", {"ident": json.dumps(self._requests.identified().document)})
-
-    def _ask(self) -> None:
-        """Ask the box to identify itself; ``_box.restarted`` then shows whether it restarted."""
-        suspect = self._box.suspect
-        self._command(IDENTIFY)
-        self._to_ask = False
-        if suspect and not self._box.restarted:
-            self._box.cleared()
 
     def _check_end(self) -> None:
         if self._state == "stopping":
@@ -270,7 +259,7 @@ class _Recorder:
         self._box.heard_ns = self._clock.now_ns()
         self._writer.event("link-back", self._box.heard_ns, device=self._link.name)
         self._box_gone = ""
-        self._to_ask = True
+        self._box.suspect = True  # it may have restarted, or be another one
         self._state = "recording"
 
     def _finish(self, end: _Ended) -> None:
@@ -302,7 +291,8 @@ class _Recorder:
             return
         self._state = "stopping"
         try:
-            self._command(STOP, may_fail=True, retries=STOP_RETRIES)
+            with suppress(RefusedError):
+                self._requests.ask(STOP, retries=STOP_RETRIES)
             deadline_ns = self._clock.now_ns() + DRAIN_NS
             while (left_ns := deadline_ns - self._clock.now_ns()) > 0:
                 self._pump(left_ns)
@@ -311,21 +301,11 @@ class _Recorder:
                 self._box_gone = str(exc)
                 self._writer.event("box-gone", self._clock.now_ns(), text=self._box_gone, heard_ns=self._box.spoke_ns)
 
-    # --- commands
-
-    def _command(self, kind: int, *arguments: Any, may_fail: bool = False, retries: int = RETRIES) -> None:
-        """Send a command until it is answered. Raises LinkError if it is not answered, RefusedError if it is refused."""
-        try:
-            self._requests.ask(kind, *arguments, retries=retries)
-        except RefusedError:
-            if not may_fail:
-                raise
+    # --- the loop
 
     def _await(self, timeout_s: float) -> None:
         self._check_end()
         self._pump(round(timeout_s * SECOND))
-
-    # --- the loop
 
     def _pump(self, timeout_ns: int) -> None:
         now_ns = self._clock.now_ns()
@@ -376,12 +356,6 @@ class _Recorder:
 
     def _elapsed_s(self) -> float:
         return 0.0 if self._started_ns is None else (self._clock.now_ns() - self._started_ns) / SECOND
-
-    def _heard_s(self) -> float:
-        """Return the time from the start to the box's last message."""
-        if self._started_ns is None or self._box.spoke_ns is None:
-            return 0.0
-        return max(0.0, (self._box.spoke_ns - self._started_ns) / SECOND)
 
     def _count_backlogs(self) -> None:
         self._counters.held_up = backlog_of(self._link).held_up

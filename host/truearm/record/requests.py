@@ -1,16 +1,15 @@
 """Send requests to the box until they are answered; without any byte that would stop a booting box.
 
-The box may still remember a command of an earlier session by its id (SPEC §6), so ids are taken from the host's
-milliseconds. For two seconds after power-on, a Pico treats byte 3 as Ctrl-C, which leads to MicroPython's prompt, where
-the box would stay. An id therefore contains no byte 3 (its bytes are base-255 digits that leave out 3), and ids that
-would give a byte 3 in the checksum are skipped. Otherwise every id during some hours of the day would contain it, and a
-box connected then would not start.
+The box may still remember a command of an earlier session by its id (SPEC §6), so ids are drawn at random. For two
+seconds after power-on, a Pico treats byte 3 as Ctrl-C, which leads to MicroPython's prompt, where the box would stay:
+ids that would give such a byte anywhere in the frame are drawn again.
 
 A request is repeated with the same id until it is answered; the box treats repetitions as one request.
 """
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -25,24 +24,12 @@ from truearm_wire.messages import encode_payload
 SECOND = 1_000_000_000
 RETRY_NS = SECOND // 2
 RETRIES = 10  # 5 s: a newly connected box waits 2 s before it runs
-NAMES = {
-    wire.IDENTIFY: "identify",
-    wire.CONFIGURE: "configure",
-    wire.START: "start",
-    wire.STOP: "stop",
-    wire.GET_CONFIG: "get-config",
-    wire.PUT_CONFIG: "put-config",
-    wire.SELF_TEST: "self-test",
-    wire.TO_REPL: "to-repl",
-    wire.RESET: "reset",
-    wire.PULSE: "pulse",
-}
+COMMANDS = range(48, 64)  # SPEC §6
+NAMES = {number: name.lower().replace("_", "-") for name, number in vars(wire).items() if number in COMMANDS}
 
 CTRL_C = 3
-_DIGITS = 255
-_TOP = 31  # number of values of the fourth byte: ids stay below 2^29, SPEC §6 allows 2^30
-_COUNTS = _DIGITS**3 * _TOP - 1
-# one in 40 has it by chance; a configuration page may contain it whatever the id is, but it follows an answer
+_ID_END = 2**29  # SPEC §6 allows 2^30
+# one in 20 has it by chance; a configuration page may contain it whatever the id is, but it follows an answer
 _TRIES = 64
 
 
@@ -62,7 +49,7 @@ class Requests:
         self._link = link
         self._clock = clock
         self._pump = pump
-        self._count = clock.now_ns() // 1_000_000 % _COUNTS
+        self._ids = random.Random(clock.now_ns())
         self._awaited: int | None = None
         self._answers: dict[int, bytes | RefusedError] = {}  # the document of a reply
         self._pages = {kind: Pages() for kind in (wire.IDENT, wire.REPLY)}
@@ -111,19 +98,8 @@ class Requests:
     def make(self, kind: int, *arguments: Any) -> tuple[int, bytes]:
         """Return the id and the frame of the next request."""
         for _ in range(_TRIES):
-            self._count = (self._count + 1) % _COUNTS
-            number = id_of(self._count)
+            number = self._ids.randrange(1, _ID_END)
             data = frame(encode_payload([kind, number, *arguments]))
             if CTRL_C not in data:
                 break
         return number, data
-
-
-def id_of(count: int) -> int:
-    """Return an id, 1 … 2^29 − 1, without a byte of 3; it differs for every count from 0 to 255³ · 31 − 2."""
-    count += 1
-    number = 0
-    for place in range(4):
-        count, digit = divmod(count, _DIGITS)
-        number |= (digit + (digit >= CTRL_C)) << 8 * place
-    return number

@@ -7,7 +7,7 @@ clock, which all computations use.
 The robot's lines are accompanied by their numbers as columns. What every message needs is repeated: metadata once a
 minute, attachments and a copy of the plan every ten minutes, and at the end. A completed file ends with a CRC.
 
-Twice a second the writer checks its file (``FileLoss``). A deleted or replaced file is copied from the open descriptor
+Twice a second the writer checks its file (``file_loss``). A deleted or replaced file is copied from the open descriptor
 to a new one, where the recording continues. Others are written to as before.
 
 A writer that is held only reserves its name, with a header or a lock, before ``keep``.
@@ -21,17 +21,17 @@ import os
 import sys
 import time
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, assert_never
+from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
 from truearm.errors import InputError, WriteError
-from truearm.record.file_watch import FileLoss, content_crc, file_loss, rescued_file
+from truearm.record.file_watch import content_crc, file_loss, rescued_file
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.record.write_lock import hold
@@ -46,6 +46,10 @@ _ATTACHED_EVERY = 10 * _COPY_EVERY
 _COLUMN_LINES = 1024  # maximum; a reader holds this many in memory
 _FSYNC_EVERY_S = 0.9
 _WATCH_EVERY_S = 0.5
+_OUTCOMES = {  # what becomes of a file that is still there
+    "truncated": "its earlier content is lost; truearm session recover saves what was written since",
+    "renamed": "the recording continues in it, under its new name",
+}
 
 _as_json = json.JSONEncoder(
     separators=(",", ":")
@@ -90,12 +94,10 @@ class SessionWriter:
         self._columns = COLUMNS  # their topic
         self._synced_s = self._watched_s = time.monotonic()
         self.losses: list[str] = []  # what happened to the file, one sentence each
-        self._reported: set[FileLoss] = set()  # of this file
-        self._failed = False  # a write did, so the file is not as it should be
+        self._reported = ""  # what happened to this file, as far as it is in ``losses``
+        self._failure: WriteError | None = None  # of a write: nothing more is written
         self._size = 0  # on the disk, as last written
-        self._waiting: list[_Message] = []  # of the current chunk
         self._head: list[_Message] = []  # the plan and what is mounted, which a replacement file must also contain
-        self._written = 0  # of them, in finished chunks
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, bytes] = {}
         self._chunks = 0
@@ -142,7 +144,7 @@ class SessionWriter:
     def _is_reserved(self) -> bool:
         """Return whether nobody touched the file since its name was reserved."""
         changed = os.fstat(self._file.fileno()).st_size != self._size
-        return not changed and file_loss(self._file, self.path, self._size) is None
+        return not changed and not file_loss(self._file, self.path, self._size)
 
     def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         """Append a message unchanged; ``sequence`` is its number within its topic, by default the next one.
@@ -191,7 +193,7 @@ class SessionWriter:
         if sequence is not None:
             channel.sequence = sequence
         message = (channel.number, t_host_ns + self._utc_offset_ns, data, t_host_ns, channel.sequence)
-        self._waiting.append(message)
+        self._writer.add_message(*message)
         if topic == "/plan" or (topic == "/events" and b'"mounted"' in data):
             self._head.append(message)
         channel.sequence = channel.sequence + 1 & 0xFFFFFFFF
@@ -254,7 +256,7 @@ class SessionWriter:
         try:
             with self._writing():
                 self._add_columns()
-                self._write_chunk()
+                self._writer.flush()
                 self._copy_head(attached=True)
                 entries = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
                 if entries:
@@ -263,9 +265,7 @@ class SessionWriter:
                 self._flushed()
                 os.fsync(self._out.file.fileno())
                 self._watch()
-                is_longer = os.fstat(self._out.file.fileno()).st_size > self._size
-                is_changed = is_longer or content_crc(self._out.file, self._size) not in (self._out.crc, None)
-                if is_changed and not self._reported:  # overwritten in place, or appended to: its name is the same
+                if not self._reported and not self._is_as_written():
                     self.losses.append(
                         f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
                         f"{self.path} shows what is left"
@@ -274,9 +274,16 @@ class SessionWriter:
             with suppress(OSError):  # a full disk refuses the same bytes again
                 self._out.file.close()
 
+    def _is_as_written(self) -> bool:
+        """Return whether nobody overwrote the file or appended to it; its name is the same."""
+        length = os.fstat(self._out.file.fileno()).st_size
+        return length == self._size and content_crc(self._out.file, length) == self._out.crc
+
     @contextmanager
     def _writing(self) -> Iterator[None]:
         """Check the file before something is written, and flush it afterwards. Raises WriteError."""
+        if self._failure is not None:
+            raise self._failure
         try:
             self._watch()
             yield
@@ -304,27 +311,19 @@ class SessionWriter:
 
     def _watch(self) -> None:
         """Check the file before more is written to it; report each kind of loss once. Raises OSError, WriteError."""
-        if self._failed or not self.kept:
+        if not self.kept:
             return
         self._watched_s = time.monotonic()
-        loss = file_loss(self._out.file, self.path, self._size)
-        if loss is None or loss in self._reported:
+        loss, old = file_loss(self._out.file, self.path, self._size), self.path
+        if loss in ("", self._reported):
             return
-        old = self.path
-        match loss:
-            case FileLoss.RENAMED:
-                outcome = "the recording continues in it, under its new name"
-            case FileLoss.DELETED | FileLoss.REPLACED:
-                self._move(loss)
-                outcome = f"all of it is in {self.path}"
-            case FileLoss.TRUNCATED:
-                outcome = "its earlier content is lost; truearm session recover saves what was written since"
-            case _:
-                assert_never(loss)
-        self._reported = {loss} - {FileLoss.DELETED, FileLoss.REPLACED}
+        if loss not in _OUTCOMES:
+            self._move(loss)
+        self._reported = loss if loss in _OUTCOMES else ""
+        outcome = _OUTCOMES.get(loss, f"all of it is in {self.path}")
         self.losses.append(f"{old}: was {loss} while it was written; {outcome}")
 
-    def _move(self, loss: FileLoss) -> None:
+    def _move(self, loss: str) -> None:
         """Continue in a new file that has the contents of the old one."""
         try:
             path, new = rescued_file(self._out.file, self._size, self.path)
@@ -344,12 +343,13 @@ class SessionWriter:
         if attached:
             for name, data in self._attachments.items():
                 self._add_attachment(name, data)
-            if self._written:
+            if self._head:
                 copy = io.BytesIO()
                 writer = _begun(copy)
                 for topic, channel in self._channels.items():
                     _register(writer, topic, channel.encodings)  # the numbers are the same because they are sequential
-                _pack(writer, self._head[: self._written])
+                for message in self._head:
+                    writer.add_message(*message)
                 writer.finish()
                 self._add_attachment(PLAN_COPY, copy.getvalue())
 
@@ -364,8 +364,9 @@ class SessionWriter:
 
     def _finish_chunk(self) -> None:
         self._add_columns()
+        self._chunk_since_ns, self._chunk_bytes = None, 0
         with self._writing():
-            self._write_chunk()
+            self._writer.flush()
             self._chunks += 1
             if self._chunks % _COPY_EVERY == 0:
                 self._copy_head(attached=self._chunks % _ATTACHED_EVERY == 0)
@@ -375,20 +376,11 @@ class SessionWriter:
                 os.fsync(self._out.file.fileno())
                 self._synced_s = time.monotonic()
 
-    def _write_chunk(self) -> None:
-        """Write what waits; a failed write is not repeated."""
-        messages, self._waiting = self._waiting, []
-        self._written = len(self._head)
-        self._chunk_since_ns = None
-        self._chunk_bytes = 0
-        _pack(self._writer, messages)
-
     def _cannot_write(self, exc: OSError) -> WriteError:
-        self._failed = True
         why = exc.strerror or str(exc)
-        return WriteError(
-            f"{self.path}: cannot be written any more ({why}); the data already in it remain readable", why
-        )
+        text = f"{self.path}: cannot be written any more ({why}); the data already in it remain readable"
+        self._failure = WriteError(text, why)
+        return self._failure
 
 
 def copy_head(session: Session, writer: SessionWriter, without: str = "") -> None:
@@ -403,7 +395,7 @@ def copy_head(session: Session, writer: SessionWriter, without: str = "") -> Non
 def _begun(out: _Output | io.BytesIO) -> Writer:
     writer = Writer(
         out,  # type: ignore[arg-type]
-        chunk_size=sys.maxsize,  # ``_pack`` alone ends chunks
+        chunk_size=sys.maxsize,  # only ``flush`` ends a chunk
         compression=CompressionType.ZSTD,
         enable_data_crcs=True,
     )
@@ -414,13 +406,6 @@ def _begun(out: _Output | io.BytesIO) -> Writer:
 def _register(writer: Writer, topic: str, encodings: Encodings) -> int:
     schema = writer.register_schema(encodings.name, encodings.schema, encodings.data.encode())
     return writer.register_channel(topic, encodings.message, schema)
-
-
-def _pack(writer: Writer, messages: Iterable[_Message]) -> None:
-    """Write messages as a chunk."""
-    for message in messages:
-        writer.add_message(*message)
-    writer.flush()
 
 
 @dataclass

@@ -9,8 +9,8 @@ RTDE has no sequence numbers. A controller that runs short of time skips package
 are multiples of its cycle. ``seq`` is the time since the first timestamp in periods, so skipped packages are gaps in
 ``seq``.
 
-Everything else (text messages, packages of other types or lengths) is passed on as lines that are not readings; the
-recorder keeps them in ``/robot/console``. A package with all fields takes about 5 µs, at 500 per second.
+Everything else (text messages, packages of other types or lengths) is passed on as lines that are not readings, each
+with the package's type and payload, byte by byte (Latin-1); the recorder keeps them in ``/robot/console``. A package with all fields takes about 5 µs, at 500 per second.
 """
 
 from __future__ import annotations
@@ -110,19 +110,16 @@ class RtdeLink(LinkOnTop):
     def _agree(self) -> rtde.Recipe:
         """Return the recipe of the wanted fields that the controller has."""
         names = [*NEEDED, *WANTED]
-        types = [""]
-        for _ in range(2):  # the second time without the fields that were not found
-            answer = self._ask(rtde.OUTPUTS, rtde.request_outputs(names, self._hz))
-            recipe, types = rtde.recipe_of(names, answer), rtde.types_of(answer)
-            if recipe is not None and types[: len(NEEDED)] == list(NEEDED.values()):
-                return recipe
-            missing = {name for name, type_ in zip(names, types, strict=False) if type_ == rtde.NOT_FOUND}
-            if not missing or missing & set(NEEDED):
-                break
-            names = [name for name in names if name not in missing]
-        raise LinkError(
-            f"{self.name}: the controller refuses the fields {', '.join(names)} ({','.join(types)[:200]!r}); update its software"
-        )
+        answer = self._ask(rtde.OUTPUTS, rtde.request_outputs(names, self._hz))
+        if rtde.NOT_FOUND in (types := rtde.types_of(answer)):
+            names = [name for name, type_ in zip(names, types, strict=False) if type_ != rtde.NOT_FOUND]
+            answer = self._ask(rtde.OUTPUTS, rtde.request_outputs(names, self._hz)) if {*NEEDED} <= {*names} else answer
+        recipe = rtde.recipe_of(names, answer)
+        if recipe is None or rtde.types_of(answer)[: len(NEEDED)] != list(NEEDED.values()):
+            raise LinkError(
+                f"{self.name}: the controller refuses the fields {', '.join(names)} ({answer[1:201]!r}); update its software"
+            )
+        return recipe
 
     def _ask(self, kind: int, request: bytes) -> bytes:
         """Return the payload of the answer to a request. Raises LinkError if there is none."""
@@ -166,10 +163,7 @@ class RtdeLink(LinkOnTop):
             map(math.isfinite, (values["timestamp"], *values["actual_q"]))
         ):  # JSON has no others
             return self._reading(**values) + b"\n"
-        row: dict[str, object] = {"rtde": kind, "hex": payload.hex()}
-        if kind == rtde.TEXT and (text := rtde.text_message(payload)):
-            row = {"rtde": "text", **dict(zip(("level", "source", "text"), text, strict=True))}
-        return json.dumps(row).encode() + b"\n"
+        return json.dumps({"rtde": kind, "payload": payload.decode("latin-1")}).encode() + b"\n"
 
     def _reading(self, timestamp: float, actual_q: list[float], **values: rtde.Value) -> bytes:
         seq = None

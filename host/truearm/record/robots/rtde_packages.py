@@ -9,7 +9,7 @@ big-endian. A package consists of its size [2 bytes, including these three], its
     O       frequency [Hz] (double), names with commas   recipe (1 byte; 0: not accepted), types with commas
     S, P    –                                            accepted (1 byte)
     U                                                    recipe (1 byte), the values in the order of the names
-    M                                                    length (1 byte), text, length (1 byte), source, level (1 byte)
+    M                                                    length (1 byte), text, length (1 byte), source, level (1 byte: 0 … 3)
 
 S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND.
 """
@@ -19,12 +19,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = b"VvOSPUM"
 BROKEN = 256  # not a type: data where a package should begin
 NOT_FOUND = "NOT_FOUND"
-LEVELS = ("exception", "error", "warning", "info")
 
 TYPES = {  # a vector is a list
     "BOOL": "?",
@@ -64,21 +64,6 @@ def request_outputs(names: Sequence[str], frequency_hz: float) -> bytes:
 def controller_version(payload: bytes) -> tuple[int, ...] | None:
     """Return major, minor, bugfix and build from the answer to CONTROLLER; None if it is invalid."""
     return _FOUR.unpack(payload) if len(payload) == _FOUR.size else None
-
-
-def text_message(payload: bytes) -> tuple[str, str, str] | None:
-    """Return level, source and text of a text message; None if it is invalid."""
-    try:
-        text_end = 1 + payload[0]
-        source_end = text_end + 1 + payload[text_end]
-        level = payload[source_end]
-    except IndexError:
-        return None
-    if len(payload) != source_end + 1:
-        return None
-    level_name = LEVELS[level] if level < len(LEVELS) else str(level)
-    source, text = payload[text_end + 1 : source_end], payload[1:text_end]
-    return level_name, source.decode(errors="replace"), text.decode(errors="replace")
 
 
 class Packages:
@@ -129,22 +114,19 @@ class Recipe:
 
 
 def types_of(payload: bytes) -> list[str]:
-    """Return the types in an answer to OUTPUTS; [] if it is not text."""
-    try:
-        return payload[1:].decode("ascii").split(",")
-    except UnicodeDecodeError:
-        return []
+    """Return the types in an answer to OUTPUTS."""
+    return payload[1:].decode(errors="replace").split(",")
 
 
 def recipe_of(names: Sequence[str], payload: bytes) -> Recipe | None:
     """Return the recipe from the answer to OUTPUTS; None if it is refused or does not match the names."""
     types = types_of(payload)
-    if len(types) != len(names) or not payload[0] or not all(type_ in TYPES for type_ in types):
+    if len(types) != len(names) or not payload[0] or not TYPES.keys() >= {*types}:
         return None
     formats = [TYPES[type_] for type_ in types]
-    places: dict[str, int | slice] = {}
-    end = 0
-    for name, form in zip(names, formats, strict=True):
-        begin, end = end, end + int(form[:-1] or 1)
-        places[name] = slice(begin, end) if form[:-1] else begin
+    ends = list(accumulate(int(form[:-1] or 1) for form in formats))
+    places = {
+        name: slice(begin, end) if form[:-1] else begin
+        for name, form, begin, end in zip(names, formats, [0, *ends], ends, strict=False)
+    }
     return Recipe(payload[0], struct.Struct(f">B{''.join(formats)}"), places)
