@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from truearm.estimate.information import RANK_TOLERANCE
@@ -155,10 +156,9 @@ def rank_columns(root: Floats) -> tuple[Floats, Floats]:
 
 def project_out(wanted: Floats, unwanted: Floats) -> Floats:
     """Return (I − U Uᵀ) wanted, with U an orthonormal basis of the columns of ``unwanted``."""
-    if unwanted.shape[1] == 0:
+    if unwanted.size == 0:
         return wanted
-    u, singular, _ = np.linalg.svd(unwanted, full_matrices=False)
-    basis = u[:, singular > RANK_TOLERANCE * singular.max(initial=0.0)]
+    basis = scipy.linalg.orth(unwanted, rcond=RANK_TOLERANCE)
     return np.asarray(wanted - basis @ (basis.T @ wanted))
 
 

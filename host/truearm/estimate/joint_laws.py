@@ -135,29 +135,25 @@ def with_joint_laws(
     """
     if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(chain, estimate, table)):
         return WithLaws(chain, estimate)
-    gravity = gravity_of(table.select(estimate.fitted), request.gravity)
-    payloads = tuple(dict.fromkeys(payloads_of(rig, table.select(estimate.fitted))))
-    laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity, payloads)
-    why_none = _why_none(chain, estimate)
-    if why_none:
-        laws = []
-    work = _Work(chain, rig, table, estimate, request)
-    fit, choice = estimate, None
-    steps = [LawStep(GEOMETRY, fit.rms_after, fit.held_out)]
-    tried: dict[Law, float] = {}
-    if laws:
+    fitted = table.select(estimate.fitted)
+    gravity, payloads = gravity_of(fitted, request.gravity), tuple(dict.fromkeys(payloads_of(rig, fitted)))
+    laws, reasons = candidates(chain, fitted.q, request.mode, gravity, payloads)
+    work, fit, choice = _Work(chain, rig, table, estimate, request), estimate, None
+    steps, why_none = [LawStep(GEOMETRY, fit.rms_after, fit.held_out)], _why_none(chain, estimate)
+    if laws and not why_none:
         choice = work.supported(laws, nearly)
-        tried = {**choice.dropped, **choice.learned.nats}
         fit = work.fitted(choice) if choice.kept else estimate
         steps.append(LawStep(LAWS, fit.rms_after, fit.held_out))
-        why_none = ERRORS_EXPLAIN if request.faults and not choice.kept else ""
-    if fit.chi2_reduced > estimate.chi2_reduced:
-        # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
-        why_none = LARGER_RESIDUALS
+        if request.faults and not choice.kept:
+            why_none = ERRORS_EXPLAIN
+        elif fit.chi2_reduced > estimate.chi2_reduced:
+            # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
+            why_none = LARGER_RESIDUALS
     if why_none:
-        fit, choice, tried, steps, reasons = estimate, None, {}, steps[:1], [why_none]
+        fit, choice, steps, reasons = estimate, None, steps[:1], [why_none]
+    tried = {**choice.dropped, **choice.learned.nats} if choice else {}
     kept = choice.kept if choice else ()
-    readings = table.q[estimate.fitted], work.anywhere.q
+    readings = fitted.q, work.anywhere.q
     report = JointLaws(
         request.mode,
         kept,
@@ -297,7 +293,8 @@ class _Work:
         unexplained: Mapping[str, MeanError] = {}
         if not quality.explained:
             unexplained = mean_errors(unfitted, poses(self.table), held_out=judging)
-        number = np.cumsum(geometry.fitted) - 1  # index of each row among the fitted ones
+        distance = np.full(len(self.table), np.nan)
+        distance[geometry.fitted] = rows.distance
         return replace(
             geometry,
             parameter_names=problem.names,
@@ -319,8 +316,8 @@ class _Work:
             chi2_band=quality.band,
             unexplained=unexplained,
             unfitted_error=unfitted,
-            distance=np.where(geometry.fitted, rows.distance[number], np.nan),
-            suspect=geometry.fitted & (rows.beyond[number] | (geometry.weight == 0.0)),
+            distance=distance,
+            suspect=spread(rows.beyond | (weight == 0.0), geometry.fitted),
             outlying=spread(_outlying(rows, weight > 0.0), geometry.fitted),
             scatter=scatter_of(laws_problem, learned),
             faults=(),

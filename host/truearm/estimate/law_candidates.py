@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from truearm.errors import InputError
 from truearm.estimate.solvers import LawMode
-from truearm.estimate.ties import first_within
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
@@ -111,16 +110,12 @@ def knots(joint: int, readings: Floats) -> CurveKnots:
 
 def _near(readings: Floats, around: bool) -> tuple[tuple[float, float], ...]:
     """Return the intervals within REACH of any of the readings (n,); ``around``: on a circle."""
-    each = np.unique(np.mod(readings, 2.0 * math.pi) if around else readings)
-    if around:
-        gaps = np.diff(each, append=each[0] + 2.0 * math.pi)
-        widest = first_within(gaps)
-        if gaps[widest] <= 2.0 * REACH:
-            return ((float(readings.min()), float(readings.min()) + 2.0 * math.pi),)
-        each = np.append(each[widest + 1 :], each[: widest + 1] + 2.0 * math.pi)
-        each -= 2.0 * math.pi * np.round((each[0] - readings.min()) / (2.0 * math.pi))
-    ends = np.flatnonzero(np.diff(each) > 2.0 * REACH)
-    low, high = each[np.append(0, ends + 1)] - REACH, each[np.append(ends, -1)] + REACH
+    lowest = float(readings.min())
+    different = np.unique(lowest + np.mod(readings - lowest, 2.0 * math.pi) if around else readings)
+    ends = np.flatnonzero(np.diff(different) > 2.0 * REACH)
+    low, high = different[np.append(0, ends + 1)] - REACH, different[np.append(ends, -1)] + REACH
+    if around and high[0] - low[0] >= 2.0 * math.pi:
+        return ((lowest, lowest + 2.0 * math.pi),)
     return tuple(zip(low.tolist(), high.tolist(), strict=True))
 
 

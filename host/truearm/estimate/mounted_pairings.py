@@ -175,20 +175,14 @@ def transition(wrong: Floats, wanted: Sequence[int], asked: bool) -> Floats:
     ``wanted`` are the pairings that the plan may want, and ``asked`` is whether it wants them from this dwell on;
     ``wrong`` (k, k): ``mistakes``.
     """
-    k = len(wrong)
+    k, goal = len(wrong), np.array(wanted, dtype=np.intp)
     out = np.full((k + 1, k + 1), UNASKED / k)
     out[:, k] = FOREIGN
-    stay, goal = np.arange(k + 1), np.array(wanted, dtype=np.intp)
-    if not goal.size:
-        out[stay, stay] += 1.0
-    elif asked:
-        out[:, goal] += DONE / goal.size
-        out[stay, stay] += FORGOTTEN
+    out[np.diag_indices(k + 1)] += FORGOTTEN if asked else 1.0 - PUT_RIGHT
+    if goal.size:
+        out[:, goal] += (DONE if asked else PUT_RIGHT) / goal.size
+    if asked:
         out[:, :k] += (1.0 - DONE - FORGOTTEN) * wrong[goal].mean(axis=0)
-    else:
-        is_wanted = np.isin(stay, goal)
-        out[stay, stay] += np.where(is_wanted, 1.0, 1.0 - PUT_RIGHT)
-        out[np.ix_(~is_wanted, goal)] += PUT_RIGHT / goal.size
     return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 

@@ -48,10 +48,6 @@ class Errors(NamedTuple):
     units: tuple[str, ...]
     bodies: Floats = np.zeros((0, 0))  # (c, t) motions of tool and places in terms of the columns before them
 
-    def unit(self, name: str) -> str:
-        """Return the SI unit of a column."""
-        return self.units[self.names.index(name)]
-
     def indices(self, names: Sequence[str]) -> Indices:
         """Return the indices of columns. Raises ProblemError for an unknown name."""
         index = {name: i for i, name in enumerate(self.names)}

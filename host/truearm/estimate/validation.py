@@ -22,6 +22,7 @@ from scipy import special
 
 from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
+from truearm.estimate.identifiability import project_out
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
 from truearm.estimate.problem import Problem, build_problem, settled, without_knowledge
 from truearm.estimate.systematic_effects import modelled_effects
@@ -198,10 +199,7 @@ def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:
 
     They do so by more than FELT times the effect of a single parameter, in the information's ``root`` (k, k).
     """
-    basis, weight, _ = np.linalg.svd(root @ rig, full_matrices=False)
-    basis = basis[:, weight > RANK_TOLERANCE * weight.max(initial=0.0)]
-    moves = root @ unseen
-    _, size, vt = np.linalg.svd(moves - basis @ (basis.T @ moves), full_matrices=False)
+    _, size, vt = np.linalg.svd(project_out(root @ unseen, root @ rig), full_matrices=False)
     return np.asarray(vt[size > FELT * np.linalg.norm(root, axis=0).max(initial=0.0)].T)
 
 
