@@ -12,6 +12,7 @@ from truearm.kinds.kind import DwellSensor as DwellSensor
 from truearm.kinds.kind import Kind as Kind
 from truearm.kinds.linearised import Linearised as Linearised
 from truearm.kinds.linearised import gather as gather
+from truearm.kinds.linearised import linearised as linearised
 from truearm.kinds.linearised import scatter as scatter
 from truearm.kinds.linearised import zero_columns as zero_columns
 from truearm.kinds.proposals import NEW as NEW

@@ -7,16 +7,14 @@ import numpy as np
 from truearm.extend import (
     Group,
     Kind,
-    Linearised,
     Quantity,
     RigUse,
-    Used,
     about,
     forward,
+    linearised,
     measured,
     sigmas,
     trace_point,
-    zero_columns,
 )
 
 ANGLE = Quantity("incline", ("incline",), "rad")
@@ -39,26 +37,14 @@ class InclineRows(Group):
         size = np.linalg.norm(normal, axis=1)
         trace = trace_point(chain, params, self.q, np.zeros((len(self.q), 3)))
         tilt = about(trace, (normal / size[:, None])[None])
-        return Linearised(
-            self.angle - np.arctan2(size, axis[:, 2]),
-            tilt.wrenches,
-            tilt.twists,
-            zero_columns(tilt.wrenches, x.size - len(params)),
-            tilt.jac_joints,
-        )
+        return linearised(self.angle - np.arctan2(size, axis[:, 2]), tilt, x)
 
 
 def use_rig(scope, rows):
     """Use one item that has no numbers: nothing of the rig is known or unknown."""
     angle = measured(scope, rows, ANGLE)
     variance = sigmas(scope, rows, np.full((len(rows), 1), np.nan), "rad") ** 2
-
-    def make(layout):
-        return [
-            InclineRows(row=rows, sensor_cov=variance, q=scope.table.q[rows], angle=angle, constants=layout.constants)
-        ]
-
-    return RigUse((Used(["level"], [[]], np.zeros(len(rows), dtype=np.intp)),), make)
+    return RigUse.of(InclineRows, scope, rows, variance, angle=angle)
 
 
 KIND = Kind(

@@ -22,13 +22,13 @@ import numpy as np
 
 from truearm.kinds.group import Group, KindFault
 from truearm.kinds.kind import DwellSensor, Kind
-from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, linearised
 from truearm.kinds.proposals import NEW, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
 from truearm.kinds.rig_entries import NAME, POINT, SPHERE, by_name
 from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
 from truearm.kinds.table import ObservationTable
-from truearm.kinds.unknowns import Fault, Layout, RigNumber, point_numbers
+from truearm.kinds.unknowns import Fault, RigNumber, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, SchemaError, Table, keys_of
 from truearm.types import BAR_MOUNTED, BallBar, Floats, Indices, Point, Rig
@@ -75,14 +75,10 @@ class BallBarRows(Group):
         # A sphere at the chuck's centre has no direction: such a row has no first-order information.
         u = bar * (ratio / np.where(d > 0.0, d, 1.0))[:, None]
         derivative = along(trace, u[None])
-        jac_rig = zero_columns(derivative.wrenches, x.size - p)
-        scatter(jac_rig, self.sphere - p, derivative.jac_point)
-        scatter(jac_rig, self.chuck - p, -u[None])
         of_scale = (-ratio * longer, -extended / gain, -ratio * zero * bar_warmer, -extended * sensor_warmer / larger)
-        scatter(jac_rig, self.scale - p, np.stack(of_scale, axis=1)[None])
-        return Linearised(
-            self.length - predicted, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints
-        )
+        by_scale = self.scale, np.stack(of_scale, axis=1)[None]
+        points = (self.sphere, derivative.jac_point), (self.chuck, -u[None])
+        return linearised(self.length - predicted, derivative, x, *points, by_scale)
 
     def faults(self, chain: Chain, x: Floats) -> list[KindFault]:
         """Return what pulls at the bar by its direction (a cable, its weight), and its hysteresis."""
@@ -129,30 +125,21 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     chucks = use(scope, rows, "chuck", rig.chucks, point_numbers)
     spheres = use(scope, rows, "sphere", rig.spheres, point_numbers)
     bars = use(scope, rows, "bar", rig.bars, bar_numbers, BAR_FAULTS)
-    length = measured(scope, rows, LENGTH)
     declared = np.array([[number.value for number in bar[:2]] for bar in bars.numbers])[bars.which]
     entries = [rig.bars[str(label)] for label in bars.labels]
     sigma = np.array([bar.sigma for bar in entries])[bars.which]
-    of_rows = warmer(table.select(rows), entries, bars.which)
-    variance = sigmas(scope, rows, sigma[:, None]) ** 2
-
-    def make(layout: Layout) -> list[Group]:
-        return [
-            BallBarRows(
-                row=rows,
-                sensor_cov=variance,
-                q=scope.column("q", rows),
-                length=length,
-                sphere=layout.index(spheres),
-                chuck=layout.index(chucks),
-                scale=layout.index(bars),
-                declared=declared,
-                warmer=of_rows,
-                constants=layout.constants,
-            )
-        ]
-
-    return RigUse((chucks, spheres, bars), make)
+    return RigUse.of(
+        BallBarRows,
+        scope,
+        rows,
+        sigmas(scope, rows, sigma[:, None]) ** 2,
+        chuck=chucks,
+        sphere=spheres,
+        scale=bars,
+        length=measured(scope, rows, LENGTH),
+        declared=declared,
+        warmer=warmer(table.select(rows), entries, bars.which),
+    )
 
 
 def beyond_stroke(rows: ObservationTable, rig: Rig, _: Chain) -> list[str]:

@@ -68,8 +68,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
         declared = rotation(np.array(device.rotation))
         return place(xyz, p_base, declared, rig.line_placement, device.turn_sigma is not None)
 
-    items, make = points_of(scope, rows, "line", lines, placed)
-    return RigUse(items, lambda layout: [make(layout)])
+    return RigUse.of(position.PositionRows, scope, rows, **points_of(scope, rows, "line", lines, placed))
 
 
 def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from truearm.model.chain import PointDerivatives
 from truearm.types import Floats, Indices, Mask
 
 
@@ -42,6 +43,20 @@ class Linearised(NamedTuple):
     def jac_joints(self) -> Floats:
         """(m, j) ∂predicted/∂(joint readings)."""
         return _by_observation(self.by_joints)
+
+
+def linearised(
+    residual: Floats, derivative: PointDerivatives, x: Floats, *columns: tuple[Indices, Floats]
+) -> Linearised:
+    """Return residuals (m,) with the ``derivative`` of their predictions by the robot, and those by the rig at x (P,).
+
+    Each of the ``columns`` are the indices (n, c) of some of the rig's numbers and the derivatives (w, n, c) by these.
+    """
+    p = derivative.twists.shape[1]
+    jac_rig = zero_columns(derivative.wrenches, x.size - p)
+    for index, values in columns:
+        scatter(jac_rig, index - p, values)
+    return Linearised(residual, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints)
 
 
 def gather(x: Floats, constants: Floats, index: Indices) -> Floats:

@@ -14,11 +14,11 @@ import numpy as np
 
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, linearised
 from truearm.kinds.quantities import DISTANCE
 from truearm.kinds.rig_entries import NAME, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
-from truearm.kinds.unknowns import Layout, RigNumber, or_inf
+from truearm.kinds.unknowns import RigNumber, or_inf
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.model.transforms import cross
@@ -49,16 +49,12 @@ class PlaneRows(Group):
         normal = np.einsum("nij,nj->ni", rotation(tilt), self.axes[:, 2])
         lever = trace.p_base - self.point
         derivative = along(trace, normal[None])
-        jac_rig = zero_columns(derivative.wrenches, x.size - p)
-        scatter(jac_rig, self.target - p, derivative.jac_point)
-        scatter(jac_rig, self.plane[:, :1] - p, np.full((1, len(self.q), 1), -1.0))
         # (δφ × n)·r = (n × r)·δφ with δφ = J_l δ(tilt)
         turned = np.einsum("ni,nij,nkj->nk", cross(normal.T, lever.T).T, left_jacobian(tilt), tilts)
-        scatter(jac_rig, self.plane[:, 1:] - p, turned[None])
+        by_plane = np.column_stack([np.full(len(turned), -1.0), turned])[None]
         predicted = (normal * lever).sum(axis=1) - numbers[:, 0]
-        return Linearised(
-            self.distance - predicted, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints
-        )
+        columns = (self.target, derivative.jac_point), (self.plane, by_plane)
+        return linearised(self.distance - predicted, derivative, x, *columns)
 
 
 def frame_of(normal: Floats) -> Floats:
@@ -87,29 +83,15 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     refuse(scope, rows, np.isinf(table.value[rows]), "its distance from the plane must be finite")
     distance = np.nan_to_num(table.value[rows], nan=0.0)
     sigma = np.array([flat.sigma for flat in planes])[flats.which]
-    variance = sigmas(scope, rows, sigma[:, None]) ** 2
     # A plane of which only the approximate direction is known starts at the mean height of its touches.
     height = ((nominal_points(scope, rows, targets) - point) * frames[:, 2]).sum(axis=1) - distance
     for i, (offset, *_) in enumerate(flats.numbers):
         if np.isinf(offset.sigma):
             flats.numbers[i][0] = offset._replace(value=float(height[flats.which == i].mean()))
 
-    def make(layout: Layout) -> list[Group]:
-        return [
-            PlaneRows(
-                row=rows,
-                sensor_cov=variance,
-                q=scope.column("q", rows),
-                distance=distance,
-                target=layout.index(targets),
-                plane=layout.index(flats),
-                point=point,
-                axes=frames,
-                constants=layout.constants,
-            )
-        ]
-
-    return RigUse((targets, flats), make)
+    variance = sigmas(scope, rows, sigma[:, None]) ** 2
+    fields = {"target": targets, "plane": flats, "distance": distance, "point": point, "axes": frames}
+    return RigUse.of(PlaneRows, scope, rows, variance, **fields)
 
 
 PLANE = Entries(

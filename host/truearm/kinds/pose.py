@@ -17,14 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, linearised
 from truearm.kinds.position import TRACKER, PositionRows, in_device_axes, joints_in_time, points_of
 from truearm.kinds.quantities import LARGEST_TURN_NOISE, POINT, SPREAD, TURN, Quantity
 from truearm.kinds.rig_entries import TARGET
 from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, refuse
-from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_and_jacobian, rotation_vector
 from truearm.types import Floats, Indices
@@ -43,8 +41,7 @@ class PoseRows(PositionRows):
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (6n,) and their derivatives at x (P,)."""
-        p = len(chain.parameters)
-        q, params = joints_in_time(self, x), x[:p]
+        q, params = joints_in_time(self, x), x[: len(chain.parameters)]
         trace = trace_point(chain, params, q, gather(x, self.constants, self.target))
         device = gather(x, self.constants, self.device)
         rot, turns = rotation_and_jacobian(device[:, 3:])
@@ -58,16 +55,15 @@ class PoseRows(PositionRows):
         )
         axes = np.swapaxes(directions, 0, 1)
         derivative = about(trace, axes)
-        jac_rig = zero_columns(derivative.wrenches, x.size - p)
-        scatter(jac_rig, self.device[:, 3:] - p, -np.einsum("wni,nik->wnk", axes, turns))
         by_time = (derivative.jac_joints * self.q_rate).sum(axis=2, keepdims=True)
-        scatter(jac_rig, self.time_offset - p, by_time)
+        by_device = self.device[:, 3:], -np.einsum("wni,nik->wnk", axes, turns)
+        turn = linearised(rho, derivative, x, by_device, (self.time_offset, by_time))
         return Linearised(
             np.concatenate([point.residual.reshape(-1, 3), rho], axis=1).ravel(),
-            np.concatenate([point.wrenches, derivative.wrenches]),
+            np.concatenate([point.wrenches, turn.wrenches]),
             point.twists,
-            np.concatenate([point.jac_rig, jac_rig]),
-            np.concatenate([point.by_joints, derivative.jac_joints]),
+            np.concatenate([point.jac_rig, turn.jac_rig]),
+            np.concatenate([point.by_joints, turn.by_joints]),
         )
 
 
@@ -77,7 +73,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     A row's own standard deviation of the orientation takes precedence over that of its tracker.
     """
     trackers = scope.rig.trackers
-    items, make_points = points_of(scope, rows, "tracker", trackers)
+    points = points_of(scope, rows, "tracker", trackers)
     labels, which = look_up(scope, rows, "tracker", trackers)
     turns = measured(scope, rows, TURN)
     row_sigma = scope.table[TURN_SIGMA.field][rows]
@@ -85,13 +81,8 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     sigma = np.where(np.isnan(row_sigma), of_tracker, row_sigma)
     message = f"a pose row needs a rotation_sigma, its own or its tracker's, of {SMALLEST:g} rad or more"
     refuse(scope, rows, ~((sigma >= SMALLEST) & np.isfinite(sigma)), message)
-
-    def make(layout: Layout) -> list[Group]:
-        points = vars(make_points(layout))
-        cov = _beside(points["sensor_cov"], sigma**2)
-        return [PoseRows(**{**points, "sensor_cov": cov}, rotation=turns)]
-
-    return RigUse(items, make)
+    points["sensor_cov"] = _beside(points["sensor_cov"], sigma**2)
+    return RigUse.of(PoseRows, scope, rows, **points, rotation=turns)
 
 
 def _beside(cov: Floats, variance: Floats) -> Floats:

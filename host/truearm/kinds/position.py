@@ -18,18 +18,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, linearised
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
-from truearm.kinds.unknowns import XYZ, Fault, Layout, RigNumber, Used, or_inf, rows_of
+from truearm.kinds.unknowns import XYZ, Fault, RigNumber, Used, or_inf, rows_of
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import rotation, rotation_and_jacobian, rotation_vector
 from truearm.model.transforms import cross
@@ -86,7 +86,6 @@ def in_device_axes(
 
     ``rot`` are the devices' orientations and ``turns`` the left Jacobians of their rotation vectors, (n or 1, 3, 3).
     """
-    p = len(trace.chain.parameters)
     lever = trace.p_base - device[:, :3]  # r
     at_scale_1 = np.einsum("nik,ni->nk", rot, lever)
     predicted, axes = at_scale_1, rot.transpose(2, 0, 1)  # (3, n or 1, 3) the device's, in the base frame
@@ -94,20 +93,15 @@ def in_device_axes(
     if (scale != 1.0).any():
         predicted, axes = scale * predicted, scale * axes
     derivative = along(trace, axes)
-    jac_rig = zero_columns(derivative.wrenches, x.size - p)
-    scatter(jac_rig, rows.target - p, derivative.jac_point)
+    columns = [(rows.target, derivative.jac_point), (rows.scale, at_scale_1.T[:, :, None])]
     if (rows.device < x.size).any():
-        scatter(jac_rig, rows.device[:, :3] - p, np.broadcast_to(-axes, (3, *lever.shape)))
         # −u·(δφ × r) = (u × r)·δφ
         moment = cross(axes.transpose(2, 0, 1), lever.T[:, None]).transpose(1, 2, 0)
-        scatter(jac_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, turns))
-    if (rows.scale < x.size).any():
-        scatter(jac_rig, rows.scale - p, at_scale_1.T[:, :, None])
+        columns.append((rows.device[:, :3], np.broadcast_to(-axes, (3, *lever.shape))))
+        columns.append((rows.device[:, 3:], np.einsum("wni,nik->wnk", moment, turns)))
     if (rows.time_offset < x.size).any():
-        by_time = (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)
-        scatter(jac_rig, rows.time_offset - p, by_time)
-    residual = (rows.xyz - predicted).ravel()
-    return Linearised(residual, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints)
+        columns.append((rows.time_offset, (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)))
+    return linearised((rows.xyz - predicted).ravel(), derivative, x, *columns)
 
 
 def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, Floats]:
@@ -139,8 +133,7 @@ def nearest_rotation(correlation: Floats, declared: Floats, largest_rank: int = 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Return what the rows use of the rig: targets and trackers."""
-    items, make = points_of(scope, rows, "tracker", scope.rig.trackers)
-    return RigUse(items, lambda layout: [make(layout)])
+    return RigUse.of(PositionRows, scope, rows, **points_of(scope, rows, "tracker", scope.rig.trackers))
 
 
 def _placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats]:
@@ -149,8 +142,8 @@ def _placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats
 
 def points_of(
     scope: Scope, rows: Indices, column: str, entries: Mapping[str, Device], placed: Placing = _placed
-) -> tuple[tuple[Used, ...], Callable[[Layout], PositionRows]]:
-    """Return what the rows use for points in the axes of the devices named in a column, and how to group them.
+) -> dict[str, Any]:
+    """Return the fields of ``PositionRows`` for points in the axes of the devices named in a column.
 
     ``placed`` computes the pose of a device that the rig does not place, from its readings.
     """
@@ -165,46 +158,26 @@ def points_of(
         p_base = nominal_points(scope, rows[of_device], targets._replace(which=targets.which[of_device]))
         return placed(xyz[of_device], p_base, devices[i])
 
-    numbers = [
-        _device_numbers(
-            scope.prefix + ".".join(filter(None, (column, str(label)))), devices[i], partial(placed_by_rows, i)
-        )
-        for i, label in enumerate(labels)
-    ]
-    poses = Used(labels, numbers, which)
-    scales = Used(
-        labels,
-        [
-            [RigNumber(scope.prefix + ".".join(filter(None, (column, str(label), "scale"))), "1", 1.0, 0.0)]
-            for label in labels
-        ],
-        which,
-        (Fault(slice(None), step=False),) if column == "tracker" else (),
-    )
+    names = [scope.prefix + ".".join(filter(None, (column, str(label)))) for label in labels]
+    numbers = [_device_numbers(name, devices[i], partial(placed_by_rows, i)) for i, name in enumerate(names)]
+    scale_numbers = [[RigNumber(f"{name}.scale", "1", 1.0, 0.0)] for name in names]
+    faults = (Fault(slice(None), step=False),) if column == "tracker" else ()
     offset = RigNumber(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
     number = offset if _moving(scope) else offset._replace(sigma=0.0)
     clock = Used([""], [[number]], np.zeros(len(rows), dtype=np.intp), (Fault(slice(None), step=False),))
     declared = np.array([rotation(np.array(d.rotation)) for d in devices])
     still = np.broadcast_to(0.0, (len(rows), table.q.shape[1]))
     rates = np.nan_to_num(table.q_rate[rows], nan=0.0) if number is offset else still
-    cov = _device_cov(scope, rows, devices, which)
-
-    def make(layout: Layout) -> PositionRows:
-        return PositionRows(
-            row=rows,
-            sensor_cov=cov,
-            q=scope.column("q", rows),
-            q_rate=rates,
-            xyz=xyz,
-            target=layout.index(targets),
-            device=layout.index(poses),
-            reference=rows_of(declared, which),
-            scale=layout.index(scales),
-            time_offset=layout.index(clock),
-            constants=layout.constants,
-        )
-
-    return (targets, poses, scales, clock), make
+    return {
+        "sensor_cov": _device_cov(scope, rows, devices, which),
+        "q_rate": rates,
+        "xyz": xyz,
+        "target": targets,
+        "device": Used(labels, numbers, which),
+        "reference": rows_of(declared, which),
+        "scale": Used(labels, scale_numbers, which, faults),
+        "time_offset": clock,
+    }
 
 
 def _device_numbers(name: str, device: Device, placed_by_rows: Callable[[], tuple[Floats, Floats]]) -> list[RigNumber]:

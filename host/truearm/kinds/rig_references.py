@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,17 @@ class RigUse(NamedTuple):
     used: tuple[Used, ...]
     make: Callable[[Layout], list[Group]]
     bodies: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+
+    @classmethod
+    def of(cls, group: Callable[..., Group], scope: Scope, rows: Indices, sensor_cov: Floats, **fields: Any) -> Self:
+        """Return what one group of some rows uses, by its further ``fields``: items of the rig become their indices."""
+
+        def make(layout: Layout) -> list[Group]:
+            values = {name: layout.index(f) if isinstance(f, Used) else f for name, f in fields.items()}
+            q = scope.column("q", rows)
+            return [group(row=rows, sensor_cov=sensor_cov, q=q, constants=layout.constants, **values)]
+
+        return cls(tuple(field for field in fields.values() if isinstance(field, Used)), make)
 
 
 def look_up(

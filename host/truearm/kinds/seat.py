@@ -16,13 +16,13 @@ import numpy as np
 from truearm.errors import ProblemError, TableError
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, linearised
 from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
 from truearm.kinds.rig_entries import POINT, SPHERE
 from truearm.kinds.rig_references import ORIGIN, RigUse, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.socket_distance import distance_rows, other_lengths, use_distances
 from truearm.kinds.table import ObservationTable
-from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
+from truearm.kinds.unknowns import Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point
 from truearm.schema import IDENTIFIER, Entries, Key, List, SchemaError, Table, keys_of
 from truearm.types import Floats, Indices, Point, Rig, SocketDistance
@@ -50,10 +50,7 @@ class SeatRows(Group):
         residual = gather(x, self.constants, self.socket) - trace.p_base
         axes = np.broadcast_to(np.eye(3)[:, None], (3, *residual.shape))
         derivative = along(trace, axes)
-        jac_rig = zero_columns(derivative.wrenches, x.size - p)
-        scatter(jac_rig, self.sphere - p, derivative.jac_point)
-        scatter(jac_rig, self.socket - p, -axes)
-        return Linearised(residual.ravel(), derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints)
+        return linearised(residual.ravel(), derivative, x, (self.sphere, derivative.jac_point), (self.socket, -axes))
 
     def settle(self, chain: Chain, x: Floats) -> SeatRows:
         """Return the seats with joint readings moved, as little as possible, until every ball is in its socket at x.
@@ -78,19 +75,12 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     sockets = _sockets(scope, rows, balls)
     distances, ends = use_distances(scope.prefix, rig, sockets)
     variance = sigmas(scope, rows, np.full((len(rows), 3), rig.seat_sigma)) ** 2
-
-    def make(layout: Layout) -> list[Group]:
-        group = SeatRows(
-            row=rows,
-            sensor_cov=variance,
-            q=scope.column("q", rows),
-            sphere=layout.index(balls),
-            socket=layout.index(sockets),
-            constants=layout.constants,
-        )
-        return [group, *distance_rows(distances, sockets, ends, layout)]
-
-    return RigUse((balls, sockets, distances), make, _places(scope, sockets))
+    seats = RigUse.of(SeatRows, scope, rows, variance, sphere=balls, socket=sockets)
+    return RigUse(
+        (*seats.used, distances),
+        lambda layout: [*seats.make(layout), *distance_rows(distances, sockets, ends, layout)],
+        _places(scope, sockets),
+    )
 
 
 def _places(scope: Scope, sockets: Used) -> dict[str, tuple[str, ...]]:
