@@ -86,9 +86,8 @@ def _path(plan: Plan, row: int, chain: Chain, params: Floats, p_end: Floats) -> 
     poses[:, :3, :3] = turns
     poses[:, :3, 3] = p_start + share[:, None] * (p_stop - p_start) - turns @ p_end
     guess = plan.q[row - 1] + share[:, None] * (plan.q[row] - plan.q[row - 1])
-    found = inverse(chain, params, poses, guess)
-    q = found.q
-    if not found.reached.all() or np.abs(q[[0, -1]] - plan.q[row - 1 : row + 1]).max() > SAME:
+    q = inverse(chain, params, poses, guess)
+    if np.isnan(q).any() or np.abs(q[[0, -1]] - plan.q[row - 1 : row + 1]).max() > SAME:
         raise PlanError(f"plan pose {row}: the arm cannot be driven straight there in one posture")
     q[[0, -1]] = plan.q[row - 1 : row + 1]
     speed = min(float(plan.speed[row]), np.sqrt(length * ACCELERATION / 1.5))

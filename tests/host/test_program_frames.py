@@ -205,7 +205,7 @@ def test_programs_of_kuka_and_fanuc_arms_go_where_they_should(language):
     told = np.array(columns, dtype=float).T
     turns = Rotation.from_euler("ZYX", told[:, 3:], degrees=True)
     pose = np.array([pose_from(place, turn) for place, turn in zip(1e-3 * told[:, :3], turns, strict=True)])
-    q = inverse(CHAIN, DESIGN, pose @ np.linalg.inv(tool), Q[1:5]).q
+    q = inverse(CHAIN, DESIGN, pose @ np.linalg.inv(tool), Q[1:5])
     assert np.abs(forward(CHAIN, TRUTH, q) @ tool - asked).max() < 1e-6
     assert np.abs(forward(CHAIN, TRUTH, Q[1:5]) @ tool - asked).max() > 1e-3
     kept = [name for name in contents if name not in ("p.dat", "p.ls")]

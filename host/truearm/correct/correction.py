@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, assert_never
 
 import numpy as np
-from numpy.typing import NDArray
 
-from truearm.correct.inverse import CHUNK, Inverse, Origins, inverse, search, singular_value, within
+from truearm.correct.inverse import Origins, inverse, search, singular_value, within
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
 from truearm.correct.renders_methods import false_target, joint_space, offsets
@@ -55,7 +54,8 @@ class Correction(Displayed):
 
     ``q`` (n, j) are the joint readings to move to, and ``q_nominal`` (n, j) those that the controller would use without
     correction. ``commanded`` (n, 4, 4) are the poses to command. ``before`` and ``after`` (n, 2) are the errors of the
-    end in m and rad, or of the tool by ``at_tools``. ``problem`` says why a row must not be used, "" if it may be.
+    end in m and rad, or of the tool by ``at_tools``. ``problem`` says why a row must not be used, "" if it may be; what
+    was not found for it is NaN.
 
     Examples
     --------
@@ -118,20 +118,12 @@ def correct(
         nominal = search(pair.chain, pair.nominal, targets, oriented, home, quadrants, origins)
     else:
         nominal = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
-        nominal = nominal._replace(reached=nominal.reached & within(pair.chain, nominal.q))
-
-    def chunk(rows: slice) -> Correction:
-        solved = Inverse(nominal.q[rows], nominal.reached[rows])
-        return _at(pair, targets[rows], solved, Method(method), steps, oriented, margin)
-
-    return joined([chunk(slice(first, first + CHUNK)) for first in range(0, max(len(targets), 1), CHUNK)])
+        nominal[~within(pair.chain, nominal)] = np.nan
+    return _at(pair, targets, nominal, Method(method), steps, oriented, margin)
 
 
 def joined(corrections: Sequence[Correction]) -> Correction:
-    """Return the targets of one part followed by those of the other; a part is not copied if all others are empty."""
-    filled = [correction for correction in corrections if len(correction.q)]
-    if len(filled) == 1:
-        return filled[0]
+    """Return the targets of each part after those of the one before."""
     names = ("q_nominal", "q", "commanded", "before", "after")
     arrays = {name: np.concatenate([getattr(correction, name) for correction in corrections]) for name in names}
     return Correction(**arrays, problem=tuple(problem for correction in corrections for problem in correction.problem))
@@ -151,15 +143,14 @@ def at_tools(pair: ModelPair, done: Correction, tools: Floats) -> Correction:
 
 
 def _at(
-    pair: ModelPair, targets: Floats, nominal: Inverse, method: Method, steps: int, oriented: bool, margin: float
+    pair: ModelPair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool, margin: float
 ) -> Correction:
-    """Return ``correct`` for joints where the controller would go."""
-    q_nominal = nominal.q
+    """Return ``correct`` for joints (n, j) where the controller would go, NaN if it does not reach the target."""
     error_before = _error(pair, targets, q_nominal, oriented)
-    q, grew = _corrected(pair, targets, q_nominal, method, steps, oriented)
+    q = _corrected(pair, targets, q_nominal, method, steps, oriented)
     error_after = _error(pair, targets, q, oriented)
     models = (pair.nominal, q_nominal), (pair.identified, q)
-    singular = np.minimum(*(singular_value(pair.chain, *model, oriented) for model in models))
+    singular = np.fmin(*(singular_value(pair.chain, *model, oriented) for model in models))
     problem = [""] * len(q)
 
     q = pair.chain.completed(q)
@@ -169,14 +160,14 @@ def _at(
             problem[i] = problem[i] or words.format(singular[i])
 
     refuse(
-        ~nominal.reached,
+        np.isnan(q_nominal).any(axis=1),
         "no joint values within the limits were found at which the nominal robot reaches the target; move the target or the base",
     )
     refuse(
         singular < margin,
         f"too near a singularity (smallest singular value {{:.3f}}, the margin is {margin:g}); move the target, or lower the margin",
     )
-    refuse(grew, "the correction does not converge")
+    refuse(np.isnan(q).any(axis=1), "the correction does not converge")
     refuse(np.abs(q - q_nominal).max(axis=-1) > MOST_TURN, "the correction leads to another configuration of the arm")
     refuse(~within(pair.chain, q), "the corrected joints are outside the joint limits")
     return Correction(q_nominal, q, believed(pair, q), error_before, error_after, tuple(problem))
@@ -184,27 +175,23 @@ def _at(
 
 def _corrected(
     pair: ModelPair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return corrected joints q (n, j), and where no correction reduces the error (n,)."""
+) -> Floats:
+    """Return corrected joints q (n, j), NaN where no correction reduces the error."""
     match method:
         case Method.OFFSETS:
-            q = offsets(pair, q_nominal)
-            lost: NDArray[np.bool_] = np.asarray(~np.isfinite(q).all(axis=-1))
-            return np.where(lost[:, None], q_nominal, q), lost
+            return offsets(pair, q_nominal)
         case Method.NEWTON:
             q, poses = q_nominal, targets.copy()
             for _ in range(1 if oriented else TURNS):  # the mounting of the tool turns with the end
                 if not oriented:
                     poses[:, :3, :3] = reached(pair, q)[:, :3, :3]
                 goals = in_rig(pair, poses)
-                solution = inverse(pair.chain, pair.identified, goals, q, oriented)
-                q = solution.q
-            outside = ~within(pair.chain, solution.q) & within(pair.chain, q_nominal)
+                q = inverse(pair.chain, pair.identified, goals, q, oriented)
+            outside = ~within(pair.chain, q) & within(pair.chain, q_nominal)
             # An arm with more joints than needed may have joints within the limits for the same pose.
             stopped = inverse(pair.chain, pair.identified, goals[outside], q_nominal[outside], oriented, bounded=True)
-            for values, values_inside in zip(solution, stopped, strict=True):
-                values[np.flatnonzero(outside)[stopped.reached]] = values_inside[stopped.reached]
-            return solution.q, ~solution.reached
+            q[outside] = np.where(np.isnan(stopped), q[outside], stopped)
+            return q
         case Method.FALSE_TARGET | Method.JOINTS:
             step = false_target if method is Method.FALSE_TARGET else joint_space
             return _repeated(step, pair, targets, q_nominal, steps, oriented)
@@ -219,18 +206,15 @@ def _repeated(
     q_nominal: Floats,
     steps: int,
     oriented: bool,
-) -> tuple[Floats, NDArray[np.bool_]]:
+) -> Floats:
     """Return ``_corrected`` for a method applied ``steps`` times, each time to the previous result."""
-    q, grew = q_nominal, np.zeros(len(q_nominal), dtype=bool)
-    size: Floats = _size(_error(pair, targets, q, oriented))
+    q, size = q_nominal, _error(pair, targets, q_nominal, oriented)
     for _ in range(steps):
-        q_next = step(pair, targets, q, oriented)
-        lost: NDArray[np.bool_] = np.asarray(np.isnan(q_next).any(axis=-1))
-        size_next = _size(_error(pair, targets, np.where(lost[:, None], q, q_next), oriented))
-        worse: NDArray[np.bool_] = lost | (size_next > np.maximum(size, ROUNDING))
-        grew |= worse
-        q, size = np.where(worse[:, None], q, q_next), np.where(worse, size, size_next)
-    return q, grew
+        q = step(pair, targets, q, oriented)
+        previous, size = size, _error(pair, targets, q, oriented)
+        grew = np.nansum(size, axis=-1) > np.maximum(np.nansum(previous, axis=-1), ROUNDING)
+        q = np.where(grew[:, None], np.nan, q)
+    return q
 
 
 def _error(pair: ModelPair, targets: Floats, q: Floats, oriented: bool) -> Floats:
@@ -238,7 +222,3 @@ def _error(pair: ModelPair, targets: Floats, q: Floats, oriented: bool) -> Float
     error = apart(targets, reached(pair, q))
     angle = np.linalg.norm(error[:, 3:], axis=-1) if oriented else np.full(len(q), np.nan)
     return np.stack([np.linalg.norm(error[:, :3], axis=-1), angle], axis=-1)
-
-
-def _size(error: Floats) -> Floats:
-    return np.asarray(np.nansum(error, axis=-1))

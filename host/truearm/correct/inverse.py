@@ -15,7 +15,7 @@ Here metres count in units of LEVER, to make a rotation of the wrist comparable 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +41,6 @@ SINGULAR = 0.1  # twice the margin of corrections
 CHUNK = 2_000  # targets solved at once: Jacobians of 1 MB
 
 
-class Inverse(NamedTuple):
-    """Joint readings of n targets."""
-
-    q: Floats  # (n, j)
-    reached: NDArray[np.bool_]  # (n,)
-
-
 class Origins(NamedTuple):
     """The robot's previous position for each of n targets.
 
@@ -60,18 +53,19 @@ class Origins(NamedTuple):
 
 def inverse(
     chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool = True, bounded: bool = False
-) -> Inverse:
-    """Return the solutions for targets (n, 4, 4) that are nearest downhill from q_start (n, j).
+) -> Floats:
+    """Return the solutions (n, j) for targets (n, 4, 4) that are nearest downhill from q_start (n, j), NaN for none.
 
     oriented : False if only the origin matters. bounded : True if no step may leave the joint limits, within which
         q_start must be; otherwise limits are ignored.
     """
     chunks = [slice(first, first + CHUNK) for first in range(0, max(len(targets), 1), CHUNK)]
     chunks_done = steps_of(chunks, f"solving for the joints of {len(targets)} targets")
-    return _joined([_inverse(chain, params, targets[rows], q_start[rows], oriented, bounded) for rows in chunks_done])
+    solved = [_inverse(chain, params, targets[rows], q_start[rows], oriented, bounded) for rows in chunks_done]
+    return np.concatenate(solved)
 
 
-def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool, bounded: bool) -> Inverse:
+def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool, bounded: bool) -> Floats:
     q = np.array(q_start, dtype=float)
     error, jac = _error_and_jacobian(chain, params, targets, q, oriented)
     size = np.linalg.norm(error, axis=-1)
@@ -86,7 +80,7 @@ def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, ori
         error[rows], jac[rows] = _error_and_jacobian(chain, params, targets[rows], q[rows], oriented)
         size[rows] = np.linalg.norm(error[rows], axis=-1)
         moving &= size > REACHED
-    return Inverse(chain.completed(q), size <= REACHED)
+    return np.where((size <= REACHED)[:, None], chain.completed(q), np.nan)
 
 
 def _error_and_jacobian(
@@ -100,16 +94,17 @@ def _error_and_jacobian(
 
 def jacobian(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
     """Return the Jacobian (n, 6, j), or (n, 3, j) for the position alone, with positions in LEVERs."""
-    jac = end_and_jacobian(chain, params, q)[1]
+    jac = end_and_jacobian(chain, params, np.nan_to_num(q))[1]  # LAPACK fails at NaN
     jac[:, :3] /= LEVER
     return jac if oriented else jac[:, :3]
 
 
 def singular_value(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
-    """Return the smallest singular value (n,) of ``jacobian`` by the joints that move on their own."""
+    """Return the smallest singular value (n,) of ``jacobian`` by the joints that move on their own; NaN if q (n, j) is."""
     chunks = [slice(first, first + CHUNK) for first in range(0, max(len(q), 1), CHUNK)]
     jacs = (jacobian(chain, params, q[rows], oriented)[..., chain.motors] for rows in chunks)
-    return np.concatenate([np.linalg.svd(jac, compute_uv=False)[:, -1] for jac in jacs])
+    smallest = np.concatenate([np.linalg.svd(jac, compute_uv=False)[:, -1] for jac in jacs])
+    return np.where(np.isnan(q).any(axis=-1), np.nan, smallest)
 
 
 def scaled(error: Floats, oriented: bool = True) -> Floats:
@@ -145,29 +140,27 @@ def search(
     home: Floats | None = None,
     quadrants: Floats | None = None,
     origins: Origins | None = None,
-) -> Inverse:
-    """Return solutions within the joint limits for targets (n, 4, 4).
+) -> Floats:
+    """Return solutions (n, j) within the joint limits for targets (n, 4, 4), NaN for none.
 
     Among an arm's configurations (``solutions``), the one nearest to the robot's previous position is taken. That
     position is given by ``origins`` or is the previous solution; for the first target it is ``home`` (j,) (default: the
     middle of the limits), which positions without orientation stay near. Joints with a range of more than one turn use
     the number of turns that brings them nearest. ``quadrants`` (n, j), NaN where it does not matter, has priority: the
-    quarter turn in which a reading must lie, as ⌊q/90°⌋. For a target that is not reached, the nearest result is
-    returned.
+    quarter turn in which a reading must lie, as ⌊q/90°⌋.
     """
     stock, (lower, upper) = solutions(chain, params, targets, oriented), _sampled_range(chain)
-    n, _, j = stock.q.shape
+    n, _, j = stock.shape
     first = 0.5 * (lower + upper) if home is None else home
     quadrants = np.full((n, j), np.nan) if quadrants is None else quadrants
     origins = Origins(np.full(n, -1), np.full((n, j), np.nan)) if origins is None else origins
     if home is not None and not oriented:  # among a continuum of joints, those that the least motion from home reaches
         from_home = inverse(chain, params, targets, np.tile(home, (n, 1)), oriented)
-        regular = singular_value(chain, params, from_home.q, oriented) > SINGULAR
-        usable = from_home.reached & within(chain, from_home.q, ROOM) & regular
-        stock = _with(stock._replace(reached=stock.reached & ~usable[:, None]), from_home)
+        stock[within(chain, from_home, ROOM) & (singular_value(chain, params, from_home, oriented) > SINGULAR)] = np.nan
+        stock = np.concatenate([stock, from_home[:, None]], axis=1)
     chosen, near = _chosen(chain, params, stock, first, quadrants, oriented, origins)
     for _ in range(PASSES if oriented else 0):
-        stock = _with(stock, inverse(chain, params, targets, near))
+        stock = np.concatenate([stock, inverse(chain, params, targets, near)[:, None]], axis=1)
         near_before = near
         chosen, near = _chosen(chain, params, stock, first, quadrants, oriented, origins)
         if np.abs(near - near_before).max(initial=0.0) < SAME:
@@ -181,32 +174,31 @@ def several_fit(
     """Return for which targets (n, 4, 4) several solutions within the joint limits fit the quarter turns (n, j) best, as in ``search``."""
     stock = solutions(chain, params, targets, oriented)
     middle = np.where(np.isnan(quadrants), 0.0, 0.5 * np.pi * (quadrants + 0.5))
-    q = turned(chain, params, stock.q, middle[:, None])
-    misplaced = np.where(stock.reached & within(chain, q), _misplaced(q, quadrants[:, None]), np.inf)
+    q = turned(chain, params, stock, middle[:, None])
+    misplaced = np.where(within(chain, q), _misplaced(q, quadrants[:, None]), np.inf)
     least = misplaced.min(axis=1, keepdims=True)
     return np.asarray(((misplaced == least) & np.isfinite(least)).sum(axis=1) > 1)
 
 
-def solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> Inverse:
-    """Return solutions (n, k) for targets, each once; those of targets near another start from its solutions.
+def solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> Floats:
+    """Return solutions (n, k, j) for targets, each once; those of targets near another start from its solutions.
 
-    An arm with more joints than needed stays within its limits; others ignore them.
+    NaN where there are fewer. An arm with more joints than needed stays within its limits; others ignore them.
     """
     j = len(chain.joints)
     bounded = j > (6 if oriented else 3)
     lower, upper = _sampled_range(chain)
     starts, middle = lower + (upper - lower) * _covering(N_STARTS, j), 0.5 * (lower + upper)
 
-    def searched(rows: NDArray[np.int_]) -> Inverse:
+    def searched(rows: NDArray[np.int_]) -> Floats:
         """Return the solutions of targets (rows,) from all starts."""
         chunks = []
         for first in range(0, max(len(rows), 1), CHUNK):
             goals = np.repeat(targets[rows[first : first + CHUNK]], N_STARTS, axis=0)
             q_start = np.tile(starts, (len(goals) // N_STARTS, 1))
             ends = inverse(chain, params, goals, q_start, oriented, bounded)
-            ends = ends._replace(q=turned(chain, params, ends.q, middle))
-            chunks.append(_taken(ends, np.arange(len(goals)).reshape(-1, N_STARTS)))
-        stock = _joined(chunks)
+            chunks.append(turned(chain, params, ends, middle).reshape(-1, N_STARTS, j))
+        stock = np.concatenate(chunks)
         return _distinct(chain, params, stock) if oriented else stock
 
     if not oriented or not len(targets):
@@ -214,34 +206,32 @@ def solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> 
     cells = np.floor(np.concatenate([targets[:, :3, 3] / LEVER, targets[:, :3, 2], targets[:, :3, 0]], axis=1) / CELL)
     _, leaders, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     stock = _packed(searched(leaders))
-    singular = singular_value(chain, params, stock.q.reshape(-1, j)).reshape(stock.reached.shape)
-    least = np.where(stock.reached, singular, np.inf).min(axis=1)[cell.reshape(-1)]
-    stock = _taken(stock, cell.reshape(-1))
-    n_reached = stock.reached.sum(axis=1)
-    follows = stock.reached & ~np.isin(np.arange(len(targets)), leaders)[:, None]
-    which, slot = np.nonzero(follows)
-    for array, end in zip(
-        stock, inverse(chain, params, targets[which], stock.q[which, slot], bounded=bounded), strict=True
-    ):
-        array[which, slot] = end
+    singular = singular_value(chain, params, stock.reshape(-1, j)).reshape(stock.shape[:2])
+    least = np.fmin.reduce(singular, axis=1, initial=np.inf)[cell.reshape(-1)]
+    stock = stock[cell.reshape(-1)]
+    n_reached = _is_solved(stock).sum(axis=1)
+    follows = _is_solved(stock) & ~np.isin(np.arange(len(targets)), leaders)[:, None]
+    stock[follows] = inverse(chain, params, targets[np.nonzero(follows)[0]], stock[follows], bounded=bounded)
     stock = _distinct(chain, params, stock)
     # A solution may be lost on the way if it merges with another, or begins between the two targets.
-    lost = follows.any(axis=1) & ((stock.reached.sum(axis=1) < n_reached) | (least < SINGULAR))
-    again = searched(np.flatnonzero(lost))
-    width = max(int(solved.reached.sum(axis=1).max(initial=1)) for solved in (stock, again))
-    stock = _packed(stock, width)
-    for array, of_lost in zip(stock, _packed(again, width), strict=True):
-        array[lost] = of_lost
-    return _packed(stock)
+    lost = follows.any(axis=1) & ((_is_solved(stock).sum(axis=1) < n_reached) | (least < SINGULAR))
+    again = _packed(searched(np.flatnonzero(lost)))
+    every = np.full((len(stock), max(stock.shape[1], again.shape[1]), j), np.nan)
+    every[:, : stock.shape[1]] = np.where(lost[:, None, None], np.nan, stock)
+    every[lost, : again.shape[1]] = again
+    return _packed(every)
 
 
-def _packed(stock: Inverse, width: int = 1) -> Inverse:
-    """Return solutions (n, k) with those that are reached first: as many as any target has, at least ``width``."""
-    width = max(width, int(stock.reached.sum(axis=1).max(initial=1)))
-    order = np.argsort(~stock.reached, axis=1, kind="stable")
-    columns = order[:, np.minimum(np.arange(width), order.shape[1] - 1)]
-    packed = _taken(stock, (np.arange(len(order))[:, None], columns))
-    return packed._replace(reached=packed.reached & (np.arange(width) < order.shape[1]))
+def _is_solved(stock: Floats) -> NDArray[np.bool_]:
+    """Return a mask (n, k) of the solutions (n, k, j) that there are."""
+    return np.isfinite(stock[..., 0])
+
+
+def _packed(stock: Floats) -> Floats:
+    """Return solutions (n, k, j), as many as any target has, with those that there are first."""
+    width = max(1, int(_is_solved(stock).sum(axis=1).max(initial=1)))
+    order = np.argsort(~_is_solved(stock), axis=1, kind="stable")[:, :width]
+    return np.take_along_axis(stock, order[..., None], axis=1)
 
 
 def _covering(n: int, j: int) -> Floats:
@@ -250,29 +240,16 @@ def _covering(n: int, j: int) -> Floats:
     return np.asarray(np.outer(np.arange(1, n + 1), ratio ** -np.arange(1.0, j + 1)) % 1.0)
 
 
-def _with(stock: Inverse, solution: Inverse) -> Inverse:
-    """Return solutions (n, k) and another one of each target (n,)."""
-    return Inverse(*(np.concatenate([a, b[:, None]], axis=1) for a, b in zip(stock, solution, strict=True)))
-
-
-def _joined(chunks: list[Inverse]) -> Inverse:
-    return Inverse(*(np.concatenate(arrays) for arrays in zip(*chunks, strict=True)))
-
-
-def _taken(stock: Inverse, index: Any) -> Inverse:
-    return Inverse(stock.q[index], stock.reached[index])
-
-
-def _distinct(chain: Chain, params: Floats, ends: Inverse) -> Inverse:
-    """Return solutions (n, k) of which each counts as reached once; they are the same if they differ by whole turns."""
-    reached = ends.reached.copy()
-    for first in range(0, len(reached), CHUNK // N_STARTS):  # all pairs of a chunk's solutions take 3 MB
+def _distinct(chain: Chain, params: Floats, stock: Floats) -> Floats:
+    """Return solutions (n, k, j) with each once; they are the same if they differ by whole turns."""
+    distinct = stock.copy()
+    for first in range(0, len(stock), CHUNK // N_STARTS):  # all pairs of a chunk's solutions take 3 MB
         rows = slice(first, first + CHUNK // N_STARTS)
-        difference = ends.q[rows, :, None] - ends.q[rows, None]
+        difference = stock[rows, :, None] - stock[rows, None]
         difference -= _turns(chain, params) * np.round(difference / _turns(chain, params))
-        same = reached[rows, None] & (np.abs(difference) < SAME).all(axis=-1)
-        reached[rows] &= ~np.tril(same, -1).any(axis=-1)
-    return ends._replace(reached=reached)
+        same = (np.abs(difference) < SAME).all(axis=-1)
+        distinct[rows][np.tril(same, -1).any(axis=-1)] = np.nan
+    return distinct
 
 
 def _turns(chain: Chain, params: Floats) -> Floats:
@@ -283,18 +260,18 @@ def _turns(chain: Chain, params: Floats) -> Floats:
 
 
 def _chosen(
-    chain: Chain, params: Floats, stock: Inverse, first: Floats, quadrants: Floats, oriented: bool, origins: Origins
-) -> tuple[Inverse, Floats]:
-    """Return, of k solutions (n, k), those nearest to the robot's previous positions, and these positions (n, j)."""
+    chain: Chain, params: Floats, stock: Floats, first: Floats, quadrants: Floats, oriented: bool, origins: Origins
+) -> tuple[Floats, Floats]:
+    """Return, of solutions (n, k, j), those nearest to the robot's previous positions, and these positions (n, j)."""
     middle, free = 0.5 * np.pi * (quadrants + 0.5), np.isnan(quadrants)
-    singular = np.zeros_like(stock.reached)
+    singular = np.zeros(stock.shape[:2], dtype=bool)
     if not oriented:
-        values = singular_value(chain, params, stock.q.reshape(-1, stock.q.shape[-1]), oriented)
-        singular = values.reshape(stock.reached.shape) < SINGULAR
+        values = singular_value(chain, params, stock.reshape(-1, stock.shape[-1]), oriented)
+        singular = values.reshape(singular.shape) < SINGULAR
 
-    def nearest(rows: NDArray[np.int_], near: Floats) -> Inverse:
-        q = turned(chain, params, stock.q[rows], np.where(free[rows], near, middle[rows])[:, None])
-        usable = stock.reached[rows] & within(chain, q)
+    def nearest(rows: NDArray[np.int_], near: Floats) -> Floats:
+        q = turned(chain, params, stock[rows], np.where(free[rows], near, middle[rows])[:, None])
+        usable = within(chain, q)
         # Without orientation, joints at a limit or a singularity are the worse choice.
         poor = ~within(chain, q, ROOM) | singular[rows] if not oriented else np.zeros_like(usable)
         motion = np.abs(q - near[:, None])
@@ -302,32 +279,31 @@ def _chosen(
         largest, total = motion.max(axis=-1).round(9), (motion**2).sum(axis=-1)
         order = np.lexsort((total, largest, poor, _misplaced(q, quadrants[rows, None]), ~usable), axis=1)
         best = np.arange(len(rows)), order[:, 0]
-        return Inverse(q[best], usable[best])
+        return np.where(usable[best][:, None], q[best], np.nan)
 
     # All targets are chosen at once from where the robot is likely to be, twice; those for which it is elsewhere, again.
     order, every = _followed(origins.target), np.arange(len(quadrants))
     is_given: NDArray[np.bool_] = np.asarray(np.isfinite(origins.q).all(axis=1))
-    likely = nearest(every, np.broadcast_to(first, quadrants.shape)).q
+    chosen = nearest(every, np.broadcast_to(first, quadrants.shape))
     previous = np.empty_like(every)
     previous[order] = np.roll(order, 1)
     source, position = np.where(origins.target < 0, previous, origins.target), first
     for _ in range(2):
-        near = np.where(is_given[:, None], origins.q, likely[source])
+        near = np.where(is_given[:, None], origins.q, chosen[source])
         chosen = nearest(every, near)
-        likely = chosen.q
-    settled = np.zeros(len(quadrants), dtype=bool)
+    settled, is_reached = np.zeros(len(quadrants), dtype=bool), np.isfinite(chosen[:, 0])
     for row in order:
         origin = origins.target[row]
         if is_given[row]:
             position = origins.q[row]
-        elif origin >= 0 and settled[origin] and chosen.reached[origin]:
-            position = chosen.q[origin]
+        elif origin >= 0 and settled[origin] and is_reached[origin]:
+            position = chosen[origin]
         if not (near[row] == position).all():
             near[row] = position
-            for array, again in zip(chosen, nearest(every[row : row + 1], near[row : row + 1]), strict=True):
-                array[row] = again[0]
+            chosen[row] = nearest(every[row : row + 1], near[row : row + 1])[0]
+            is_reached[row] = np.isfinite(chosen[row, 0])
         settled[row] = True
-        position = chosen.q[row] if chosen.reached[row] else position
+        position = chosen[row] if is_reached[row] else position
     return chosen, near
 
 

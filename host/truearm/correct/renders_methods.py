@@ -39,8 +39,7 @@ def false_target(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = T
         where the nominal robot does not reach the false target.
     """
     commanded = moved(believed(pair, q), apart(targets, reached(pair, q)))
-    solution = inverse(pair.chain, pair.nominal, commanded, q, oriented)
-    return np.where(solution.reached[:, None], solution.q, np.nan)
+    return inverse(pair.chain, pair.nominal, commanded, q, oriented)
 
 
 def joint_space(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:

@@ -42,9 +42,9 @@ def straight_moves(pair: ModelPair, q_start: Floats, commanded: Floats, tool: Fl
     motion = apart(commanded @ tool, begin)
     path, drivable = [np.asarray(q_start, dtype=float)], np.ones(len(commanded), dtype=bool)
     for share in np.linspace(0.0, 1.0, SAMPLES + 2)[1:]:
-        solution = inverse(pair.chain, pair.nominal, moved(begin, share * motion) @ inverted(tool), path[-1])
-        drivable &= solution.reached & (np.abs(solution.q - path[-1]).max(axis=-1) < JUMP)
-        path.append(solution.q)
+        q = inverse(pair.chain, pair.nominal, moved(begin, share * motion) @ inverted(tool), path[-1])
+        drivable &= np.abs(q - path[-1]).max(axis=-1) < JUMP
+        path.append(np.where(np.isnan(q), path[-1], q))
     places = np.array([(reached(pair, q) @ tool)[:, :3, 3] for q in path])
     singular = np.min([singular_value(pair.chain, pair.nominal, q) for q in path], axis=0)
     limits = np.min([limit_margins(pair.chain, q) for q in path], axis=0)

@@ -276,7 +276,7 @@ def _solution(visits: Sequence[Visit], method: HowCorrected, frames: tuple[Frame
     quadrants = np.full(hints.shape, np.nan)
     quadrants[:, chain.motors] = quarters
     direct: NDArray[np.bool_] = np.asarray(np.isfinite(hints).all(axis=1))
-    q = inverse(chain, pair.nominal, ends[direct], hints[direct]).q
+    q = inverse(chain, pair.nominal, ends[direct], hints[direct])
     direct[direct] = np.abs(q - hints[direct]).max(axis=1, initial=0.0) < NEAR
     corrections = [method.correct(ends[direct], Configuration(q_start=hints[direct]))]
     if not direct.all():
@@ -381,8 +381,8 @@ def _other_configurations(
         return None
     ends = believed(pair, solution.correction.q_nominal[compared])
     stock = solutions(pair.chain, pair.nominal, ends, oriented=True)
-    target, k = np.nonzero(stock.reached & within(pair.chain, stock.q))
-    done = method.correct(ends[target], Configuration(q_start=stock.q[target, k]))
+    target, k = np.nonzero(within(pair.chain, stock))
+    done = method.correct(ends[target], Configuration(q_start=stock[target, k]))
     shift = (done.commanded - solution.correction.commanded[compared[target]])[:, :3, 3]
     return OtherConfigurations(len(compared), np.linalg.norm(shift, axis=1), done.q, solution.tools[compared[target]])
 
