@@ -19,18 +19,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
 from types import UnionType
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    Generic,
-    Protocol,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from truearm.errors import InputError
 from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
@@ -119,17 +108,21 @@ def quoted(value: object) -> str:
     return f"a value of type {type(value).__name__}"
 
 
-class Value(Protocol):
-    """One value of a file. ``suffixes``: those of ``units.SUFFIXES`` that its key may end in, the SI unit first."""
+class Value:
+    """One value of a file."""
 
     @property
-    def suffixes(self) -> Sequence[str]: ...
+    def suffixes(self) -> Sequence[str]:
+        """Those of ``units.SUFFIXES`` that its key may end in, the SI unit first."""
+        return NO_UNIT
 
     def parse(self, raw: Any, suffix: str) -> Any:
         """Return the checked SI value of an entry whose key has this suffix. Raises SchemaError."""
+        raise NotImplementedError
 
     def format(self, value: Any) -> str:
-        """TOML text of a value, under a key with the first of the suffixes."""
+        """Return the TOML text of a value, under a key with the first of the suffixes."""
+        return _toml_value(value)
 
 
 def values_of(record: type) -> Mapping[str, Value]:
@@ -146,19 +139,8 @@ def _annotated(hint: Any) -> Iterator[Value]:
             yield from _annotated(alternative)
 
 
-class ReadOnly:
-    """A value of a file that truearm reads but does not write."""
-
-    @property
-    def suffixes(self) -> Sequence[str]:
-        return NO_UNIT
-
-    def format(self, value: Any) -> str:
-        raise NotImplementedError(type(self).__name__)
-
-
 @dataclass(frozen=True)
-class Number:
+class Number(Value):
     """A finite number in an SI unit of ``UNITS``, between ``least`` and ``most`` [SI]; those default to ± the unit's
     largest.
 
@@ -204,24 +186,20 @@ class Number:
         return value
 
     def format(self, value: float | None) -> str:
-        return json.dumps(UNKNOWN) if value is None else repr(float(value))
+        return _toml_value(UNKNOWN if value is None else float(value))
 
 
 @dataclass(frozen=True)
-class Whole:
+class Whole(Value):
     """A whole number between ``least`` and ``most``."""
 
     least: int
     most: int
-    suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> int:
         if type(raw) is not int or not self.least <= raw <= self.most:
             raise SchemaError(f"{quoted(raw)} is not a whole number from {self.least} to {self.most}")
         return raw
-
-    def format(self, value: int) -> str:
-        return str(value)
 
 
 def sigma(si: str = "1", *, unknown: bool = False) -> Number:
@@ -230,7 +208,7 @@ def sigma(si: str = "1", *, unknown: bool = False) -> Number:
 
 
 @dataclass(frozen=True)
-class List:
+class List(Value):
     """A list of ``size`` values of one type (None: ``least`` to ``most``), read as a tuple."""
 
     item: Value
@@ -249,11 +227,9 @@ class List:
             has = str(len(raw)) if isinstance(raw, list | tuple) else quoted(raw)
             raise SchemaError(f"needs a list of {count} value{'s' * (count != '1')}, has {has}")
         values = []
-        for value in raw:
-            try:
+        for number, value in enumerate(raw, start=1):
+            with at(f"item {number}"):
                 values.append(self.item.parse(value, suffix))
-            except SchemaError as exc:
-                raise SchemaError(f"item {len(values) + 1}: {exc}") from None
         return tuple(values)
 
     def format(self, value: Sequence[Any]) -> str:
@@ -275,12 +251,11 @@ class Direction(List):
 
 
 @dataclass(frozen=True)
-class Covariance:
+class Covariance(Value):
     """A covariance matrix, ``size``×``size`` or, if None, any size up to MAX_SIZE. ``singular``: it may be singular."""
 
     size: int | None = None
     singular: bool = False
-    suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> Matrix:
         import numpy as np
@@ -306,7 +281,7 @@ class Covariance:
 
 
 @dataclass(frozen=True)
-class Sigmas:
+class Sigmas(Value):
     """A list of standard deviations, read as a diagonal covariance matrix."""
 
     number: Number
@@ -327,7 +302,7 @@ class Sigmas:
 
 
 @dataclass(frozen=True)
-class Text:
+class Text(Value):
     """Text of at most ``longest`` characters; ``one_line``: not empty, and all of it printable.
 
     If ``pattern`` is given, all of the text must match; ``wanted`` describes such a text.
@@ -337,7 +312,6 @@ class Text:
     pattern: re.Pattern[str] | None = None
     wanted: str = ""
     one_line: bool = False
-    suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> str:
         if not isinstance(raw, str) or not self.matches(raw):
@@ -352,31 +326,21 @@ class Text:
             and (not self.one_line or (text != "" and text.isprintable()))
         )
 
-    def format(self, value: str) -> str:
-        return _toml_value(value)
-
 
 IDENTIFIER = Text(pattern=NAME, wanted="a name of up to 64 letters, digits, '-', '_' and '.'")
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Value):
     """One of some texts, members of a StrEnum, whole numbers, or truth values."""
 
     options: tuple[Any, ...]
-    suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> Any:
-        same_type = (
-            o for o in self.options if isinstance(o, type(raw)) and isinstance(o, bool) is isinstance(raw, bool)
-        )
-        members = [option for option in same_type if option == raw]
-        if not members:
-            raise SchemaError(f"{quoted(raw)} is not one of {', '.join(map(quoted, self.options))}")
-        return members[0]
-
-    def format(self, value: Any) -> str:
-        return json.dumps(value, ensure_ascii=False)
+        for option in self.options:
+            if option == raw and isinstance(option, type(raw)) and isinstance(option, bool) is isinstance(raw, bool):
+                return option
+        raise SchemaError(f"{quoted(raw)} is not one of {', '.join(map(quoted, self.options))}")
 
 
 @dataclass(frozen=True)
@@ -456,7 +420,7 @@ def _words(index: Hashable) -> str:
 
 
 @dataclass(frozen=True)
-class Table(Generic[T]):
+class Table(Value, Generic[T]):
     """A table of a file, and the object made from it.
 
     ``make`` is called with the values of the existing keys, by field, and may raise SchemaError if they are
@@ -470,7 +434,6 @@ class Table(Generic[T]):
     take: Callable[[T], Mapping[str, Any]] = vars
     entries: tuple[Entries[Any], ...] = ()
     unknown_keys: bool = False
-    suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> T:
         return self.make(**self.values(raw))

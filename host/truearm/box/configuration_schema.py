@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Any, ClassVar
+from typing import Any
 
 from truearm.errors import ConfigError
-from truearm.schema import NO_UNIT, Entries, Key, List, SchemaError, Table, Text, quoted
+from truearm.schema import Entries, Key, List, SchemaError, Table, Text, Value, quoted
 from truearm.session.box_ident import MAX_COEFFICIENTS, MAX_EXPONENT
 from truearm_wire import config as rules
 
@@ -23,11 +23,10 @@ _MANTISSA_END = 2**63
 
 
 @dataclass(frozen=True)
-class WireNumber:
+class WireNumber(Value):
     """A decimal number in a file: on the wire an integer in units of 10^-``decimals``, [mantissa, exponent] if None."""
 
     decimals: int | None = 0
-    suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> int | list[int]:
         number = _decimal(raw)

@@ -21,7 +21,7 @@ from truearm.model.elementary_transforms import Slot, law_name
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.joint_terms.term import Term
 from truearm.model.transforms import MOTIONS
-from truearm.schema import Choice, Key, List, Number, ReadOnly, SchemaError, Table, Text, as_table, at, quoted
+from truearm.schema import Choice, Key, List, Number, SchemaError, Table, Text, Value, as_table, at, quoted
 from truearm.units import suffixes
 
 MAX_JOINTS = 64
@@ -53,7 +53,7 @@ class Description(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AmountValue(ReadOnly):
+class AmountValue(Value):
     """An Amount; for a ``term`` of the joint law it is always a parameter, never a constant."""
 
     number: Number
@@ -191,7 +191,7 @@ class _Transform(NamedTuple):
     law: Mapping[str, Any] = {}
 
 
-class _TransformValue(ReadOnly):
+class _TransformValue(Value):
     """A transform, with keys that depend on its motion and on whether a joint moves it."""
 
     def parse(self, raw: Any, suffix: str = "") -> _Transform:
