@@ -91,7 +91,7 @@ def parse_toml(
 
 
 def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
-    """Write bytes, or text or its pieces as UTF-8, to a temporary file next to ``path`` and rename it to ``path``.
+    """Write bytes, or text or its pieces as UTF-8, to a file in a temporary folder next to ``path`` and move it there.
 
     If ``path`` is a symbolic link, the link remains and its target is replaced. Raises InputError if the folder is
     missing or not writable, or if ``path`` is not a regular file; WriteError if the disk is full or fails; and what
@@ -99,23 +99,30 @@ def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
     """
     path = _real(path)
     _check_regular(path)
+    with replacing(path) as new:
+        _write(new, (text,) if isinstance(text, str | bytes) else text)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give the path of a new file or folder, which replaces ``path`` at the end and is removed after an error.
+
+    Raises InputError, WriteError if the system refuses to write.
+    """
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
+        with working_folder(path.parent) as folder:
+            yield folder / "new"
+            os.replace(folder / "new", path)
     except OSError as exc:
         raise _failure(f"{path}: cannot be written", exc) from exc
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            for piece in (text,) if isinstance(text, str | bytes) else text:
-                file.write(piece.encode() if isinstance(piece, str) else piece)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only the owner can read
-        os.replace(temporary, path)
-    except BaseException as exc:
-        Path(temporary).unlink(missing_ok=True)
-        if isinstance(exc, OSError):
-            raise _failure(f"{path}: cannot be written", exc) from exc
-        raise
+
+
+def _write(path: Path, pieces: Iterable[str | bytes]) -> None:
+    with path.open("wb") as file:
+        for piece in pieces:
+            file.write(piece.encode() if isinstance(piece, str) else piece)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def check_new_folder(path: Path, source: Path) -> None:
@@ -135,36 +142,16 @@ def write_folder(path: Path, contents: Mapping[str, bytes]) -> None:
 
     Raises InputError if the folder cannot be written, WriteError if the disk is full or fails.
     """
-    temporary = None
-    try:
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name[:100]}.", dir=path.parent))
+    with replacing(path) as new:
         for name, data in contents.items():
-            file = temporary / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("wb") as stream:
-                stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
-        os.chmod(temporary, 0o777 & ~_umask())
-        os.replace(temporary, path)
-    except BaseException as exc:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
-        if isinstance(exc, OSError):
-            raise _failure(f"{path}: cannot be written", exc) from exc
-        raise
+            (new / name).parent.mkdir(parents=True, exist_ok=True)
+            _write(new / name, (data,))
 
 
 def _failure(words: str, exc: OSError) -> TruearmError:
     """Return the error for what the system refuses: the disk is full or fails, or a wrong name was given."""
     text = f"{words}: {system_reason(exc)}"
     return WriteError(text, exc.strerror or "") if exc.errno in DISK_FAILED else InputError(text)
-
-
-def _umask() -> int:
-    mask = os.umask(0)  # the only portable way to read it is to set it
-    os.umask(mask)
-    return mask
 
 
 def sha256(path: Path) -> str:

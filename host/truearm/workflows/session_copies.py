@@ -8,7 +8,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from truearm.disk import check_writable, sha256, working_folder
+from truearm.disk import check_writable, replacing, sha256, working_folder
 from truearm.errors import Argument, InputError, SessionError, WriteError
 from truearm.file_names import system_reason
 from truearm.model.robot_file import RobotChoice
@@ -85,11 +85,8 @@ def add_joints_file(request: AddJoints, force: bool = False) -> int:
     }
     if opened.damage or opened.truncated:
         provenance["damaged"] = "the damaged part of the session is left out"
-    with working_folder(request.out.parent) as folder:
-        partial = folder / "session.mcap"
-        count = add_readings(opened, readings, partial, zero, provenance, request.replace)
-        os.replace(partial, request.out)
-    return count
+    with replacing(request.out) as new:
+        return add_readings(opened, readings, new, zero, provenance, request.replace)
 
 
 def joint_names(joints: str | None, robot: RobotChoice) -> list[str]:
