@@ -15,6 +15,7 @@ import numbers
 import re
 import types
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -63,18 +64,11 @@ def converted(name: str, value: Any, hint: Any) -> Any:
 
     Raises TypeError unless the value matches the annotation, and InputError if it breaks a rule of it.
     """
-    alternatives = _alternatives(hint)
-    fitting = [alternative for alternative in alternatives if _is(value, alternative)]
-    if not fitting:
-        allowed = " or ".join(dict.fromkeys(_words(alternative) for alternative in alternatives))
-        raise TypeError(f"{name}: must be {allowed}, is {_shown(value)}")
-    frozen = _frozen(name, value, fitting[0])
-    for rule in () if frozen is None else getattr(fitting[0], "__metadata__", ()):
-        if isinstance(rule, Within | OneOf | FileName):
-            rule.check(name, frozen)
-        elif not isinstance(rule, str):
-            frozen = _parsed(name, frozen, rule)
-    return frozen
+    try:
+        return _fit(name, value, hint)
+    except _Misfit:
+        allowed = " or ".join(dict.fromkeys(_words(alternative) for alternative in _alternatives(hint)))
+        raise TypeError(f"{name}: must be {allowed}, is {_shown(value)}") from None
 
 
 def floats(name: str, value: Any, *shape: int | None, or_one: bool = False, finite: bool = True) -> NDArray[np.float64]:
@@ -115,67 +109,54 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     return (hint,)
 
 
-def _is(value: Any, hint: Any) -> bool:
-    """Return whether a value matches one alternative of an annotation."""
-    origin, arguments = get_origin(hint), get_args(hint)
+class _Misfit(Exception):
+    """A value has another type than its annotation."""
+
+
+def _fit(name: str, value: Any, hint: Any) -> Any:
+    """Return a value in the form that an annotation defines. Raises _Misfit, and InputError for a broken rule."""
+    origin, kinds = get_origin(hint), get_args(hint)
     if hint is Any or hint == ArrayLike:
-        return True
+        return value
+    if origin in (Union, types.UnionType):
+        for alternative in kinds:
+            with suppress(_Misfit):
+                return _fit(name, value, alternative)
+        raise _Misfit
     if origin is Annotated:
-        return _any(value, arguments[0])
-    if origin is Literal or (isinstance(hint, type) and issubclass(hint, StrEnum)):
-        return isinstance(value, str)  # ``_frozen`` refuses other texts
-    if hint in (int, float):
-        kind = numbers.Integral if hint is int else numbers.Real
-        return isinstance(value, kind) and not isinstance(value, bool)
-    if hint is bool:
-        return isinstance(value, bool | np.bool_)
+        return _ruled(name, _fit(name, value, hint.__origin__), hint.__metadata__)
+    is_names = isinstance(hint, type) and issubclass(hint, StrEnum)
+    if origin is Literal or is_names:
+        if not isinstance(value, str):
+            raise _Misfit
+        OneOf(tuple(hint) if is_names else kinds).check(name, value)
+        return hint(value) if is_names else value
     if origin is tuple and isinstance(value, tuple | list | np.ndarray):
-        is_any_length = arguments[-1:] == (Ellipsis,)
-        return (is_any_length or len(value) == len(arguments)) and all(
-            _any(item, kind_of_item)
-            for item, kind_of_item in zip(
-                value, arguments[:1] * len(value) if is_any_length else arguments, strict=True
-            )
-        )
-    if origin is Sequence:
-        return (
-            isinstance(value, Sequence)
-            and not isinstance(value, str)
-            and all(_any(item, arguments[0]) for item in value)
-        )
-    if origin is Mapping:
-        return isinstance(value, Mapping) and all(
-            _any(k, arguments[0]) and _any(v, arguments[1]) for k, v in value.items()
-        )
-    return callable(value) if origin is Callable else isinstance(value, origin or hint)
-
-
-def _frozen(name: str, value: Any, hint: Any) -> Any:
-    """Return a value that matches one alternative of an annotation in its final form, without the annotation's rules."""
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return _frozen(name, value, next(item for item in _alternatives(arguments[0]) if _is(value, item)))
-    if origin is Literal:
-        OneOf(arguments).check(name, value)
-    elif isinstance(hint, type) and issubclass(hint, StrEnum):
-        OneOf(tuple(hint)).check(name, value)
-        return hint(value)
-    elif origin is tuple:
-        kinds = arguments[:1] * len(value) if arguments[-1:] == (Ellipsis,) else arguments
-        return tuple(converted(name, item, kind) for item, kind in zip(value, kinds, strict=True))
+        kinds = kinds[:1] * len(value) if kinds[-1:] == (Ellipsis,) else kinds
+        if len(kinds) != len(value):
+            raise _Misfit
+        return tuple(_fit(name, item, kind) for item, kind in zip(value, kinds, strict=True))
+    kind: Any = {int: numbers.Integral, float: numbers.Real, bool: bool | np.bool_}.get(hint, origin or hint)
+    excluded = bool if hint in (int, float) else str if origin is Sequence else ()  # which Python counts among them
+    if not isinstance(value, kind) or isinstance(value, excluded):
+        raise _Misfit
+    for items in ([item] for item in value) if origin is Sequence else value.items() if origin is Mapping else ():
+        for item, kind_of_item in zip(items, kinds, strict=True):
+            _fit(name, item, kind_of_item)
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _parsed(name: str, value: Any, rule: Value) -> Any:
-    """Return a value in SI as a file's value type accepts it. Raises InputError."""
-    try:
-        return rule.parse(value, rule.suffixes[0])
-    except SchemaError as exc:
-        raise InputError(Argument(name), f": {exc}") from None
-
-
-def _any(value: Any, hint: Any) -> bool:
-    return any(_is(value, alternative) for alternative in _alternatives(hint))
+def _ruled(name: str, value: Any, rules: Sequence[Any]) -> Any:
+    """Return a value as the rules of its annotation accept it. Raises InputError."""
+    for rule in () if value is None else rules:
+        if isinstance(rule, Within | OneOf | FileName):
+            rule.check(name, value)
+        elif isinstance(rule, Value):
+            try:
+                value = rule.parse(value, rule.suffixes[0])
+            except SchemaError as exc:
+                raise InputError(Argument(name), f": {exc}") from None
+    return value
 
 
 def _words(hint: Any) -> str:
