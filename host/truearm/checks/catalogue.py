@@ -185,7 +185,6 @@ def add_item(out: Catalogue, cause: Cause) -> None:
         out.add(cause.name, "offset", columns, units, out.always)
     if fault.step:
         out.add(cause.name, "step", columns, units, out.steps(columns))
-    if fault.run or fault.window or fault.step:
         out.add(cause.name, "run", columns, units, out.runs(columns))
     out.add(cause.name, "drift", columns, units, out.drifts)
 

@@ -36,9 +36,7 @@ from truearm.types import Floats, Indices, Mask, Payload
 BASE = (("base.x", "m"), ("base.rx", "rad"), ("base.y", "m"), ("base.ry", "rad"), ("base.z", "m"), ("base.rz", "rad"))
 MOTION = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))  # of several points together
 MOVED = Fault(slice(None), constant=False)  # base or tool: a constant pose error is a parameter of the robot
-JUMPED = Fault(
-    slice(None), constant=False, step=False, window=True, moved=True
-)  # a joint's offset is a parameter of the robot
+JUMPED = Fault(slice(None), constant=False, moved=True)  # a joint: its offset is a parameter of the robot
 
 
 class Errors(NamedTuple):

@@ -38,7 +38,7 @@ SURE = 5.0  # σ: a length is beyond the stroke
 AWAY = np.array([0.11, -0.17, 0.07])  # m: offset of a new chuck or sphere from the centroid of the others
 
 # The sensor's zero drifts and jumps, and its gain may be wrong. The bar itself has no fixed position.
-BAR_FAULTS = (Fault(slice(0, 1), run=True, drift=True), Fault(slice(1, 2), step=False))
+BAR_FAULTS = (Fault(slice(0, 1)), Fault(slice(1, 2), step=False))
 
 
 @dataclass(frozen=True, kw_only=True)

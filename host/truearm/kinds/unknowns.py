@@ -27,18 +27,13 @@ class RigNumber(NamedTuple):
 class Fault(NamedTuple):
     """A way in which an item of the rig can differ from its description, in some of its numbers together.
 
-    ``constant``: by an offset in all rows; ``step``: by an offset from some row on; ``window``: by an offset from some
-    row to another; ``run``: by an offset while the same items are mounted, as by a ball that is not seated; ``drift``: by
-    a part that changes linearly over a session; ``moved``: in the
+    ``constant``: by an offset in all rows; ``step``: by an offset from some row on, or to another; ``moved``: in the
     direction of a joint's last move, or in proportion to it.
     """
 
     numbers: slice  # of the item's list
     constant: bool = True
     step: bool = True
-    window: bool = False
-    run: bool = False
-    drift: bool = False
     moved: bool = False
 
 
