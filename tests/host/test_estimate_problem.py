@@ -10,7 +10,6 @@ from tests.refusals import refused
 
 from truearm.errors import ProblemError
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.prior import robot_prior
 from truearm.estimate.problem import build_problem
 from truearm.kinds.table import ObservationTable
 from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
@@ -75,28 +74,6 @@ def test_what_is_used_and_not_known_becomes_a_parameter_with_its_prior():
     np.testing.assert_array_equal(problem.prior_sigma[54:], [np.inf] * 3 + [1e-4] * 3 + [1e-3])
     assert np.isinf(problem.prior_sigma[:54]).all()
     assert problem.units[54:] == ("m",) * 7
-    by_name = robot_prior(CHAIN, {"link3.x": 1e-3})
-    assert by_name[CHAIN.parameter_names.index("link3.x")] == 1e-3
-    assert np.isinf(by_name).sum() == 53
-    with pytest.raises(ProblemError, match=r"'link9\.x', which robot puma560 does"):
-        robot_prior(CHAIN, {"link9.x": 1e-3})
-    for bad in (np.ones(53), np.zeros(54), np.full(54, np.nan), {"link3.x": -1.0}):
-        with pytest.raises(ProblemError, match="54 positive numbers"):
-            robot_prior(CHAIN, bad)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ({"free": np.ones(53, bool)}, "free must be 54 booleans"),
-        ({"free": np.ones(54)}, "54 booleans.* float64"),
-        ({"hold_out": np.zeros(17, bool)}, "hold_out must be 18 booleans"),
-        ({"hold_out": np.ones(18, bool)}, "no observations"),
-    ],
-)
-def test_arguments_that_do_not_fit(arguments, says):
-    with pytest.raises(ProblemError, match=says):
-        identify(CHAIN, RIG, TABLE, **arguments)
 
 
 def test_an_empty_table():

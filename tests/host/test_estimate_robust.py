@@ -9,7 +9,6 @@ from fault_worlds import table as fault_table
 from puma_bench import CHAIN, FREE, RIG, ROBOT, SIGMA, TRUTH, all_pairs, lengths, random_poses, random_table, table
 from scipy import stats
 
-from truearm.errors import ProblemError
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import covariance, spectrum
 from truearm.estimate.robust import CAUCHY, HUBER, Moments, sandwich, tuning, weigh
@@ -125,15 +124,3 @@ def test_iterations_count_on_over_the_stages():
     assert short.message == "cauchy loss: 2 iterations were not enough"
     single = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(max_iterations=1))
     assert single.message == "1 iteration was not enough"
-
-
-def test_choices_that_do_not_go_together_are_refused():
-    t = random_table(60, np.random.default_rng(4), SIGMA)
-    for how, text in (
-        ({"options": SolverOptions(solver="newton")}, "solver: 'newton'"),
-        ({"options": SolverOptions(loss="tukey")}, "loss: 'tukey'"),
-        ({"options": SolverOptions(solver="recursive", loss="huber")}, "recursive has no robust loss"),
-        ({"prefer": np.ones(3, bool)}, "prefer must be 54 booleans"),
-    ):
-        with pytest.raises(ProblemError, match=text):
-            identify(CHAIN, RIG, t, free=FREE, **how)

@@ -51,7 +51,7 @@ from truearm.estimate.problem import (
 from truearm.estimate.row_errors import Judge, RowErrors, judging, left_out_errors
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options, Solution, goodness_of, rms_of, solver_named
-from truearm.estimate.solvers import SOLVERS, Loss, with_loss
+from truearm.estimate.solvers import SOLVERS, Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
 from truearm.estimate.validation import judge_problem
@@ -106,7 +106,7 @@ def identify(
     *,
     free: NDArray[np.bool_] | None = None,
     hold_out: NDArray[np.bool_] | None = None,
-    prior_sigma: Mapping[str, float] | Floats | None = None,
+    prior_sigma: Floats | None = None,
     prefer: NDArray[np.bool_] | None = None,
     options: SolverOptions = DEFAULTS,
 ) -> Estimate:
@@ -116,13 +116,13 @@ def identify(
     hold_out : (n,) rows to validate on instead of fitting them, default none. Unknowns of the rig that only these rows
         touch (such as the sockets of a held-out place, or the pose of a line) are estimated on them, with the robot
         fixed.
-    prior_sigma : σ of robot parameters about their nominal values, by name or (p,) with inf for none; default none.
+    prior_sigma : (p,) σ of robot parameters about their nominal values, inf for none; default none.
     prefer : (p,) parameters that the suggested free set should preferably contain, a robot file's ``free``; default
     none.
     options : solver, loss, maximum number of iterations, and progress callback.
 
-    Raises ProblemError for masks of the wrong shape, no row to fit, an unknown solver or loss, a loss for a
-    solver without losses, and for the same reasons as ``build_problem``. Rank and convergence are fields of the result.
+    Raises ProblemError if there is no row to fit, and for the same reasons as ``build_problem``. Rank and convergence are
+    fields of the result.
     """
     started = time.perf_counter()
     task = _task(chain, rig, table, (free, prefer), hold_out, prior_sigma, options)
@@ -214,14 +214,14 @@ def _task(
     table: ObservationTable,
     parameters: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None],
     hold_out: NDArray[np.bool_] | None,
-    prior_sigma: Mapping[str, float] | Floats | None,
+    prior_sigma: Floats | None,
     options: SolverOptions,
 ) -> _Task:
-    """Check the masks, of which ``parameters`` are the free and the preferred ones, and build the problem."""
-    free = _mask("free", parameters[0], len(chain.parameters), default=True)
-    prefer = _mask("prefer", parameters[1], len(chain.parameters), default=False)
-    held = _mask("hold_out", hold_out, len(table), default=False)
-    _check_choice(options.solver, options.loss)
+    """Build the problem; ``parameters`` are the masks of the free and of the preferred ones."""
+    p = len(chain.parameters)
+    free = np.ones(p, dtype=bool) if parameters[0] is None else parameters[0]
+    prefer = np.zeros(p, dtype=bool) if parameters[1] is None else parameters[1]
+    held = np.zeros(len(table), dtype=bool) if hold_out is None else hold_out
     left_out = rows_left_out(options.leave_out, len(table))
     held = held & ~left_out
     fitted = ~(held | left_out)
@@ -421,14 +421,6 @@ def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
     return [names[k] for k in offsets if is_weakly_identifiable(root, k, UNITS["s"].weak_sigma)]
 
 
-def _check_choice(solver: str, loss: str) -> None:
-    for field, value, names in (("solver", solver, SOLVERS), ("loss", loss, tuple(Loss))):
-        if value not in names:
-            raise ProblemError("wrong-value", place=field, value=value, names=list(names))
-    if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
-        raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
-
-
 def judged(
     fitted: Problem,
     x_fit: Floats,
@@ -452,15 +444,6 @@ def judged(
         return None, error
     count, left_out = int(judging.sum()), int((~judging).sum())
     return HeldOut(Figures.by_unit(error, judging), count, int(judgement.settled.sum()), left_out), error
-
-
-def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -> NDArray[np.bool_]:
-    if mask is None:
-        return np.full(size, default)
-    mask = np.asarray(mask)
-    if mask.shape != (size,) or mask.dtype != bool:
-        raise ProblemError(f"{name} must be {size} booleans, is {mask.dtype} of shape {mask.shape}")
-    return mask
 
 
 def merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Residuals:

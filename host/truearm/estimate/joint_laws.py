@@ -78,7 +78,7 @@ class LawRequest:
     """
 
     mode: LawMode
-    prior_sigma: Floats | None = None
+    prior_sigma: Floats
     effects: tuple[Effect, ...] = ()
     faults: tuple[Effect, ...] = ()
     gravity: tuple[float, float, float] | None = None
@@ -239,8 +239,7 @@ class _Work:
     def rows(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> Problem:
         """Compile the fitted rows, and those left out of the fit as outliers, for a robot with laws and further effects."""
         chain, prior, fitted = with_laws(self.chain, laws), self.request.prior_sigma, self.geometry.fitted
-        if prior is not None:
-            prior = np.append(prior, np.full(len(chain.parameters) - len(self.chain.parameters), np.inf))
+        prior = np.append(prior, np.full(len(chain.parameters) - prior.size, np.inf))
         effects = modelled_of(chain, self.rig, self.table, (*self.request.effects, *beside))
         effects = [effect.select(fitted) for effect in effects]
         return build_problem(chain, self.rig, self.table.select(fitted), prior, effects)

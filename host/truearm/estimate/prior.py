@@ -11,12 +11,10 @@ angles the 3° of Renders (1991, III-C). docs/explanation/estimation.md has the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import assert_never
 
 import numpy as np
 
-from truearm.errors import ProblemError
 from truearm.estimate.solvers import Prior
 from truearm.model.chain import Chain
 from truearm.types import Floats
@@ -33,33 +31,14 @@ def wide_prior(chain: Chain) -> Floats:
     return np.array([UNITS[p.unit].wide_sigma for p in chain.parameters])
 
 
-def prior_named(chain: Chain, prior: Prior) -> Floats | None:
-    """Return the standard deviations (p,) of a prior; None for no prior and for one where needed, which depends on the data."""
+def prior_named(chain: Chain, prior: Prior) -> Floats:
+    """Return the standard deviations (p,) of a prior, inf for none; also for one where needed, which depends on the data."""
     match prior:
         case Prior.NONE | Prior.WHERE_NEEDED:
-            return None
+            return np.full(len(chain.parameters), np.inf)
         case Prior.WEAK:
             return weak_prior(chain)
         case Prior.WIDE:
             return wide_prior(chain)
         case _:
             assert_never(prior)
-
-
-def robot_prior(chain: Chain, prior_sigma: Mapping[str, float] | Floats | None) -> Floats:
-    """Return standard deviations (p,), inf for none. Raises ProblemError for unknown names or values that are not positive."""
-    n = len(chain.parameters)
-    if prior_sigma is None:
-        return np.full(n, np.inf)
-    if isinstance(prior_sigma, Mapping):
-        unknown = sorted(set(prior_sigma) - set(chain.parameter_names))
-        if unknown:
-            raise ProblemError(f"prior for {unknown[0]!r}, which robot {chain.name} does not have")
-        out = np.array([prior_sigma.get(name, np.inf) for name in chain.parameter_names], dtype=float)
-    else:
-        out = np.asarray(prior_sigma, dtype=float)
-    if out.shape != (n,) or not (out > 0.0).all():
-        raise ProblemError(
-            f"prior σ must be {n} positive numbers, inf for no prior; to hold a parameter fixed, do not free it"
-        )
-    return out

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
 from truearm.estimate.circumstances import Circumstances, payloads_of
-from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
 from truearm.estimate.systematic_effects import (
     BASE,
@@ -107,17 +106,17 @@ def build_problem(
     chain: Chain,
     rig: Rigs,
     table: ObservationTable,
-    prior_sigma: Mapping[str, float] | Floats | None = None,
+    prior_sigma: Floats | None = None,
     effects: Sequence[Modelled] = (),
 ) -> Problem:
     """Compile a table into a problem.
 
-    ``prior_sigma``: σ of robot parameters by name, or (p,) with inf for none. ``rig`` is one rig for all rows, or rigs
+    ``prior_sigma`` (p,): σ of robot parameters, inf for none. ``rig`` is one rig for all rows, or rigs
     by the names in the table's ``rig`` column. ``effects`` are systematic errors that become parameters too, the last
     of x.
 
     Raises ProblemError for joint readings that do not match the robot, for unknown kinds, chucks, spheres or bars
-    (naming the row), for missing readings, for σ that are not positive, for rigs that differ in the noise of the
+    (naming the row), for missing readings, for rigs that differ in the noise of the
     joints, and for a parameter of the rig that has the name of one of the robot.
     """
     _check_joints(chain, table)
@@ -141,7 +140,8 @@ def build_problem(
                 uses.append(kind.use_rig(scope, rows))
     layout = Layout(len(chain.parameters), [item for use in uses for item in use.used])
     free = layout.unknown
-    prior = np.concatenate([robot_prior(chain, prior_sigma), [u.sigma for u in free]])
+    of_robot = np.full(len(chain.parameters), np.inf) if prior_sigma is None else prior_sigma
+    prior = np.concatenate([of_robot, [u.sigma for u in free]])
     start = np.concatenate([chain.params_nominal, [u.value for u in free]])
     names = (*chain.parameter_names, *(u.name for u in free))
     if both := {*chain.parameter_names} & {u.name for u in free}:

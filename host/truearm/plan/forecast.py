@@ -21,7 +21,7 @@ from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identifiability import hardly_seen, identifiability
 from truearm.estimate.information import covariance, of_rows, seen, spectrum, with_prior
 from truearm.estimate.prediction import seen_covariance
-from truearm.estimate.prior import prior_named, robot_prior, weak_prior, wide_prior
+from truearm.estimate.prior import prior_named, weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.solvers import Prior
 from truearm.estimate.uncertainty import covariance_root
@@ -225,11 +225,11 @@ def _as_identified(knowledge: Knowledge, planned: ObservationTable) -> tuple[Kno
     σ is inf for parameters without a prior.
     """
     if knowledge.prior is None:
-        return knowledge, robot_prior(knowledge.chain, None), Defaults()
+        return knowledge, prior_named(knowledge.chain, Prior.NONE), Defaults()
     rows, named = _all_rows(knowledge, planned), np.zeros(knowledge.free.size, dtype=bool)
     where_needed = knowledge.prior is Prior.WHERE_NEEDED
     free, weak, chosen = choose_defaults(knowledge.chain, knowledge.rig, rows, knowledge.free, named, where_needed)
-    sigma = weak if where_needed else robot_prior(knowledge.chain, prior_named(knowledge.chain, knowledge.prior))
+    sigma = weak if where_needed else prior_named(knowledge.chain, knowledge.prior)
     return replace(knowledge, free=free), sigma, chosen
 
 
