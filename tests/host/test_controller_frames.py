@@ -20,19 +20,13 @@ def test_universal_robots_base_is_half_a_turn_from_base_link():
     assert "half a turn" in base.words
 
 
-@pytest.mark.parametrize("language", ["urscript", "rapid"])
-def test_ros_flange_points_with_x_where_tool0_points_with_z(language):
-    """REP 199; the two differ by a rotation alone."""
+@pytest.mark.parametrize(("language", "x"), [("urscript", Y), ("rapid", -Z)])
+def test_ros_flange_points_with_x_where_tool0_points_with_z(language, x):
+    """REP 199; the two differ by a rotation alone. UR's description turns by rpy (90°, 0, 90°): tool0's x is the flange's y."""
     flange = flange_of(language, "flange", brought=False)
-    np.testing.assert_allclose(flange.pose[:3, :3] @ Z, X, atol=1e-15)
+    np.testing.assert_allclose(flange.pose[:3, :3] @ np.array([X, Z]).T, np.array([x, X]).T, atol=1e-15)
     np.testing.assert_allclose(np.linalg.det(flange.pose[:3, :3]), 1.0)
     np.testing.assert_array_equal(flange.pose[:3, 3], 0.0)
-
-
-def test_universal_robots_tool0_in_the_flange_of_ur_description():
-    """Its joint flange-tool0 turns by rpy (90°, 0, 90°): tool0's x is the flange's y."""
-    flange = flange_of("urscript", "flange", brought=False)
-    np.testing.assert_allclose(flange.pose[:3, :3] @ X, Y, atol=1e-15)
 
 
 @pytest.mark.parametrize("language", ["urscript", "rapid"])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from correct_bench import good_poses, nominal_poses
 from puma_bench import CHAIN, DESIGN, TRUTH
-from scipy.spatial.transform import Rotation
 from term_bench import register
 
 from truearm.correct.correction import Configuration, correct
@@ -16,10 +15,8 @@ from truearm.correct.model_pair import ModelPair
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter
-from truearm.model.poses import apart, inverted, moved, pose_of, six_of
 from truearm.model.robot import builtin_robot
 from truearm.model.robot_mounting import mountings
-from truearm.model.transforms import elementary
 
 
 @pytest.fixture(scope="module")
@@ -229,12 +226,6 @@ def test_quadrants_choose_the_configuration(q):
     assert (np.abs(other[:, 4] - q[:, 4]) > 0.3).mean() > 0.2
 
 
-def test_whole_turns_lead_back_into_the_limits(q):
-    away = q.copy()
-    away[:, 5] += 2.0 * np.pi
-    np.testing.assert_allclose(turned(CHAIN, DESIGN, away, np.zeros(6)), q, atol=1e-14)
-
-
 def test_turns_leave_the_arm_where_it_is_and_go_on():
     chain = builtin_robot("ur5e").chain
     gains = chain.params_nominal + 2e-3 * np.array([name.endswith("gain") for name in chain.parameter_names])
@@ -287,22 +278,6 @@ def test_mountings_are_exactly_what_first_and_last_link_hold(q):
     )
 
 
-def test_poses_differences_and_rotation_vectors():
-    rng = np.random.default_rng(1)
-    a, b = (pose_of(rng.normal(size=(20, 3)), rng.normal(size=(20, 3))) for _ in range(2))
-    np.testing.assert_allclose(moved(a, apart(b, a)), b, atol=1e-14)
-    np.testing.assert_allclose(a @ inverted(a), np.tile(np.eye(4), (20, 1, 1)), atol=1e-15)
-    for pose in [*a, *pose_of(np.zeros((2, 3)), np.array([[0.0, np.pi / 2, 0.0], [0.0, -np.pi / 2, 0.0]]))]:
-        x, y, z, alpha, beta, gamma = six_of(pose)
-        again = elementary("rz", alpha) @ elementary("ry", beta) @ elementary("rx", gamma)
-        np.testing.assert_allclose(again[:3, :3], pose[:3, :3], atol=1e-9)
-        np.testing.assert_array_equal(pose[:3, 3], (x, y, z))
-    start = pose_of(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
-    there = moved(start, np.array([[0.0, 0.0, 0.0, 0.3, 0.0, 0.0]]))
-    expected = Rotation.from_rotvec([0.3, 0.0, 0.0]) * Rotation.from_rotvec([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(there[0, :3, :3], expected.as_matrix(), atol=1e-15)
-
-
 @pytest.mark.parametrize("name", ["puma560", "ur5e"])
 def test_rounding_does_not_decide_between_configurations(name):
     """Solutions tie in the largest motion where they differ in other joints alone."""
@@ -317,7 +292,9 @@ def test_rounding_does_not_decide_between_configurations(name):
     np.testing.assert_allclose(also, near, atol=1e-6)
 
 
-def check_configurations(name, n):
+@pytest.mark.parametrize("n", [43, pytest.param(429, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("name", builtin_names())
+def test_no_random_target_is_corrected_in_another_configuration(name, n):
     """The arm stays in its configuration, and the identified robot reaches the target to rounding."""
     chain, rng = builtin_robot(name).chain, np.random.default_rng(7)
     nominal = chain.params_nominal
@@ -333,14 +310,3 @@ def check_configurations(name, n):
     assert np.abs(done.q - done.q_nominal).max() < 0.2
     assert np.abs(done.q_nominal - q).max() < (1e-9 if len(lower) <= 6 else 0.2)
     assert done.after[:, 0].max() < 1e-12
-
-
-@pytest.mark.parametrize("name", builtin_names())
-def test_no_random_target_is_corrected_in_another_configuration(name):
-    check_configurations(name, 43)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("name", builtin_names())
-def test_none_of_three_thousand_random_targets_is(name):
-    check_configurations(name, 429)

@@ -11,27 +11,10 @@ from ulb_bench import OFFSETS, free, lines, rig
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe, with_prior
 from truearm.estimate.problem import build_problem
-from truearm.estimate.recursive import Filter, rows_of, run, start, update
+from truearm.estimate.recursive import rows_of, run, start
 from truearm.estimate.whitened_rows import distance_without, gate, leverages
 
 PRIOR = np.where(np.isin(np.arange(len(ULB.parameters)), OFFSETS), 0.052, np.inf)
-
-
-def test_one_update_is_the_papers_18_and_20():
-    rng = np.random.default_rng(0)
-    k, w = 7, 3
-    half = rng.normal(size=(k, k))
-    P, delta, J, C = half @ half.T, rng.normal(size=k), rng.normal(size=(w, k)), np.diag([2.0, 5.0, 0.3])
-    dx = rng.normal(size=w)
-    P_after = P - P @ J.T @ np.linalg.inv(J @ P @ J.T + np.linalg.inv(C)) @ J @ P  # (18)
-    after = delta + P_after @ J.T @ C @ (dx - J @ delta)  # (20) with its plus
-    white = np.sqrt(np.diag(C))
-    found, innovation, distance = update(Filter(delta, half), white[:, None] * J, white * dx)
-    np.testing.assert_allclose(found.root @ found.root.T, P_after, atol=1e-12 * np.abs(P).max())
-    np.testing.assert_allclose(found.delta, after, atol=1e-11)
-    np.testing.assert_allclose(innovation, white * (dx - J @ delta))
-    nu = dx - J @ delta
-    assert distance == pytest.approx(nu @ np.linalg.solve(J @ P @ J.T + np.linalg.inv(C), nu))
 
 
 @pytest.fixture(scope="module")

@@ -43,11 +43,6 @@ def test_bit_for_bit(tmp_path_factory, x, n, text):
         assert [int(cell) for cell in cells[1]] == np.tile(n, 2).tolist()
 
 
-def test_one_column_of_one_row(tmp_path):
-    assert written(tmp_path / "t.csv", {"x": np.array([-0.0])}) == [("-0",)]
-    assert (tmp_path / "t.csv").read_bytes() == b'"x"\n-0\n'
-
-
 def test_memory_of_npz_does_not_grow_with_its_rows(tmp_path):
     n, peaks = 50_000, []
     names = np.array(["bar", "gauge ä", ""])[np.arange(n) % 3]

@@ -13,7 +13,7 @@ from truearm.errors import SessionError
 from truearm.finding_texts import STATEMENTS, Severity
 from truearm.report.session_findings import REJECTED
 from truearm.types import Message
-from truearm.workflows.inspect import Contents, printable
+from truearm.workflows.inspect import Contents
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
 
 EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
@@ -239,19 +239,6 @@ def test_readings_of_other_joints_are_malformed(stream, tmp_path, run):
     odd += [Message("/robot/console", m.t_host_ns, b"hello") for m in stream[:7]]
     robot = json.loads(run("inspect", write_session(tmp_path / "s.mcap", [*odd, *stream]), "--json")[1])["robot"]
     assert robot["malformed"] == 7
-
-
-@pytest.mark.parametrize(
-    ("data", "text"),
-    [
-        (b"plain\r\ntext", "plain\ntext"),
-        (b"\x00\x1b[1m", "\\x00\\x1b[1m"),
-        (b"\xff\xfe", "\\xff\\xfe"),
-        ("µ\u202e\u2028".encode(), "µ\\u202e\\u2028"),
-    ],
-)
-def test_shown(data, text):
-    assert printable(data) == text
 
 
 @pytest.mark.parametrize("batch", [1, 3, 1000])

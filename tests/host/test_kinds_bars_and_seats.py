@@ -72,23 +72,6 @@ def test_derivatives_by_the_joint_readings():
         np.testing.assert_allclose(jac, -(sides[0] - sides[1]) / (2 * h), atol=1e-8)
 
 
-def test_residual_is_measured_minus_predicted_from_the_ball():
-    q, pairs = random_poses(9, np.random.default_rng(2)), all_pairs(9)
-    t = table(q, lengths(TRUTH, q, pairs) + 1e-3, pairs)
-    problem = build_problem(CHAIN, Rig(CHUCKS, SPHERES, BARS), t)
-    (block,) = blocks(problem)
-    # Two roundings of metres.
-    np.testing.assert_allclose(block.evaluate(problem.chain, TRUTH).residual, 1e-3, atol=1e-15)
-    t = seats(8, np.random.default_rng(6), sphere="")
-    problem = build_problem(CHAIN, Rig(), t)
-    (block,) = blocks(problem)
-    found = block.evaluate(problem.chain, problem.start).residual.reshape(-1, 3)
-    ends = forward(CHAIN, CHAIN.params_nominal, t.q)[:, :3, 3]
-    socket = {key: ends[(t.place == key[0]) & (t.socket == key[1])].mean(axis=0) for key in zip(t.place, t.socket)}
-    by_hand = np.array([socket[key] for key in zip(t.place, t.socket, strict=True)]) - ends
-    np.testing.assert_allclose(found, by_hand, atol=1e-14)
-
-
 def test_a_sphere_in_the_chucks_centre_has_no_direction():
     q = random_poses(1, np.random.default_rng(4))
     centre = point_forward(CHAIN, CHAIN.params_nominal, q, np.array(SPHERES["s0"].xyz))[0]

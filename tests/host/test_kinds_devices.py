@@ -77,51 +77,21 @@ def test_derivatives_by_the_joint_readings():
 def test_residual_is_measured_minus_predicted_in_the_devices_axes():
     rng = np.random.default_rng(4)
     pose = np.concatenate(random_pose(rng))
-    error = np.array([1e-3, -2e-3, 3e-3])
+    error, small = np.array([1e-3, -2e-3, 3e-3]), np.array([1e-3, 2e-3, -1e-3])
     t = tracked("pose", 7, pose, rng)
     flat = touches(FLAT, 5, rng)
     rig = Rig(TARGETS, targets=TARGETS, planes={"table": replace(FLAT, offset_sigma=0.0, tilt_sigma=0.0)})
     known = Device("t", COV, tuple(pose[:3]), tuple(pose[3:]), 0.0, 0.0, 1e-4)
-    both = join(replace(t, xyz=t.xyz + error), replace(flat, value=flat.value + 1e-3))
+    turned = replace(t, xyz=t.xyz + error, rotation=rotation_vector(rotation(small) @ rotation(t.rotation)))
+    both = join(turned, replace(flat, value=flat.value + 1e-3))
     problem = build_problem(CHAIN, replace(rig, trackers={"t": known}), both)
     assert len(problem.names) == 54  # all of the rig is known
     pose_block, plane_block = blocks(problem)
     found = pose_block.evaluate(problem.chain, TRUTH).residual.reshape(7, 6)
     np.testing.assert_allclose(found[:, :3], np.tile(error, (7, 1)), atol=2e-15)
-    np.testing.assert_allclose(found[:, 3:], 0.0, atol=4e-15)
+    np.testing.assert_allclose(found[:, 3:], np.tile(small, (7, 1)), atol=4e-15)
     # The touching joints were solved to 1e-12.
     np.testing.assert_allclose(plane_block.evaluate(problem.chain, TRUTH).residual, 1e-3, atol=2e-12)
-
-
-def test_a_measured_turn_is_in_the_trackers_axes():
-    rng = np.random.default_rng(5)
-    pose = np.concatenate(random_pose(rng))
-    small = np.array([1e-3, 2e-3, -1e-3])
-    t = tracked("pose", 4, pose, rng)
-    t = replace(t, rotation=rotation_vector(rotation(small) @ rotation(t.rotation)))
-    known = Device("t", COV, tuple(pose[:3]), tuple(pose[3:]), 0.0, 0.0, 1e-4)
-    problem = build_problem(CHAIN, Rig(targets=TARGETS, trackers={"t": known}), t)
-    (block,) = blocks(problem)
-    found = block.evaluate(problem.chain, TRUTH).residual.reshape(4, 6)
-    np.testing.assert_allclose(found[:, 3:], np.tile(small, (4, 1)), atol=4e-15)
-
-
-def test_the_true_joints_are_the_readings_moved_by_the_time_offset():
-    """q(t) = q_reading(t + τ): what was read a little late was true a little earlier."""
-    rng = np.random.default_rng(6)
-    tau, q_rate = 4e-3, rng.normal(size=(5, 6))
-    pose = np.concatenate(random_pose(rng))
-    t = tracked("position", 5, pose, rng, q_rate=q_rate)
-    t = replace(t, q=t.q - tau * q_rate)
-    known = {"t": Device("t", COV, tuple(pose[:3]), tuple(pose[3:]), 0.0, 0.0)}
-    problem = build_problem(CHAIN, Rig(targets=TARGETS, trackers=known, time_offset_sigma=1e-2), t)
-    assert problem.names[54:] == ("time_offset",)
-    assert problem.units[54:] == ("s",)
-    (block,) = blocks(problem)
-    found = block.evaluate(problem.chain, np.append(TRUTH, tau))
-    np.testing.assert_allclose(found.residual, 0.0, atol=2e-15)
-    by_hand = (found.jac_joints.reshape(5, 3, 6) @ q_rate[..., None]).ravel()
-    np.testing.assert_allclose(found.jac_params[:, 54], by_hand, atol=1e-14)
 
 
 def test_rows_without_velocities_have_no_time_offset():

@@ -9,17 +9,14 @@ from truearm.errors import RobotError
 from truearm.model.chain import (
     Chain,
     along,
-    end_and_jacobian,
     forward,
     joint_frames,
-    joint_jacobian,
     point_forward,
     point_jacobians,
     trace_point,
 )
 from truearm.model.chain_structure import Joint, Parameter
-from truearm.model.robot import builtin_robot
-from truearm.model.transforms import MOTIONS, Element, cos_sin, elementary
+from truearm.model.transforms import MOTIONS, Element, cos_sin
 
 AMOUNT = st.floats(-3.0, 3.0, allow_nan=False)
 
@@ -73,12 +70,6 @@ def plain(motion, amount):
     else:
         out[MOTIONS.index(motion), 3] = amount
     return out
-
-
-@pytest.mark.parametrize("motion", MOTIONS)
-def test_elementary_transforms(motion):
-    np.testing.assert_allclose(elementary(motion, 0.7), plain(motion, 0.7), atol=1e-15)
-    assert elementary(motion, np.zeros((2, 3))).shape == (2, 3, 4, 4)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -177,21 +168,6 @@ def test_a_scara_and_its_joint_frames_by_hand():
     frames = joint_frames(chain, chain.params_nominal, np.array([np.pi / 2, 0.0, 0.0]))
     np.testing.assert_allclose(frames[1, :3, 3], [0.0, 0.4, 0.0], atol=1e-15)
     np.testing.assert_allclose(frames[2, :3, 3], [0.0, 0.7, -0.1], atol=1e-15)
-
-
-@pytest.mark.parametrize("name", ["scara", "ur5e", "panda"])
-def test_end_and_jacobian_are_both_at_once(name):
-    chain = scara() if name == "scara" else builtin_robot(name).chain
-    params = chain.params_nominal + 0.01
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (7, len(chain.joints)))
-    pose, jac = end_and_jacobian(chain, params, q)
-    np.testing.assert_allclose(pose, forward(chain, params, q), atol=1e-14)
-    for k, step in enumerate(1e-30j * np.eye(len(chain.joints))):
-        rate = forward(chain, params, q + step).imag / 1e-30
-        spin = rate[:, :3, :3] @ pose[:, :3, :3].swapaxes(1, 2)
-        np.testing.assert_allclose(jac[:, :3, k], rate[:, :3, 3], atol=1e-14)
-        np.testing.assert_allclose(jac[:, 3:, k], spin[:, (2, 0, 1), (1, 2, 0)], atol=1e-14)
-    np.testing.assert_array_equal(joint_jacobian(chain, params, q), jac)
 
 
 def test_names_shapes_and_whole_numbers():

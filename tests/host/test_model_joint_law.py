@@ -36,30 +36,6 @@ def cases(rng):
         yield chain, chain.params_nominal + rng.uniform(-0.05, 0.05, len(chain.parameters))
 
 
-def test_offset_and_gain_by_hand():
-    chain = parse_robot(PLANAR).chain
-    assert [(p.name, p.unit, p.term, p.joint) for p in chain.parameters if p.term != "geometry"] == [
-        ("joint1.offset", "rad", "offset", 0),
-        ("joint1.gain", "1", "gain", 0),
-        ("joint2.offset", "m", "offset", 1),
-    ]
-    q = np.array([0.5, 0.2])
-    np.testing.assert_allclose(chain.law.angles(chain.params_nominal, q), [0.1 - 2.0 * 0.5, 0.3 + 0.2])
-    np.testing.assert_array_equal(chain.law.by_joints(chain.params_nominal, q), np.diag([-2.0, 1.0]))
-    np.testing.assert_allclose(chain.law.readings(chain.params_nominal, np.array([0.1 + 0.4, 0.25])), [-0.2, -0.05])
-
-
-def test_value_and_derivatives_against_complex_steps(further_terms):
-    rng = np.random.default_rng(1)
-    for chain, params in cases(rng):
-        law, n, j = chain.law, 7, len(chain.joints)
-        q = rng.uniform(-3, 3, (n, j))
-        by_joints = law.by_joints(params, q)
-        assert by_joints.shape == (n, j, j)
-        for k, step in enumerate(1j * H * np.eye(j)):
-            np.testing.assert_allclose(by_joints[..., k], law.angles(params, q + step).imag / H, atol=1e-13)
-
-
 def test_a_points_derivatives_go_through_the_law(further_terms):
     rng = np.random.default_rng(2)
     for chain, params in cases(rng):

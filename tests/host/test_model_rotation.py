@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from truearm.model.poses import pose_of, six_of
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector, skew, turned
+from truearm.model.transforms import elementary
 
 ANGLES = [0.0, 1e-12, 1e-6, 0.3, 0.32, 1.0, 2.0, 3.0, np.pi - 1e-6, np.pi - 1e-12]
 
@@ -64,3 +66,12 @@ def test_a_turn_about_one_axis_keeps_that_axis(angle):
     np.testing.assert_allclose((after @ device)[..., 0], axis, atol=1e-14)
     rolled = after @ np.swapaxes(rotation(v), 1, 2)
     np.testing.assert_allclose(np.trace(rolled, axis1=1, axis2=2), 1.0 + 2.0 * np.cos(0.7), atol=1e-14)
+
+
+@pytest.mark.parametrize("turn", [(0.0, np.pi / 2, 0.0), (0.0, -np.pi / 2, 0.0), (0.3, -0.5, 0.8)])
+def test_six_numbers_give_a_pose_back_also_where_two_axes_of_three_align(turn):
+    pose = pose_of(np.ones((1, 3)), np.array([turn]))[0]
+    *place, alpha, beta, gamma = six_of(pose)
+    assert place == [1.0, 1.0, 1.0]
+    again = elementary("rz", alpha) @ elementary("ry", beta) @ elementary("rx", gamma)
+    np.testing.assert_allclose(again[:3, :3], pose[:3, :3], atol=1e-9)
