@@ -461,12 +461,12 @@ class PredictedError(NamedTuple):
     determine.
     """
 
-    rms: float  # m, over the poses
-    largest: float  # m, expected norm at the worst pose
-    source: str  # the row of the worst pose
+    rms: Annotated[float, MM]  # m, over the poses
+    max: Annotated[float, MM]  # m, expected norm at the worst pose
+    at: str  # the row of the worst pose
     n: int  # poses
     relative: bool
-    scatter: float = 0.0  # m, RMS
+    scatter: Annotated[float, MM] = 0.0  # m, RMS
 
     def exceeds(self, unexplained: Mapping[str, MeanError]) -> bool:
         """Return whether it is larger than the mean error of poses that were not fitted.

@@ -201,7 +201,7 @@ def test_a_damaged_result_is_refused_or_the_same(tmp_path: Path, n: int) -> None
 WRONG = {
     "a negative error": (("rms_after_mm",), -0.1, "rms_after_mm: expected float >= 0.0"),
     "a status that no solver has": (("status",), "fine", "status: invalid enum value 'fine'"),
-    "an unknown unit": (("parameters", 0, "unit"), "furlong", "parameters[0]: its unit"),
+    "an unknown unit": (("parameters", 0, "unit"), "furlong", "parameters[0].unit: expected str matching"),
     "a negative gap of the rank": (("rank_gap",), -2.0, "rank_gap: expected float >= 0.0"),
     "a direction without weights": (("null_space",), [{"names": ["link1.x"], "weights": []}], "null_space[0]: needs"),
     "a covariance of other parameters": (("covariance", "names", 0), "x", "parameters: their names"),
@@ -214,7 +214,7 @@ WRONG = {
     ),
     "a law of an unknown term": (("joint_laws",), {"laws": [{"term": "magic"}]}, "laws[0].term: invalid value 'magic'"),
     "lists in lists in lists": (("suspect",), [{"a": [[[0.1]]]}], "suspect[0][...][0][0]: expected float, got array"),
-    "a version that is a truth value": (("format_version",), True, "format version True"),
+    "a version that is a truth value": (("format_version",), True, "format_version: expected int, got bool"),
     "a range of one joint": (("joint_range", "lower"), [0.0], "joint_range: needs 6 numbers each"),
 }
 

@@ -125,8 +125,8 @@ def predicted_point_error(
         return None
     return PredictedError(
         rms=float(np.sqrt(variance.mean())),
-        largest=math.sqrt(variance[worst]),
-        source=str(table.source[rows[worst]]),
+        max=math.sqrt(variance[worst]),
+        at=str(table.source[rows[worst]]),
         n=rows.size,
         relative=positions.relative,
         scatter=float(np.sqrt(scatter.mean())),

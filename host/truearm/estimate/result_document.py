@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
+from functools import cache
 from pathlib import PurePath
 from typing import Annotated, Any, get_origin, get_type_hints
 
@@ -39,18 +40,15 @@ def result_of(
     """
     names, free, units = np.array(estimate.parameter_names), estimate.free, residual_units(estimate)
     q = table.q[estimate.fitted]
-    shares = {si: estimate.parts.get(si, results.ResidualParts(math.nan, math.nan)) for si in units}
+    suspects = sorted(np.flatnonzero(estimate.suspect).tolist(), key=lambda row: -estimate.distance[row])
     is_held_out = any(error.held_out for error in estimate.unexplained.values())
     change = _unfitted(estimate.mean_change, estimate.held_out is not None, "mean_", "before", "after")
     attributes = [name for name in Result.__struct_fields__ if hasattr(estimate, name)]
-    other_fits = {name: getattr(estimate, name) for name in ("with_outliers", "without_bad_rows")}
     content = {
-        **{name: _entry(getattr(estimate, name), units) for name in attributes},
-        **{name: fit and {**_entry(fit, units), "names": names} for name, fit in other_fits.items()},
+        **{name: _entry(getattr(estimate, name), units, table) for name in attributes},
         **_entries(units, rms_before=estimate.rms_before, rms_raw=estimate.rms_raw, rms_after=estimate.rms_after),
         **{key("rms_history", si): [shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
-        **_by_unit(shares, "rms_", "declared", "unexplained"),
-        "faults": fault_entries(estimate.faults, table),
+        **_by_unit(estimate.parts, units, "rms_", "declared", "unexplained"),
         "claim": _claim(estimate.claim, predicted is not None),
         "truearm_version": VERSION,
         "simulated": table.simulated,
@@ -65,10 +63,13 @@ def result_of(
         "unusable_because": estimate.unusable,
         "explanations": [_entry(explanation, list(explanation.rms_given)) for explanation in estimate.explanations],
         "residual_units": [UNITS[si].scale.suffix for si in units],
-        "suspect": _suspects(estimate, table),
+        "suspect": [
+            {"source": source_name(table, row), "distance": estimate.distance[row], "weight": estimate.weight[row]}
+            for row in suspects
+        ],
         "unexplained": _unfitted(estimate.unexplained, is_held_out, "", "mean", "low", "high"),
         "mean_change": change and {"gain": gain_of(estimate.mean_change), **change},
-        "predicted_error": predicted and _predicted(predicted),
+        "predicted_error": predicted and {**_entry(predicted), "at": PurePath(predicted.at).name},
         "joint_laws": _joint_laws(estimate.joint_laws, estimate.scatter, units),
         "pose_error": _pose_error(estimate.scatter),
         "parameters": _parameters(estimate),
@@ -76,20 +77,29 @@ def result_of(
             names[free], np.array(estimate.units)[free], estimate.covariance[np.ix_(free, free)]
         ),
     }
+    for fit in filter(None, (content["with_outliers"], content["without_bad_rows"])):
+        fit["names"] = names
     return msgspec.json.decode(_json({**content, **fields}), type=Result)
 
 
-def _entry(record: Any, units: Sequence[str] = ()) -> Any:
+@cache
+def _hints(record: type) -> dict[str, Any]:
+    return get_type_hints(record, include_extras=True)
+
+
+def _entry(record: Any, units: Sequence[str] = (), table: ObservationTable | None = None) -> Any:
     """Return a record of ``results`` by the annotations of its fields, and anything else as it is.
 
-    A number with a unit, or one for each of ``units``, has a key that ends in the unit of the file.
+    A number with a unit, or one for each of ``units``, has a key that ends in the unit of the file. Rows are those of
+    ``table``, counted from 1, the last one included.
     """
-    if isinstance(record, tuple) and not hasattr(record, "_fields"):
-        return [_entry(item, units) for item in record]
-    if not isinstance(record, tuple) and not is_dataclass(record):
+    kind: Any = type(record)
+    if isinstance(record, tuple) and not hasattr(kind, "_fields"):
+        return [_entry(item, units, table) for item in record]
+    if not isinstance(record, tuple) and not is_dataclass(kind):
         return record
     entry: dict[str, Any] = {}
-    for name, hint in get_type_hints(type(record), include_extras=True).items():
+    for name, hint in _hints(kind).items():
         value = getattr(record, name)
         if get_origin(hint) is Annotated:
             (scale,) = hint.__metadata__
@@ -97,11 +107,13 @@ def _entry(record: Any, units: Sequence[str] = ()) -> Any:
         elif hint == Mapping[str, float]:
             entry |= _entries(units, **{name: value})
         elif hint == Mapping[str, results.Figures]:
-            entry |= _by_unit(
-                {si: value.get(si, results.Figures.of(np.zeros(0))) for si in units}, "", "rms", "mean", "max"
-            )
+            entry |= _by_unit(value, units, "", "rms", "mean", "max", "n")
+        elif name == "rows" and table is not None:
+            first, last = value or (0, 0)
+            places = (first + 1, last, source_name(table, first), source_name(table, last - 1))
+            entry |= dict(zip(("first", "last", "from", "to"), places if value else (None,) * 4, strict=True))
         else:
-            entry[name] = _entry(value, units)
+            entry[name] = _entry(value, units, table)
     return entry
 
 
@@ -110,12 +122,15 @@ def _entries(units: Sequence[str], **values: Mapping[str, float]) -> dict[str, A
     return {key(name, si): shown(value.get(si, math.nan), si) for name, value in values.items() for si in units}
 
 
-def _by_unit(records: Mapping[str, Any], prefix: str, *names: str) -> dict[str, Any]:
-    """Return attributes of a record for each SI unit, in its display unit, which ends their names, and its count."""
-    counts = {key("n", si): record.n for si, record in records.items() if hasattr(record, "n")}
+def _by_unit(records: Mapping[str, Any], units: Sequence[str], prefix: str, *names: str) -> dict[str, Any]:
+    """Return attributes of the record for each SI unit, in its display unit, which ends their names; "n" is a count."""
     return {
-        key(prefix + name, si): shown(getattr(record, name), si) for si, record in records.items() for name in names
-    } | counts
+        key(prefix + name, si): getattr(records.get(si), name, 0)
+        if name == "n"
+        else shown(getattr(records.get(si), name, math.nan), si)
+        for si in units
+        for name in names
+    }
 
 
 def _json(value: Any) -> bytes:
@@ -125,28 +140,7 @@ def _json(value: Any) -> bytes:
 
 def fault_entries(faults: Sequence[results.Diagnosis], table: ObservationTable) -> list[dict[str, Any]]:
     """Return the field ``faults`` for faults in the table's rows, with rows counted from 1, the last one included."""
-    entries = [
-        {
-            **_entry(fault),
-            "rivals": [_rival(rival, table) for rival in fault.rivals],
-            "mean": _rival(fault.mean, table),
-        }
-        for fault in faults
-    ]
-    return list(msgspec.json.decode(_json(entries)))
-
-
-def _rival(rival: results.Rival, table: ObservationTable) -> dict[str, Any]:
-    first, last = rival.rows or (0, 0)
-    rows = {
-        "first": first + 1,
-        "last": last,
-        "from": source_name(table, first),
-        "to": source_name(table, last - 1),
-    }
-    entry = _entry(rival) | (rows if rival.rows else dict.fromkeys(rows))
-    del entry["rows"]
-    return dict(entry)
+    return list(msgspec.json.decode(_json(_entry(tuple(faults), (), table))))
 
 
 def _claim(claim: results.ToolClaim | None, predicted: bool) -> Any:
@@ -179,15 +173,16 @@ def _counts(estimate: results.Estimate, table: ObservationTable, units: Sequence
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
         rows = (table.rig == rig) & (table.kind == kind)
         fitted, held_out = rows & estimate.used, rows & unfitted
-        errors = {
-            "rms_before": results.Figures.by_unit(estimate.residual_before, fitted),
-            "rms_after": results.Figures.by_unit(estimate.residual, fitted),
-            "rms_held_out": results.Figures.by_unit(estimate.residual, held_out),
-        }
-        counts = {"fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
-        names = {f"{column}s": len(set(table[column][fitted].tolist()) - {""}) for column in columns}
-        rms = {name: {si: figures.rms for si, figures in by_unit.items()} for name, by_unit in errors.items()}
-        entries.append({"rig": rig, "kind": kind, **counts, **names, **_entries(units, **rms)})
+        entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
+        entry |= {f"{column}s": len(set(table[column][fitted].tolist()) - {""}) for column in columns}
+        for name, residual, chosen in (
+            ("before", estimate.residual_before, fitted),
+            ("after", estimate.residual, fitted),
+            ("held_out", estimate.residual, held_out),
+        ):
+            figures = results.Figures.by_unit(residual, chosen)
+            entry |= _entries(units, **{f"rms_{name}": {si: figure.rms for si, figure in figures.items()}})
+        entries.append(entry)
     return entries
 
 
@@ -203,32 +198,19 @@ def _parameters(estimate: results.Estimate) -> list[dict[str, Any]]:
 
 
 def _unfitted(records: Mapping[str, Any], held_out: bool, prefix: str, *names: str) -> dict[str, Any] | None:
-    """Return mean errors where nothing was fitted, by unit; None if there are none."""
-    by = "held out" if held_out else "cross-validation"
-    return {"by": by, **_by_unit(records, prefix, *names)} if records else None
+    """Return mean errors where nothing was fitted, by unit, with the number of poses; None if there are none."""
+    by, units = "held out" if held_out else "cross-validation", list(records)
+    return (
+        {"by": by, **_by_unit(records, units, prefix, *names), **_by_unit(records, units, "", "n")} if units else None
+    )
 
 
-def _suspects(estimate: results.Estimate, table: ObservationTable) -> list[dict[str, Any]]:
-    """Return the rows beyond the gate, the farthest first."""
-    rows = sorted(np.flatnonzero(estimate.suspect).tolist(), key=lambda row: -estimate.distance[row])
-    return [
-        {"source": source_name(table, row), "distance": estimate.distance[row], "weight": estimate.weight[row]}
-        for row in rows
-    ]
-
-
-def _predicted(predicted: results.PredictedError) -> dict[str, Any]:
-    sizes = {"rms_mm": predicted.rms, "max_mm": predicted.largest, "scatter_mm": predicted.scatter}
-    place = {"at": PurePath(predicted.source).name, "n": predicted.n, "relative": predicted.relative}
-    return {**{name: MM.of(size) for name, size in sizes.items()}, **place}
-
-
-def _joint_laws(
-    laws: results.JointLaws | None, scatter: results.Scatter | None, units: Sequence[str]
-) -> dict[str, Any] | None:
-    if laws is None:
-        return None
-    return {**_entry(laws, units), "laws": laws.kept, "noise": _noise(scatter) if laws.kept and scatter else {}}
+def _joint_laws(laws: results.JointLaws | None, scatter: results.Scatter | None, units: Sequence[str]) -> Any:
+    return laws and {
+        **_entry(laws, units),
+        "laws": laws.kept,
+        "noise": _noise(scatter) if laws.kept and scatter else {},
+    }
 
 
 def _noise(scatter: results.Scatter) -> dict[str, float]:

@@ -166,7 +166,7 @@ class ParameterEstimate(Struct, frozen=True, kw_only=True):
     """
 
     name: Name
-    unit: Name
+    unit: Annotated[str, Meta(pattern=f"^({'|'.join(UNITS)})$")]
     nominal: float
     value: float | None
     sigma: Size | None
@@ -174,10 +174,6 @@ class ParameterEstimate(Struct, frozen=True, kw_only=True):
     seen: bool = False
     of: Literal["robot", "rig"]
     law: bool | UnsetType = UNSET
-
-    def __post_init__(self) -> None:
-        if self.unit not in UNITS:
-            raise ValueError("its unit is not known")
 
 
 class Result(Struct, frozen=True, kw_only=True):
@@ -299,7 +295,17 @@ def read_result(path: Path) -> Result:
 def parse_result(text: str, name: str) -> Result:
     """Parse the text of a result.json; see ``read_result``. Unknown fields, from later versions, are skipped."""
     try:
-        return _checked(msgspec.json.decode(text), name)
+        document = msgspec.json.decode(text)
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            raise InputError(f"{name}: is not a result of truearm identify (its format is not {FORMAT!r})")
+        header = msgspec.convert(document, _Header)
+        if header.format_version > FORMAT_VERSION:
+            versions = f"format version {header.format_version}, this truearm reads up to {FORMAT_VERSION}"
+            raise InputError(f"{name}: has {versions}; update truearm")
+        if (header.checksum or header.format_version >= SINCE_CHECKSUM) and header.checksum != checksum(document):
+            mismatch = "was changed or damaged: its checksum does not match"
+            raise InputError(f"{name}: {mismatch}; copy it again or identify again")
+        return msgspec.convert(_converted(document), Result)
     except RecursionError as exc:
         raise InputError(f"{name}: is nested too deeply; give a result of truearm identify") from exc
     except msgspec.ValidationError as exc:
@@ -310,28 +316,17 @@ def parse_result(text: str, name: str) -> Result:
         raise InputError(f"{name}: is not strict JSON: {exc}; give a result of truearm identify") from exc
 
 
-def _checked(document: Any, name: str) -> Result:
-    """Return the result of a decoded file. Raises InputError or msgspec.ValidationError."""
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError(f"{name}: is not a result of truearm identify (its format is not {FORMAT!r})")
-    version = document.get("format_version")
-    if version is None:
-        raise InputError(f"{name}: has no format_version, so it is incomplete; identify again")
-    if type(version) is not int or not 1 <= version <= FORMAT_VERSION:
-        text = f"has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}; update truearm"
-        raise InputError(f"{name}: {text}")
-    if (version >= SINCE_CHECKSUM or CHECKSUM in document) and document.get(CHECKSUM) != checksum(document):
-        text = "was changed or damaged: its checksum does not match; copy it again or identify again"
-        raise InputError(f"{name}: {text}")
-    return msgspec.convert(_converted(document), Result)
-
-
 def write_result(path: Path, result: Result) -> None:
     """Write result.json atomically. Raises InputError if it cannot be written there."""
     write_atomic(path, strict_json(result.document) + "\n")
 
 
 # results of the format versions 1 to 3, and of early versions 4
+
+
+class _Header(Struct, frozen=True):
+    format_version: Annotated[int, Meta(ge=1, le=10**6)]
+    checksum: str | None = None
 
 
 class _Matrix(Struct, frozen=True):
@@ -353,22 +348,19 @@ RENAMED = {  # keys of entries, also in results of version 4 that are older than
 def _converted(document: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a result in the form of version 4. Raises msgspec.ValidationError."""
     for field, names in RENAMED.items():
-        entry = document.get(field)
-        if isinstance(entry, dict):
+        if isinstance(entry := document.get(field), dict):
             document[field] = {names.get(key, key): value for key, value in entry.items()}
-    return document if document["format_version"] == 4 else _of_version_4(document)
-
-
-def _of_version_4(document: dict[str, Any]) -> dict[str, Any]:
-    covariance = msgspec.convert(document, _EarlierResult).covariance
-    n = len(covariance.names)
-    if [len(covariance.units), *map(len, covariance.matrix)] != [n] * (n + 1):
+    if document["format_version"] == FORMAT_VERSION:
+        return document
+    names, units, matrix = msgspec.structs.astuple(msgspec.convert(document, _EarlierResult).covariance)
+    n = len(names)
+    if [len(units), *map(len, matrix)] != [n] * (n + 1):
         raise msgspec.ValidationError(f"needs {n} units and {n} rows of {n} numbers, one per name - at `$.covariance`")
-    packed = Covariance.of(covariance.names, covariance.units, np.array(covariance.matrix, dtype=float).reshape(n, n))
-    is_converged = document.get("status") == "converged"
-    verdict = {"usable": is_converged, "unusable_because": None if is_converged else Unusable.NOT_CONVERGED}
+    packed = Covariance.of(names, units, np.array(matrix, dtype=float).reshape(n, n))
     for options in (document, document.get("made_with")):
         if isinstance(options, dict) and options.get("prior") == "default":
             options["prior"] = Prior.WHERE_NEEDED
-    document = {**verdict, "residual_units": ["mm"], **document, "explanations": []}  # they were texts
-    return {**document, "format_version": 4, "covariance": msgspec.to_builtins(packed)}
+    is_converged = document.get("status") == "converged"
+    verdict = {"usable": is_converged, "unusable_because": None if is_converged else Unusable.NOT_CONVERGED}
+    changed = {"format_version": FORMAT_VERSION, "covariance": msgspec.to_builtins(packed), "explanations": []}
+    return {**verdict, "residual_units": ["mm"], **document, **changed}  # explanations were texts
