@@ -298,7 +298,6 @@ def read_session(
         raise missing_file(file)
     if not is_session(file):
         raise SessionError("not-a-session", place=file)
-    lost: list[str] = []
     parts, rigs = tuple(session_parts(file)), {} if rig is None else _read_rigs(rig)
     sources = Sources(
         inputs=parts,
@@ -306,10 +305,9 @@ def read_session(
         noise=None if noise is None else Path(noise),
         allow_damaged=allow_damaged,
         line_points=line_points,
-        say=lost.append,
     )
     around, table, *_ = read_sources(sources, None)
-    return SessionObservations(table, around, tuple(lost), parts, allow_damaged)
+    return SessionObservations(table, around, tuple(finding.text() for finding in sources.said), parts, allow_damaged)
 
 
 @checked

@@ -427,6 +427,21 @@ REASONS = {
     "undeclared": "{name} is declared in none of the files[{subject:!}; give {@tool} or {@work} NAME=X,Y,Z,RX,RY,RZ]",
 }
 
+READING: Mapping[str, Statement] = {  # of the observations, while they are read
+    "rows-reordered": note(
+        "{place}: the rows are not in the order of time_s. They are used in that order, and row numbers count in it."
+    ),
+    "doubtful-rows": warning("{reason}."),
+    "repeated-distance": warning(
+        "Rigs {rigs}: each has the same distance of sockets {sockets}, which counts as a measurement of each.",
+        "If it was measured once, give one rig for all rows.",
+    ),
+    "other-temperature": warning(
+        "{place}: the box was up to {difference:.1f} [{warmer:!}warmer||colder] than when {channel} was calibrated, and no thermometer was read on the bar: lengths may be off by {error} ({expansion:g} ppm/K of {length:.0f}, {drift:g} ppm/K of {travel:.1f}).",
+        "Put a thermometer on the bar ({page}), or calibrate the box at this temperature.",
+    ),
+}
+
 WAIT = "Wait longer at each pose ({@dwell_s} of the plan)."
 LINK = "Close other programs that use the port, use a shorter USB cable, or a faster computer."
 
@@ -457,8 +472,8 @@ SESSION: Mapping[str, Statement] = {
         "Save what it holds with truearm session recover[{place:!}, or give {@allow_damaged}].",
     ),
     "session-damaged": warning(
-        "Damaged[{headers:!}: a CRC of the file does not match, although those of all its parts do; a header or the summary may be wrong.|| at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.]",
-        "Copy the file again.",
+        "[{place}: damaged||Damaged][{headers:!}: a CRC of the file does not match, although those of all its parts do; a header or the summary may be wrong.|| at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.]",
+        "Copy the file again.[ There are {more:#more such place}.]",
     ),
     "foreign-datagrams": warning(
         "{n:#datagram|datagrams} from other addresses than the robot's not stored.",
@@ -640,7 +655,9 @@ CERTIFICATE: Mapping[str, Statement] = {
         "NOT DECIDED: [{reused:!}the identification used these measurements||the observations do not determine the error of the tool].",
         "[{reused:!}Validate with other measurements.]",
     ),
-    "not-certified": refusal("NOT USABLE: {because}."),
+    "calibration-unusable": refusal(
+        "NOT USABLE: {because}.", "Correct the inputs of the calibration, and identify again."
+    ),
     # what the error does not include
     "excludes-conditions": note(
         "The error leaves out other poses, payloads and temperatures than those of the measurement, the arm in motion (its controller's path errors, vibration), and the mounting of base and tool in the cell. Steel expands by about {steel:g} µm per metre and kelvin, aluminium by {aluminium:g}."
@@ -796,9 +813,12 @@ PLAN: Mapping[str, Statement] = {
     ),
 }
 
+READ = {*READING, "session-damaged"}  # stated before anything is computed
+
 STATEMENTS: Mapping[str, Statement] = {
     **IDENTIFICATION,
     **{code: error(*texts) for code, texts in ERRORS.items()},
+    **READING,
     **SESSION,
     **RECORDING,
     **REPEATABILITY,

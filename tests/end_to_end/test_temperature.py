@@ -64,7 +64,7 @@ def warm(tmp_path_factory):
     path = tmp_path_factory.mktemp("warm") / "session.mcap"
     world, rig = session(path, Thermal(drift=2.0, ahead=3.0, gain_drift=GAIN_DRIFT))
     said = []
-    return world, rig, observations_of_session(path, options=SessionOptions(say=said.append)), said
+    return world, rig, observations_of_session(path, options=SessionOptions(said=said)), said
 
 
 def test_two_kelvins_of_a_steel_bar_are_corrected_to_the_noise(warm):
@@ -139,10 +139,10 @@ def test_a_simulated_laboratory_that_warms_up_is_in_rig_inspect_and_report(tmp_p
 def test_without_a_thermometer_a_session_far_from_the_calibration_is_warned_of_with_the_size(tmp_path):
     session(tmp_path / "session.mcap", Thermal(begin=24.0, drift=0.0, ahead=1.0, thermometers=()))
     said = []
-    result = observations_of_session(tmp_path / "session.mcap", options=SessionOptions(say=said.append))
+    result = observations_of_session(tmp_path / "session.mcap", options=SessionOptions(said=said))
     assert "bar_temperature" not in result.table.columns
-    (text,) = said
-    assert "5.0 °C warmer" in text
-    assert "lvdt" in text
+    (warning,) = said
+    assert (warning.code, warning.values["warmer"], warning.values["channel"]) == ("other-temperature", True, "lvdt")
+    assert warning.values["difference"]["degc"] == pytest.approx(5.0, abs=0.05)
     # 5 K · (11.5 ppm/K · 460 mm + 100 ppm/K · 37.5 mm)
-    assert "0.045 mm" in text
+    assert warning.values["error"]["mm"] == pytest.approx(0.045, abs=5e-4)

@@ -1,11 +1,13 @@
 """Commands that correct a robot refuse a fit that is not usable, unless it is asked for."""
 
+import json
 from dataclasses import replace
 
 import correct_bench
 import numpy as np
 import pytest
 from puma_bench import RIG, SIGMA, shell_table
+from tests.host.findings_bench import listed
 from tests.refusals import ended
 
 from truearm.kinds.rig_file import write_rig
@@ -44,10 +46,12 @@ def test_a_fit_that_is_not_usable_is_refused(command, folder, run):
 def test_judging_a_fit_that_is_not_usable_says_so(folder, run):
     estimate = replace(correct_bench.identified(), status="max_iterations", unusable=Unusable.NOT_CONVERGED)
     bad = correct_bench.write(folder / "bad.json", estimate)
-    write_table(folder / "friday.csv", shell_table(60, 0.46, np.random.default_rng(3), SIGMA), ("rad",) * 6)
+    rows = shell_table(60, 0.46, np.random.default_rng(3), SIGMA)
+    write_table(folder / "friday.csv", rows.replace(time=np.arange(60.0)[::-1]), ("rad",) * 6)
     write_rig(folder / "rig.toml", RIG)
-    code, said, err = run("validate", bad, "friday.csv", "--rig", "rig.toml")
-    assert code == 0, err
-    assert "bad.json: " in err
-    assert f"({Unusable.NOT_CONVERGED})" in err
-    assert said.startswith("The calibration holds")
+    code, said, err = run("validate", bad, "friday.csv", "--rig", "rig.toml", "--json")
+    assert (code, err) == (0, "")
+    findings = listed(json.loads(said))
+    assert next(iter(findings)) == "validation-holds"
+    assert findings["calibration-unusable"] == {"because": Unusable.NOT_CONVERGED}
+    assert findings["rows-reordered"] == {"place": "friday.csv"}

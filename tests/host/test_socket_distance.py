@@ -1,10 +1,12 @@
 """One measured distance of two sockets has one error, at however many places the block was used."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.host.findings_bench import listed
 
 import truearm
 from truearm.cli.main import main
@@ -16,6 +18,7 @@ from truearm.model.chain import point_forward, point_jacobians
 from truearm.plan.forecast import planned_table
 from truearm.plan.socket_block import SocketBlock
 from truearm.plan.socket_places import plans_of_sites
+from truearm.report.result_findings import result_findings
 from truearm.types import rms
 from truearm.workflows.socket_project import RIG
 
@@ -93,7 +96,7 @@ def test_a_distance_in_another_unit_is_named(seats, tmp_path, capsys, factor):
     truearm.write_table(tmp_path / "seats.csv", table, ROBOT)
     arguments = ["--model", ROBOT.chain.name, "--rig", str(tmp_path / "rig.toml"), "--joint-laws", "none"]
     assert main(["identify", str(tmp_path / "seats.csv"), *arguments]) in (2, 3)
-    shown = " ".join(capsys.readouterr().err.split())
+    shown = " ".join("".join(capsys.readouterr()).split())
     assert f"distance is {50 * factor:g} mm in the rig, and about 50 mm by the nominal robot" in shown
 
 
@@ -103,9 +106,10 @@ def test_a_block_in_two_rigs_is_said_to_count_twice(seats, tmp_path, capsys):
     days = np.where(np.arange(len(table)) % 2, "monday", "tuesday")
     truearm.write_table(tmp_path / "seats.csv", table.replace(rig=days), ROBOT)
     rigs = [f"--rig={day}={tmp_path / 'rig.toml'}" for day in ("monday", "tuesday")]
-    assert main(["identify", str(tmp_path / "seats.csv"), "--model", ROBOT.chain.name, *rigs]) in (0, 3)
-    shown = " ".join(capsys.readouterr().err.split())
-    assert "rigs monday, tuesday: each has the same distance of sockets 0, 1" in shown
+    assert main(["identify", str(tmp_path / "seats.csv"), "--model", ROBOT.chain.name, "--json", *rigs]) in (0, 3)
+    result = json.loads(capsys.readouterr().out)
+    assert listed(result)["repeated-distance"] == {"rigs": ["monday", "tuesday"], "sockets": ["0", "1"]}
+    assert "repeated-distance" in [finding.code for finding in result_findings(result)]
 
 
 @pytest.mark.parametrize("order", [1, -1])

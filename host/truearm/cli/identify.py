@@ -12,6 +12,7 @@ import click
 from truearm.bounds import LINE_POINTS
 from truearm.cli.command import Answer, command
 from truearm.cli.options import command_line, sources_of
+from truearm.cli.output import before_error
 from truearm.cli.project import typed
 from truearm.errors import InputError
 from truearm.estimate.solvers import SOLVERS, with_loss
@@ -123,7 +124,8 @@ def identify(
     if out and default and typed(context, "out") and Path(default).resolve().parent != out.resolve().parent:
         results.append(Path(default))
     files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line(context), force)
-    identification = identify_files(files, hold_out, IdentifyOptions(**vars(options)))
+    with before_error(sources.said):
+        identification = identify_files(files, hold_out, IdentifyOptions(**vars(options)))
     document, paths = identification.document, {path.name: str(path) for path in inputs}
     return Answer(
         document,

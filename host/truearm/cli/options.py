@@ -174,12 +174,11 @@ def rigs_of(texts: Sequence[str]) -> dict[str, Path]:
 
 
 def sources_of(inputs: Sequence[Path], rig: Sequence[str] = (), **options: Any) -> Sources:
-    """Return what a command reads: sessions with their further parts, tables, and the rigs of ``--rig``; it warns on standard error."""
-    from truearm.cli.output import warn
+    """Return what a command reads: sessions with their further parts, tables, and the rigs of ``--rig``."""
     from truearm.workflows.inputs import Sources
     from truearm.workflows.session_parts import with_parts
 
-    return Sources(tuple(with_parts(inputs)), rigs_of(rig), say=warn, **options)
+    return Sources(tuple(with_parts(inputs)), rigs_of(rig), **options)
 
 
 def command_line(context: click.Context) -> str:

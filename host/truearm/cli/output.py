@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from truearm.errors import TruearmError
+from truearm.findings import Finding, option
 from truearm.strict_json import strict_json
 from truearm.text import one_line
 
@@ -22,9 +25,15 @@ def print_json(document: Any) -> None:
     print(strict_json(document))
 
 
-def warn(text: str) -> None:
-    """Print a warning on standard error, on a terminal above the steps that are shown there."""
-    print(f"warning: {text}", file=sys.stderr)
+@contextmanager
+def before_error(findings: Iterable[Finding]) -> Iterator[None]:
+    """Print findings on standard error if an error ends the command, as they may be its cause."""
+    try:
+        yield
+    except TruearmError:
+        for finding in findings:
+            print(f"{finding.severity}: {finding.text(option)}", file=sys.stderr)
+        raise
 
 
 def warn_of_further_parts(session: Path, advice: str) -> None:

@@ -10,6 +10,7 @@ import click
 from truearm.bounds import LINE_POINTS, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import command_line, issue_of, sources_of
+from truearm.cli.output import before_error
 from truearm.findings import entries, option
 from truearm.model.robot_file import NO_ROBOT, RobotChoice
 from truearm.text import one_line
@@ -60,7 +61,8 @@ def report(
 
     sources = sources_of(inputs, rig, allow_damaged=True, line_points=line_points)
     files = IdentifyFiles(robot, sources, command=command_line(context), force=force)
-    certificate = report_files(result, files, out, issue_of(number, tolerance_mm))
+    with before_error(sources.said):
+        certificate = report_files(result, files, out, issue_of(number, tolerance_mm))
     decision = certificate.findings[0].text(option)
     lines = [f"{certificate.heading}: {decision}", f"Written: {one_line(str(out))}"]
     return Answer({"report": str(out), "decision": decision, "findings": entries(certificate.findings)}, lines)

@@ -10,6 +10,7 @@ import click
 from truearm.bounds import Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import command_line, issue_of, sources_of
+from truearm.cli.output import before_error
 from truearm.errors import Argument, InputError
 from truearm.model.robot_file import NO_ROBOT, RobotChoice
 
@@ -61,5 +62,6 @@ def validate(
     if report is None and (number or tolerance_mm is not None):
         raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))
     files = IdentifyFiles(robot, sources, report=report, command=command_line(context), force=force)
-    document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
+    with before_error(sources.said):
+        document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
     return Answer(document, tables=error_tables(document), written=[report], details_hint="Errors by region: --details")

@@ -10,13 +10,14 @@ from typing import Any
 
 from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
-from truearm.findings import Finding, ordered, stated
+from truearm.finding_texts import READ
+from truearm.findings import Finding, findings_of, ordered, stated, worded
 from truearm.report.law_findings import law_findings, scatter_terms
 from truearm.report.result_tables import has_little_freedom, kind_name
 from truearm.results import Gain, Unusable, chi2_text
 from truearm.text import counted, listed, one_line
 from truearm.types import DOUBTFUL, NEED_DECISION
-from truearm.units import DEG, MM, MS, SUFFIXES, UNITS, tolerances
+from truearm.units import MS, SUFFIXES, UNITS, tolerances
 
 Document = Mapping[str, Any]
 
@@ -70,6 +71,7 @@ def result_findings(document: Document) -> list[Finding]:
         verdict(document),
         *audit(*(sizes(document[name] or {}, "rms") for name in ("held_out_before", "held_out_drawing", "held_out"))),
         *inputs(document),
+        *(finding for finding in findings_of(document) if finding.code in READ),
         *little_freedom(document),
         *_doubts(document),
         *fault_findings(document),
@@ -92,20 +94,26 @@ def verdict(document: Document) -> Finding:
     change, because = document["mean_change"], document["unusable_because"]
     if because is not None:
         return _unusable(Unusable(because), document)
-    predicted, shown = document["predicted_error"], document["unexplained"] or {}
-    expected: dict[str, Any] = {}
-    if document["faults"] and predicted:
-        error, applied = {"mm": max(predicted["rms_mm"], shown.get("mean_mm") or 0.0)}, document.get("applied")
-        expected = {"applied": applied, "remaining": error} if applied else {"expected": error}
+    if change is not None and change["gain"] == Gain.NONE:
+        return Finding("no-gain", _change(change))
+    judged, nominal, predicted = document["held_out"], document["held_out_before"], document["predicted_error"]
     if change is not None:
-        gain = change["gain"] != Gain.NONE
-        return Finding("usable" if gain else "no-gain", _change(change) | (expected if gain else {}))
-    judged, nominal = document["held_out"], document["held_out_before"]
-    if judged is not None and nominal is not None:
-        errors = {"after": sizes(judged, "rms"), "before": sizes(nominal, "rms")}
-        return Finding("usable", {"rows": counted(judged["n"], "held-out row"), **errors, **expected})
-    errors = {name: sizes(document, f"rms_{name}") for name in ("after", "before")}
-    return Finding("usable", {"unjudged": True, "rows": "the fitted rows", **errors, **expected})
+        values = _change(change)
+    elif judged is not None and nominal is not None:
+        values = {"rows": counted(judged["n"], "held-out row"), **_errors(after=judged, before=nominal)}
+    else:
+        values = {"unjudged": True, "rows": "the fitted rows"}
+        values |= {name: sizes(document, f"rms_{name}") for name in ("after", "before")}
+    if document["faults"] and predicted:
+        error = {"mm": max(predicted["rms_mm"], (document["unexplained"] or {}).get("mean_mm") or 0.0)}
+        applied = document.get("applied")
+        values |= {"applied": applied, "remaining": error} if applied else {"expected": error}
+    return Finding("usable", values)
+
+
+def _errors(**entries: Document) -> dict[str, dict[str, float]]:
+    """Return the RMS errors of entries."""
+    return {name: sizes(entry or {}, "rms") for name, entry in entries.items()}
 
 
 def _change(change: Document) -> dict[str, Any]:
@@ -213,26 +221,22 @@ def _outside_prior(document: Document) -> Iterator[Finding]:
 
     Those that a choice of frame moves, such as the last ones of the tool, also take up what the held ones are off.
     """
-    prior = Prior(document["prior"])
+    prior, defaults = Prior(document["prior"]), document["defaults"]
     if prior is Prior.NONE:
         return
-    sigmas = {name: unit.wide_sigma if prior is Prior.WIDE else unit.weak_sigma for name, unit in UNITS.items()}
-    defaults = document["defaults"]
-    believed = defaults["believed"] if prior is Prior.WHERE_NEEDED else None
     moved = {name for frame in defaults["frames"] for name in frame["names"]}
-    robot = [
-        entry for entry in document["parameters"] if entry["of"] == "robot" and entry["free"] and "law" not in entry
-    ]
-    times = {
-        entry["name"]: abs(entry["value"] - entry["nominal"]) / sigmas[entry["unit"]]
-        for entry in robot
-        if entry["name"] not in moved and (believed is None or entry["name"] in believed)
-    }
+    times: dict[str, float] = {}
+    for entry in document["parameters"]:
+        name, unit = entry["name"], UNITS[entry["unit"]]
+        held = prior is not Prior.WHERE_NEEDED or name in defaults["believed"]
+        if entry["of"] == "robot" and entry["free"] and "law" not in entry and held and name not in moved:
+            sigma = unit.wide_sigma if prior is Prior.WIDE else unit.weak_sigma
+            times[name] = abs(entry["value"] - entry["nominal"]) / sigma
     limit = NormalDist().inv_cdf(1.0 - OUTSIDE / (2.0 * max(len(times), 1)))
     names = sorted((name for name in times if times[name] > limit), key=times.__getitem__, reverse=True)
     if names:
         values = {"names": names[:MAX_TERMS], "more": max(len(names) - MAX_TERMS, 0), "times": times[names[0]]}
-        yield Finding("outside-prior", values | {"wide": document["prior"] == Prior.WIDE})
+        yield Finding("outside-prior", values | {"wide": prior is Prior.WIDE})
 
 
 def joint_zeros(document: Document) -> list[Finding]:
@@ -240,18 +244,13 @@ def joint_zeros(document: Document) -> list[Finding]:
 
     The zeros of the first and the last joint place base and tool, so they do not count, and neither do whole turns.
     """
-    if document["unusable_because"]:
-        return []
-    offsets = [
-        entry for entry in document["parameters"] if entry["of"] == "robot" and entry["name"].endswith(".offset")
-    ]
     joints = []
-    for offset in offsets[1:-1]:
-        change = offset["value"] - offset["nominal"]
-        if offset["unit"] == "rad":
-            change = math.remainder(change, 2.0 * math.pi)
-        if offset["sigma"] is not None and abs(change) > FAR_OFF * UNITS[offset["unit"]].wide_sigma:
-            joints.append(f"{offset['name']} by {(DEG if offset['unit'] == 'rad' else MM).text(change, '+.1f')}")
+    robot = (entry for entry in document["parameters"] if entry["of"] == "robot" and entry["name"].endswith(".offset"))
+    for offset in [] if document["unusable_because"] else [*robot][1:-1]:
+        unit, change = offset["unit"], offset["value"] - offset["nominal"]
+        change = math.remainder(change, 2.0 * math.pi) if unit == "rad" else change
+        if offset["sigma"] is not None and abs(change) > FAR_OFF * UNITS[unit].wide_sigma:
+            joints.append(f"{offset['name']} by {UNITS[unit].scale.text(change, '+.1f')}")
     return [Finding("joint-zeros", {"joints": joints})] if joints else []
 
 
@@ -274,34 +273,31 @@ def _first(texts: Sequence[str], limit: int, name: str) -> str:
 # faults
 
 
-def fault_findings(document: Document, judging: bool = False) -> list[Finding]:
+def fault_findings(document: Document, judging: bool = False) -> Iterator[Finding]:
     """Return what is wrong, since which row, by how much, and what applying it would give.
 
     ``judging``: the rows judge a calibration, so nothing can be applied.
     """
-    faults, claim = document["faults"], document.get("claim")
-    applied = set(document.get("applied") or ())
-    findings = []
+    faults, claim, applied = document["faults"], document.get("claim"), document.get("applied") or ()
     for fault in faults:
-        findings.append(_fault(fault))
-        contained = applied & {"mean", *(rival["apply"] for rival in fault["rivals"])}
-        findings += [] if judging or contained else [_choice(fault)]
+        yield _fault(fault)
+        if not judging and not {"mean", *(rival["apply"] for rival in fault["rivals"])}.intersection(applied):
+            yield _choice(fault)
     if judging and faults:
-        findings.append(Finding("faults-here", {"n": len(faults)}))
+        yield Finding("faults-here", {"n": len(faults)})
     if applied:
         held = document["held_out"] and document["held_out"]["n"]
-        findings.append(Finding("faults-applied", {"names": document["applied"], "held": held}))
+        yield Finding("faults-applied", {"names": applied, "held": held})
     if claim and claim["noise"] != "declared":
         refused = [cause(name) for name in claim["refused"][:MAX_CHOICES]]
         noise = NOISES.get(claim["noise"], claim["noise"])
-        findings.append(Finding("noise-learned", {"noise": noise, "factor": claim["noise_factor"], "refused": refused}))
+        yield Finding("noise-learned", {"noise": noise, "factor": claim["noise_factor"], "refused": refused})
     if claim and claim["unseen"]:
         hidden = [
-            f"{cause(name)} by {' and '.join(UNITS[unit].scale.text(size, '.2g') for unit, size in sizes.items())}"
-            for name, sizes in claim["unseen"].items()
+            f"{cause(name)} by {' and '.join(_size(size, unit, '.2g') for unit, size in by_unit.items())}"
+            for name, by_unit in claim["unseen"].items()
         ]
-        findings.append(Finding("faults-unseen", {"faults": hidden}))
-    return findings
+        yield Finding("faults-unseen", {"faults": hidden})
 
 
 def cause(name: str) -> str:
@@ -320,15 +316,17 @@ def _cause(rival: Document) -> str:
 
 def _fault(fault: Document) -> Finding:
     """Return a fault with its rivals."""
-    first, *further_rivals = fault["rivals"]
-    sizes = [
-        f"{UNITS[size['unit']].scale.text(size['value'], '.3g')} (σ {UNITS[size['unit']].scale.text(size['sigma'], '.1g')})"
-        for size in fault["sizes"]
-        if None not in (size["value"], size["sigma"])
-    ]
-    rivals = [f"{_cause(rival)}{', ' if rival['first'] else ''}{_rows(rival)}" for rival in further_rivals]
-    values = {"what": _cause(first), "size": sizes, "rows": _rows(first), "others": rivals, "gain": _gain(first)}
-    return stated("fault", fault, **values, aliases=[cause(name) for name in fault["aliases"]])
+    first, *further = fault["rivals"]
+    known = [size for size in fault["sizes"] if None not in (size["value"], size["sigma"])]
+    values = {
+        "what": _cause(first),
+        "size": [f"{_size(s['value'], s['unit'], '.3g')} (σ {_size(s['sigma'], s['unit'], '.1g')})" for s in known],
+        "rows": _rows(first),
+        "others": [", ".join(filter(None, (_cause(rival), _rows(rival)))) for rival in further],
+        "gain": _gain(first),
+        "aliases": [cause(name) for name in fault["aliases"]],
+    }
+    return stated("fault", fault, **values)
 
 
 def _rows(rival: Document) -> str:
@@ -347,31 +345,31 @@ def _gain(rival: Document) -> str:
 
 def _choice(fault: Document) -> Finding:
     """Return what can be applied: what improves left-out rows, a single cause or the mean of several first."""
-    rivals = fault["rivals"]
-    collective_names = [rival["name"] for rival in rivals if rival["name"].rpartition(".")[0].endswith(EVERY)]
-    lasting = not (rivals[0]["apply"] or collective_names)
-    offers = [fault["mean"]] if len(rivals) > 1 and all(rival["apply"] for rival in rivals) else []
+    rivals, several = fault["rivals"], len(fault["rivals"]) > 1
+    items = [rival["name"].rpartition(".")[0] for rival in rivals]
+    collective = [f"{item.removesuffix(EVERY)}s" for item in items if item.endswith(EVERY)][:1]
+    lasting = not (rivals[0]["apply"] or collective)
+    offers = [fault["mean"]] if several and all(rival["apply"] for rival in rivals) else []
     offers = [offer for offer in (*offers, *rivals) if offer["apply"] and (offer["gain"] or 0.0) > 0.0][:MAX_CHOICES]
-    deciding = fault["deciding"] if len(rivals) > 1 else []
-    if not offers or collective_names or lasting:
-        size = next((size for size in fault["sizes"] if collective_names and size["value"] is not None), None)
-        numbers = math.sqrt(fault["freedom"])
-        values = {
-            "few": not (collective_names or lasting) and rivals[0]["gain"] is None,
-            "worse": not (collective_names or lasting or rivals[0]["gain"] is None),
-            "lasting": lasting,
-            "every": [f"{name.rpartition('.')[0].removesuffix(EVERY)}s" for name in collective_names[:1]],
-            "sigma": size and UNITS[size["unit"]].scale.text(size["value"] / numbers, ".2g"),
-            "deciding": deciding,
-        }
-        return Finding("fault-choice", values)
-    choices = "; ".join(
-        f"{one_line(offer['apply'])}: the tool moves by {MM.text(MM.to_si(offer['moves_mm']), '.3f')}, its error is then "
-        f"{MM.text(MM.to_si(offer['error_mm']), '.3f')}, and {_gain(offer)}"
-        for offer in offers
-    )
-    values = {"choices": choices, "first": offers[0]["apply"], "deciding": deciding}
-    return Finding("fault-choice", {**values, "both": bool(deciding)})
+    deciding, unjudged = fault["deciding"] if several else [], rivals[0]["gain"] is None
+    if offers and not collective and not lasting:
+        choices = "; ".join(
+            f"{one_line(offer['apply'])}: the tool moves by {offer['moves_mm']:.3f} mm, its error is then "
+            f"{offer['error_mm']:.3f} mm, and {_gain(offer)}"
+            for offer in offers
+        )
+        values = {"choices": choices, "first": offers[0]["apply"], "both": bool(deciding)}
+        return Finding("fault-choice", {**values, "deciding": deciding})
+    size = next((size for size in fault["sizes"] if collective and size["value"] is not None), None)
+    values = {
+        "few": not (collective or lasting) and unjudged,
+        "worse": not (collective or lasting or unjudged),
+        "lasting": lasting,
+        "every": collective,
+        "sigma": size and _size(size["value"] / math.sqrt(fault["freedom"]), size["unit"], ".2g"),
+        "deciding": deciding,
+    }
+    return Finding("fault-choice", values)
 
 
 # sessions, and the error of the tool
@@ -380,25 +378,26 @@ def _choice(fault: Document) -> Finding:
 def _sessions(document: Document) -> Iterator[Finding]:
     """Return how the dwells and lines of each session were used, and what must be decided."""
     for count in document.get("sessions", ()):
-        has_dwells, has_lines = count["with_bar"] or not count["lines"], bool(count["lines"])
-        rejected, stops = count["rejected"], count["mountings"]
+        has_dwells, stops, rejected = count["with_bar"] or not count["lines"], count["mountings"], count["rejected"]
         dwells = {
             "used": str(count["used"]),
             "dwells": count["dwells"],
             "last": count["dwells"] + stops if stops else None,
             "stops": stops,
-            "rejected": [f"{n} {reason}" for reason, n in rejected.items()],
+            "rejected": _counts(rejected),
             "relabelled": count["labels"],
         }
-        values = dwells if has_dwells else dict.fromkeys(dwells)
-        lines_rejected = [f"{n} {reason}" for reason, n in count["lines_rejected"].items()]
-        lines = {"lines_used": str(count["lines_used"]), "lines_rejected": lines_rejected}
-        yield stated("session", count, **values, **lines, both=has_dwells and has_lines)
-        n = sum(number for reason, number in rejected.items() if reason in NEED_DECISION)
-        if has_dwells and n:
+        lines = {"lines_used": str(count["lines_used"]), "lines_rejected": _counts(count["lines_rejected"])}
+        values = lines | (dwells if has_dwells else dict.fromkeys(dwells))
+        yield stated("session", count, **values, both=has_dwells and bool(count["lines"]))
+        if n := has_dwells and sum(number for reason, number in rejected.items() if reason in NEED_DECISION):
             none_fits = not count["used"] and set(rejected) == {DOUBTFUL}
             values = {"session": count["session"], "n": n, "dwells": count["dwells"], "path": [count["session"]]}
             yield Finding("doubtful-dwells", {**values, "none_fits": none_fits})
+
+
+def _counts(rejected: Mapping[str, int]) -> list[str]:
+    return [f"{n} {reason}" for reason, n in rejected.items()]
 
 
 def tool_error(document: Document) -> list[Finding]:
@@ -415,8 +414,8 @@ def tool_error(document: Document) -> list[Finding]:
             return [Finding("tool-error-unpredictable")]
         largest = {"mm": predicted["max_mm"]}
         return [stated("tool-error", predicted, largest=largest, row=predicted["at"], **decomposition)]
-    bad, tool = document["without_bad_rows"], predicted["rms_mm"] if predicted else None
-    has_faults, error = document["faults"] and not document.get("applied"), sizes(shown, "mean")
+    bad, tool, error = document["without_bad_rows"], predicted and predicted["rms_mm"], sizes(shown, "mean")
+    has_faults = document["faults"] and not document.get("applied")
     noise = "The declared noise does not explain the residuals"
     values = {
         "because": "The fit has faults that it does not contain" if has_faults else noise,
@@ -435,16 +434,16 @@ def tool_error(document: Document) -> list[Finding]:
 
 def _decomposition(document: Document) -> dict[str, Any]:
     """Return the parts of the tool's error; None for what is not known or not there."""
-    claim = document.get("claim")
-    if claim is None or document["predicted_error"] is None:
+    claim, predicted = document.get("claim"), document["predicted_error"]
+    if claim is None or predicted is None:
         return dict.fromkeys(("parameters", "unnamed", "scatter", "faults", "names"))
-    fault_error = math.hypot(claim["rivals_mm"], claim["shift_mm"])
-    scatter = document["predicted_error"].get("scatter_mm")
+    shares = {
+        "scatter": predicted.get("scatter_mm"),  # earlier results do not have it
+        "faults": math.hypot(claim["rivals_mm"], claim["shift_mm"]),
+    }
     return {
-        "parameters": {"mm": claim["parameters_mm"]},
-        "unnamed": {"mm": claim["unnamed_mm"]},
-        "scatter": {"mm": scatter} if scatter else None,  # earlier results do not have it
-        "faults": {"mm": fault_error} if fault_error else None,
+        **{name: {"mm": claim[f"{name}_mm"]} for name in ("parameters", "unnamed")},
+        **{name: {"mm": share} if share else None for name, share in shares.items()},
         "names": [_cause(rival) for fault in document["faults"] for rival in fault["rivals"]],
     }
 
@@ -455,8 +454,8 @@ def _decomposition(document: Document) -> dict[str, Any]:
 def _identified(document: Document) -> Iterator[Finding]:
     """Return what was identified, what is held by default, base and tool that are elsewhere, time offsets."""
     yield identified(document)
-    indices = document["observability"] or {}
-    named = [f"{name.upper()} {value:.3g}" for name, value in indices.items() if value is not None]
+    indices = (document["observability"] or {}).items()
+    named = [f"{name.upper()} {value:.3g}" for name, value in indices if value is not None]
     solver = {"solver": document["solver"], "prior": _prior(document), "loss": _loss(document)}
     yield Finding("solver", {**solver, "n": len(document["suggested_free"]), "indices": named})
     if SOLVERS[document["solver"]].ends_by_recipe:
@@ -467,13 +466,12 @@ def _identified(document: Document) -> Iterator[Finding]:
         spread = _size(joint["spread"], joint["unit"])
         yield Finding("still", {"joint": joint["joint"], "spread": spread, "held": defaults["lost"]})
     for offset in (entry for entry in document["parameters"] if entry["unit"] == "s" and entry["free"]):
-        name, value, sigma = offset["name"], offset["value"], offset["sigma"]
+        value, sigma = offset["value"], offset["sigma"]
         if value is None or sigma is None:
-            yield Finding("time-offset-unidentifiable", {"name": name})
+            yield stated("time-offset-unidentifiable", offset)
         else:
-            late = "late" if value >= 0.0 else "early"
-            values = {"offset": {"ms": MS.of(abs(value))}, "sigma": {"ms": MS.of(sigma)}, "late": late, "name": name}
-            yield Finding("time-offset", values)
+            times = {"offset": {"ms": MS.of(abs(value))}, "sigma": {"ms": MS.of(sigma)}}
+            yield stated("time-offset", offset, **times, late="late" if value >= 0.0 else "early")
 
 
 def held_frames(defaults: Document) -> list[Finding]:
@@ -520,10 +518,8 @@ def _residuals(document: Document) -> Iterator[Finding]:
         values = {"chi2": chi2_text(chi2), "where": position, "low": low, "high": high, "less": chi2 < low}
         yield Finding("chi2", {**values, "loss": _loss(document)})
     if not has_little_freedom(document):
-        by_chance = chi2 is not None and high is not None and chi2 <= high
-        yield from _noise_share(document, by_chance)
-    shared = document["pose_error"]
-    if shared is not None:
+        yield from _noise_share(document, by_chance=None not in (chi2, high) and chi2 <= high)
+    if shared := document["pose_error"]:
         yield Finding("pose-error", {"terms": scatter_terms(shared), "n": shared["n"]})
     error_before, raw = (sizes(document, name, units) for name in ("rms_before", "rms_raw"))
     rig = [entry["name"] for entry in document["parameters"] if entry["of"] == "rig" and entry["free"]]
@@ -537,22 +533,18 @@ def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
 
     ``by_chance``: χ² is not above its band, so noise alone can leave the rest, or outliers that a robust loss weights down.
     """
-    declared, unexplained = (
-        sizes(document, name, document["residual_units"]) for name in ("rms_declared", "rms_unexplained")
-    )
-    if not unexplained:
-        return
-    weighted = (
-        "" if document["loss"] == Loss.LINEAR else f" or lie in rows that the {document['loss']} loss weights down"
-    )
-    remainder = f"may be chance{weighted}" if by_chance else "is unexplained"
-    shown = unexplained if any(unexplained.values()) else None
-    yield Finding("noise-share", {"declared": declared, "unexplained": shown, "rest": remainder})
+    units, loss = document["residual_units"], _loss(document)
+    declared, unexplained = (sizes(document, name, units) for name in ("rms_declared", "rms_unexplained"))
+    if unexplained:
+        weighted = f" or lie in rows that the {loss} loss weights down" if loss else ""
+        remainder = f"may be chance{weighted}" if by_chance else "is unexplained"
+        shown = unexplained if any(unexplained.values()) else None
+        yield Finding("noise-share", {"declared": declared, "unexplained": shown, "rest": remainder})
 
 
 def outliers(document: Document) -> Iterator[Finding]:
     """Return the outliers, and the fit of all rows."""
-    rows, fitted = document["suspect"], document["n_observations"]
+    rows, fitted, all_rows = document["suspect"], document["n_observations"], document["with_outliers"]
     if not rows or document["without_bad_rows"] is not None:
         return
     if len(rows) > MOST * fitted and all(row["weight"] == 1.0 for row in rows):
@@ -561,17 +553,16 @@ def outliers(document: Document) -> Iterator[Finding]:
     laws = any(law["kept"] for law in (document["joint_laws"] or {}).get("tried", ()))
     left_out, fitted_rows = ([row for row in rows if (row["weight"] == 0.0) is is_out] for is_out in (True, False))
     values: dict[str, Any] = {"n": len(rows), "rows": named_rows(left_out or fitted_rows), "left_out": len(left_out)}
-    if document["loss"] != Loss.LINEAR:
+    if loss := _loss(document):
         ignored = sum(row["weight"] < IGNORED for row in rows)
-        values |= {"ignored": ignored, "loss": document["loss"], "share": f"{100 * IGNORED:.0f} %"}
+        values |= {"ignored": ignored, "loss": loss, "share": f"{100 * IGNORED:.0f} %"}
     if left_out and fitted_rows:
         usual = "the residuals of most rows exceed their declared noise"
-        why = "they hardly change the fit" if laws else usual
-        values |= {"why": why, "kept": named_rows(fitted_rows), "first": [fitted_rows[0]["source"]]}
-    all_rows = document["with_outliers"]
+        values["why"] = "they hardly change the fit" if laws else usual
+        values |= {"kept": named_rows(fitted_rows), "first": [fitted_rows[0]["source"]]}
     if all_rows is not None:
-        values |= {"chi2": all_rows["chi2_reduced"], "geometry": laws}
-        values |= {"after": sizes(all_rows, "rms_after", document["residual_units"])}
+        after = sizes(all_rows, "rms_after", document["residual_units"])
+        values |= {"chi2": all_rows["chi2_reduced"], "geometry": laws, "after": after}
     yield Finding("outliers", values)
 
 
@@ -583,21 +574,18 @@ def audit(controller: Document, drawing: Document, identified: Document) -> Iter
 
 def _held_out(document: Document) -> Iterator[Finding]:
     """Return the limits of the held-out error."""
-    held_out = document["held_out"]
-    rms = [
-        (held_out.get(f"rms_{unit}"), document[f"rms_after_{unit}"]) for unit in document["residual_units"] if held_out
-    ]
-    ratio = max((held / fitted for held, fitted in rms if held and fitted), default=0.0)
-    if ratio > HELD_OUT_DOUBTFUL:
-        yield Finding("held-out-larger", {"ratio": ratio})
-    names = [name for name in document.get("all_held_out", ()) if name not in document["held_out_by"]]
-    if held_out and names:
-        proposed = document.get("hold_out_proposal")
-        yield Finding("group-held-out", {"names": names, "proposed": bool(proposed), **_proposal(proposed)})
+    held_out, proposed = document["held_out"], document.get("hold_out_proposal")
     if held_out:
+        rms = [(held_out.get(f"rms_{unit}"), document[f"rms_after_{unit}"]) for unit in document["residual_units"]]
+        ratio = max((held / fitted for held, fitted in rms if held and fitted), default=0.0)
+        if ratio > HELD_OUT_DOUBTFUL:
+            yield Finding("held-out-larger", {"ratio": ratio})
+        names = [name for name in document.get("all_held_out", ()) if name not in document["held_out_by"]]
+        if names:
+            yield Finding("group-held-out", {"names": names, "proposed": bool(proposed), **_proposal(proposed)})
         yield from rig_unknowns(held_out["n_settled"], held_out["n_left_out"])
     if folds := document["folds"]:
-        errors = [f"{fold['held_out_by']} {_text_of(sizes(fold, 'rms'))}" for fold in folds[:-1]]
+        errors = [f"{fold['held_out_by']} {worded('{size}', {'size': sizes(fold, 'rms')})}" for fold in folds[:-1]]
         yield Finding("folds", {"errors": errors, "together": sizes(folds[-1], "rms")})
     elif held_out is None and document["held_out_by"]:
         yield Finding("no-row-judged")
@@ -611,8 +599,7 @@ def rig_unknowns(n_settled: int, n_left_out: int) -> list[Finding]:
 
 def _advice(document: Document) -> Iterator[Finding]:
     """Return what to do next."""
-    because = document["unusable_because"]
-    full_rank = document["rank"] == document["n_free"]
+    because, full_rank = document["unusable_because"], document["rank"] == document["n_free"]
     most_useful = {addition["kind"]: addition for addition in reversed(document["additions"])}  # the first is the best
     for addition in () if wrong_first(document) else reversed(most_useful.values()):
         names = addition["parameters"]
@@ -640,11 +627,5 @@ def sizes(entry: Document, name: str, units: Sequence[str] = tuple(SUFFIXES)) ->
     }
 
 
-def _text_of(quantity: Mapping[str, float]) -> str:
-    return " and ".join(
-        SUFFIXES[suffix].text(SUFFIXES[suffix].to_si(value), ".3f") for suffix, value in quantity.items()
-    )
-
-
-def _size(value: float, unit: str) -> str:
-    return UNITS[unit].scale.text(value, ".2f")
+def _size(value: float, unit: str, spec: str = ".2f") -> str:
+    return UNITS[unit].scale.text(value, spec)

@@ -18,8 +18,8 @@ FEW_ROWS = 10  # fewer say nothing about other poses
 BY_PLACE = "radius "  # begins the name of a region of the space
 
 
-def validation_findings(document: Document, payload: Sequence[Finding] = ()) -> list[Finding]:
-    """Return the verdict, what limits it, and notes; ``payload``: the findings about the payloads of the rows."""
+def validation_findings(document: Document, about: Sequence[Finding] = ()) -> list[Finding]:
+    """Return the verdict, what limits it, and notes; ``about``: findings about calibration, rows and their payloads."""
     units = document["residual_units"]
     figures = (sizes(document, name, units) for name in ("rms_before", "rms_drawing", "rms_after"))
     return ordered(
@@ -28,7 +28,7 @@ def validation_findings(document: Document, payload: Sequence[Finding] = ()) -> 
             *audit(*figures),
             *_limits(document),
             *fault_findings(document, True),
-            *payload,
+            *about,
             *_notes(document),
         ],
         document["simulated"],

@@ -87,7 +87,7 @@ def calibration_certificate(
 
 def validation_certificate(measured: Measured, validation: Validation, issue: Issue) -> Certificate:
     """Return page one of the report on a validation."""
-    calibration, rig, table, inputs, recordings = measured
+    calibration, rig, table, inputs, recordings = measured[:5]
     errors: list[tuple[str, str]] = []
     for si, figures in validation.after.items():
         errors.append(("without the calibration", _figures_text(validation.before[si], si)))
@@ -152,7 +152,7 @@ def _decision(
 ) -> Finding:
     """Return the expanded error and whether it is within the tolerance; ``rows`` that validate, if it is of these."""
     if problem:
-        return Finding("not-certified", {"because": problem})
+        return Finding("calibration-unusable", {"because": problem})
     if error is None or reused:
         return Finding("not-decided", {"reused": reused})
     limit = None if tolerance is None else {"mm": MM.of(tolerance)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -31,7 +32,7 @@ from truearm.estimate.result_file import Input, RobotFrames, write_result
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solution import Options
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.findings import entries
+from truearm.findings import Finding, entries
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import write_table
 from truearm.model.builtin import builtin_names
@@ -173,7 +174,12 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     if files.save_table is not None:
         write_table(files.save_table, table, robot.chain.joint_units)
     identification = identified(
-        robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot), counts=counts
+        robot,
+        rig,
+        table,
+        selection,
+        options,
+        Origin(hashed_inputs(sources, files.robot), counts, sources.said),
     )
     if files.report is not None:
         with step("drawing the report"):
@@ -327,20 +333,30 @@ def held_out_in_turn(
     return (*folds, Fold("", Figures.by_unit(together))) if folds else ()
 
 
+class Origin(NamedTuple):
+    """The files that rows came from, the accounts of the dwells of sessions, and what was noticed while they were read."""
+
+    inputs: Sequence[Input] = ()
+    counts: Sequence[DwellCount] = ()
+    said: Sequence[Finding] = ()
+
+
+UNKNOWN = Origin()
+
+
 def identified(
     robot: Robot,
     rig: Rigs,
     table: ObservationTable,
     selection: Selection,
     options: IdentifyOptions = DEFAULTS,
+    origin: Origin = UNKNOWN,
     *,
-    inputs: Sequence[Input] = (),
-    counts: Sequence[DwellCount] = (),
     progress: Progress | None = None,
 ) -> Identification:
     """Identify the selected parameters.
 
-    ``inputs``: the source files to name in result.json. ``counts``: the accounts of their dwells. A choice of frame and
+    ``origin``: that of the rows, for result.json. A choice of frame and
     joints that do not move are held fixed, unless their parameters were requested by name. Raises ProblemError if
     observations and robot do not form a problem that can be solved.
     """
@@ -430,10 +446,11 @@ def identified(
         table,
         RobotFrames.of(chain),
         predicted,
-        inputs=inputs,
+        inputs=origin.inputs,
+        findings=entries(origin.said),
         prior=prior,
         defaults=chosen,
-        sessions=[count._asdict() for count in counts],
+        sessions=[count._asdict() for count in origin.counts],
         copies=copies_of(copied, table),
         made_with={"hold_out": selection.hold_out, **vars(options)},
         held_out_by=selection.held_out_by,

@@ -8,7 +8,7 @@ after its file without the suffix: ``--rig monday=FILE`` replaces the rig inside
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from truearm.disk import check_outputs, same_file
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.result_file import Input, input_of
+from truearm.findings import Finding
 from truearm.kinds.noise_file import check_against_rigs, read_noise, with_noise
 from truearm.kinds.registry import kinds, with_every_name
 from truearm.kinds.rig_file import read_rig
@@ -28,7 +29,7 @@ from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.report.certificate import Facts, Recording, between
 from truearm.session.labels_file import labels_path, read_labels
-from truearm.text import listed, one_line
+from truearm.text import one_line
 from truearm.types import DOUBTFUL, Rig, Rigs, SocketDistance, rigs_by_name
 from truearm.units import NS, UM, US
 from truearm.workflows import session_observations
@@ -46,7 +47,8 @@ class Sources:
     ``rigs``: files, or rigs that were read, by the name in the rows' column rig, "" for the one rig of all rows; if
     empty, each session's own.
     ``noise``: a noise file that replaces the figures of the rigs. ``line_points``: maximum number per pass along a
-    line. ``say`` is called with the losses of a damaged session.
+    line. ``said``: what is noticed while they are read, such as the
+    losses of a damaged session.
     """
 
     inputs: tuple[Path, ...]
@@ -54,7 +56,7 @@ class Sources:
     noise: Path | None = None
     allow_damaged: bool = False
     line_points: int | None = None
-    say: session_observations.Say = session_observations.silent
+    said: list[Finding] = field(default_factory=list)
 
     @property
     def files(self) -> list[Path]:
@@ -135,9 +137,7 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
         tables.append(read_table(path) if chain is None else read_table(path, chain.joint_units, chain.mimics))
         rows = [int(str(source).rpartition(" ")[2]) for source in tables[-1].source]
         if rows != sorted(rows):  # than in the file
-            sources.say(
-                f"{path}: the rows are not in the order of time_s; they are used in that order, and row numbers count in it"
-            )
+            sources.said.append(Finding("rows-reordered", {"place": str(path)}))
     counts = tuple(session.dwells for session in sessions_read)
     recordings = tuple(session.recording for session in sessions_read)
     if sources.line_points is not None and not any(count.lines for count in counts):
@@ -155,10 +155,10 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
             reason = "no row has that name in its column rig, and no session has that name; correct the name"
             raise InputError(Argument("rig"), f" {name}={file}: {reason}")
     completed = completed_rigs(rigs.get("", with_noise(Rig(), noise)) if "" in rigs or not rigs else rigs, table)
-    for name, rig in rigs_by_name(completed).items():
-        if chain is not None:
-            _say_doubts(table.select(table.rig == name) if name else table, rig, chain, sources.say)
-    _say_distances_twice(rigs_by_name(completed), sources.say)
+    if chain is not None:
+        for name, rig in rigs_by_name(completed).items():
+            sources.said.extend(_doubts(table.select(table.rig == name) if name else table, rig, chain))
+    sources.said.extend(_repeated_distances(rigs_by_name(completed)))
     return Observed(completed, table, counts, recordings)
 
 
@@ -183,25 +183,22 @@ def _completed(rig: Rig, table: ObservationTable) -> Rig:
     return rig
 
 
-def _say_distances_twice(rigs: Mapping[str, Rig], say: session_observations.Say) -> None:
-    """Say which measured distances of sockets are in several rigs, as if they had been measured several times."""
+def _repeated_distances(rigs: Mapping[str, Rig]) -> Iterator[Finding]:
+    """Return which measured distances of sockets are in several rigs, as if they had been measured several times."""
     names: dict[SocketDistance, list[str]] = {}
     for name, rig in rigs.items():
         for distance in rig.socket_distances:
             names.setdefault(distance, []).append(name)
     for distance, holders in names.items():
         if len(holders) > 1:
-            say(
-                f"rigs {listed(holders)}: each has the same distance of sockets {listed(distance.sockets)}, which counts as a "
-                "measurement of each; if it was measured once, give one rig for all rows"
-            )
+            yield Finding("repeated-distance", {"rigs": holders, "sockets": list(distance.sockets)})
 
 
-def _say_doubts(table: ObservationTable, rig: Rig, chain: Chain, say: session_observations.Say) -> None:
-    """Say which rows the devices of the rig cannot have measured."""
+def _doubts(table: ObservationTable, rig: Rig, chain: Chain) -> Iterator[Finding]:
+    """Return which rows the devices of the rig cannot have measured."""
     for name, kind in kinds().items():
-        for sentence in kind.doubts(table.select(table.kind == name), rig, chain) if kind.doubts else ():
-            say(one_line(sentence))
+        for reason in kind.doubts(table.select(table.kind == name), rig, chain) if kind.doubts else ():
+            yield Finding("doubtful-rows", {"reason": reason})
 
 
 class _SessionRead(NamedTuple):
@@ -218,7 +215,7 @@ def _read_session(
 ) -> _SessionRead:
     path, (name, rig) = session.path, assigned
     options = session_observations.SessionOptions(
-        sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say
+        sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.said
     )
     result = session_observations.observations_of_opened(session, rig, options)
     table = result.table

@@ -21,7 +21,7 @@ from truearm.report.validation_findings import error_tables
 from truearm.workflows.calibration import Identification, frames_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
-from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identified, selected
+from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, Origin, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.project import folders_of
 from truearm.workflows.project_folder import find_project
@@ -58,7 +58,7 @@ def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) ->
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
     rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
     selection = selected(robot, table, hold_out, options)
-    identification = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
+    identification = identified(robot, rig, table, selection, options, Origin(inputs, counts, sources.said))
     _check_same(result, stored.column("value"), identification)
     certificate = calibration_certificate(identification, issue, recordings, inputs)
     with step("drawing the report"):
@@ -83,7 +83,7 @@ def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: b
     Raises InputError with a one-line message.
     """
     measured = measured_files(result, files.robot, files.sources, [("page", files.report)], files.force)
-    validation = validated(*measured[:4], keep_rig)
+    validation = validated(*measured[:4], keep_rig, measured.said)
     if files.report is not None:
         certificate = validation_certificate(measured, validation, issue)
         name = measured.calibration.chain.name

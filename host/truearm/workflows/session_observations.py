@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,10 +16,11 @@ import numpy as np
 
 from truearm.box.readiness import FAR, LVDT, LVDT_DRIFT, STEEL
 from truearm.errors import Argument, InputError, RigError, SessionError
+from truearm.findings import Finding
 from truearm.session.labels_file import read_labels
 from truearm.text import counted, one_line, page
 from truearm.types import DOUBTFUL, Floats
-from truearm.units import DEGC, MM, PPM_PER_K
+from truearm.units import MM, PPM_PER_K
 from truearm.workflows.session_parts import SUFFIX, open_finished
 
 if TYPE_CHECKING:
@@ -31,18 +32,12 @@ if TYPE_CHECKING:
 RIG = "rig.toml"
 SAID = 3  # damaged places reported; inspect lists all
 
-Say = Callable[[str], None]  # called with a line of progress or a warning
-
-
-def silent(_: str) -> None:
-    """A ``Say`` that discards its lines."""
-
 
 @dataclass(frozen=True)
 class SessionOptions:
     """How to read a session.
 
-    ``allow_damaged``: use the intact parts of a damaged file, and call ``say`` with the losses. ``may_be_empty``: a
+    ``allow_damaged``: use the intact parts of a damaged file, and append the losses to ``said``. ``may_be_empty``: a
     part of a session need not give an observation. ``line_points``: maximum number per pass along a line. ``plan``
     replaces that of the session.
     """
@@ -50,7 +45,7 @@ class SessionOptions:
     allow_damaged: bool = False
     may_be_empty: bool = False
     line_points: int | None = None
-    say: Say = silent
+    said: list[Finding] = field(default_factory=list)
     plan: Plan | None = None
 
 
@@ -134,10 +129,8 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     from truearm.session.observations import observations
 
     path = session.path
-    if session.damage:
-        damage_text = " ".join(damage_finding(vars(damage)).text() for damage in session.damage[:SAID])
-        count = f" And in {counted(len(session.damage) - SAID, 'place')} more." if len(session.damage) > SAID else ""
-        options.say(one_line(f"{path}: {damage_text}{count}"))
+    named, more = {"place": str(path)}, max(len(session.damage) - SAID, 0)
+    options.said.extend(damage_finding({**vars(damage), **named, "more": more}) for damage in session.damage[:SAID])
     rig = rig or recorded_rig(session, path)
     labels = read_labels(path)
     try:
@@ -152,8 +145,7 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     if not len(result.table) and not options.may_be_empty:
         planned = result.survey.marks.plan() is not None
         raise SessionError(nothing_observed(path, result.reasons, result.pass_reasons, planned))
-    if warning := temperature_warning(result, rig):
-        options.say(one_line(f"{path}: {warning}"))
+    options.said.extend(_other_temperature(result, rig, str(path)))
     return result
 
 
@@ -204,11 +196,9 @@ def _tables(kind: str, paths: Sequence[Path], allow_damaged: bool) -> Iterator[t
                 yield np.where(time == UNKNOWN, np.nan, 1e-9 * time), columns
 
 
-def temperature_warning(result: SyncResult, rig: Rig) -> str:
-    """Return a sentence on the possible error of the lengths, "" if no warning is needed.
-
-    A warning is needed if the session was measured FAR from the box's temperature at which the ball-bar's channel was calibrated,
-    and rows lack the bar's temperature.
+def _other_temperature(result: SyncResult, rig: Rig, place: str) -> Iterator[Finding]:
+    """Return the possible error of the lengths if the session was measured FAR from the box's temperature at which the
+    ball-bar's channel was calibrated, and rows lack the bar's temperature.
     """
     table = result.table.select(result.table.kind == "ball_bar")
     streams = (stream for ident in result.survey.idents.values() for stream in ident.streams.values())
@@ -218,16 +208,17 @@ def temperature_warning(result: SyncResult, rig: Rig) -> str:
     warmer = table.temperature[unread] - next(noted, np.nan)
     largest = float(warmer[np.nanargmax(np.abs(warmer))]) if np.isfinite(warmer).any() else 0.0
     if abs(largest) < FAR:
-        return ""
+        return
     bars = [rig.bars[name] for name in np.unique(table.bar[unread]).tolist() if name in rig.bars]
     bar = max(bars, key=lambda bar: possible_error(bar, largest))
     expansion, drift = coefficients(bar)
-    return (
-        f"the box was up to {DEGC.text(abs(largest), '.1f')} {'warmer' if largest > 0.0 else 'colder'} than when {LVDT} was calibrated, "
-        f"and no thermometer was read on the bar: lengths may be off by {MM.text(possible_error(bar, largest), '.3f')} "
-        f"({PPM_PER_K.text(expansion)} of {MM.text(bar.zero, '.0f')}, {PPM_PER_K.text(drift)} of {MM.text(0.5 * bar.travel, '.1f')}); "
-        f"put a thermometer on the bar ({page('Build and measure the rig')}), or calibrate the box at this temperature"
-    )
+    lengths = {"error": possible_error(bar, largest), "length": bar.zero, "travel": 0.5 * bar.travel}
+    values = {
+        **{name: {"mm": MM.of(length)} for name, length in lengths.items()},
+        **{"expansion": PPM_PER_K.of(expansion), "drift": PPM_PER_K.of(drift)},
+        **{"place": place, "channel": LVDT, "difference": {"degc": abs(largest)}, "warmer": largest > 0.0},
+    }
+    yield Finding("other-temperature", {**values, "page": page("Build and measure the rig")})
 
 
 def coefficients(bar: BallBar) -> tuple[float, float]:

@@ -32,7 +32,6 @@ from truearm.types import Floats, Plan, Rig
 from truearm.units import MM
 from truearm.workflows.record import nearest_osr, plan_rows
 from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions, TruthOptions
-from truearm.workflows.session_observations import Say
 from truearm.workflows.session_parts import SETUP
 from truearm_sim import micropython, node
 from truearm_sim.arm import WORN, Arm
@@ -65,6 +64,8 @@ MARK = ".truearm-simulated"  # in a folder that simulate created and may overwri
 PROTOCOLS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
 
 TRUTH_FORMAT = "truearm-truth"
+
+Say = Callable[[str], None]  # called with a line of progress or a warning
 
 
 class Hardware(NamedTuple):

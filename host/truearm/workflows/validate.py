@@ -138,13 +138,14 @@ class Validation(Displayed):
 
 
 class Measured(NamedTuple):
-    """A calibration, and independent observations to judge it by, with their rig and files."""
+    """A calibration, and independent observations to judge it by, with their rig and files, and findings about these."""
 
     calibration: Calibration
     rig: Rigs
     table: ObservationTable
     inputs: list[Input]
     recordings: Sequence[Recording] = ()
+    said: Sequence[Finding] = ()
 
 
 def measured_files(
@@ -157,16 +158,19 @@ def measured_files(
     """Read a result and the observations for judging it, and check the files that will be written. Raises InputError."""
     calibration = read_calibration(result, robot)
     check_files(sources, robot, outputs, force)
-    if because := calibration.stored.unusable_because:
-        sources.say(f"{result}: the fit is not usable ({because}); correct its inputs and identify again")
     rigs, table, _, recordings = read_sources(sources, calibration.chain)
-    return Measured(calibration, rigs, table, hashed_inputs(sources, robot), recordings)
+    return Measured(calibration, rigs, table, hashed_inputs(sources, robot), recordings, sources.said)
 
 
 def validated(
-    calibration: Calibration, rig: Rigs, table: ObservationTable, inputs: Sequence[Input] = (), keep_rig: bool = False
+    calibration: Calibration,
+    rig: Rigs,
+    table: ObservationTable,
+    inputs: Sequence[Input] = (),
+    keep_rig: bool = False,
+    said: Sequence[Finding] = (),
 ) -> Validation:
-    """Return numbers and verdict; ``inputs`` are the files from which the rows were read.
+    """Return numbers and verdict; ``inputs`` are the files from which the rows were read, ``said`` what was noticed then.
 
     ``keep_rig``: unknowns of the rig are held at their identified values. Raises InputError if no row can judge, or if
     nothing of the rig can be kept.
@@ -257,7 +261,9 @@ def validated(
         ],
     }
     document = without_nan(document)
-    findings = validation_findings(document, calibration.payload_findings(payloads_of(rig, table.select(judging))))
+    because, payloads = stored.unusable_because, payloads_of(rig, table.select(judging))
+    unusable = [Finding("calibration-unusable", {"because": because})] if because else []
+    findings = validation_findings(document, [*unusable, *said, *calibration.payload_findings(payloads)])
     words = next(finding.text() for finding in findings if finding.code != "simulated")
     counts = n_judging, judging.size - n_judging, n_settled, n_unseen
     document |= {"verdict": words, "findings": entries(findings)}
