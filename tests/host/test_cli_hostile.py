@@ -120,7 +120,7 @@ RESULTS = {
     "joints in metres": (result("robot/joint_units", ["m"] * 6), "differ from those"),
     "null space a text": (result("null_space", "none"), "null_space: expected array, got str"),
     "a digit of a value": (edited("result.json", '"value": 0.', '"value": 0.1'), "was changed or damaged"),
-    "no version": (edited("result.json", '"format_version"', '"formatversion"'), "no format_version"),
+    "no version": (edited("result.json", '"format_version"', '"formatversion"'), "format_version"),
     "no checksum": (edited("result.json", '"checksum"', '"checksun"'), "was changed or damaged"),
     "weights beyond": (
         edited("result.json", '"null_space": []', '"null_space": [{"names": ["link1.x"], "weights": [1e999]}]'),
