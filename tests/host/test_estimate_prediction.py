@@ -42,7 +42,7 @@ def test_ball_bars_see_the_tool_in_the_base_frame_beyond_the_rank_too(bars):
     assert (found.n, found.relative) == (300, False)
     assert found.rms == pytest.approx(np.sqrt(np.mean(every**2)), rel=1e-7)
     assert found.max == pytest.approx(every.max(), rel=1e-7)
-    assert found.source in set(table.source)
+    assert found.at in set(table.source)
     table, estimate = bars
     every = identify(CHAIN, RIG, table)
     assert len(every.null_space) == 18
