@@ -407,7 +407,6 @@ def planned(robot, rig, **given):
 
 # what a call is refused for: the argument that the message begins with, and whether its type or its value is wrong
 REFUSED = [
-    *((name, TypeError, lambda a, name=name, v=v: options(**{name: v})) for name in ("free", "also_free", "freeze") for v in ((3,), "x", None)),
     *(("max_iterations", TypeError, lambda a, v=v: options(max_iterations=v)) for v in (2.5, "5", True, None)),
     *(("max_iterations", InputError, lambda a, v=v: options(max_iterations=v)) for v in (0, 10_001)),
     ("seed", InputError, lambda a: options(seed=-1)),
@@ -416,22 +415,16 @@ REFUSED = [
     ("hold_out", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=np.zeros(90))),
     ("hold_out", InputError, lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=np.ones(90, bool))),
     *(("hold_out", InputError, lambda a, v=v: truearm.identify(a.robot, a.table, a.rig, hold_out=v)) for v in (5.0, -0.1, float("nan"))),
-    *(("poses", TypeError, lambda a, v=v: planned(a.robot, a.bench, poses=v)) for v in (2.5, "8", True)),
     *(("poses", InputError, lambda a, v=v: planned(a.robot, a.bench, poses=v)) for v in (0, -1)),
     *(("minutes", InputError, lambda a, v=v: planned(a.robot, a.bench, minutes=v)) for v in (float("nan"), float("inf"), 0.0)),
-    *(("region", TypeError, lambda a, v=v: planned(a.robot, a.bench, poses=8, region=v)) for v in ((1, 2), "foo")),
     ("lower", InputError, lambda a: truearm.Region([0.0, 0.0], [1.0, 1.0, 1.0])),
     ("lower", InputError, lambda a: truearm.Region([2.0, 0.0, 0.0], [1.0, 1.0, 1.0])),
     ("upper", InputError, lambda a: truearm.Region([0.0, 0.0, 0.0], [1.0, 1.0, float("nan")])),
     ("upper", TypeError, lambda a: truearm.Region([0.0, 0.0, 0.0], "abc")),
     *((name, InputError, lambda a, name=name, v=v: planned(a.robot, a.bench, poses=8, **{name: v}))
       for name, v in (("candidates", 0), ("candidates", 100_001), ("reserve", -1e-3), ("reserve", float("inf")), ("spread", float("nan")), ("dwell", 0.0), ("seed", -1), ("criterion", "Q"))),
-    *((name, TypeError, lambda a, name=name, v=v: planned(a.robot, a.bench, poses=8, **{name: v}))
-      for name, v in (("candidates", 60.0), ("reserve", "1"), ("spread", None), ("dwell", "long"), ("seed", 0.5), ("criterion", 1), ("bars", "b46"), ("bars", (1,)))),
     *(("over", InputError, lambda a, v=v: truearm.export_robot(a.result, "dh", over=v)) for v in (np.full((4, 6), np.nan), np.zeros((0, 6)), np.zeros((3, 5)))),
-    *(("over", TypeError, lambda a, v=v: truearm.export_robot(a.result, "dh", over=v)) for v in ("poses.csv", np.zeros((2, 6), complex), [[0.0] * 6, [0.0] * 5])),
     ("format", InputError, lambda a: truearm.export_robot(a.result, "step")),
-    ("adjust", TypeError, lambda a: truearm.export_robot(a.result, "dh", adjust=(1,))),
     *(("joints", TypeError, lambda a, v=v: truearm.error_map(a.result, v)) for v in ((1,), 3, ("a", "b"), (2.5, 3), (1, 2, 3), "23")),
     *(("joints", InputError, lambda a, v=v: truearm.error_map(a.result, v)) for v in ((0, 2), (2, 7), (2, 2))),
     *(("cell", InputError, lambda a, v=v: truearm.error_map(a.result, cell=v)) for v in (float("inf"), float("nan"), 0.0, -0.1)),
@@ -441,19 +434,16 @@ REFUSED = [
     ("poses", InputError, lambda a: truearm.correct_poses(a.result, np.zeros((0, 4, 4)))),
     ("base", InputError, lambda a: truearm.load_robot("puma560", base="link1")),
     ("line_points", InputError, lambda a: truearm.read_session(a.folder / "session.mcap", line_points=1)),
-    ("chucks", TypeError, lambda a: truearm.Rig(chucks={"c": (0.0, 0.0, 0.0)})),
     ("xyz", TypeError, lambda a: truearm.Point("c", (1.0, 2.0))),
     ("xyz", InputError, lambda a: truearm.Point("c", (1.0, 2.0, float("nan")))),
     ("sigma", InputError, lambda a: truearm.Point("c", (0.0, 0.0, 0.0), sigma=-1e-5)),
     ("gain_sigma", InputError, lambda a: truearm.BallBar("b", 0.46, 1.0, 0.075, 1e-5, gain_sigma=float("inf"))),
-    ("sockets", TypeError, lambda a: truearm.SocketDistance(("a",), 0.05, 1e-5)),
     ("line_sigma", InputError, lambda a: truearm.Rig(line_sigma=(1e-5, -1e-5, 1e-5))),
     ("identify", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, solver="map")),
     ("kind", InputError, lambda a: truearm.ObservationTable(q=[[1.0, 2.0]], kind=["a", "b"])),
     ("q", InputError, lambda a: truearm.ObservationTable(q=[1, 2], kind="a")),
     ("q", TypeError, lambda a: truearm.ObservationTable(q=[["a"]], kind=["seat"])),
     ("q", TypeError, lambda a: truearm.ObservationTable(q=[[1.0], [1.0, 2.0]], kind=["seat"])),
-    *(("kind", TypeError, lambda a, v=v: truearm.ObservationTable(q=[[1.0]], kind=v)) for v in ([3], None)),
     ("xyz", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]] * 2, kind="seat", xyz=[[1.0], [1.0, 2.0]])),
     *(("table", InputError, lambda a, field=field, v=v: truearm.identify(a.robot, replace(a.table, **{field: np.full(getattr(a.table, field).shape, v)}), a.rig))
       for field, v in (("kind", "bar"), ("q", np.nan), ("value", np.nan))),
@@ -464,7 +454,6 @@ REFUSED = [
     *(("residual", TypeError, lambda a, v=v: truearm.Figures.of(v)) for v in (None, "1.0")),
     *(("residuals", TypeError, lambda a, v=v: truearm.Figures.by_unit(v)) for v in (None, [1.0])),
     ("value", InputError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], value=[1.0, 2.0])),
-    ("columns", TypeError, lambda a: truearm.ObservationTable(3)),
     ("length", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]], kind="seat", length=0.4)),
     ("poses", InputError, lambda a: truearm.correct_poses(a.result, np.eye(4) + 1e300 * np.eye(4, k=3))),
     ("table", InputError, lambda a: truearm.identify(a.robot, replace(a.table, q=np.degrees(a.table.q)), a.rig)),
@@ -511,14 +500,14 @@ ODD = (
 
 
 def refusals(call, argument, right):
-    """Call with each odd value of an argument; return the texts of those refused. Any other exception is raised."""
-    texts = []
+    """Call with each odd value of an argument; return those refused. Any other exception is raised."""
+    found = []
     for value in ODD:
         try:
             call(**{**right, argument: value})
         except (TypeError, truearm.TruearmError) as exc:
-            texts.append(str(exc))
-    return texts
+            found.append(exc)
+    return found
 
 
 def test_odd_values_of_every_argument_are_refused_with_a_text(folder, robot, table, rig, result, tmp_path, monkeypatch):
@@ -557,8 +546,10 @@ def test_odd_values_of_every_argument_are_refused_with_a_text(folder, robot, tab
     calls += [(table.select, {}, "rows"), (truearm.ObservationTable.joined, {}, "tables")]
     calls += [(result.carrying, {"mass": 0.0}, one) for one in ("mass", "centre")]
     for call, given, name in calls:
-        texts = refusals(call, name, given)
+        found = refusals(call, name, given)
+        texts = [str(exc) for exc in found]
         assert len(texts) > len(ODD) / 3, (call, name)
+        assert name in ("rows", "named") or any(isinstance(exc, TypeError) for exc in found), (call, name)
         assert name == "named" or any(text.startswith(f"{name}: must be ") for text in texts), (call, name)
         assert not any("\n" in text for text in texts)
 

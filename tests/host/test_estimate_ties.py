@@ -48,17 +48,15 @@ def assert_same_choices(case, monkeypatch, seeds):
         assert choices(case.robot, case.rig, table) == expected, f"seed {seed}"
 
 
-@pytest.mark.parametrize(("name", "every", "seeds"), [("panda3-front", 3, 1), ("ur5", 8, 1)])
+REAL_ARMS = ("panda3-front", "panda1", "kuka-left", "ur5", "ur10-c-0", "ur10-a-0", "bars")
+WHOLE = [pytest.param(name, 1, 50, marks=pytest.mark.soak) for name in REAL_ARMS]
+
+
+@pytest.mark.parametrize(("name", "every", "seeds"), [("panda3-front", 3, 1), ("ur5", 8, 1), *WHOLE])
 def test_rounding_chooses_nothing(real_arms, name, every, seeds, monkeypatch):
     """The processor decided which equivalent turn of a base is held (joint1.yaw, joint1.offset, joint2.yaw)."""
     case = dict(real_arms.cases())[name]()
     assert_same_choices(replace(case, table=case.table.select(slice(None, None, every))), monkeypatch, seeds)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("name", ["panda3-front", "panda1", "kuka-left", "ur5", "ur10-c-0", "ur10-a-0", "bars"])
-def test_rounding_chooses_nothing_on_any_real_arm(real_arms, name, monkeypatch):
-    assert_same_choices(dict(real_arms.cases())[name](), monkeypatch, 50)
 
 
 def test_ties_go_to_the_first():

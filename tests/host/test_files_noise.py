@@ -1,10 +1,11 @@
 """Noise files: their contents, what they replace, and what is refused."""
 
-import csv
 import json
 
 import numpy as np
 import pytest
+from puma_bench import DESIGN, random_table
+from puma_bench import RIG as PUMA_RIG
 from tests.refusals import ended, refused
 
 from truearm.cli.main import main
@@ -12,6 +13,7 @@ from truearm.errors import RigError
 from truearm.file_kind import KINDS
 from truearm.kinds.noise_file import NoiseFile, check_against_rigs, format_noise, parse_noise, with_noise
 from truearm.kinds.rig_file import write_rig
+from truearm.kinds.table_file import write_table
 from truearm.types import BallBar, Point, Rig
 
 RIG = Rig(
@@ -64,42 +66,23 @@ def test_what_is_wrong_is_refused_in_one_line(text, says):
 
 @pytest.fixture
 def files(tmp_path):
-    """A rig and a table of poses of a perfect PUMA 560 with 84 µm of noise."""
-    from truearm.model.chain import point_forward
-    from truearm.model.robot import builtin_robot
-
-    rng, robot = np.random.default_rng(3), builtin_robot("puma560")
-    q = rng.uniform(-1.0, 1.0, (120, 6))
-    p = point_forward(robot.chain, robot.chain.params_nominal, q, np.array(RIG.spheres["s"].xyz))
-    length = np.linalg.norm(p - RIG.chucks["c"].xyz, axis=1) + 84e-6 * rng.standard_normal(120)
-    write_rig(tmp_path / "rig.toml", RIG)
-    with (tmp_path / "poses.csv").open("w", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(["kind", *(f"q{i + 1}_rad" for i in range(6)), "length_m", "bar", "chuck", "sphere"])
-        rows.writerows(
-            [["ball_bar", *row, value, "b46", "c", "s"] for row, value in zip(q.tolist(), length, strict=True)]
-        )
+    """A rig and a table of lengths of a perfect PUMA 560 with 84 µm of noise."""
+    table = random_table(120, np.random.default_rng(3), 84e-6, DESIGN)
+    write_rig(tmp_path / "rig.toml", PUMA_RIG)
+    write_table(tmp_path / "poses.csv", table, ("rad",) * 6)
     return tmp_path
 
 
 def identified(files, capsys, *more):
-    arguments = [
-        "identify",
-        files / "poses.csv",
-        "--model",
-        "puma560",
-        "--rig",
-        files / "rig.toml",
-        "--free",
-        "joint*.offset",
-    ]
+    arguments = ["identify", files / "poses.csv", "--model", "puma560", "--rig", files / "rig.toml"]
+    arguments += ["--free", "joint*.offset"]
     code = main([str(word) for word in (*arguments, "--json", *more)])
     said = capsys.readouterr()
     return code, json.loads(said.out) if code == 0 else said.err
 
 
 def test_identify_weighs_by_it_and_says_that_it_was_read(files, capsys):
-    (files / "noise.toml").write_text(format_noise(NoiseFile((), {"b46": 168e-6}), [], False))
+    (files / "noise.toml").write_text(format_noise(NoiseFile((), {"short": 168e-6}), [], False))
     _, declared = identified(files, capsys)
     code, found = identified(files, capsys, "--noise", files / "noise.toml")
     assert code == 0
