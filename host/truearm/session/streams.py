@@ -263,17 +263,11 @@ class BoxReader:
         frames.table["message"] += self._messages
         self._messages += len(messages)
         self._count["frames_malformed"] += frames.malformed
-        frames = self._held.followed_by(frames)
-        bounds = _bounds(frames.table)
-        if self._continues(frames.table[: bounds[-1]]):
-            bounds = [0, bounds[-1]]
-        self._held = Frames(frames.table[bounds[-1] :].copy(), frames.contents[bounds[-1] :])
-        return self._use(frames, bounds)
+        return self._use(self._held.followed_by(frames), MOST_HELD)
 
     def finish(self) -> list[Blocks]:
         """Return the blocks that are still held, at the end of the session."""
-        frames, self._held = self._held, NO_FRAMES
-        return self._use(frames, [0, len(frames.table)])
+        return self._use(self._held, 0)
 
     def exchanges(self, segment: Segment) -> Ints:
         """Return the clock exchanges of a segment (k, 4): times of host write, device receive, device send and arrival."""
@@ -293,38 +287,32 @@ class BoxReader:
 
     # ------------------------------------------------------------------------------------------------ boots
 
-    def _use(self, frames: Frames, bounds: Sequence[int]) -> list[Blocks]:
-        """Account for groups of frames, each from one of the bounds to the next."""
-        blocks: list[Blocks] = []
-        due: list[tuple[Ints, Ints]] = []  # rows of this segment, and the frames lost before each
-        for begin, end in pairwise(bounds):
-            restart = self._restart(frames.table[begin:end])
-            if restart is not None:
-                due.append(self._in_order(frames.table, begin, begin + restart))
-                blocks += self._contents(frames, due)
-                begin, due = begin + restart, []
+    def _use(self, frames: Frames, held: int) -> list[Blocks]:
+        """Account for the frames up to the last that states the boot id, and hold at most ``held`` behind it."""
+        stated = np.flatnonzero(frames.table["boot_id"] != NONE)
+        end = max(int(stated[-1]) + 1 if stated.size else 0, len(frames.table) - held)
+        self._held = Frames(frames.table[end:].copy(), frames.contents[end:])
+        restarts, blocks = self._restarts(frames.table, stated), list[Blocks]()
+        for begin, following in pairwise(sorted({0, *restarts, end})):
+            if begin in restarts:
                 self._begin_segment(int(frames.table["message"][begin]))
-            due.append(self._in_order(frames.table, begin, end))
-        return blocks + self._contents(frames, due)
+            blocks += self._contents(frames, *self._in_order(frames.table, begin, following))
+        return blocks
 
-    def _continues(self, table: NDArray[Any]) -> bool:
-        """Return whether frames continue the count and are all of the same boot."""
-        if self._next is None or self.segment.boot_id is None or not len(table):
-            return False
-        same_boot = (table["boot_id"] == NONE) | (table["boot_id"] == self.segment.boot_id)
-        return bool(np.all(np.diff(table["seq"], prepend=self._next - 1) == 1) and np.all(same_boot))
-
-    def _restart(self, group: NDArray[Any]) -> int | None:
-        """Return the first frame of another boot, None if there is none: the last one behind the count, or the farthest ahead."""
-        stated = group["boot_id"][group["boot_id"] != NONE]
-        if not stated.size or stated[-1] == self.segment.boot_id:
-            return None
-        expected = group["seq"][0] if self._next is None else self._next
-        jump = np.diff(group["seq"], prepend=expected - 1) - 1
-        behind = np.flatnonzero(jump < 0)
-        if behind.size:
-            return int(behind[-1])
-        return None if self.segment.boot_id is None else int(np.argmax(jump))
+    def _restarts(self, table: NDArray[Any], stated: NDArray[np.intp]) -> list[int]:
+        """Return the first frame of each further boot. It is the last one behind the count, or the farthest ahead, among those
+        before the frame that states another boot id, back to the preceding statement.
+        """
+        seq, restarts = table["seq"], list[int]()
+        jump = np.diff(seq, prepend=seq[:1] - 1 if self._next is None else self._next - 1) - 1
+        known, begin = self.segment.boot_id, 0
+        for row, boot_id in zip(stated.tolist(), table["boot_id"][stated].tolist(), strict=True):
+            if boot_id != known:
+                behind = np.flatnonzero(jump[begin : row + 1] < 0)
+                if behind.size or known is not None:
+                    restarts.append(begin + int(behind[-1] if behind.size else np.argmax(jump[begin : row + 1])))
+            known, begin = boot_id, row + 1
+        return restarts
 
     def _begin_segment(self, message: int) -> None:
         """Begin another boot, which counts from 0."""
@@ -337,13 +325,15 @@ class BoxReader:
     def _in_order(self, table: NDArray[Any], begin: int, end: int) -> tuple[Ints, Ints]:
         """Return which frames of one boot count up, and the frames lost in the session before each.
 
-        A frame behind the count, or ahead of the one that states the boot id at the end, is malformed.
+        A frame behind the count, or ahead of the next one that states the boot id, is malformed.
         """
-        seq = table["seq"][begin:end]
+        seq, boot_id = table["seq"][begin:end], table["boot_id"][begin:end]
         expected = seq[:1] if self._next is None else self._next
         ahead = (seq - expected + CIRCLE // 2) % CIRCLE - CIRCLE // 2
-        if end > begin and table["boot_id"][end - 1] != NONE and ahead[-1] >= 0:
-            ahead = np.where(ahead <= ahead[-1], ahead, -1)
+        stated = np.flatnonzero(boot_id != NONE)
+        stated = stated[ahead[stated] > np.maximum.accumulate(np.append(-1, ahead[stated][:-1]))]
+        limit = np.append(ahead[stated], CIRCLE)[np.searchsorted(stated, np.arange(len(seq)))]
+        ahead = np.where(ahead <= limit, ahead, -1)
         rows = np.flatnonzero(ahead > np.maximum.accumulate(np.append(-1, ahead[:-1])))
         gaps = np.diff(ahead[rows], prepend=-1) - 1
         lost = self._count["frames_lost"] + np.cumsum(gaps)
@@ -359,11 +349,8 @@ class BoxReader:
 
     # ------------------------------------------------------------------------------------------------ contents
 
-    def _contents(self, frames: Frames, due: Sequence[tuple[Ints, Ints]]) -> list[Blocks]:
+    def _contents(self, frames: Frames, index: Ints, lost: Ints) -> list[Blocks]:
         """Evaluate frames of one segment: their rows, and the frames lost before each."""
-        if not due:
-            return []
-        index, lost = map(np.concatenate, zip(*due, strict=True))
         blocks: list[Blocks] = []
         begin = 0
         kinds = frames.table["type"][index]
@@ -450,11 +437,3 @@ class BoxReader:
 def segment_at(segments: Sequence[Segment], message: Ints) -> Ints:
     """Return the index of the segment to which messages (n,) of the session belong, by their index in it."""
     return np.searchsorted([segment.begin for segment in segments[1:]], message, "right")
-
-
-def _bounds(table: NDArray[Any]) -> list[int]:
-    """Return 0 and where groups of frames end: behind a frame that states the boot id."""
-    bounds = [0]
-    for end in [*(np.flatnonzero(table["boot_id"] != NONE) + 1).tolist(), len(table)]:
-        bounds += [*range(bounds[-1] + MOST_HELD, end, MOST_HELD), end]
-    return bounds[:-1]
