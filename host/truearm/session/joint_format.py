@@ -169,15 +169,11 @@ def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
     if len(batches) == 1:
         return batches[0]
     width = batches[0].q.shape[1]
-    keys = dict.fromkeys(chain.from_iterable(batch.columns for batch in batches))
-
-    def columns(key: str) -> list[NDArray[Any]]:
-        return [
-            batch.columns[key] if key in batch.columns else _column(key, [None] * len(batch), width)
-            for batch in batches
-        ]
-
-    return JointBatch({key: np.concatenate(columns(key)) for key in keys})
+    columns = {
+        key: [b.columns[key] if key in b.columns else _column(key, [None] * len(b), width) for b in batches]
+        for key in dict.fromkeys(chain.from_iterable(batch.columns for batch in batches))
+    }
+    return JointBatch({key: np.concatenate(parts) for key, parts in columns.items()})
 
 
 def pack(batch: JointBatch) -> bytes:

@@ -64,10 +64,18 @@ def find_legs(stream: JointStream) -> list[Leg]:
         return []
     step, seconds, joined = _steps(bins)
     speed = np.max(np.abs(step), axis=1) / seconds
-    moving = joined & ~_slow(speed, seconds, stream.step)
     turns = np.einsum("ij,ij->i", step[1:], step[:-1]) < 0.0  # at bin k + 1
-    runs = [_ends(run, moving, joined) for run in _runs(moving, turns)]
-    runs = [(a, b, cut) for a, b, cut in runs if float(np.max(np.abs(bins.mean[b] - bins.mean[a]))) >= LEAST_MOVE]
+    # One more step at either end, before the readings began and after they ended
+    joined, moving = np.pad(joined, 1), np.pad(joined & ~_slow(speed, seconds, stream.step), 1)
+    first = np.flatnonzero(moving[1:-1] & (~moving[:-2] | np.append(False, turns)))
+    last = np.flatnonzero(moving[1:-1] & (~moving[2:] | np.append(turns, False)))
+    begins, ends = (
+        joined[first],
+        joined[last + 2],
+    )  # with the slow steps, in which the robot was at the ends of its motion
+    rows = np.stack([first - (begins & ~moving[first]), last + 1 + (ends & ~moving[last + 2])])
+    moved = np.max(np.abs(np.diff(bins.mean[rows], axis=0)), axis=(0, 2)) >= LEAST_MOVE
+    runs = [(a, b, cut) for (a, b), cut in zip(rows.T[moved].tolist(), (~(begins & ends))[moved].tolist(), strict=True)]
     segment = bins.segment[[a for a, _, _ in runs]]
     times = np.array([(bins.t_first_s[a], bins.t_last_s[b]) for a, b, _ in runs]).reshape(-1, 2)
     rows = zip(segment.tolist(), times.tolist(), runs, stream.to_host_ns(segment, times).tolist(), strict=True)
@@ -94,28 +102,6 @@ def _slow(speed: Floats, seconds: Floats, quantum: Floats) -> NDArray[np.bool_]:
 def _highest_before(speed: Floats, reach: int) -> Floats:
     """Return the maximum of each step and the ``reach`` steps before it."""
     return np.asarray(sliding_window_view(np.append(np.zeros(reach), speed), reach + 1).max(axis=1))
-
-
-def _runs(moving: NDArray[np.bool_], turns: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first and last step of each run of moving steps, split at turns."""
-    runs = []
-    for first, end in np.flatnonzero(np.diff(moving, prepend=False, append=False)).reshape(-1, 2).tolist():
-        cuts = [first, *(np.flatnonzero(turns[first : end - 1]) + first + 1).tolist(), end]
-        runs += [(a, b - 1) for a, b in pairwise(cuts)]
-    return runs
-
-
-def _ends(run: tuple[int, int], moving: NDArray[np.bool_], joined: NDArray[np.bool_]) -> tuple[int, int, bool]:
-    """Return the first and last bin of these steps, including the slow step on each side, and whether the readings end
-    there.
-
-    In the slow steps the robot was at the ends of its motion.
-    """
-    first, last = run
-    begins, ends = first > 0 and bool(joined[first - 1]), last + 1 < joined.size and bool(joined[last + 1])
-    a = first - int(begins and not moving[first - 1])
-    b = last + 1 + int(ends and not moving[last + 1])
-    return a, b, not (begins and ends)
 
 
 DEGREE = 3
