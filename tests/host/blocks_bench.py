@@ -41,7 +41,8 @@ class Block(NamedTuple):
 
 def singly(blocks):
     """Yield the rows of the blocks of one stream."""
-    for row, samples in zip(blocks.table.tolist(), np.split(blocks.counts, blocks.first[1:-1]), strict=True):
+    columns = blocks.table[["n0", "t_us", "period_ns", "n", "run", "flags", "gap"]]
+    for row, samples in zip(columns.tolist(), np.split(blocks.counts, blocks.first[1:-1]), strict=True):
         n0, t0_us, period_ns, n, run, flags, gap = row
         data = Data(-1, blocks.stream.id, n0, t0_us, period_ns, samples.tobytes(), flags)
         yield Block(blocks.segment, run, gap, n, samples.shape[1], data, samples, blocks.ident)

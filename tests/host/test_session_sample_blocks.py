@@ -12,10 +12,18 @@ from hypothesis import strategies as st
 from session_stream import PERIOD_NS, Box, ident_document
 
 from truearm.session.box_ident import parse_ident
+from truearm.session.frames import FRAME
 from truearm.session.streams import Losses, StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
+
+
+def blocks_of(n0, t0_us):
+    """Return a block of 13 samples."""
+    rows = np.zeros(1, FRAME)
+    rows["n0"], rows["n"], rows["t_us"] = n0, 13, 13_000 * t0_us
+    return rows
 
 
 def test_a_clean_stream_a_traceback_and_a_short_write_lose_nothing():
@@ -54,11 +62,11 @@ def test_a_box_is_charged_from_its_boot_in_the_session():
     # behind that.
     track = StreamTrack()
     for t0_us, n0 in enumerate((5000, 5013, 10_200, 10_213, 0, 13, 39)):
-        track.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
+        track.take(blocks_of(n0, t0_us))
     assert [track.counted[name] for name in ("samples_overrun", "starts", "pieces")] == [13, 1, 2]
     joined = StreamTrack()
     for t0_us, n0 in enumerate((5000, 5026)):  # never started: what is missing is missing
-        joined.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
+        joined.take(blocks_of(n0, t0_us))
     assert (joined.counted["samples_overrun"], joined.counted["pieces"]) == (13, 2)
     box = Box(seq=5000)
     for k, overruns in enumerate((61_000, 61_000, 61_007)):

@@ -195,7 +195,8 @@ class Pages:
 NONE = -1  # of a frame without this element
 _OF_ALL = ["message", "seq", "type", "boot_id"]
 _OF_DATA = ["t_us", "stream", "n0", "period_ns", "flags", "samples_bytes"]
-FRAME = np.dtype([(name, np.int64) for name in (*_OF_ALL, *_OF_DATA)])
+_OF_ACCOUNT = ["lost", "n", "run"]
+FRAME = np.dtype([*((name, np.int64) for name in (*_OF_ALL, *_OF_DATA, *_OF_ACCOUNT)), ("gap", np.bool_)])
 
 _BEGIN = [("begin", "u1"), ("type", "u1"), ("m_seq", "u1"), ("seq", ">u4"), ("stream", "u1")]
 _TIMES = [("m_n0", "u1"), ("n0", ">u8"), ("m_t0", "u1"), ("t_us", ">u8"), ("m_p", "u1"), ("period_ns", ">u4")]
@@ -211,7 +212,8 @@ _UINT32, _UINT64 = 0x1A, 0x1B  # CBOR: an unsigned integer of this many bits fol
 class Frames:
     """The frames (f,) in a batch of messages, which may follow frames of earlier ones. Messages that are not frames are left out.
 
-    ``table`` (f,) of FRAME; ``message`` is an index in the batch. ``contents``: the samples of each data frame, and the
+    ``table`` (f,) of FRAME; ``message`` is an index in the batch. ``lost``, ``n``, ``run`` and ``gap`` are for ``streams``
+    to fill in. ``contents``: the samples of each data frame, and the
     elements of each other frame that was decoded singly.
     The type of a frame that violates the specification is NONE; ``malformed`` counts these and the messages that are not
     frames.

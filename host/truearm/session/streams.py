@@ -105,11 +105,9 @@ class StreamTrack:
     whole_us: int = 0  # device time between blocks without a gap, and the samples in it
     whole_samples: int = 0
 
-    def take(self, n0: Ints, n: Ints, t0_us: Ints, flags: Ints, frames_lost: Ints) -> tuple[NDArray[np.bool_], Ints]:
-        """Account for blocks (b,) of one boot; return before which of them samples are missing, and the run of each.
-
-        ``frames_lost``: of the session, before each block.
-        """
+    def take(self, rows: NDArray[Any]) -> None:
+        """Account for blocks (b,) of FRAME of one boot; enter before which of them samples are missing, and the run of each."""
+        n0, n, t0_us, flags, frames_lost = (rows[name] for name in ("n0", "n", "t_us", "flags", "lost"))
         joins = self.next_n0 is None  # a running box, or one that restarted: then it counts from 0
         with_frames = np.diff(frames_lost, prepend=self.frames_lost) > 0
         expected = np.append(n0[0] * (not with_frames[0]) if self.next_n0 is None else self.next_n0, (n0 + n)[:-1])
@@ -117,7 +115,7 @@ class StreamTrack:
         missing = np.where(begins, n0, n0 - expected)
         gap = (n0 != expected) | ((flags & wire.FLAG_OVERRUN) != 0)
         gap[0] |= joins
-        run = self.counted["starts"] + np.cumsum(begins)
+        rows["gap"], rows["run"] = gap, self.counted["starts"] + np.cumsum(begins)
         if joins:
             self.joined = not (self.counted["blocks"] or with_frames[0]) and n0[0] > 0
         of_session = np.ones(len(n0), bool)
@@ -137,8 +135,7 @@ class StreamTrack:
         self.whole_us += int(np.diff(t0_us, prepend=self.last_t0_us)[gapless].sum())
         self.whole_samples += int(np.append(self.last_n, n[:-1])[gapless].sum())
         self.next_n0, self.frames_lost = int(n0[-1] + n[-1]), int(frames_lost[-1])
-        self.last_t0_us, self.last_n = int(t0_us[-1]), int(n[-1])
-        return gap, run
+        self.last_t0_us, self.last_n, self.period_ns = int(t0_us[-1]), int(n[-1]), int(rows["period_ns"][-1])
 
     def report(self, stream_id: int, described: Stream) -> StreamReport:
         """Return the account, under the name that an ident gives the stream."""
@@ -157,17 +154,12 @@ CIRCLE = 2**32  # seq wraps here
 MOST_HELD = 8192  # frames without a boot id, which a box states every second
 
 
-BLOCK = np.dtype(
-    [("n0", "i8"), ("t_us", "i8"), ("period_ns", "u4"), ("n", "i4"), ("run", "i4"), ("flags", "u1"), ("gap", "?")]
-)
-
-
 @dataclass(eq=False)
 class Blocks:
     """Data frames (b,) of one stream, segment and ident, in order of sending.
 
-    ``table`` (b,) of BLOCK: index and device time of the first sample, period, number of samples per channel, run, flags,
-    and whether samples before the block are missing. ``counts`` (Σ n, c): of ``channels``, some or all of the stream's.
+    ``table`` (b,) of FRAME: ``n0`` and ``t_us`` are index and device time of the first sample, ``n`` the number of samples per
+    channel; before a ``gap`` samples are missing. ``counts`` (Σ n, c): of ``channels``, some or all of the stream's.
     """
 
     segment: int
@@ -296,7 +288,7 @@ class BoxReader:
         for begin, following in pairwise(sorted({0, *restarts, end})):
             if begin in restarts:
                 self._begin_segment(int(frames.table["message"][begin]))
-            blocks += self._contents(frames, *self._in_order(frames.table, begin, following))
+            blocks += self._contents(frames, self._in_order(frames.table, begin, following))
         return blocks
 
     def _restarts(self, table: NDArray[Any], stated: NDArray[np.intp]) -> list[int]:
@@ -322,8 +314,8 @@ class BoxReader:
         for stream in self._streams.values():
             stream.next_n0, stream.frames_lost = None, self._count["frames_lost"]
 
-    def _in_order(self, table: NDArray[Any], begin: int, end: int) -> tuple[Ints, Ints]:
-        """Return which frames of one boot count up, and the frames lost in the session before each.
+    def _in_order(self, table: NDArray[Any], begin: int, end: int) -> Ints:
+        """Return which frames of one boot count up, and enter the frames lost in the session before each.
 
         A frame behind the count, or ahead of the next one that states the boot id, is malformed.
         """
@@ -336,33 +328,33 @@ class BoxReader:
         ahead = np.where(ahead <= limit, ahead, -1)
         rows = np.flatnonzero(ahead > np.maximum.accumulate(np.append(-1, ahead[:-1])))
         gaps = np.diff(ahead[rows], prepend=-1) - 1
-        lost = self._count["frames_lost"] + np.cumsum(gaps)
+        counted = begin + rows
+        table["lost"][counted] = self._count["frames_lost"] + np.cumsum(gaps)
         self._count["frames_malformed"] += len(seq) - len(rows)
         self._count.update(frames=len(rows), frames_lost=int(gaps.sum()), loss_events=int(np.count_nonzero(gaps)))
-        counted = begin + rows
         if len(rows):
             self._next = (int(table["seq"][counted[-1]]) + 1) % CIRCLE
         stated = table["boot_id"][counted]
         if np.any(stated != NONE):
             self.segment.boot_id = int(stated.max())
-        return counted, lost
+        return counted
 
     # ------------------------------------------------------------------------------------------------ contents
 
-    def _contents(self, frames: Frames, index: Ints, lost: Ints) -> list[Blocks]:
-        """Evaluate frames of one segment: their rows, and the frames lost before each."""
+    def _contents(self, frames: Frames, index: Ints) -> list[Blocks]:
+        """Evaluate frames of one segment."""
         blocks: list[Blocks] = []
         begin = 0
         kinds = frames.table["type"][index]
         for k in np.flatnonzero(~np.isin(kinds, (wire.DATA, wire.SYNC_REPLY, NONE))).tolist():
             elements, kind = frames.contents[int(index[k])], int(kinds[k])
             if kind == wire.IDENT:  # the frames behind it are of another description
-                blocks += self._samples(frames, index[begin:k], lost[begin:k])
+                blocks += self._samples(frames, index[begin:k])
                 begin = k
                 self._describe(elements)
             else:
                 self._content(elements, kind)
-        return blocks + self._samples(frames, index[begin:], lost[begin:])
+        return blocks + self._samples(frames, index[begin:])
 
     def _content(self, elements: list[Any], kind: int) -> None:
         """Take a frame that was decoded singly, except pages of an ident."""
@@ -402,36 +394,28 @@ class BoxReader:
         except ProtocolError:
             self._count["frames_malformed"] += 1
 
-    def _samples(self, frames: Frames, index: Ints, lost: Ints) -> list[Blocks]:
-        """Account for the data frames of each stream; ``lost``: frames lost before each, in the session."""
+    def _samples(self, frames: Frames, index: Ints) -> list[Blocks]:
+        """Account for the data frames of each stream."""
         blocks: list[Blocks] = []
-        table, ident = frames.table[index], self.segment.ident
-        data = table["type"] == wire.DATA
-        for stream_id in np.unique(table["stream"][data]).tolist():
-            rows = np.flatnonzero(data & (table["stream"] == stream_id))
+        index, ident = index[frames.table["type"][index] == wire.DATA], self.segment.ident
+        of_stream = frames.table["stream"][index]
+        for stream_id in np.unique(of_stream).tolist():
+            rows = index[of_stream == stream_id]
             if ident is None or stream_id not in ident.streams:
                 self._count["blocks_without_ident"] += len(rows)
                 continue
-            stream = ident.streams[stream_id]
-            n, remainder = np.divmod(table["samples_bytes"][rows], 4 * len(stream.channels))
+            stream = self._described[stream_id] = ident.streams[stream_id]
+            n, remainder = np.divmod(frames.table["samples_bytes"][rows], 4 * len(stream.channels))
             complete = (remainder == 0) & (n > 0)  # the frame holds whole samples
             self._count["frames_malformed"] += int(np.count_nonzero(~complete))
             if complete.any():
-                rows = rows[complete]
-                samples = b"".join([frames.contents[k] for k in index[rows].tolist()])
-                blocks.append(self._blocks(table[rows], n[complete], samples, lost[rows], ident, stream))
+                table = frames.table[rows[complete]]
+                table["n"] = n[complete]
+                self._streams.setdefault(stream_id, StreamTrack()).take(table)
+                samples = b"".join([frames.contents[k] for k in rows[complete].tolist()])
+                counts = np.frombuffer(samples, "<i4").reshape(-1, len(stream.channels))
+                blocks.append(Blocks(self.segment.index, ident, stream, stream.channels, table, counts))
         return blocks
-
-    def _blocks(self, rows: NDArray[Any], n: Ints, samples: bytes, lost: Ints, ident: Ident, stream: Stream) -> Blocks:
-        """Return data frames (b,) of one stream, with n (b,) samples each."""
-        track = self._streams.setdefault(stream.id, StreamTrack())
-        self._described[stream.id], track.period_ns = stream, int(rows["period_ns"][-1])
-        table = np.empty(len(rows), BLOCK)
-        table["gap"], table["run"] = track.take(rows["n0"], n, rows["t_us"], rows["flags"], lost)
-        table["n0"], table["t_us"], table["period_ns"], table["n"] = rows["n0"], rows["t_us"], rows["period_ns"], n
-        table["flags"] = rows["flags"] & 0xFF
-        counts = np.frombuffer(samples, "<i4").reshape(-1, len(stream.channels))
-        return Blocks(self.segment.index, ident, stream, stream.channels, table, counts)
 
 
 def segment_at(segments: Sequence[Segment], message: Ints) -> Ints:
