@@ -131,7 +131,7 @@ def plan_of(q):
 
 def matched(q, plan, said=None):
     q = np.asarray(q, dtype=float).reshape(len(q), -1)
-    return list(match_plan(q, plan, said or [{}] * len(q)).poses)
+    return match_plan(q, plan, said or [{}] * len(q))[0]
 
 
 def test_missing_and_extra_dwells():
@@ -169,9 +169,8 @@ def test_what_was_said_to_be_mounted_decides():
     assert matched([0.0], plan, said=[{"chuck": "c2"}]) == [1]
     assert matched([0.0], plan, said=[{"chuck": "c3"}]) == [None]
     plan = PlannedPoses(np.zeros((2, 1)), tuple({"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61")))
-    assert set(match_plan(np.zeros((1, 1)), plan, [{}]).ambiguous) == {0}
-    found = match_plan(np.zeros((1, 1)), plan, [{"bar": "b61"}])
-    assert (found.poses, found.ambiguous) == ((1,), {})
+    assert set(match_plan(np.zeros((1, 1)), plan, [{}])[1]) == {0}
+    assert match_plan(np.zeros((1, 1)), plan, [{"bar": "b61"}]) == ([1], {})
 
 
 def all_ways(dwells, poses):
@@ -194,11 +193,11 @@ def test_the_best_way_and_what_is_ambiguous(dwells, poses):
     """Against all ways, one by one. The best ways may differ in bars, and then only."""
     fittings = tuple({"bar": b, "chuck": "c", "sphere": "s"} for _, b in poses)
     plan = PlannedPoses(np.array([[float(p)] for p, _ in poses]), fittings)
-    found = match_plan(np.array(dwells, dtype=float)[:, None], plan, [{}] * len(dwells))
+    poses_found, ambiguous = match_plan(np.array(dwells, dtype=float)[:, None], plan, [{}] * len(dwells))
     _, ways = all_ways(dwells, [p for p, _ in poses])
-    assert found.poses in ways
+    assert tuple(poses_found) in ways
     bars = [{poses[way[d]][1] for way in ways if way[d] is not None} for d in range(len(dwells))]
-    assert set(found.ambiguous) == {d for d, of in enumerate(bars) if len(of) > 1}
+    assert set(ambiguous) == {d for d, of in enumerate(bars) if len(of) > 1}
 
 
 def test_marks_of_a_stranger():

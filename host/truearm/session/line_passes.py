@@ -73,9 +73,9 @@ def find_legs(stream: JointStream) -> list[Leg]:
         joined[first],
         joined[last + 2],
     )  # with the slow steps, in which the robot was at the ends of its motion
-    rows = np.stack([first - (begins & ~moving[first]), last + 1 + (ends & ~moving[last + 2])])
-    moved = np.max(np.abs(np.diff(bins.mean[rows], axis=0)), axis=(0, 2)) >= LEAST_MOVE
-    runs = [(a, b, cut) for (a, b), cut in zip(rows.T[moved].tolist(), (~(begins & ends))[moved].tolist(), strict=True)]
+    span = np.stack([first - (begins & ~moving[first]), last + 1 + (ends & ~moving[last + 2])])
+    moved = np.max(np.abs(np.diff(bins.mean[span], axis=0)), axis=(0, 2)) >= LEAST_MOVE
+    runs = [(a, b, cut) for (a, b), cut in zip(span.T[moved].tolist(), (~(begins & ends))[moved].tolist(), strict=True)]
     segment = bins.segment[[a for a, _, _ in runs]]
     times = np.array([(bins.t_first_s[a], bins.t_last_s[b]) for a, b, _ in runs]).reshape(-1, 2)
     rows = zip(segment.tolist(), times.tolist(), runs, stream.to_host_ns(segment, times).tolist(), strict=True)

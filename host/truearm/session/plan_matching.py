@@ -12,6 +12,7 @@ fittings is **ambiguous**. Distances do not decide here.
 from __future__ import annotations
 
 from bisect import bisect_right, insort
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -59,31 +60,39 @@ _ROW: Any = msgspec.defstruct("_Row", [("q", Joints), ("move", Move, Move.DWELL)
 _EVENT: Any = msgspec.defstruct("_Event", [("kind", str), *_NAMES])
 
 
+def read_event(data: bytes) -> Any | None:
+    """Return an event, with its ``kind`` and FITTINGS; None if it is malformed."""
+    return _read(data, _EVENT)
+
+
+def _read(data: bytes, form: Any) -> Any | None:
+    try:
+        return msgspec.json.decode(data, type=form)
+    except (ValueError, RecursionError):
+        return None
+
+
 @dataclass
 class Marks:
     """Collects the contents of ``/plan`` and ``/events``. ``malformed``: messages that cannot be used."""
 
     rows: list[PlanRow] = field(default_factory=list)
     mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
-    kinds: dict[str, int] = field(default_factory=dict)
+    kinds: Counter[str] = field(default_factory=Counter)
     malformed: int = 0
 
     def feed(self, topic: str, t_host_ns: int, data: bytes) -> None:
         """Take one message of either topic."""
-        try:
-            document = msgspec.json.decode(data, type=_ROW if topic == "/plan" else _EVENT)
-            if topic == "/plan" and self.rows and len(self.rows[0].q) != len(document.q):
-                raise ValueError  # another number of joints
-        except (ValueError, RecursionError):
+        row, event = (_read(data, _ROW), None) if topic == "/plan" else (None, read_event(data))
+        if row is not None and len(row.q) == len((self.rows or [row])[0].q):
+            self.rows.append(PlanRow(row.q, _fittings(row), row.move))
+        elif event is None:
             self.malformed += 1
-            return
-        if topic == "/plan":
-            self.rows.append(PlanRow(document.q, _fittings(document), document.move))
-            return
-        if document.kind in self.kinds or len(self.kinds) < MAX_KINDS:
-            self.kinds[document.kind] = self.kinds.get(document.kind, 0) + 1
-        if document.kind == "mounted":
-            insort(self.mountings, (t_host_ns, _fittings(document)), key=itemgetter(0))
+        else:
+            if event.kind in self.kinds or len(self.kinds) < MAX_KINDS:
+                self.kinds[event.kind] += 1
+            if event.kind == "mounted":
+                insort(self.mountings, (t_host_ns, _fittings(event)), key=itemgetter(0))
 
     def with_plan(self, plan: Plan) -> Marks:
         """Return the same with the rows of another plan."""
@@ -123,14 +132,8 @@ class Marks:
         return self.mountings[index - 1][1] if index else {}
 
 
-@dataclass(frozen=True)
-class Matches:
-    """The planned pose of each dwell, None if there is none, and the possible fittings ("b46 c1 s1") of ambiguous
-    dwells.
-    """
-
-    poses: tuple[int | None, ...]
-    ambiguous: Mapping[int, tuple[str, ...]]
+# The planned pose of each dwell, None if there is none, and the possible fittings ("b46 c1 s1") of ambiguous dwells
+Matches = tuple[list[int | None], dict[int, tuple[str, ...]]]
 
 
 def match_plan(q: Floats, plan: PlannedPoses, confirmed: Sequence[Mapping[str, str]]) -> Matches:
@@ -154,7 +157,7 @@ def match_plan(q: Floats, plan: PlannedPoses, confirmed: Sequence[Mapping[str, s
     while k >= 0:
         dwell, matched[dwell] = pairs[k]
         k = previous[k]
-    return Matches(tuple(matched), _ambiguous(pairs, plan))
+    return matched, _ambiguous(pairs, plan)
 
 
 def distances(q: Floats, plan: PlannedPoses) -> Floats:
@@ -175,7 +178,7 @@ def contradict(confirmed: Mapping[str, str], planned: Mapping[str, str]) -> bool
 def _paths(pairs: Sequence[tuple[int, int]], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
     """Return the value of the best path that ends at each pair, and the previous pair on that path (-1 for none)."""
     nothing = (0.0, -1)
-    tree = [nothing] * (poses + 1)  # of the best paths that end before a pose
+    value, before = np.zeros(poses + 1), np.full(poses + 1, -1)  # of the best paths that end before a pose
     ending: dict[int, tuple[float, int]] = {}  # the best path that ends at a pose
     best = nothing
     worth: list[float] = []
@@ -183,20 +186,17 @@ def _paths(pairs: Sequence[tuple[int, int]], closeness: Sequence[float], poses: 
     for _, group in groupby(range(len(pairs)), key=lambda k: pairs[k][0]):
         rows = list(group)
         for k in rows:
-            pose = i = pairs[k][1]
-            coming = nothing
-            while i > 0:
-                coming, i = max(coming, tree[i]), i & (i - 1)
+            pose = pairs[k][1]
             again = ending.get(pose, nothing)
+            coming = (float(value[pose]), int(before[pose]))
             coming = max(coming, (again[0] - REPEAT, again[1]), (best[0] - BACK, best[1]))
             worth.append(coming[0] + 1.0 + closeness[k])
             previous.append(coming[1])
         for k in rows:  # only now: a dwell is in at most one pair
             pose, path = pairs[k][1], (worth[k], k)
             best, ending[pose] = max(best, path), max(ending.get(pose, nothing), path)
-            i = pose + 1
-            while i <= poses:
-                tree[i], i = max(tree[i], path), i + (i & -i)
+            better = value[pose + 1 :] <= worth[k]
+            value[pose + 1 :][better], before[pose + 1 :][better] = path
     return worth, previous
 
 
@@ -228,13 +228,13 @@ def paired(dwells: Sequence[Dwell], marks: Marks) -> list[Dwell]:
     dwells, plan = list(dwells), marks.plan()
     good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     confirmed = [marks.mounted_at(dwells[i].start_host_ns) for i in good]
-    matches = None if plan is None else match_plan(np.array([dwells[i].q for i in good]), plan, confirmed)
+    poses, ambiguous = ([], {}) if plan is None else match_plan(np.array([dwells[i].q for i in good]), plan, confirmed)
     for k, i in enumerate(good):
         dwell, pose, mounted = dwells[i], None, confirmed[k]
-        if plan is not None and matches is not None:
-            pose = matches.poses[k]
-            if k in matches.ambiguous:
-                dwells[i] = replace(dwell, reason="ambiguous", detail=" or ".join(matches.ambiguous[k]))
+        if plan is not None:
+            pose = poses[k]
+            if k in ambiguous:
+                dwells[i] = replace(dwell, reason="ambiguous", detail=" or ".join(ambiguous[k]))
                 continue
             if pose is None:
                 reason, detail = _unmatched(dwell, plan, mounted)
@@ -283,11 +283,11 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig) -> list[LinePass]:
 
 def _matched(legs: Sequence[Leg], plan: PlannedPoses, confirmed: Sequence[Mapping[str, str]]) -> list[LinePass]:
     ends = np.array([np.concatenate([leg.q_start, leg.q_end]) for leg in legs]).reshape(len(legs), -1)
-    matches = match_plan(ends, plan, confirmed)
+    poses, ambiguous = match_plan(ends, plan, confirmed)
     passes = []
-    for k, (leg, pose, words) in enumerate(zip(legs, matches.poses, confirmed, strict=True)):
+    for k, (leg, pose, words) in enumerate(zip(legs, poses, confirmed, strict=True)):
         if pose is not None:
-            passes.append(LinePass(leg, plan.mounted[pose], "ambiguous" * (k in matches.ambiguous), plan.rows[pose]))
+            passes.append(LinePass(leg, plan.mounted[pose], "ambiguous" * (k in ambiguous), plan.rows[pose]))
         elif "line" in words:
             passes.append(LinePass(leg, dict(words), "gap" if leg.cut else "no plan match"))
     return passes

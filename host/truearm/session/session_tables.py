@@ -10,7 +10,6 @@ is NaN, an unknown integer UNKNOWN.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -27,6 +26,7 @@ from truearm.session.joint_format import NO_INPUTS, OPTIONAL, UNNUMBERED, JointB
 from truearm.session.joint_readings import JointStream, SegmentedReadings
 from truearm.session.line_passes import LinePass
 from truearm.session.observations import Survey, read_blocks
+from truearm.session.plan_matching import read_event
 from truearm.session.samples import extension, volts, with_ratios
 from truearm.session.session_file import Messages
 from truearm.session.streams import Blocks, BoxReader, segment_at
@@ -89,8 +89,9 @@ def _small_tables(messages: Messages, messages_before: int, survey: Survey) -> I
     for segment, message in zip(segments, messages.of(rows), strict=True):
         row: dict[str, Any] = {"arrival_ns": message.t_host_ns}
         if message.topic == "/events":
-            text = message.data.decode(errors="backslashreplace")
-            row |= {"kind": _kind(text), "event": text}
+            event = read_event(message.data)
+            kind_name = "" if event is None else event.kind
+            row |= {"kind": kind_name, "event": message.data.decode(errors="backslashreplace")}
         elif message.topic == "/sync":
             exchange = parse_exchange(message.data) or (UNKNOWN,) * 4
             row |= {"segment": segment, **dict(zip(("t0_ns", "t1_us", "t2_us", "t3_ns"), exchange, strict=True))}
@@ -196,15 +197,6 @@ def _readings(
         elif values is not None:
             columns[key] = np.where(values == NO_INPUTS, np.nan, values) if key == "inputs" else values
     yield "joints", columns
-
-
-def _kind(text: str) -> str:
-    try:
-        document = json.loads(text)
-    except (ValueError, RecursionError):
-        return ""
-    kind = document.get("kind") if isinstance(document, dict) else None
-    return kind if isinstance(kind, str) else ""
 
 
 def _clean(text: str) -> str:

@@ -143,7 +143,7 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
     if plan is not None:
         numbers = [i for i in numbers if distances(dwells[i].q, plan).min() <= POSE_TOLERANCE]
         q = np.array([dwells[i].q for i in numbers])
-        matches = match_plan(q, plan, [{}] * len(numbers))
+        matched, ambiguous = match_plan(q, plan, [{}] * len(numbers))
     times = [t for t, _ in survey.marks.mountings]
     words = [pairing_of(pairing) for _, pairing in survey.marks.mountings]
     stops, begin = list[Stop](), 0
@@ -151,10 +151,10 @@ def stops_of(path: Path, rig: Rig, survey: Survey) -> list[Stop]:
         rows, pairings = list[tuple[int, dict[str, str]]](), dict[Pairing, None]()
         end = bisect_right(times, dwells[i].start_host_ns)
         if plan is not None:
-            distance, pose = distances(dwells[i].q, plan), matches.poses[k]
+            distance, pose = distances(dwells[i].q, plan), matched[k]
             poses = np.argsort(distance, kind="stable")[: np.count_nonzero(distance <= POSE_TOLERANCE)].tolist()
             rows = [(plan.rows[p], plan.mounted[p]) for p in sorted(poses, key=lambda p: p != pose)]
-            planned = [] if pose is None else poses if k in matches.ambiguous else [pose]
+            planned = [] if pose is None else poses if k in ambiguous else [pose]
             pairings = dict.fromkeys(filter(None, (pairing_of(plan.mounted[p]) for p in planned)))
         typed, confirmed = tuple(filter(None, words[begin:end])), words[end - 1] if end else None
         stops.append(Stop((path, i + 1), measured[i], rows, tuple(pairings), typed, confirmed))
