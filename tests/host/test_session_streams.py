@@ -59,10 +59,15 @@ def in_batches(messages, cuts, ident=IDENT):
         blocks += reader.feed(columns_of(messages[a:b]))
     blocks += reader.finish()
     rows = [(b.segment, *row) for b in blocks for row in b.table[["run", "gap", "n", "n0", "t_us"]].tolist()]
-    segments = [
-        (s.booted, s.boot_id, s.ident, s.output, s.temperatures, reader.exchanges(s).tolist()) for s in reader.segments
-    ]
-    return rows, np.concatenate([b.counts for b in blocks] or [COUNTS[:0]]).tolist(), reader.losses(), segments
+    segments = [(s.booted, s.boot_id, s.ident, reader.exchanges(s).tolist()) for s in reader.segments]
+    return (
+        rows,
+        np.concatenate([b.counts for b in blocks] or [COUNTS[:0]]).tolist(),
+        reader.losses(),
+        segments,
+        reader.output,
+        reader.temperatures,
+    )
 
 
 @pytest.mark.parametrize("gone", [0, 3, 8, 70])

@@ -204,8 +204,8 @@ def session(
     stamps = device_us(edges).astype(np.int64)
     for k, off in (wrong or {}).items():
         stamps[k] += off
-    output = [*zip(stamps.tolist(), itertools.cycle((True, False)))]
-    joints = with_edges(finished(reader, messages), {0: output}, {0: fit_clock(0, exchanges)[0]})
+    output = [*zip(itertools.repeat(0), stamps.tolist(), itertools.cycle((True, False)))]
+    joints = with_edges(finished(reader, messages), output, {0: fit_clock(0, exchanges)[0]})
     return joints, controller, t
 
 
@@ -234,8 +234,8 @@ def regular(step_s, levels, edges):
     messages = [Message("/robot/joints", int(1e9 * t), line) for t, line in zip(times, lines, strict=True)]
     t_ns = np.arange(0, int(1e9 * times[-1]), 250_000_000)
     exchanges = np.stack([t_ns, t_ns // 1000 + 50, t_ns // 1000 + 55, t_ns + 200_000], axis=1)
-    output = [*zip((1e6 * edges).astype(int).tolist(), itertools.cycle((True, False)))]
-    joints = with_edges(finished(JointReader(), messages), {0: output}, {0: fit_clock(0, exchanges)[0]})
+    output = [*zip(itertools.repeat(0), (1e6 * edges).astype(int).tolist(), itertools.cycle((True, False)))]
+    joints = with_edges(finished(JointReader(), messages), output, {0: fit_clock(0, exchanges)[0]})
     assert not joints.reports[0].edges.in_use
     return joints.reports[0].edges
 
@@ -244,7 +244,7 @@ def test_no_input_that_follows_is_said():
     """The output is not wired; another input toggles by itself."""
     joints, *_ = session(7, number=62, noisy=2)
     assert joints.reports[0].edges.input == 62
-    silent = with_edges(joints, {0: [(6_000_000, True), (7_000_000, False), (8_000_000, True)]}, {})
+    silent = with_edges(joints, [(0, 6_000_000, True), (0, 7_000_000, False), (0, 8_000_000, True)], {})
     assert silent is joints  # of a box whose clock is not known
     report = regular(0.01, np.arange(5000) // 37 % 2, edges_at(np.random.default_rng(8), 40))
     assert report.input is None

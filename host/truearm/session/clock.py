@@ -27,6 +27,7 @@ from truearm.types import Floats, Ints
 from truearm.units import MDEGC, PPM
 
 AROUND_NS = 60_000_000_000  # on each side
+UNKNOWN = -1  # host time of an instant in a segment without a clock
 COLDEST, WARMEST = -60_000, 200_000  # m°C; anything else is not a reading
 
 
@@ -61,25 +62,6 @@ class BoxTemperature(NamedTuple):
         return np.where(np.isnan(self.at(t_host_ns)), np.nan, degc)
 
 
-def box_temperature(
-    stated: Mapping[int, Sequence[tuple[int, int]]], clocks: Mapping[int, DeviceClock]
-) -> BoxTemperature:
-    """Return the readings in the reports of each segment, given as device time [µs] and m°C.
-
-    Readings of segments without a clock are left out.
-    """
-    times, degrees = [np.zeros(0, np.int64)], [np.zeros(0)]
-    for segment, beats in stated.items():
-        readings = [(t_us, mdegc) for t_us, mdegc in beats if COLDEST <= mdegc <= WARMEST]
-        if segment in clocks and readings:
-            t_us, mdegc = np.array(readings, dtype=np.int64).T
-            times.append(clocks[segment].to_host_ns(t_us)[0])
-            degrees.append(MDEGC.to_si(mdegc))
-    t_host_ns, degc = np.concatenate(times), np.concatenate(degrees)
-    order = np.argsort(t_host_ns, kind="stable")
-    return BoxTemperature(t_host_ns[order], degc[order])
-
-
 TICK_NS = 1000  # device time is in whole microseconds, rounded down
 
 
@@ -94,6 +76,26 @@ class DeviceClock:
         """Return the host times [ns] of device times (n,) [µs] and the bounds of their errors [ns]."""
         host, bound = self.clock.to_time(1000 * np.asarray(t_us, dtype=np.int64))
         return host, np.maximum(bound, self.least_bound_ns)
+
+
+def host_times(clocks: Mapping[int, DeviceClock], segment: Ints, t_us: Ints) -> tuple[Ints, Floats]:
+    """Return the host times (n, …) [ns] of device times (n, …) [µs] in segments (n,) of the box, and the bounds of their errors.
+
+    Without a clock of the segment they are UNKNOWN and NaN.
+    """
+    host, bound = np.full(t_us.shape, UNKNOWN), np.full(t_us.shape, np.nan)
+    for k in np.intersect1d(segment, list(clocks)).astype(np.int64).tolist():
+        host[segment == k], bound[segment == k] = clocks[k].to_host_ns(t_us[segment == k])
+    return host, bound
+
+
+def box_temperature(readings: Sequence[tuple[int, int, int]], clocks: Mapping[int, DeviceClock]) -> BoxTemperature:
+    """Return readings by host time, given as segment, device time [µs] and m°C. Those of segments without a clock are left out."""
+    segment, t_us, mdegc = np.array(readings, np.int64).reshape(-1, 3).T
+    t_host_ns, bound = host_times(clocks, segment, t_us)
+    sound = np.flatnonzero(np.isfinite(bound) & (mdegc >= COLDEST) & (mdegc <= WARMEST))
+    order = sound[np.argsort(t_host_ns[sound], kind="stable")]
+    return BoxTemperature(t_host_ns[order], MDEGC.to_si(mdegc[order]))
 
 
 @dataclass(frozen=True)

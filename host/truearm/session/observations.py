@@ -124,12 +124,8 @@ def survey(source: Source, ident: Ident | None = None, wander: float = WANDER) -
     clocks = {index: clock for index, (clock, _) in fits.items()}
     for channels in chain.from_iterable(samples.values()):
         channels.place(clocks)
-    outputs = {s.index: s.output for s in box.segments if s.output}
-    joints = with_edges(robot.finish(), outputs, clocks, wander)
-    temperatures = {
-        name: box_temperature({s.index: s.temperatures.get(name, []) for s in box.segments}, clocks)
-        for name in dict.fromkeys([None, *(name for s in box.segments for name in s.temperatures)])
-    }
+    joints = with_edges(robot.finish(), box.output, clocks, wander)
+    temperatures = {name: box_temperature(readings, clocks) for name, readings in box.temperatures.items()}
     dwells = manual_dwells(joints, samples[BAR][0]) if has_manual_joints(joints) else find_dwells(joints)
     return Survey(
         losses=replace(box.losses(), plan_events_malformed=marks.malformed),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from truearm import units
 from truearm.errors import SessionError
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channels
-from truearm.session.clock import DeviceClock
+from truearm.session.clock import DeviceClock, host_times
 from truearm.session.frames import Data
 from truearm.session.spool import Spool
 from truearm.session.streams import Blocks
@@ -186,11 +186,9 @@ class ChannelSamples:
 
     def place(self, clocks: Mapping[int, DeviceClock]) -> None:
         """Set the clock of each segment of the box."""
-        self._clocks = clocks
-        self._host_ns = np.full((len(self._arrays.spans), 2), np.nan)
-        for k, (segment, *t_us) in enumerate(self._arrays.spans):
-            if segment in clocks:
-                self._host_ns[k] = clocks[segment].to_host_ns(np.array(t_us, np.int64))[0]
+        self._clocks, spans = clocks, np.array(self._arrays.spans, np.int64).reshape(-1, 3)
+        host_ns, bound = host_times(clocks, spans[:, 0], spans[:, 1:])
+        self._host_ns = np.where(np.isfinite(bound), host_ns, np.nan)
 
     def check(self) -> None:
         """Raise SessionError if a box sent samples but does not have the channels."""

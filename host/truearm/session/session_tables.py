@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import SessionError
 from truearm.session.box_ident import Channel
+from truearm.session.clock import UNKNOWN, host_times
 from truearm.session.dwells import Dwell
 from truearm.session.frames import fields_of, parse_exchange
 from truearm.session.joint_format import NO_INPUTS, OPTIONAL, UNNUMBERED, JointBatch, concatenate
@@ -34,7 +35,6 @@ from truearm.types import BAR_MOUNTED, LINE_MOUNTED
 from truearm_wire import messages as wire
 
 MAX_TABLES = 100
-UNKNOWN = -1  # an unknown integer
 
 Columns = dict[str, NDArray[Any]]
 Batch = tuple[str, Columns]
@@ -108,11 +108,8 @@ def _small_tables(messages: Messages, messages_before: int, survey: Survey) -> I
     for name, listed in tables.items():
         columns = {title: np.array([row[title] for row in listed]) for title in listed[0]}
         if "host_time_ns" in columns:
-            for segment in np.unique(columns["segment"]).tolist():
-                if segment in survey.clocks:
-                    of_segment = columns["segment"] == segment
-                    placed = survey.clocks[segment].to_host_ns(columns["t_us"][of_segment])
-                    columns["host_time_ns"][of_segment], columns["host_bound_ns"][of_segment] = placed
+            placed = host_times(survey.clocks, columns["segment"], columns["t_us"])
+            columns["host_time_ns"], columns["host_bound_ns"] = placed
         yield name, columns
 
 
@@ -132,21 +129,16 @@ def samples(blocks: Blocks, survey: Survey) -> Columns:
     stream, table, n, within_ns = blocks.stream, blocks.table, blocks.table["n"], blocks.within_ns()
     counts = with_ratios(blocks.counts, stream.channels)
     total = len(counts)
-    clock = survey.clocks.get(blocks.segment)
-    if clock is None:
-        host, bounds = np.full(total, UNKNOWN, np.int64), np.full(total, np.nan)
-    else:
-        block_host, block_bounds = clock.to_host_ns(table["t_us"])
-        host = np.repeat(block_host, n) + within_ns - stream.group_delay_ns
-        bounds = np.repeat(block_bounds, n)
+    host, bounds = host_times(survey.clocks, np.full(len(table), blocks.segment), table["t_us"])
+    placed = np.repeat(host, n) + within_ns - stream.group_delay_ns
     columns: Columns = {
         "segment": np.full(total, blocks.segment),
         "run": np.repeat(table["run"].astype(np.int64), n),
         "index": np.arange(total) + np.repeat(table["n0"] - blocks.first[:-1], n),
         "gap": blocks.gaps().astype(np.int8),
         "device_time_ns": np.repeat(1000 * table["t_us"], n) + within_ns,
-        "host_time_ns": host,
-        "host_bound_ns": bounds,
+        "host_time_ns": placed if blocks.segment in survey.clocks else np.full(total, UNKNOWN),
+        "host_bound_ns": np.repeat(bounds, n),
         "flags": np.repeat(table["flags"].astype(np.int64), n),
     }
     for k, channel in enumerate(stream.channels):

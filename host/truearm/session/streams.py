@@ -211,10 +211,6 @@ class Segment:
     boot_id: int | None = None
     ident: Ident | None = None
     last_beat: Mapping[str, int] = field(default_factory=dict)
-    output: list[tuple[int, bool]] = field(default_factory=list)  # edges of the trigger output: device time [µs], level
-    temperatures: dict[str | None, list[tuple[int, int]]] = field(
-        default_factory=dict
-    )  # by thermometer, None for the box's own: device time [µs], m°C
 
 
 class BoxReader:
@@ -235,6 +231,9 @@ class BoxReader:
         self._streams: dict[int, StreamTrack] = {}
         self._described: dict[int, Stream] = {}  # the same streams, by the ident of their newest block
         self._pages = Pages()
+        # By thermometer, None for the box's own: segment, device time [µs], m°C; edges of the trigger output: segment, time, level
+        self.temperatures: dict[str | None, list[tuple[int, int, int]]] = {None: []}
+        self.output: list[tuple[int, int, int]] = []
 
     @property
     def segment(self) -> Segment:
@@ -362,13 +361,13 @@ class BoxReader:
         if kind == wire.HEARTBEAT:
             beat = {name: value for (name, _), value in zip(_ELEMENTS, elements[2:], strict=False)}
             self._take_heartbeat(beat)
-            segment.temperatures.setdefault(None, []).append((beat["t_us"], beat["temperature_mdegc"]))
+            self.temperatures[None].append((segment.index, beat["t_us"], beat["temperature_mdegc"]))
         elif kind == wire.EVENT and elements[2] == wire.OUTPUT_LINE:
-            segment.output.append((elements[3], bool(elements[4])))
+            self.output.append((segment.index, elements[3], bool(elements[4])))
         elif kind == wire.TEMPERATURE:
             names = () if segment.ident is None else segment.ident.thermometers
             if 0 <= elements[3] < len(names):
-                segment.temperatures.setdefault(names[elements[3]], []).append((elements[2], elements[4]))
+                self.temperatures.setdefault(names[elements[3]], []).append((segment.index, elements[2], elements[4]))
         elif kind not in wire.LAYOUT:
             self._count["frames_unknown"] += 1
 

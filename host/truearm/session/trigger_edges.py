@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.clocks import WANDER, Clock, fit
-from truearm.session.clock import NODE_S, DeviceClock, EdgeReport, RobotClock
+from truearm.session.clock import NODE_S, DeviceClock, EdgeReport, RobotClock, host_times
 from truearm.session.joint_readings import Changes, InputTrack, JointStream
 from truearm.types import Floats, Ints
 
@@ -34,7 +34,6 @@ STAMP_NS = 1000  # edge stamps are at most 0.3 µs late; readings are printed to
 LATENCY_NS = 1e6  # shortest latency of a fast link: if the bounds are wider, arrivals are more accurate
 
 
-Output = Sequence[tuple[int, bool]]  # edges of the box's trigger output in one segment: device time [µs], level
 EDGE = np.dtype(
     [("host_ns", "i8"), ("bound_ns", "f8"), ("rising", "?")]
 )  # an edge of the output, the error of its time
@@ -158,15 +157,21 @@ def _falling_later(clock: Clock, rows: Ints, rising: NDArray[np.bool_]) -> tuple
 
 
 def with_edges(
-    joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock], wander: float = WANDER
+    joints: JointStream,
+    output: Sequence[tuple[int, int, int]],
+    clocks: Mapping[int, DeviceClock],
+    wander: float = WANDER,
 ) -> JointStream:
     """Return the readings, with clocks from edges wherever these are more accurate than arrivals.
 
-    ``outputs`` and ``clocks``: of the box's segments. ``wander``: of the host's clock.
+    ``output``: edges of the box's trigger output: segment of the box, device time [µs] and level. ``clocks``: of these segments.
+    ``wander``: of the host's clock.
     """
-    edges = np.concatenate(
-        [np.empty(0, EDGE), *(_edges(output, clocks[k]) for k, output in outputs.items() if k in clocks)]
-    )
+    segment, t_us, level = np.array(output, np.int64).reshape(-1, 3).T
+    edges = np.zeros(len(level), EDGE)
+    edges["host_ns"], edges["bound_ns"] = host_times(clocks, segment, t_us)
+    edges["rising"] = level
+    edges = edges[np.isfinite(edges["bound_ns"])]
     if not len(edges):
         return joints
     clocks_in_use, reports = [], []
@@ -175,13 +180,6 @@ def with_edges(
         clocks_in_use.append(clock)
         reports.append(replace(report, edges=edge_report, bound_ns=float(np.max(clock.bound_ns))))
     return replace(joints, clocks=tuple(clocks_in_use), reports=tuple(reports))
-
-
-def _edges(output: Output, clock: DeviceClock) -> NDArray[Any]:
-    """Return the edges (n,) of EDGE of one segment of the box."""
-    edges = np.array([(0, 0.0, level) for _, level in output], EDGE)
-    edges["host_ns"], edges["bound_ns"] = clock.to_host_ns(np.array([t_us for t_us, _ in output], np.int64))
-    return edges
 
 
 def _of_segment(

@@ -187,7 +187,8 @@ def joint_readings(paths: Sequence[Path], allow_damaged: bool = False) -> tuple[
 
 def _tables(kind: str, paths: Sequence[Path], allow_damaged: bool) -> Iterator[tuple[Floats, Columns]]:
     """Yield parts of a kind of table: host times [s], as in an ObservationTable, NaN where unknown, and all columns."""
-    from truearm.session.session_tables import UNKNOWN, tabulate
+    from truearm.session.clock import UNKNOWN
+    from truearm.session.session_tables import tabulate
 
     for path in paths:
         for name, columns in tabulate(surveyed(open_finished(path, allow_damaged))):
