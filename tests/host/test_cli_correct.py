@@ -173,6 +173,7 @@ def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, run
         assert configurations["expected_min_mm"] < configurations["expected_max_mm"]
         assert configurations["expected_min_mm"] <= expected * 1.001 <= configurations["expected_max_mm"] * 1.002
         assert listed(document)["other-configurations"]["most"] == {"mm": configurations["expected_max_mm"]}
+        assert "home-decides" in listed(document)
 
 
 def test_screen_page_and_document_have_the_same_error(bench, tmp_path, run):

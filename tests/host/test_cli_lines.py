@@ -59,28 +59,6 @@ def test_inspect_lists_the_passes(folder, said):
     assert [row["speed_m_s"] for row in passes["table"]] == pytest.approx([0.2] * 4, rel=0.01)
 
 
-@pytest.mark.parametrize("solver", ["map", "recursive"])
-def test_identify_says_how_late_the_readings_are(folder, solver, said):
-    """Offsets alone: two lines tell no more."""
-    document = json.loads(
-        said(
-            "identify",
-            folder / "both.mcap",
-            "--model",
-            "puma560",
-            "--solver",
-            solver,
-            "--free",
-            "joint*.offset",
-            "--json",
-        )
-    )
-    (offset,) = [p for p in document["parameters"] if p["name"] == "time_offset"]
-    assert offset["unit"] == "s"
-    assert abs(offset["value"] - 8.4e-3) < 0.2e-3
-    assert 0.0 < offset["sigma"] < 0.2e-3
-
-
 def test_identify_in_words_and_on_its_page(folder, said):
     command = ("identify", folder / "both.mcap", "--model", "puma560", "--solver", "map", "--line-points", "8")
     text = said(*command, "--details", "--hold-out", "shell=l2-down", "--report", folder / "page.html")

@@ -235,27 +235,6 @@ def test_a_move_that_is_not_certain_is_refused(form):
     assert all(after[line - 1] == before[line - 1] for line in codes)
 
 
-@pytest.mark.parametrize("program_kind", ["script", "module"])
-def test_a_configuration_that_nothing_determines_needs_home(program_kind):
-    """The elbow of a PUMA may be up or down with axes 1, 4 and 6 in the same quarter turns."""
-    elbow = np.array((-0.4247, 0.0277, 2.2586, 1.1040, 1.1720, -2.5915))
-    module_text = module([], [f"MoveJ {robtarget_at(elbow)},v100,fine,tool0;"])
-    text = program(f"movej({six(POSES[1])})") if program_kind == "script" else module_text
-    with pytest.raises(InputError) as caught:
-        outcome(text, home=None)
-    assert [move["reason"] for move in caught.value.finding.values["refused"]] == ["configuration"]
-    done = outcome(text, home=Q[1])
-    assert "home-decides" in [note.code for note in done.notes]
-    assert done.configurations.n_targets == 1
-    assert done.configurations.shift.min() < 1e-9  # its own configuration
-    assert done.configurations.shift.max() > 1e-4
-    np.testing.assert_allclose(
-        forward(CHAIN, TRUTH, done.configurations.q),
-        done.targets.requested[[0] * len(done.configurations.q)],
-        atol=1e-6,
-    )
-
-
 def test_moves_in_texts_are_not_corrected_in_silence():
     text = program(f"movej({six(POSES[1])})", "socket_send_string('movel(p[0.1,0.2,0.3,0,0,0])')")
     assert Finding("moves-in-texts", {"n": 1, "place": "p.script line 3"}) in outcome(text).notes
@@ -433,22 +412,6 @@ def test_the_true_arm_goes_where_a_perfect_one_would_in_rapid(form):
     text = module([*(f"VAR num {name}:=0;" for name in EXTRA), *data], main, *routines)
     assert misses(text, text)[:, 0].max() > 5e-3
     assert misses(text, corrected(text)).max() < 1e-6
-
-
-@pytest.mark.parametrize("language", ["urscript", "rapid"])
-def test_a_calibration_from_noisy_lengths_is_as_good_in_a_program_as_it_is_itself(language):
-    """The arm of the demo, identified from 600 noisy lengths: three tools and three frames, within 1.2 times its own error at the tool."""
-    found = correct_bench.identified().value[: TRUTH.size]
-    data, main = RAPID_FORMS["three tools and work objects"]
-    text = program(*FORMS["three tools and features"]) if language == "urscript" else module(data, main)
-    after = corrected(text, pair=ModelPair(CHAIN, DESIGN, found))
-    done = driven(after)
-    q = np.array([move.q for move in done])
-    tools = np.linalg.inv(forward(CHAIN, DESIGN, q)) @ np.array([move.pose for move in done])
-    own = np.linalg.norm(((forward(CHAIN, TRUTH, q) - forward(CHAIN, found, q)) @ tools)[:, :3, 3], axis=1)
-    assert len(q) == 9
-    assert own.min() > 1e-6
-    assert np.sqrt(np.mean(misses(text, after)[:, 0] ** 2)) <= 1.2 * np.sqrt(np.mean(own**2))
 
 
 GRIP = f"MoveJ {robtarget(1)},v10,fine,grip;"
