@@ -6,7 +6,7 @@ Numbers here are in display units (units.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,8 @@ FEWEST_IN_BIN = 5
 
 def figures_of(rows: ResidualRows) -> list[Figure]:
     """Return all pictures of the rows of one kind, except those for which data are missing."""
-    makers: tuple[Callable[[ResidualRows], Figure | None], ...] = (histogram, by_longitude, before_after, by_order)
-    if not rows.fitted.any():
-        makers = (before_after, by_order)
-    return [figure for figure in (make(rows) for make in makers) if figure is not None]
+    of_fit = (histogram(rows), by_longitude(rows)) if rows.fitted.any() else ()
+    return [figure for figure in (*of_fit, before_after(rows), by_order(rows)) if figure]
 
 
 def histogram(rows: ResidualRows) -> Figure:
@@ -167,8 +165,7 @@ def before_after(rows: ResidualRows) -> Figure:
 
 def law_figures(curves: Iterable[SampledCurve]) -> list[Figure]:
     """Return two pictures per curve: over the joint's readings and, if it is long enough, over cycles per turn."""
-    pairs = ((_over_readings(curve), _over_cycles(curve)) for curve in curves)
-    return [figure for pair in pairs for figure in pair if figure is not None]
+    return [figure for curve in curves for figure in (_over_readings(curve), _over_cycles(curve)) if figure]
 
 
 def _over_readings(curve: SampledCurve) -> Figure:

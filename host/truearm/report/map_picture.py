@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.report.svg import Axis, Plot, axes, drawing, label, linear_axis, num, rect
+from truearm.report.svg import Axis, Plot, axes, drawing, label, linear_axis, rect
 from truearm.types import Floats
 
 # Dark to light, each lighter than the previous one, so that the picture is readable when printed without colours.
@@ -77,18 +77,8 @@ def map_picture(
         x_left, top = plot.px(u_mm[j] - 0.5 * cell), plot.py(v_mm[i] + 0.5 * cell)
         sure = f" ± {sigma_mm[i, j]:.3f}" if np.isfinite(sigma_mm[i, j]) else ""
         tip = f"{u_mm[j]:.0f}, {v_mm[i]:.0f}: {error_mm[i, j]:.3f}{sure} mm" + ", not covered" * bool(outside[i, j])
-        side = unit * cell + 0.2  # no seams between cells
-        marks.append(
-            rect(
-                float(x_left),
-                float(top),
-                side,
-                side,
-                "pale" * bool(outside[i, j]),
-                tip,
-                _fill(float(scale.fraction(error_mm[i, j]))),
-            )
-        )
+        side, css = unit * cell + 0.2, "pale" * bool(outside[i, j])  # no seams between cells
+        marks.append(rect(float(x_left), float(top), side, side, css, tip, _fill(scale.fraction(error_mm[i, j]))))
     if step > 1:
         marks.append(label(LEFT + across + 4.0, plot.height - 24, f"1 of {step}² cells shown"))
     if (outside & ~np.isnan(error_mm)).any():
@@ -114,7 +104,5 @@ def _colours(plot: Plot, scale: Axis, x_left: float) -> list[str]:
 
 
 def _fill(share: float) -> str:
-    place = float(np.clip(share, 0.0, 1.0)) * (len(COLOURS) - 1)
-    index = min(int(place), len(COLOURS) - 2)
-    red, green, blue = COLOURS[index] + (place - index) * (COLOURS[index + 1] - COLOURS[index])
-    return f' style="fill:rgb({num(round(red))},{num(round(green))},{num(round(blue))})"'
+    stops = np.linspace(0.0, 1.0, len(COLOURS))
+    return f' style="fill:rgb({",".join(f"{np.interp(share, stops, colour):.0f}" for colour in COLOURS.T)})"'

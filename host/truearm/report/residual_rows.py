@@ -88,29 +88,16 @@ class Law(NamedTuple):
 
 def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[ResidualRows]:
     """Return the observations of each kind and unit for display, without rows that have no finite residual."""
-    source, sets = np.array([row_name(name) for name in table.source], dtype=np.str_), []
-    order = np.arange(1, len(table) + 1), sessions(table), mountings(table)
-    wrapped = DEG.of(np.arctan2(np.sin(longitude), np.cos(longitude)))
+    sets, wrapped = [], DEG.of(np.arctan2(np.sin(longitude), np.cos(longitude)))
+    source, number = np.array([row_name(name) for name in table.source], dtype=np.str_), np.arange(1, len(table) + 1)
+    of_rows = (wrapped, estimate.fitted, source, number, sessions(table), mountings(table))
     for kind in np.unique(table.kind):
-        finite = {
-            si: (table.kind == kind) & np.isfinite(residual) & np.isfinite(estimate.residual_before[si])
-            for si, residual in estimate.residual.items()
-        }
+        pairs = {si: (residual, estimate.residual_before[si]) for si, residual in estimate.residual.items()}
+        finite = {si: (table.kind == kind) & np.isfinite(pair).all(axis=0) for si, pair in pairs.items()}
         units = [si for si, mask in finite.items() if mask.any()]
         for si in units:
-            mask = finite[si]
-            residual, residual_before = (
-                shown(residual[si][mask], si) for residual in (estimate.residual, estimate.residual_before)
-            )
-            component = COMPONENTS.get(si, si) if len(units) > 1 else ""
-            columns = (
-                wrapped[mask],
-                estimate.fitted[mask],
-                source[mask],
-                *(numbers[mask] for numbers in order),
-                component,
-            )
-            sets.append(ResidualRows(str(kind), si, residual, residual_before, *columns))
+            columns = (column[finite[si]] for column in (*shown(np.array(pairs[si]), si), *of_rows))
+            sets.append(ResidualRows(str(kind), si, *columns, COMPONENTS.get(si, si) if len(units) > 1 else ""))
     return sets
 
 
