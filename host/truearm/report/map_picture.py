@@ -78,7 +78,9 @@ def map_picture(
         sure = f" ± {sigma_mm[i, j]:.3f}" if np.isfinite(sigma_mm[i, j]) else ""
         tip = f"{u_mm[j]:.0f}, {v_mm[i]:.0f}: {error_mm[i, j]:.3f}{sure} mm" + ", not covered" * bool(outside[i, j])
         side, css = unit * cell + 0.2, "pale" * bool(outside[i, j])  # no seams between cells
-        marks.append(rect(float(x_left), float(top), side, side, css, tip, _fill(scale.fraction(error_mm[i, j]))))
+        marks.append(
+            rect(float(x_left), float(top), side, side, css, tip, _fill(float(scale.fraction(error_mm[i, j]))))
+        )
     if step > 1:
         marks.append(label(LEFT + across + 4.0, plot.height - 24, f"1 of {step}² cells shown"))
     if (outside & ~np.isnan(error_mm)).any():

@@ -97,7 +97,8 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
         units = [si for si, mask in finite.items() if mask.any()]
         for si in units:
             columns = (column[finite[si]] for column in (*shown(np.array(pairs[si]), si), *of_rows))
-            sets.append(ResidualRows(str(kind), si, *columns, COMPONENTS.get(si, si) if len(units) > 1 else ""))
+            component = COMPONENTS.get(si, si) if len(units) > 1 else ""
+            sets.append(ResidualRows._make((str(kind), si, *columns, component)))
     return sets
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from truearm.disk import sha256, write_atomic
@@ -108,17 +109,13 @@ def _options(path: Path, made_with: Mapping[str, Any] | None) -> tuple[IdentifyO
         raise InputError(
             f"{path}: does not say how it was made (truearm demo or an earlier truearm wrote it); identify again with truearm identify"
         )
-    names = {option.name for option in fields(IdentifyOptions)}
-    values = {key: value for key, value in made_with.items() if key in names}
-    hold_out = made_with.get("hold_out", ())
-    if set(made_with) - names - {"hold_out"} or not isinstance(hold_out, tuple):
-        raise InputError(
-            f"{path}: made_with is damaged or comes from a later truearm; update truearm, or identify again"
-        )
     try:
-        return IdentifyOptions(**values), hold_out
-    except (TypeError, InputError) as exc:
-        raise InputError(f"{path}: made_with: {exc}") from None
+        options = IdentifyOptions(**{name: value for name, value in made_with.items() if name != "hold_out"})
+        return options, msgspec.convert(made_with.get("hold_out", ()), tuple[str, ...])
+    except (TypeError, InputError, msgspec.ValidationError) as exc:
+        raise InputError(
+            f"{path}: made_with: {exc}; identify again, or update truearm if a later one wrote it"
+        ) from None
 
 
 def _check_inputs(path: Path, stored: Result, hashes: set[str]) -> None:
@@ -132,14 +129,11 @@ def _check_inputs(path: Path, stored: Result, hashes: set[str]) -> None:
 
 def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], identification: Identification) -> None:
     """Raise InputError if the fit differs from the stored one."""
-    e = identification.estimate
-    again = e.value[: len(value)]
-    differs = np.abs(again - value[: len(again)]) > SAME * np.where(
-        np.isfinite(e.sigma[: len(again)]), e.sigma[: len(again)], np.inf
-    )
-    determined = e.free[: len(again)] & e.identifiable[: len(again)]
-    if (differs & determined).any() or len(e.value) != len(value):
-        name = e.parameter_names[int(np.argmax(differs & determined))]
+    e, n = identification.estimate, min(len(value), len(identification.estimate.value))
+    tolerance = SAME * np.where(np.isfinite(e.sigma), e.sigma, np.inf)[:n]
+    differs = (np.abs(e.value[:n] - value[:n]) > tolerance) & (e.free & e.identifiable)[:n]
+    if differs.any() or len(e.value) != len(value):
+        name = e.parameter_names[int(np.argmax(differs))]
         raise InputError(
             f"{path}: the files given lead to another result (first difference: {name}); give only the files that it was made "
             "with, and the same ",
