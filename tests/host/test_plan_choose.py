@@ -60,6 +60,18 @@ def test_exchange_never_makes_it_worse_and_nothing_is_taken_twice(criterion):
     assert value(information(rows, better), criterion, region) <= value(information(rows, greedy), criterion, region)
 
 
+@pytest.mark.parametrize("criterion", Criterion)
+def test_no_choice_rests_on_rounding(criterion):
+    """Three unknowns are as vague as an unknown sphere's coordinates: the first readings of them are worth all the same."""
+    rng = np.random.default_rng(3)
+    rows, region = rng.normal(size=(300, 1, 12)), 0.01 * rng.normal(size=(40, 12))
+    rows[:, :, :3] *= 1e4 / np.linalg.norm(rows[:, :, :3], axis=2, keepdims=True)
+    region[:, :3] = np.tile(np.eye(3), (14, 1))[:40]
+    noisy = rows * (1.0 + 1e-15 * rng.normal(size=rows.shape))
+    chosen, again = (choose(each, np.eye(12), 30, criterion, region) for each in (rows, noisy))
+    assert set(chosen.tolist()) == set(again.tolist())
+
+
 def test_a_setup_is_paid_where_it_brings_enough_and_not_again():
     """Two groups of like candidates; the second alone shows the third unknown."""
     rng = np.random.default_rng(4)

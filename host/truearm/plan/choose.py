@@ -5,7 +5,7 @@ With J_i (w, k) the whitened rows of a candidate, M the information in units of 
 
 - log det M by log det S: D-optimality, the volume of the confidence ellipsoid;
 - tr(LᵀPL) by −‖S^(−1/2) J_i P L‖²: A-optimality with L = I, I-optimality with L Lᵀ = the mean of J_rᵀJ_r over the
-  region, E-optimality with L the eigenvector of the largest eigenvalue of P.
+  region, E-optimality with L Lᵀ a high power of P, in which the eigenvectors of the largest eigenvalues count.
 
 Each step takes the best candidate. If time counts, gains are per second, with ``setup`` for the first candidate of a
 group. The exchange (Fedorov 1972) replaces each by the best one as long as this helps. 400 of 5000 candidates take 0.2
@@ -26,7 +26,9 @@ from truearm.types import Floats
 
 GAIN = 1e-9  # of the criterion, relative: a swap with a smaller gain is rounding
 REFRESH = 100  # changes
-ALONE = 1e-4  # of a variance is left by a candidate that is removed: below it, nearly nothing else shows something
+TIE = 1e-6  # of a gain: among candidates that differ by less, as by rounding, the one with the most information is best
+WORST, NEGLIGIBLE = 8, 1e-3  # power of the variances for E-optimality, and the weight below which they are left out
+ALONE = 1e-4  # of a variance: a change that leaves less, or as many times more, loses the digits of all else
 
 
 def choose(
@@ -121,7 +123,8 @@ class Gains:
         self.changes += 1
         through = block @ self.covariance
         scale = np.eye(len(block)) + sign * through @ block.T
-        if self.changes % REFRESH == 0 or np.linalg.eigvalsh(scale)[0] < ALONE:
+        least, most = np.linalg.eigvalsh(scale)[[0, -1]]
+        if self.changes % REFRESH == 0 or least < ALONE or most > 1.0 / ALONE:
             self._refresh()
             return
         step = np.linalg.solve(np.linalg.cholesky(scale), through).T  # K (k, w)
@@ -135,20 +138,27 @@ class Gains:
 
     def best(self, worth: Floats) -> int:
         """Return the candidate with the largest gain times its ``worth`` (N,); 0 excludes a candidate."""
-        return int(np.argmax(np.where(worth > 0.0, self._gain() * worth, -np.inf)))
+        gain = np.where(worth > 0.0, self._gain() * worth, -np.inf)
+        return int(np.argmax(np.where(gain >= gain.max() * (1.0 - TIE), self._growth() * worth, -np.inf)))
 
     def _gain(self) -> Floats:
         """Return by how much each candidate reduces the criterion (N,)."""
-        single = self.rows.shape[1] == 1  # a division instead of N systems of one equation
         if self.criterion is Criterion.D:
-            return np.asarray(np.log(self.total[:, 0, 0]) if single else np.linalg.slogdet(self.total)[1])
+            return self._growth()
         reduced = self.reduced
         if self.criterion is Criterion.E:
-            worst = self._times(self.covariance @ np.linalg.eigh(self.covariance)[1][:, -1:])
+            values, vectors = np.linalg.eigh(self.covariance)
+            share = (values / values[-1]) ** WORST
+            worst = self._times(self.covariance @ (vectors * share)[:, share > NEGLIGIBLE])
             reduced = _products(worst, worst)
-        if single:
+        if self.rows.shape[1] == 1:  # a division instead of N systems of one equation
             return np.asarray(reduced[:, 0, 0] / self.total[:, 0, 0])
         return np.asarray(np.trace(np.linalg.solve(self.total, reduced), axis1=1, axis2=2))
+
+    def _growth(self) -> Floats:
+        """Return log det S (N,)."""
+        single = self.rows.shape[1] == 1
+        return np.asarray(np.log(self.total[:, 0, 0]) if single else np.linalg.slogdet(self.total)[1])
 
 
 def _products(first: Floats, second: Floats) -> Floats:

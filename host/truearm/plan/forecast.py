@@ -29,7 +29,7 @@ from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.registry import end_points
 from truearm.kinds.registry import points as points_of_rig
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import Chain, point_forward, point_jacobians
+from truearm.model.chain import Chain, forward, point_forward, point_jacobians
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branch_inverse import Arm, make_arm
@@ -251,9 +251,7 @@ def _point_jacobian(knowledge: Knowledge, problem: Problem, x: Floats, q: Floats
     out = np.zeros((jac.shape[0], 3, x.size))
     out[:, :, : problem.n_robot] = jac
     if columns[0] >= 0:
-        # ∂p/∂point is the end's rotation, so differences along its axes are exact.
-        shifted = [point_forward(knowledge.chain, x[: problem.n_robot], q, point + e) for e in np.eye(3)]
-        out[:, :, columns] = np.stack(shifted, axis=2) - p_base[:, :, None]
+        out[:, :, columns] = forward(knowledge.chain, x[: problem.n_robot], q)[:, :3, :3]
     return p_base, out.reshape(-1, x.size)
 
 
