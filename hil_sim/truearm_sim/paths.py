@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from truearm.correct.inverse import inverse
 from truearm.errors import PlanError
 from truearm.model.chain import Chain, forward
+from truearm.model.inverse import inverse
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Floats, Plan, Rig
 from truearm.units import MM, MM_S

@@ -580,8 +580,7 @@ def correct_poses(
     """
     targets = floats("poses", poses, None, 4, 4, or_one=True)
     _check_rigid("poses", targets)
-    near_joints = _joints("home", home, result)
-    options = CorrectOptions(Method(method), own_frames=own_frames, home=near_joints)
+    options = CorrectOptions(Method(method), own_frames=own_frames, home=_joints("home", home))
     return correct.corrected_poses(result, targets, options, partial)
 
 
@@ -687,12 +686,11 @@ def error_map(
     True
     """
     a, b = joints
-    section = Section((a, b), _joints("at", at, result), cell, own_frames)
-    return maps.mapped(result, section)
+    return maps.mapped(result, Section((a, b), _joints("at", at), cell, own_frames))
 
 
-def _joints(name: str, readings: Joints | None, result: Calibration) -> tuple[float, ...] | None:
-    """Return the checked joint readings (j,) for the robot of a result."""
+def _joints(name: str, readings: Joints | None) -> tuple[float, ...] | None:
+    """Return the checked joint readings (j,)."""
     return None if readings is None else tuple(floats(name, readings, None).tolist())
 
 

@@ -17,11 +17,11 @@ from tests.host.findings_bench import listed
 from tests.host.target_bench import driven, miss, rapid, script, table
 
 from truearm.cli.main import main
-from truearm.correct.inverse import singular_value
 from truearm.correct.target_table import parse_targets
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
 from truearm.model.chain import forward
+from truearm.model.inverse import singular_value
 from truearm.model.robot import builtin_robot
 from truearm.model.robot_file import load_robot
 from truearm.plan.ball_bar_plan import all_pairings

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from tests.host.puma_bench import CHAIN, CHUCKS, DESIGN, FREE, RIG, SIGMA, SPHERES, TRUTH, shell_poses, shell_table
 
-from truearm.correct.inverse import singular_value
 from truearm.estimate.identify import identify
 from truearm.estimate.result_document import result_of
 from truearm.estimate.result_file import RobotFrames, write_result
 from truearm.kinds.table_file import concatenate
 from truearm.model.chain import forward
+from truearm.model.inverse import singular_value
 from truearm.results import Estimate
 
 # One configuration of the arm (elbow up, wrist not flipped), away from its singularities, as in hil_sim's planner.

@@ -8,13 +8,14 @@ from correct_bench import good_poses, nominal_poses
 from puma_bench import CHAIN, DESIGN, TRUTH
 from term_bench import register
 
+from truearm.correct.configurations import search, turned, within
 from truearm.correct.correction import Configuration, correct
-from truearm.correct.inverse import inverse, jacobian, search, singular_value, turned, within
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter
+from truearm.model.inverse import inverse, jacobian, singular_value
 from truearm.model.robot import builtin_robot
 from truearm.model.robot_mounting import mountings
 

@@ -11,7 +11,6 @@ from tests.host.findings_bench import listed
 from ur10_bench import RIG, ROBOT
 
 from truearm.correct.correction import Configuration, correct
-from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import InputError, ProblemError
 from truearm.estimate.evidence import ModePrior, learned, nats_without, seen_by, weigh
@@ -26,6 +25,7 @@ from truearm.kinds.position import nearest_rotation
 from truearm.kinds.rig_file import format_rig, parse_rig
 from truearm.kinds.table_file import format_table, parse_table
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
+from truearm.model.inverse import singular_value
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.law_chain import carries, distal_frames, with_laws
 from truearm.model.poses import position_and_rotation

@@ -8,9 +8,9 @@ from tests.host.test_model_urdf import joint, robot, rodrigues
 
 import truearm
 from truearm.cli.main import main
-from truearm.correct.inverse import inverse, singular_value
 from truearm.errors import RobotError
 from truearm.model.chain import end_and_jacobian, forward, joint_jacobian, point_jacobians
+from truearm.model.inverse import inverse, singular_value
 from truearm.model.joint_law import flat
 from truearm.model.rotation import rotation_vector
 from truearm.model.urdf import chain_from_urdf

@@ -16,11 +16,11 @@ from tests.host.test_program_corrections import DATA, OBJECTS, POSES, TOOLS, Q, 
 
 from truearm.cli import main as cli
 from truearm.correct.correction import MARGIN
-from truearm.correct.inverse import inverse
 from truearm.correct.methods import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import language_of
 from truearm.model.chain import forward
+from truearm.model.inverse import inverse
 from truearm.model.robot import builtin_robot
 from truearm.workflows import correct_program as workflow
 from truearm.workflows.correct_program import CalibrationFrames, HowCorrected

@@ -16,11 +16,12 @@ from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 
-from truearm.correct.inverse import Origins, inverse, search, singular_value, within
+from truearm.correct.configurations import Origins, search, within
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
 from truearm.correct.renders_methods import false_target, joint_space, offsets
 from truearm.display import Displayed
+from truearm.model.inverse import inverse, singular_value
 from truearm.model.poses import apart
 from truearm.model.rotation import rotation_vector
 from truearm.option_defaults import MARGIN

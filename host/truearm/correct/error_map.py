@@ -22,7 +22,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from truearm.correct.inverse import within
+from truearm.correct.configurations import within
 from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.display import Displayed
 from truearm.errors import Argument, RobotError

@@ -25,8 +25,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from truearm.correct.inverse import inverse, jacobian, scaled
 from truearm.correct.model_pair import ModelPair, believed, reached
+from truearm.model.inverse import inverse, jacobian
 from truearm.model.poses import apart, moved
 from truearm.model.robot_mounting import NONE, own_law
 from truearm.types import Floats
@@ -44,9 +44,8 @@ def false_target(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = T
 
 def joint_space(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:
     """Apply one step of (34) for targets (n, 4, 4) from q (n, j), initially f_n⁻¹(x_d)."""
-    error = scaled(apart(targets, reached(pair, q)), oriented)
-    inverse_jac = np.linalg.pinv(jacobian(pair.chain, pair.nominal, q, oriented))
-    return np.asarray(q + (inverse_jac @ error[..., None])[..., 0])
+    error = apart(targets, reached(pair, q))[:, : 6 if oriented else 3, None]
+    return np.asarray(q + (np.linalg.pinv(jacobian(pair.chain, pair.nominal, q, oriented, lever=1.0)) @ error)[..., 0])
 
 
 def offsets(pair: ModelPair, q_nominal: Floats) -> Floats:

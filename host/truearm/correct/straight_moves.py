@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.correct.inverse import inverse, singular_value
 from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.model.chain import Chain
+from truearm.model.inverse import inverse, singular_value
 from truearm.model.poses import apart, inverted, moved
 from truearm.types import Floats
 

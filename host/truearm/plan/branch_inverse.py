@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
-from truearm.model.chain import Chain, end_and_jacobian, forward, joint_frames
+from truearm.model.chain import Chain, forward, joint_frames
+from truearm.model.inverse import error_and_jacobian, singular_value
 from truearm.model.workspace import Branch
 from truearm.types import Floats
 
@@ -73,27 +73,17 @@ def _solved(arm: Arm, poses: Floats) -> Floats:
     q = arm.q_seeds[arm.seeds.query(_features(poses), eps=NEARLY)[1]]
     unsolved = np.arange(len(q))
     for _ in range(ITERATIONS):
-        error, jacobian = pose_error(arm, poses[unsolved], q[unsolved])
+        error, jacobian = error_and_jacobian(arm.chain, arm.params, poses[unsolved], q[unsolved], lever=LEVER)
         normal = jacobian @ jacobian.swapaxes(-1, -2) + DAMPING**2 * np.eye(6)
         step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(normal, error[..., None]))[..., 0]
         q[unsolved] += np.clip(step, -0.4, 0.4)
         unsolved = unsolved[np.abs(error).max(axis=-1) > TOLERANCE]
     good = np.all((q > arm.branch.lower) & (q < arm.branch.upper), axis=-1)
     good[unsolved] = False
-    jacobian = pose_error(arm, poses[good], q[good])[1]
-    good[good] = np.linalg.svd(jacobian, compute_uv=False)[:, -1] > MIN_SINGULAR_VALUE
+    good[good] = singular_value(arm.chain, arm.params, q[good], lever=LEVER) > MIN_SINGULAR_VALUE
     return np.where(good[:, None], q, np.nan)
 
 
 def _features(poses: Floats) -> Floats:
     """Return positions in LEVERs and two axes, (…, 9): the distance between two poses for inverse kinematics."""
     return np.concatenate([poses[..., :3, 3] / LEVER, poses[..., :3, 2], 0.5 * poses[..., :3, 0]], axis=-1)
-
-
-def pose_error(arm: Arm, poses: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Return the error (m, 6) and the Jacobian (m, 6, j), positions in LEVERs."""
-    reached, jacobian = end_and_jacobian(arm.chain, arm.params, q)
-    turn = Rotation.from_matrix(poses[:, :3, :3] @ reached[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
-    scale = np.array([1 / LEVER] * 3 + [1.0] * 3)
-    error = np.concatenate([poses[:, :3, 3] - reached[:, :3, 3], turn], axis=-1) * scale
-    return error, jacobian * scale[:, None]

@@ -11,25 +11,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from truearm.errors import PlanError
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import tolerance_error
 from truearm.model.chain import end_and_jacobian, forward, point_forward, point_jacobians
+from truearm.model.inverse import inverse, singular_value
 from truearm.plan.bar_paths import samples
-from truearm.plan.branch_inverse import pose_error
+from truearm.plan.branch_inverse import LEVER
 from truearm.plan.collision_shapes import device_is_clear
-from truearm.plan.measurement_limits import Site, allowed, smallest_singular_value
+from truearm.plan.measurement_limits import Site, allowed
 from truearm.plan.options import LineOptions
 from truearm.plan.region import Region
 from truearm.progress import steps_of
 from truearm.types import Floats, rms_of_columns
 from truearm.units import MM
 
-STEPS = 6  # of Newton's method from one point to the next; the fourth is exact to rounding
-ON_LINE = 1e-8  # LEVERs, and rad
 # of the tool from end to end: determines its orientation without tilting the device's magnet far
 MOST_TURN = np.deg2rad(40.0)
 AT_ONCE, ROUNDS = 100, 40  # random draws
@@ -102,38 +100,20 @@ def driven_lines(site: Site, middle: Floats, displacement: Floats, turn: Floats,
     From end to end a point (3,) of the end moves by way (m, 3) [m], and the tool turns by a rotation vector turn (m,
     3).
     """
-    chain, params = site.arm.chain, site.arm.params
+    chain, params, branch = site.arm.chain, site.arm.params, site.arm.branch
     at_middle = forward(chain, params, middle)
     p_middle = point_forward(chain, params, middle, point)
-    out, good = np.full((len(middle), n, middle.shape[1]), np.nan), np.arange(len(middle))
-    shares = np.linspace(-0.5, 0.5, n)
+    out, shares = np.full((len(middle), n, middle.shape[1]), np.nan), np.linspace(-0.5, 0.5, n)
     for side in (np.flatnonzero(shares >= 0.0), np.flatnonzero(shares < 0.0)[::-1]):
-        q = middle[good]
+        q = middle
         for k in side:
-            pose = at_middle[good]
-            pose[:, :3, :3] = Rotation.from_rotvec(shares[k] * turn[good]).as_matrix() @ pose[:, :3, :3]
-            pose[:, :3, 3] = p_middle[good] + shares[k] * displacement[good] - pose[:, :3, :3] @ point
-            q, reached = _followed(site, pose, q)
-            q, good = q[reached], good[reached]
-            if not len(good):
-                return np.full_like(out, np.nan)
-            out[good, k] = q
-    lost = np.ones(len(middle), dtype=bool)
-    lost[good] = False
-    out[lost] = np.nan
-    return out
-
-
-def _followed(site: Site, pose: Floats, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return joints (m, j) near q for poses (m, 4, 4), by Newton's method, and a mask (m,) of success."""
-    for _ in range(STEPS):
-        error, jacobian = pose_error(site.arm, pose, q)
-        reached = np.abs(error).max(axis=1) < ON_LINE
-        if reached.all():
-            break
-        q = q + np.clip((np.linalg.pinv(jacobian, rcond=1e-2) @ error[..., None])[..., 0], -0.3, 0.3)
-    branch = site.arm.branch
-    return q, reached & ((q > branch.lower) & (q < branch.upper)).all(axis=1)
+            pose = at_middle.copy()
+            pose[:, :3, :3] = Rotation.from_rotvec(shares[k] * turn).as_matrix() @ pose[:, :3, :3]
+            pose[:, :3, 3] = p_middle + shares[k] * displacement - pose[:, :3, :3] @ point
+            q = inverse(chain, params, pose, q)
+            q[((q <= branch.lower) | (q >= branch.upper)).any(axis=1)] = np.nan
+            out[:, k] = q
+    return np.where(np.isnan(out).any(axis=(1, 2), keepdims=True), np.nan, out)
 
 
 def _rates(site: Site, q: Floats, velocity: Floats, turning: Floats, point: Floats) -> Floats:
@@ -156,10 +136,8 @@ def _fits(
     if np.isnan(q).any() or np.abs(q_rate).max() > joint_speed:
         return False
     path, limits = samples(q[:-1], q[1:])[0], site.limits.tightened()
-    if (
-        not allowed(site, path, None, limits).all()
-        or (smallest_singular_value(site, path) < limits.singular_value).any()
-    ):
+    singular = singular_value(site.arm.chain, site.arm.params, path, lever=LEVER)
+    if not allowed(site, path, None, limits).all() or (singular < limits.singular_value).any():
         return False
     ends = point_forward(site.arm.chain, site.arm.params, q[[0, -1]], point)
     if not device_is_clear(site.shapes, path, ends[0], ends[1], bool(point.any())):

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm import option_defaults
-from truearm.model.chain import end_and_jacobian, forward
+from truearm.model.chain import forward
+from truearm.model.inverse import singular_value
 from truearm.plan.branch_inverse import LEVER, Arm
 from truearm.plan.collision_shapes import Mounted, Shapes, clear
 from truearm.types import BallBar, Floats, Plan, Rig
@@ -106,22 +107,14 @@ def arm_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -
     blocks = [q[i : i + AT_ONCE] for i in range(0, len(q), AT_ONCE)]
     good = np.concatenate([clear(site.shapes, block, mounted) for block in blocks or [q]])
     if mounted is not None:
-        good[good] = smallest_singular_value(site, q[good]) > limits.singular_value
+        good[good] = singular_value(site.arm.chain, site.arm.params, q[good], lever=LEVER) > limits.singular_value
     return good
 
 
 def within_joints(site: Site, q: Floats, limits: Limits) -> NDArray[np.bool_]:
     """Return a mask (n,) of the poses inside the joints' limits, with their margin."""
-    joints = site.arm.chain.joints
-    lower, upper = np.array([(j.lower, j.upper) for j in joints]).T
+    lower, upper = site.arm.chain.limits
     return np.asarray(((q > lower + limits.joint_margin) & (q < upper - limits.joint_margin)).all(axis=-1))
-
-
-def smallest_singular_value(site: Site, q: Floats) -> Floats:
-    """Return the smallest singular value (n,) of the end's Jacobian, with metres in LEVERs; 0 at a singularity."""
-    jacobian = end_and_jacobian(site.arm.chain, site.arm.params, q)[1]
-    jacobian[:, :3] /= LEVER
-    return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[:, -1])
 
 
 def free_travel(bar: BallBar, limits: Limits) -> float:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from truearm.correct.configurations import several_fit
 from truearm.correct.correction import Configuration, Correction, at_tools
-from truearm.correct.inverse import several_fit
 from truearm.correct.methods import with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.collector import uncollected
+from truearm.correct.configurations import Origins, several_fit, solutions, within
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import Configuration, Correction, at_tools, correct, joined
-from truearm.correct.inverse import Origins, inverse, several_fit, solutions, within
 from truearm.correct.methods import JointMoves, Method
 from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.programs import corrected_text
@@ -28,6 +28,7 @@ from truearm.correct.straight_moves import straight_moves
 from truearm.errors import Argument, InputError
 from truearm.findings import Finding, Reason
 from truearm.model.chain import joint_jacobian
+from truearm.model.inverse import inverse
 from truearm.model.poses import Six, apart, frame_of, inverted
 from truearm.text import counted
 from truearm.types import Floats

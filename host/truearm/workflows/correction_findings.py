@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.correct.correction import Correction
-from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.findings import Finding
+from truearm.model.inverse import singular_value
 from truearm.model.poses import apart, inverted, position_and_rotation
 from truearm.report.correction_page import STRAIGHT
 from truearm.strict_json import number_or_null

@@ -1,17 +1,4 @@
-"""Inverse kinematics of any chain: joint readings that bring the end to a pose, or its origin to a point.
-
-Levenberg–Marquardt on the pose error e (position, rotation vector), all targets at once, with the damping of Sugihara
-(IEEE Transactions on Robotics 27, 2011, 984):
-
-    Δq = Jᵀ·(J·Jᵀ + ½‖e‖²·I)⁻¹·e .
-
-Far away, the damping keeps the steps short. Near the solution it vanishes, and the steps are Newton's: the error is
-squared at each step, down to rounding. For a robot with more joints than needed, and for a target without orientation,
-the joint motion from the starting point is the smallest.
-
-The smallest singular value of the Jacobian shows how close a singularity is: an error of one moves the joints by 1/σ.
-Here metres count in units of LEVER, to make a rotation of the wrist comparable with a motion of the arm.
-"""
+"""The configurations in which an arm reaches its targets, and the one that is nearest to where the robot comes from."""
 
 from __future__ import annotations
 
@@ -20,16 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.model.chain import Chain, end_and_jacobian
-from truearm.model.poses import apart
+from truearm.model.chain import Chain
+from truearm.model.inverse import CHUNK, LEVER, inverse, singular_value
 from truearm.progress import steps_of
 from truearm.types import Floats
 
-LEVER = 0.5  # m
-MAX_STEPS = 100
-# Rounding leaves 1e-16 for an arm of one metre; as damping, it exceeds that of J·Jᵀ.
-REACHED = 1e-12  # LEVERs and rad, of ‖e‖
-STATIONARY = 0.01  # of ‖e‖: a step that moves no joint by more reduces the error hardly
 N_STARTS = 40  # of a search: an arm with six joints has up to 16 configurations
 PASSES = 4  # continuations from the previous solution, whose configuration the starts may have missed
 EDGE = 0.01  # rad beyond a quarter turn: an axis at 0 is there to within the digits of the program's numbers
@@ -38,7 +20,6 @@ ROUNDING = 1e-10  # rad, m beyond a limit
 ROOM = 0.05  # rad, m: typical motion of a joint by a correction
 CELL = 0.1  # LEVERs and of axes: targets in one cell start from each other's solutions
 SINGULAR = 0.1  # twice the margin of corrections
-CHUNK = 2_000  # targets solved at once: Jacobians of 1 MB
 
 
 class Origins(NamedTuple):
@@ -49,87 +30,6 @@ class Origins(NamedTuple):
 
     target: NDArray[np.int_]
     q: Floats
-
-
-def inverse(
-    chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool = True, bounded: bool = False
-) -> Floats:
-    """Return the solutions (n, j) for targets (n, 4, 4) that are nearest downhill from q_start (n, j), NaN for none.
-
-    oriented : False if only the origin matters. bounded : True if no step may leave the joint limits, within which
-        q_start must be; otherwise limits are ignored.
-    """
-    chunks = [slice(first, first + CHUNK) for first in range(0, max(len(targets), 1), CHUNK)]
-    chunks_done = steps_of(chunks, f"solving for the joints of {len(targets)} targets")
-    solved = [_inverse(chain, params, targets[rows], q_start[rows], oriented, bounded) for rows in chunks_done]
-    return np.concatenate(solved)
-
-
-def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool, bounded: bool) -> Floats:
-    q = np.array(q_start, dtype=float)
-    error, jac = _error_and_jacobian(chain, params, targets, q, oriented)
-    size = np.linalg.norm(error, axis=-1)
-    moving = size > REACHED
-    for _ in range(MAX_STEPS):
-        rows = np.flatnonzero(moving)
-        if not rows.size:
-            break
-        step = _bounded_step(chain, q[rows], jac[rows], error[rows]) if bounded else _step(jac[rows], error[rows])
-        q[rows] += step
-        moving[rows] = np.abs(step).max(axis=-1) > STATIONARY * size[rows]
-        error[rows], jac[rows] = _error_and_jacobian(chain, params, targets[rows], q[rows], oriented)
-        size[rows] = np.linalg.norm(error[rows], axis=-1)
-        moving &= size > REACHED
-    return np.where((size <= REACHED)[:, None], chain.completed(q), np.nan)
-
-
-def _error_and_jacobian(
-    chain: Chain, params: Floats, targets: Floats, q: Floats, oriented: bool
-) -> tuple[Floats, Floats]:
-    """Return the error towards the targets (n, 6), and ``jacobian``."""
-    pose, jac = end_and_jacobian(chain, params, q)
-    jac[:, :3] /= LEVER
-    return scaled(apart(targets, pose), oriented), jac if oriented else jac[:, :3]
-
-
-def jacobian(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
-    """Return the Jacobian (n, 6, j), or (n, 3, j) for the position alone, with positions in LEVERs."""
-    jac = end_and_jacobian(chain, params, np.nan_to_num(q))[1]  # LAPACK fails at NaN
-    jac[:, :3] /= LEVER
-    return jac if oriented else jac[:, :3]
-
-
-def singular_value(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
-    """Return the smallest singular value (n,) of ``jacobian`` by the joints that move on their own; NaN if q (n, j) is."""
-    chunks = [slice(first, first + CHUNK) for first in range(0, max(len(q), 1), CHUNK)]
-    jacs = (jacobian(chain, params, q[rows], oriented)[..., chain.motors] for rows in chunks)
-    smallest = np.concatenate([np.linalg.svd(jac, compute_uv=False)[:, -1] for jac in jacs])
-    return np.where(np.isnan(q).any(axis=-1), np.nan, smallest)
-
-
-def scaled(error: Floats, oriented: bool = True) -> Floats:
-    """Return a difference (n, 6) scaled like the rows of ``jacobian``."""
-    error = np.concatenate([error[..., :3] / LEVER, error[..., 3:]], axis=-1)
-    return error if oriented else error[..., :3]
-
-
-def _bounded_step(chain: Chain, q: Floats, jac: Floats, error: Floats) -> Floats:
-    """Return the step (n, j) by which a joint stops at its limit; from there the others move alone."""
-    lower, upper = chain.limits
-    step = _step(jac, error)
-    for _ in range(q.shape[1]):
-        stopped = ((step < 0.0) & (q <= lower)) | ((step > 0.0) & (q >= upper))
-        if not stopped.any():
-            break
-        jac = np.where(stopped[:, None], 0.0, jac)
-        step = _step(jac, error)
-    return np.clip(q + step, lower, upper) - q
-
-
-def _step(jac: Floats, error: Floats) -> Floats:
-    damping = 0.5 * (error**2).sum(axis=-1) + REACHED
-    normal = jac @ jac.swapaxes(-1, -2) + damping[:, None, None] * np.eye(jac.shape[-2])
-    return np.asarray((jac.swapaxes(-1, -2) @ np.linalg.solve(normal, error[..., None]))[..., 0])
 
 
 def search(
@@ -193,7 +93,8 @@ def solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> 
     def searched(rows: NDArray[np.int_]) -> Floats:
         """Return the solutions of targets (rows,) from all starts."""
         chunks = []
-        for first in range(0, max(len(rows), 1), CHUNK):
+        firsts = range(0, max(len(rows), 1), CHUNK)
+        for first in steps_of(firsts, f"solving for the joints of {len(rows)} targets"):
             goals = np.repeat(targets[rows[first : first + CHUNK]], N_STARTS, axis=0)
             q_start = np.tile(starts, (len(goals) // N_STARTS, 1))
             ends = inverse(chain, params, goals, q_start, oriented, bounded)
