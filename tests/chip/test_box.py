@@ -32,7 +32,6 @@ from .conftest import MS, Chip, Counting, document, ident
 
 S = 1_000_000
 PERIOD_NS = 983_040
-BLOCK = 13  # samples of the converter in a frame
 
 
 def heartbeats(found):

@@ -10,7 +10,6 @@ from hardware import budget, lvdt_check
 from .bench import run_steps
 
 PERIOD_US = 1e6 / budget.EXCITATION_HZ
-SAMPLES = 3000
 SCRIPT = """
 from drivers.lvdt import Excitation
 import array

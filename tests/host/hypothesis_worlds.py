@@ -274,10 +274,6 @@ def jump(reading, amount, rng):
     return amount * (np.arange(n) >= int(n * rng.uniform(0.15, 0.85)))
 
 
-def wheel(reading, amount, rng):
-    return amount * np.cos(reading - rng.uniform(0.0, 2.0 * np.pi))
-
-
 def mislabelled(of, rng, whole=True):
     """One mount, or its second half, was measured with another sphere or chuck than its label says."""
     world = clean(of, rng)

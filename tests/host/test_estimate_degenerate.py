@@ -16,10 +16,6 @@ def fit(rig, rows, **more):
     return identify(CHAIN, rig, rows, free=FREE, prefer=FREE, **more)
 
 
-def chucks_at(*places):
-    return Rig({n: Point(n, p) for n, p in zip(RIG.chucks, places, strict=True)}, RIG.spheres, RIG.bars)
-
-
 def nearly_in_line(rng, places, sigma):
     """Return 300 lengths from chucks at some places (3, 3), known to ``sigma`` [m], of a robot off by 1 mm and 2 mrad."""
     scatter = {"m": 1e-3, "rad": 2e-3, "1": 1e-4}

@@ -12,7 +12,6 @@ from truearm.model.robot import builtin_robot
 from truearm.model.urdf import chain_from_urdf
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
-FILES = Path(__file__).parents[2] / "host" / "truearm" / "model" / "robots"
 X, Y, Z = np.eye(3)
 RX90 = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 TOOL0 = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])

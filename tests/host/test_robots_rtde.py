@@ -49,7 +49,6 @@ TEXT = h("""00 16  4d         # size 22, 'M'
             02                # warning""")
 SETUP_500 = h("00 1d  4f  407f400000000000  61637475616c5f71 2c 61637475616c5f7164  # 500.0, 'actual_q,actual_qd' (UR)")
 SETUP_TYPES = h("00 13  4f  01  444f55424c45 2c 564543544f523644  # recipe 1, 'DOUBLE,VECTOR6D'; (UR) but for the size")
-SETUP_NOT_FOUND = h("00 16  4f  00  4e4f545f464f554e44 2c 564543544f523644  # not accepted, 'NOT_FOUND,VECTOR6D'")
 DATA = h("00 14  55  01  40d0070d2f1a9fbe  3ff0000000000000  # recipe 1, 16412.206, 1.0 (UR)")
 DATA_Q = h("""00 3c  55  01                # size 60: 3 + 1 + 8 + 48, 'U', recipe 1
               40f8 6a00 0000 0000        # timestamp 100000.0

@@ -1,12 +1,8 @@
-"""What a true arm's joints do beyond geometry, checked against physics and against the gap that Goswami saw."""
-
-from dataclasses import replace
+"""What a true arm's joints do beyond geometry, checked against physics."""
 
 import numpy as np
 import pytest
-from tests.end_to_end.conftest import measured_by_bars
 
-from truearm.estimate.identify import identify
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import reach
@@ -82,18 +78,3 @@ def test_every_arm_has_a_rig_and_moves_within_its_speeds(name):
     assert len(world.controller.arm.backlash) == len(robot.chain.joints)
     zero = np.array([rig.bars[bar].zero for bar in plan.bar])
     assert np.abs(world.truth.length - zero).max() < 0.0375  # half the bars' travel
-
-
-def gap(amplitude, seeds=(1, 2)):
-    """RMS [m] on the shells of 46 cm that were fitted and on those of 61 cm, of arms with gears that err."""
-    robot = builtin_robot("puma560")
-    rig = standard_rig()
-    rig = replace(rig, bars={name: replace(bar, sigma=60e-6) for name, bar in rig.bars.items()})
-    plan = standard_plan(800, 1)
-    out = []
-    for seed in seeds:
-        gears = GearError.drawn(amplitude, tuple(np.deg2rad([180.0, 90.0])), 6, seed)
-        table = measured_by_bars(World(seed, plan, rig, arm=Arm(errors=(gears,) if amplitude else ())))
-        found = identify(robot.chain, rig, table, free=robot.free, hold_out=table.bar == "bar61")
-        out.append((found.rms_after["m"], found.held_out.figures["m"].rms))
-    return np.mean(out, axis=0)
