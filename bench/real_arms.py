@@ -32,7 +32,7 @@ from truearm.model.robot import Robot
 from truearm.model.robot_file import load_robot
 from truearm.types import BallBar, Device, Floats, Point, Rig
 from truearm.workflows.calibration import Identification
-from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.identify import IdentifyOptions, identified
 from truearm.workflows.selection import held_out_rows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -237,11 +237,10 @@ def errors(case: Case, chain: Chain, names: tuple[str, ...], value: Floats) -> F
 
 
 def run(case: Case) -> Outcome:
-    selection = Selection(case.robot.free, case.held if case.held.any() else None, (case.split,))
     seconds, results = [], []
     for mode in ("none", "auto"):
         start = time.process_time()
-        found = identified(case.robot, case.rig, case.table, selection, IdentifyOptions(joint_laws=mode))
+        found = identified(case.robot, case.rig, case.table, case.held, IdentifyOptions(joint_laws=mode))
         seconds.append(time.process_time() - start)
         results.append(found)
     plain, best = (errors(case, one.chain, one.estimate.parameter_names, one.estimate.value) for one in results)

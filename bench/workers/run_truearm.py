@@ -17,7 +17,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import _folded, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.types import BallBar, Device, Point, Rig
-from truearm.workflows.identify import Selection, identified
+from truearm.workflows.identify import IdentifyOptions, identified
 
 ROBOTS = {"position": "ur10e", "ball_bar": "puma560"}
 
@@ -61,7 +61,8 @@ def main(what: str, kind: str, path: str, runs: int) -> None:
 
     def run():
         if what == "identify":
-            return identified(robot, rig, table, Selection(free, named=free)).estimate
+            names = [name for name, is_free in zip(chain.parameter_names, free, strict=True) if is_free]
+            return identified(robot, rig, table, options=IdentifyOptions(free=tuple(names))).estimate
         problem = build_problem(chain, rig, table)
         return fit(problem, free, problem.start)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,7 +41,7 @@ from truearm.workflows import correct, export, plan
 from truearm.workflows import identify as identification
 from truearm.workflows import map as maps
 from truearm.workflows.calibration import Calibration, Identification, read_calibration
-from truearm.workflows.identify import IdentifyOptions, Progress
+from truearm.workflows.identify import DEFAULTS, IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, completed_rigs, read_sources
 from truearm.workflows.plan import BallBarOptions
 from truearm.workflows.requests import CorrectOptions, Section
@@ -364,14 +364,11 @@ def identify(
     """
     rows = _table("table", table, robot)
     rigs = _rigs(rig, rows)
-    chosen = options or identification.DEFAULTS
     if isinstance(hold_out, np.ndarray):
-        selection = identification.selected(robot, rows, (), chosen)
-        selection = replace(selection, held_out=_mask(hold_out, rows), held_out_by=("a mask",))
+        held: Sequence[str] | NDArray[np.bool_] = _mask(hold_out, rows)
     else:
-        names = _texts(hold_out) if isinstance(hold_out, str | Sequence) else (str(float(hold_out)),)
-        selection = identification.selected(robot, rows, names, chosen)
-    return identification.identified(robot, rigs, rows, selection, chosen, progress=progress)
+        held = _texts(hold_out) if isinstance(hold_out, str | Sequence) else (str(float(hold_out)),)
+    return identification.identified(robot, rigs, rows, held, options or DEFAULTS, progress=progress)
 
 
 @checked

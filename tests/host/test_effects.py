@@ -20,7 +20,7 @@ from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation
 from truearm.results import DriftWith, Effect
 from truearm.types import Point
-from truearm.workflows.identify import IdentifyOptions, Selection, identified, rejudged, split_causes
+from truearm.workflows.identify import IdentifyOptions, identified, rejudged, split_causes
 from truearm.workflows.selection import parse_effect
 
 UNMOVED = np.eye(4)
@@ -148,7 +148,7 @@ def test_laws_are_not_fitted_to_rounding(mode, decimals):
     rig = replace(worlds.RIG, bars=bars)
     robot = builtin_robot("puma560")
     options = IdentifyOptions(joint_laws=mode, apply=("chuck.c1",))
-    found = identified(robot, rig, rows, Selection(robot.free), options)
+    found = identified(robot, rig, rows, (), options)
     assert found.estimate.status == "converged"
     assert not (found.estimate.joint_laws and found.estimate.joint_laws.kept)
     if decimals is None:

@@ -12,7 +12,7 @@ from scipy import stats
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import covariance, spectrum
 from truearm.estimate.robust import CAUCHY, HUBER, Moments, sandwich, tuning, weigh
-from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.identify import IdentifyOptions, identified
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber", "cauchy"])
@@ -85,7 +85,7 @@ def test_errors_are_as_large_as_the_covariance_says(loss):
 
 def robustly_identified(table, loss):
     options = IdentifyOptions(loss=loss, joint_laws="none")
-    return identified(ROBOT, FAULT_RIG, table, Selection(FREE), options)
+    return identified(ROBOT, FAULT_RIG, table, (), options)
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])

@@ -40,7 +40,7 @@ from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import correct_file
 from truearm.workflows.export import curve_table, exported
-from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.identify import IdentifyOptions, identified
 from truearm.workflows.map import Section, map_files, mapped
 from truearm.workflows.requests import CorrectFiles, CorrectOptions, MapFiles
 from truearm.workflows.validate import validated
@@ -156,7 +156,7 @@ def world(rng, n, curves=True, masses=True, gravity=DOWN):
 
 
 def identified_with(table, held, mode):
-    return identified(ROBOT, RIG, table, Selection(ROBOT.free, held, ("some",)), IdentifyOptions(joint_laws=mode))
+    return identified(ROBOT, RIG, table, held, IdentifyOptions(joint_laws=mode))
 
 
 @pytest.fixture(scope="module")
@@ -375,9 +375,7 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     assert parse_rig(format_rig(read), "again.toml") == read
     rig = replace(RIG, payload=read.payload, payload_centre=read.payload_centre)
     by_table = identified_with(table, none, "sag")
-    by_rig = identified(
-        ROBOT, rig, without_payload(table), Selection(ROBOT.free, none), IdentifyOptions(joint_laws="sag")
-    )
+    by_rig = identified(ROBOT, rig, without_payload(table), none, IdentifyOptions(joint_laws="sag"))
     for found in (by_table, by_rig):
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert all(0.3 < law["range_share"] <= 1.0 for law in found.document["joint_laws"]["tried"] if law["kept"])

@@ -8,7 +8,7 @@ from ur10_bench import ROBOT
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.types import BallBar, Point, Rig
-from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.identify import IdentifyOptions, identified
 
 NOISE = 3e-5  # m
 SPHERES = np.array([[0.07, 0.04, 0.11], [-0.07, 0.04, 0.11], [0.0, -0.08, 0.11]])  # m
@@ -41,8 +41,7 @@ def world(seed, n, laws, error=""):
 
 
 def found(rig, table, mode):
-    selection = Selection(ROBOT.free, np.zeros(len(table), dtype=bool))
-    return identified(ROBOT, rig, table, selection, IdentifyOptions(joint_laws=mode)).estimate
+    return identified(ROBOT, rig, table, (), IdentifyOptions(joint_laws=mode)).estimate
 
 
 def names_of(estimate):

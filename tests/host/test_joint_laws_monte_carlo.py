@@ -11,7 +11,7 @@ from truearm.estimate import joint_laws, law_fit
 from truearm.estimate.problem import build_problem
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_frames, point_forward
-from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.identify import IdentifyOptions, identified
 
 WORLDS = 40
 NOISE = 3e-5  # m
@@ -88,7 +88,7 @@ def rig_of(several):
 
 def fitted(table, rig, mode):
     none = np.zeros(len(table), dtype=bool)
-    return identified(ROBOT, rig, table, Selection(ROBOT.free, none), IdentifyOptions(joint_laws=mode))
+    return identified(ROBOT, rig, table, none, IdentifyOptions(joint_laws=mode))
 
 
 def judged(found, rig, table):

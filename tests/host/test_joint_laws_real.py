@@ -10,7 +10,7 @@ from ur10_bench import RIG
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import parse_table
 from truearm.model.robot_file import load_robot
-from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.identify import identified
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
@@ -19,8 +19,7 @@ LARGEST = 0.36  # mm, of UR10 C
 
 def held_out_means(robot, rig, table, held):
     """Mean held-out errors [mm] of geometry and with laws."""
-    selection = Selection(robot.free, held, ("held",))
-    found = identified(robot, rig, table, selection, IdentifyOptions())
+    found = identified(robot, rig, table, held)
     steps = found.estimate.joint_laws.steps
     last = found.estimate.held_out.figures["m"].mean
     return 1e3 * steps[0].held_out.figures["m"].mean, 1e3 * last

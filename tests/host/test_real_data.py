@@ -18,7 +18,7 @@ from truearm.model.robot_file import load_robot
 from truearm.model.urdf import free_without_gains
 from truearm.report.result_findings import fault_findings
 from truearm.units import DEG
-from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.identify import IdentifyOptions, identified
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 
@@ -134,8 +134,8 @@ def test_one_place_offers_nothing_to_apply(panda):
     """Its finding is an error of the model, which the mean of its causes would carry to other places: 0.251 mm instead of 0.216."""
     robot = load_robot(str(MUKCA / "panda.urdf"), None, "ball_link")
     table = read_table(MUKCA / "panda_3.csv", robot.chain.joint_units)
-    choice = Selection(robot.free, table.place != "backleft")
-    result = identified(robot, panda[1], table, choice, IdentifyOptions(joint_laws="none"))
+    held = table.place != "backleft"
+    result = identified(robot, panda[1], table, held, IdentifyOptions(joint_laws="none"))
     assert [fault.rivals[0].name for fault in result.estimate.faults] == ["panda_joint2.step"]
     (finding,) = (finding for finding in fault_findings(result.document) if finding.code == "fault-choice")
     assert finding.values["few"]

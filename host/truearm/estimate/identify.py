@@ -81,7 +81,7 @@ class SolverOptions:
     loss : "linear", "huber" or "cauchy" (robust.py), for the solvers lm and map.
     progress : called with (iteration, RMS by SI unit) after each step.
     effects : systematic errors to estimate as well; their rows are rows of the table.
-    leave_out : rows to neither fit nor validate on: the first, and the one after the last, from 0.
+    leave_out : (n,) rows to neither fit nor validate on, default none.
     reject : fit again without outliers (``outliers``), for a least-squares fit by lm or map.
     outliers : (n,) rows known to be outliers, instead of those that the fit itself would reject.
     """
@@ -91,7 +91,7 @@ class SolverOptions:
     max_iterations: int = option_defaults.MAX_ITERATIONS
     progress: Progress | None = None
     effects: tuple[Effect, ...] = ()
-    leave_out: tuple[tuple[int, int], ...] = ()
+    leave_out: NDArray[np.bool_] | None = None
     reject: bool = False
     outliers: NDArray[np.bool_] | None = None
 
@@ -222,7 +222,7 @@ def _task(
     free = np.ones(p, dtype=bool) if parameters[0] is None else parameters[0]
     prefer = np.zeros(p, dtype=bool) if parameters[1] is None else parameters[1]
     held = np.zeros(len(table), dtype=bool) if hold_out is None else hold_out
-    left_out = rows_left_out(options.leave_out, len(table))
+    left_out = np.zeros(len(table), dtype=bool) if options.leave_out is None else options.leave_out
     held = held & ~left_out
     fitted = ~(held | left_out)
     if not fitted.any():
@@ -387,17 +387,6 @@ def _errors(task: _Task, nominal: _Nominal, solution: Solution, quality: _Qualit
         "unfitted_error_before": error_before if np.any(task.columns & ~nominal.mounts) else {},
         "unexplained": unexplained,
     }
-
-
-def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the rows in some spans. Raises ProblemError for a span that is not within the table."""
-    out = np.zeros(n, dtype=bool)
-    for first, last in spans:
-        if not 0 <= first < last <= n:
-            rows = f"row {last}" if last == first + 1 else f"rows {first + 1} to {last}"
-            raise ProblemError(f"{rows} cannot be left out: the table has rows 1 to {n}")
-        out[first:last] = True
-    return out
 
 
 def determined(

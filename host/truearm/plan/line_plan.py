@@ -73,6 +73,12 @@ def plan_lines(
     seconds_each = SETUP + 2.0 * options.passes * (options.length / options.speed + 2.0 * SETTLE)
     budget = np.inf if options.minutes is None else 60.0 * options.minutes
     n = options.lines or int(budget / seconds_each)
+    too_small = PlanError(
+        f"a budget of {options.minutes or 0.0:g} min is too small: placing the device takes {SETUP:g} s, and driving along it "
+        f"{seconds_each - SETUP:.0f} s; give more minutes"
+    )
+    if not n:
+        raise too_small
     n_candidates = max(options.candidates, n if options.lines else 1)
     fewest = options.lines or 1
     candidates = candidate_lines(site, options, n_candidates, point, pace.joint_speed, region, options.seed, fewest)
@@ -92,10 +98,7 @@ def plan_lines(
             break
         n -= 1
     else:
-        raise PlanError(
-            f"a budget of {options.minutes:g} min is too small: placing the device takes {SETUP:g} s, and driving along it "
-            f"{seconds_each - SETUP:.0f} s; give more minutes"
-        )
+        raise too_small
     knowledge = replace(knowledge, rig=replace(knowledge.rig, line_travel=options.transverse))
     table, devices = line_rows(knowledge, lines, names, target, options.passes)
     errors = a_priori(site, lines.points, point)

@@ -19,7 +19,7 @@ from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.identify import SolverOptions, judged, rows_left_out
+from truearm.estimate.identify import SolverOptions, judged
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, WithLaws, is_of_joint, with_joint_laws, without_outliers
 from truearm.estimate.law_choice import LawChoice
@@ -55,8 +55,8 @@ from truearm.workflows.selection import (
     held_out_rows,
     matching,
     parse_effect,
-    parse_rows,
     proposed_hold_out,
+    rows_named,
 )
 
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
@@ -129,21 +129,6 @@ DEFAULTS = IdentifyOptions()
 
 
 @dataclass(frozen=True)
-class Selection:
-    """The parameters to estimate, free (p,), and the rows for judging: held_out (n,), and the user's names for them.
-
-    ``named`` (p,) are the parameters requested by name: no default fixes them.
-    """
-
-    free: Mask
-    held_out: Mask | None = None
-    held_out_by: tuple[str, ...] = ()
-    named: Mask | None = None
-    hold_out: tuple[str, ...] = ()  # as requested
-    folds: tuple[tuple[str, Mask], ...] = ()  # to hold out in turn, by name
-
-
-@dataclass(frozen=True)
 class IdentifyFiles:
     """Input and output files of ``truearm identify``; ``command`` is printed on the report.
 
@@ -170,17 +155,10 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     check_files(sources, files.robot, outputs, files.force)
     robot = files.robot.load()
     rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
-    selection = selected(robot, table, hold_out, options)
+    origin = Origin(hashed_inputs(sources, files.robot), counts, sources.said)
+    identification = identified(robot, rig, table, hold_out, options, origin)
     if files.save_table is not None:
         write_table(files.save_table, table, robot.chain.joint_units)
-    identification = identified(
-        robot,
-        rig,
-        table,
-        selection,
-        options,
-        Origin(hashed_inputs(sources, files.robot), counts, sources.said),
-    )
     if files.report is not None:
         with step("drawing the report"):
             write_page(files.report, identification, files.command, recordings)
@@ -193,17 +171,6 @@ def _other_robots() -> Robots:
     """Return the built-in robots by name, to which observations may belong."""
     robots = {name: builtin_robot(name) for name in builtin_names()}
     return {name: (robot.chain, robot.free) for name, robot in robots.items()}
-
-
-def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:
-    """Return what to estimate and what to judge by. Raises InputError for a pattern or group that matches nothing."""
-    folds = folds_of(table, hold_out, options.seed)
-    rows = held_out_rows(table, () if folds else hold_out, options.seed, options.fit_only)
-    held_out_by = (*hold_out, *(f"all but {group}" for group in options.fit_only))
-    names = robot.chain.parameter_names
-    free = free_parameters(names, robot.free, options.free, options.freeze, options.also_free)
-    named = matching(names, "free", options.free) | matching(names, "also_free", options.also_free)
-    return Selection(free, rows, held_out_by, named, tuple(hold_out), tuple(folds))
 
 
 def split_causes(
@@ -318,15 +285,19 @@ def with_drawing(robot: Robot, rig: Rigs, table: ObservationTable, estimate: Est
 
 
 def held_out_in_turn(
-    robot: Robot, rig: Rigs, table: ObservationTable, selection: Selection, options: IdentifyOptions
+    robot: Robot,
+    rig: Rigs,
+    table: ObservationTable,
+    masks: Sequence[tuple[str, Mask]],
+    always_held: Mask,
+    options: IdentifyOptions,
 ) -> tuple[Fold, ...]:
-    """Return the errors of the selection's folds, each in a fit without its rows, and those of all folds together."""
+    """Return the errors of folds, each in a fit without its rows, and those of all folds together."""
     folds, together = [], dict[str, Floats]()
-    always_held = np.zeros(len(table), dtype=bool) if selection.held_out is None else selection.held_out
-    for name, rows in selection.folds:
-        held, without = rows & ~always_held, replace(selection, held_out=rows | always_held, folds=())
+    for name, rows in masks:
+        held = rows & ~always_held
         with step(f"identifying without {name}"):
-            fit = identified(robot, rig, table, without, options).estimate
+            fit = identified(robot, rig, table, rows | always_held, options).estimate
         folds.append(Fold(name, Figures.by_unit(fit.residual, held)))
         for unit, error in fit.residual.items():
             together.setdefault(unit, np.full(len(table), np.nan))[held] = error[held]
@@ -348,36 +319,37 @@ def identified(
     robot: Robot,
     rig: Rigs,
     table: ObservationTable,
-    selection: Selection,
+    hold_out: Sequence[str] | Mask = (),
     options: IdentifyOptions = DEFAULTS,
     origin: Origin = UNKNOWN,
     *,
     progress: Progress | None = None,
 ) -> Identification:
-    """Identify the selected parameters.
+    """Identify a robot; ``hold_out``: the rows to judge by, as the user names them (``held_out_rows``, ``folds_of``).
 
-    ``origin``: that of the rows, for result.json. A choice of frame and
-    joints that do not move are held fixed, unless their parameters were requested by name. Raises ProblemError if
-    observations and robot do not form a problem that can be solved.
+    ``origin``: that of the rows, for result.json. A choice of frame and joints that do not move are held fixed, unless
+    their parameters were requested by name. Raises InputError for a pattern or group that matches nothing, and
+    ProblemError if observations and robot do not form a problem that can be solved.
     """
-    chain = robot.chain
+    chain, names = robot.chain, robot.chain.parameter_names
+    folds = folds_of(table, hold_out, options.seed)
+    held = held_out_rows(table, () if folds else hold_out, options.seed, options.fit_only)
+    held_rows = np.zeros(len(table), dtype=bool) if held is None else held
+    groups = () if isinstance(hold_out, np.ndarray) else tuple(hold_out)
+    held_out_by = ("a mask",) * bool(held_rows.any()) if isinstance(hold_out, np.ndarray) else groups
+    requested = free_parameters(names, robot.free, options.free, options.freeze, options.also_free)
+    named = matching(names, "free", options.free) | matching(names, "also_free", options.also_free)
     prior = Prior(options.prior or default_prior(robot, options.solver))
-    named = np.zeros(selection.free.size, dtype=bool) if selection.named is None else selection.named
     copied = copied_rows(chain, rig, table)
-    copies = [(row, row + 1) for row in np.flatnonzero(copied >= 0).tolist()]
-    leave_out = (*(rows for text in options.leave_out for rows in parse_rows(text, table.source)), *copies)
-    unused = rows_left_out(leave_out, len(table))
-    if selection.held_out is not None:
-        unused |= selection.held_out
+    leave_out = np.any([copied >= 0, *(rows_named(text, table.source) for text in options.leave_out)], axis=0)
+    unused = leave_out | held_rows
     if unused.all():
         raise ProblemError("nothing-left", what="observations")
     check_rows(chain, table, ~unused)
     fitted = table.select(~unused)
     effects, causes = split_causes(chain, rig, table, options.apply)
     allowed = [effect.select(~unused) for effect in modelled_of(chain, rig, table, effects)]
-    free, weak, chosen = choose_defaults(
-        chain, rig, fitted, selection.free, named, prior is Prior.WHERE_NEEDED, allowed
-    )
+    free, weak, chosen = choose_defaults(chain, rig, fitted, requested, named, prior is Prior.WHERE_NEEDED, allowed)
     sigma = weak if prior is Prior.WHERE_NEEDED else prior_named(chain, prior)
     if prior is Prior.WHERE_NEEDED and not chosen.believed:
         prior = Prior.NONE
@@ -388,7 +360,7 @@ def identified(
 
     def geometry(outliers: Mask | None = None) -> Estimate:
         chosen_options = replace(solver_options, outliers=outliers)
-        masks = {"free": free, "hold_out": selection.held_out, "prefer": robot.free}
+        masks = {"free": free, "hold_out": held, "prefer": robot.free}
         return estimate_parameters(chain, rig, table, prior_sigma=sigma, options=chosen_options, **masks)
 
     examinations: dict[bytes, Examination | None] = {}  # by values and weights of a fit
@@ -405,7 +377,7 @@ def identified(
         estimate = with_faults(estimate, examine_once(chain, estimate, nearly))
         offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
         with step("trying other interpretations of the inputs"):
-            estimate = checked_inputs(estimate, chain, rig, table, selection.free, robot.free, _other_robots, offsets)
+            estimate = checked_inputs(estimate, chain, rig, table, requested, robot.free, _other_robots, offsets)
         if estimate.explanations and estimate.unusable:
             # To first order about a fit that wrong inputs distort, other rows and items would seem to be off.
             estimate = replace(estimate, faults=())
@@ -419,7 +391,7 @@ def identified(
             return with_joint_laws(chain, rig, table, estimate, request, nearly)
 
     estimate = geometry()
-    chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
+    chosen = with_frames(chosen, chain, rig, fitted, requested, estimate.value)
     if options.joint_laws == LawMode.NONE:
         estimate = checked(estimate)
     else:
@@ -429,7 +401,7 @@ def identified(
         estimate = with_faults(estimate, examination)
         estimate = with_average(chain, rig, table, estimate, examination, causes, effects)
     estimate = with_drawing(robot, rig, table, with_gain(table, estimate))
-    estimate = replace(estimate, folds=held_out_in_turn(robot, rig, table, selection, options))
+    estimate = replace(estimate, folds=held_out_in_turn(robot, rig, table, folds, held_rows, options))
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
             "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or give the rig's chucks, spheres and sockets the sigma_mm that you know instead of unknown"
@@ -440,7 +412,6 @@ def identified(
         predicted = predicted_point_error(chain, rig, judging, estimate, any_base=bool(chosen.base))
         if predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained):
             predicted = None
-    held_out, proposal = selection.held_out, proposed_hold_out(table, copied >= 0)
     result = result_of(
         estimate,
         table,
@@ -452,10 +423,10 @@ def identified(
         defaults=chosen,
         sessions=[count._asdict() for count in origin.counts],
         copies=copies_of(copied, table),
-        made_with={"hold_out": selection.hold_out, **vars(options)},
-        held_out_by=selection.held_out_by,
-        all_held_out=[] if held_out is None else all_held_out(table, held_out),
-        hold_out_proposal=proposal,
+        made_with={"hold_out": groups, **vars(options)},
+        held_out_by=(*held_out_by, *(f"all but {group}" for group in options.fit_only)),
+        all_held_out=all_held_out(table, held_rows),
+        hold_out_proposal=proposed_hold_out(table, copied >= 0),
     )
     calibration = calibration_of(result, robot, chain.name, "the identification")
     result = msgspec.structs.replace(result, findings=tuple(entries(calibration.findings)))

@@ -271,7 +271,7 @@ def _target(knowledge: Knowledge, name: str | None) -> str:
     names = list(knowledge.rig.targets)
     if name is None and len(names) > 1:
         raise InputError(f"the rig has several targets; choose one of {', '.join(names)} with ", Argument("target"))
-    return _named("target", name, names) if names or name else ""
+    return "" if name is None and not names else _named("target", name, names)
 
 
 def _read_knowledge(files: PlanFiles) -> Knowledge:

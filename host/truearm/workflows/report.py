@@ -22,7 +22,7 @@ from truearm.report.validation_findings import error_tables
 from truearm.workflows.calibration import Identification, frames_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
-from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, Origin, identified, selected
+from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, Origin, identified
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.project import folders_of
 from truearm.workflows.project_folder import find_project
@@ -58,8 +58,7 @@ def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) ->
     name = choice.robot or stored.robot.name
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
     rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
-    selection = selected(robot, table, hold_out, options)
-    identification = identified(robot, rig, table, selection, options, Origin(inputs, counts, sources.said))
+    identification = identified(robot, rig, table, hold_out, options, Origin(inputs, counts, sources.said))
     _check_same(result, stored.column("value"), identification)
     certificate = calibration_certificate(identification, issue, recordings, inputs)
     with step("drawing the report"):

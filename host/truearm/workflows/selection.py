@@ -36,13 +36,13 @@ HOLD_OUT, FIT_ONLY, APPLY, LEAVE_OUT = (Argument(name) for name in ("hold_out", 
 
 
 def held_out_rows(
-    table: ObservationTable, groups: Sequence[str], seed: int, fit_only: Sequence[str] = ()
+    table: ObservationTable, groups: Sequence[str] | Mask, seed: int, fit_only: Sequence[str] = ()
 ) -> Mask | None:
     """Return a mask (n,) of the rows to hold out, None if none are named.
 
     ``groups``: such as "shell=s61", "place=front", or one fraction such as "0.2": that share of the poses, drawn by
-    ``seed`` equally from every group. ``fit_only``: groups to fit; all others are held out. Raises InputError for an
-    unknown group, or if nothing would be left to fit.
+    ``seed`` equally from every group; or a mask (n,). ``fit_only``: groups to fit; all others are held out. Raises
+    InputError for an unknown group, or if nothing would be left to fit.
     """
     if fit_only:
         not_fitted: Mask = ~np.any([_group_rows(table, group, FIT_ONLY) for group in fit_only], axis=0)
@@ -51,8 +51,8 @@ def held_out_rows(
         if held.all():
             raise InputError("nothing-left", what="observations", place=FIT_ONLY)
         return held if held.any() else None
-    if not groups:
-        return None
+    if isinstance(groups, np.ndarray) or not groups:
+        return groups if isinstance(groups, np.ndarray) else None
     fractions = [value for value in map(held_out_fraction, groups) if value is not None]
     if fractions and len(groups) > 1:
         raise InputError(HOLD_OUT, " takes one fraction or any number of groups, not both")
@@ -67,12 +67,12 @@ def held_out_rows(
     return mask
 
 
-def folds_of(table: ObservationTable, groups: Sequence[str], seed: int) -> list[tuple[str, Mask]]:
+def folds_of(table: ObservationTable, groups: Sequence[str] | Mask, seed: int) -> list[tuple[str, Mask]]:
     """Return the rows (n,) to hold out in turn, with what the folds are called; [] unless ``groups`` ask for folds.
 
     ``folds=5``: the poses in five shares, drawn by ``seed``. ``place=*``: the rows of each place. Raises InputError.
     """
-    column, _, value = groups[0].partition("=") if groups else ("", "", "")
+    column, _, value = ("", "", "") if isinstance(groups, np.ndarray) or not groups else groups[0].partition("=")
     if column != FOLDS and value != "*":
         return []
     if len(groups) > 1:
@@ -226,8 +226,8 @@ def parse_effect(text: str) -> Effect:
     return Effect(match[1], first - 1, last, endings.get(match[2]))
 
 
-def parse_rows(text: str, sources: NDArray[np.str_]) -> list[tuple[int, int]]:
-    """Parse rows, counted from 0: the first, and the one after the last.
+def rows_named(text: str, sources: NDArray[np.str_]) -> Mask:
+    """Return a mask (n,) of the rows that a text names.
 
     ``120:140`` counts the rows of all inputs from 1. ``poses.csv row 100`` and ``poses.csv row 100:120`` name rows as
     messages do (``sources``, (n,)). Raises InputError.
@@ -240,19 +240,25 @@ def parse_rows(text: str, sources: NDArray[np.str_]) -> list[tuple[int, int]]:
         )
     if last < first:
         raise InputError(LEAVE_OUT, f" {text!r}: row {first} comes after row {last}; give the lower row first")
+    names, _, numbers = np.array([source.rpartition(" ") for source in sources.tolist()]).T
     if match[1] is None:
-        return [(first - 1, last)]
-    split_sources = [source.rpartition(" ") for source in sources.tolist()]
-    matches = [
-        i
-        for i, (name, _, row) in enumerate(split_sources)
-        if match[1] in (name, Path(name).name) and row.isdigit() and first <= int(row) <= last
-    ]
-    if not matches:
+        if last > sources.size:
+            raise InputError(
+                LEAVE_OUT,
+                f" {text!r}: rows {first} to {last} cannot be left out: the inputs have rows 1 to {sources.size}",
+            )
+        return (np.arange(sources.size) >= first - 1) & (np.arange(sources.size) < last)
+    rows: Mask = np.array(
+        [
+            match[1] in (name, Path(name).name) and number.isdigit() and first <= int(number) <= last
+            for name, number in zip(names.tolist(), numbers.tolist(), strict=True)
+        ]
+    )
+    if not rows.any():
         raise InputError(LEAVE_OUT, f" {text!r} names no row of the inputs; the first is {Path(str(sources[0])).name}")
-    if len(files := {split_sources[i][0] for i in matches}) > 1:
+    if len(files := set(names[rows])) > 1:
         raise InputError(LEAVE_OUT, f" {text!r} names rows of {len(files)} files of this name; give the path too")
-    return [(row, row + 1) for row in matches]
+    return rows
 
 
 FRACTIONS = (0.2, 0.1)
