@@ -1,7 +1,7 @@
 """The command line: click's; errors become one line on stderr and an exit code.
 
-The exit codes stand in ``truearm.exit_codes``. To add a command, write ``cli/NAME.py``
-with a command NAME, or a group of commands ``app``, and add it to its task in ``TASKS``.
+The exit codes stand in ``truearm.exit_codes``. To add a command, write it in the module of its task, or as a group of
+commands ``app`` in a module of its own, and add it to ``TASKS``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from truearm.findings import Finding, option
 from truearm.text import one_line
 from truearm.version import VERSION
 
-# What ``truearm --help`` lists for each task: commands, each a module here, and the first sentences of their help pages.
+# What ``truearm --help`` lists for each task: commands, and the first sentences of their help pages.
 TASKS = {
     "Try": {
         "demo": "Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.",
@@ -58,7 +58,10 @@ TASKS = {
     },
     "Box": {"box": "Find, flash, test, configure, calibrate and monitor a sensor box."},
 }
-COMMANDS = tuple(name for summaries in TASKS.values() for name in summaries)
+TASK_MODULES = {"Try": "simulate", "Measure": "measure", "Identify": "identify", "Use": "use", "Box": "box"}
+MODULES = {name: TASK_MODULES[task] for task, summaries in TASKS.items() for name in summaries}  # of commands
+MODULES |= {name: name for name in ("init", "status", "session")}
+COMMANDS = tuple(MODULES)
 
 # The parser's words for a wrong command line, and plainer ones.
 _PLAINER = (
@@ -88,8 +91,8 @@ def command_tree(names: tuple[str, ...] = COMMANDS) -> Tasks:
         epilog=f"In a project folder, you can leave out options and files, even those marked as required: truearm.toml provides them. See truearm init --help.\n\nTo complete commands in bash: source <({_COMPLETE}=bash_source truearm); zsh and fish work alike.\n\nExit codes: {table()}\n\nExample: truearm demo",
     )
     for name in names:
-        module = vars(import_module(f"truearm.cli.{name}"))
-        tree.add_command(module.get("app") or module.get(name) or module[f"{name}_"])
+        module = vars(import_module(f"truearm.cli.{MODULES[name]}"))
+        tree.add_command(module.get(name) or module.get(f"{name}_") or module["app"])
     click.version_option(VERSION, message="truearm %(version)s", help="Print the version and exit.")(tree)
     return tree
 
