@@ -291,5 +291,5 @@ def test_a_wrong_part_that_was_confirmed_is_not_used(tmp_path, plan):
     recorded(path, plan, wrong)
     (count,) = read_sources(Sources((path,)), ROBOT.chain, ROBOT).counts
     assert not set(run) & set(used(path))
-    assert count.rejected["doubtful"] == len(run)
+    assert count["rejected"]["doubtful"] == len(run)
     assert len(used(path)) == np.isfinite(extension).sum() - len(run)

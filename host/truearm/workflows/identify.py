@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -44,7 +44,7 @@ from truearm.results import Effect, Estimate, Figures, Fold
 from truearm.types import Floats, Mask, Rigs
 from truearm.workflows.calibration import Identification, calibration_of
 from truearm.workflows.calibration_report import write_page
-from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
+from truearm.workflows.inputs import Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.requests import FitOptions
 from truearm.workflows.selection import (
     all_held_out,
@@ -308,7 +308,7 @@ class Origin(NamedTuple):
     """The files that rows came from, the accounts of the dwells of sessions, and what was noticed while they were read."""
 
     inputs: Sequence[Input] = ()
-    counts: Sequence[DwellCount] = ()
+    counts: Sequence[Mapping[str, Any]] = ()
     said: Sequence[Finding] = ()
 
 
@@ -421,7 +421,7 @@ def identified(
         findings=entries(origin.said),
         prior=prior,
         defaults=chosen,
-        sessions=[count._asdict() for count in origin.counts],
+        sessions=origin.counts,
         copies=copies_of(copied, table),
         made_with={"hold_out": groups, **vars(options)},
         held_out_by=(*held_out_by, *(f"all but {group}" for group in options.fit_only)),

@@ -83,33 +83,13 @@ def check_files(
     check_outputs(outputs, force, [*sources.files, *robot.files])
 
 
-class DwellCount(NamedTuple):
-    """Account of a session's dwells and lines: their numbers, how many are used, and the other dwells by reason.
-
-    ``labels``: whether they were settled by ``truearm session relabel``. ``mountings``: stops for mounting, which are not
-    dwells. ``lines``: motions along a line device. ``with_bar``: whether a bar was planned or mounted; otherwise the
-    dwells are only stops between lines.
-    """
-
-    session: str
-    dwells: int
-    used: int
-    rejected: Mapping[str, int]
-    labels: bool
-    mountings: int
-    lines: int
-    lines_used: int
-    lines_rejected: Mapping[str, int]
-    with_bar: bool
-
-
 class Observed(NamedTuple):
-    """The rig, or the rigs by name, the observations, and of each session the account of its dwells and how it was recorded."""
+    """The rig, or the rigs by name, the observations, and of each session the account of its dwells (``sessions`` of result.json) and how it was recorded."""
 
     rigs: Rigs
     table: ObservationTable
-    counts: tuple[DwellCount, ...]
-    recordings: tuple[Recording, ...]
+    counts: Sequence[Mapping[str, Any]]
+    recordings: Sequence[Recording]
 
 
 def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = None) -> Observed:
@@ -132,21 +112,20 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     for path in inputs:
         if path in sessions:
             sessions_read.append(_read_session(sessions[path], chain, session_rig[path], sources, robot))
-            tables.append(sessions_read[-1].table)
+            tables.append(sessions_read[-1][0])
             continue
         tables.append(read_table(path) if chain is None else read_table(path, chain.joint_units, chain.mimics))
         rows = [int(str(source).rpartition(" ")[2]) for source in tables[-1].source]
         if rows != sorted(rows):  # than in the file
             sources.said.append(Finding("rows-reordered", {"place": str(path)}))
-    counts = tuple(session.dwells for session in sessions_read)
-    recordings = tuple(session.recording for session in sessions_read)
-    if sources.line_points is not None and not any(count.lines for count in counts):
+    _, counts, recordings, nothing = zip(*sessions_read, strict=True) if sessions_read else ((), (), (), ())
+    if sources.line_points is not None and not any(count["lines"] for count in counts):
         raise InputError(
             "no-effect", place=Argument("line_points"), reason="no input is a session with passes along a line"
         )
     table = concatenate([rows for rows in tables if len(rows)] or tables)
     if not len(table):
-        raise SessionError("; ".join(session.nothing for session in sessions_read))
+        raise SessionError("; ".join(nothing))
     rigs = named_rigs | dict(session_rig.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
@@ -201,15 +180,6 @@ def _doubts(table: ObservationTable, rig: Rig, chain: Chain) -> Iterator[Finding
             yield Finding("doubtful-rows", {"reason": reason})
 
 
-class _SessionRead(NamedTuple):
-    """The observations of a session, the account of its dwells, how it was recorded, and why it gives ``nothing`` if there are none."""
-
-    table: ObservationTable
-    dwells: DwellCount
-    recording: Recording
-    nothing: str
-
-
 def _read_session(
     session: Session, chain: Chain | None, assigned: Assigned, sources: Sources, robot: Robot | None
 ) -> _SessionRead:
@@ -240,20 +210,20 @@ def _read_session(
                 f"do not fit {robot.chain.name}; leave it out, or move it to the project of its robot"
             )
     reasons, line_reasons = (dict(sorted(counts.items())) for counts in (rejected, result.pass_reasons))
-    count = DwellCount(
-        session=path.name,
-        dwells=len(result.dwells) - result.n_mountings,
-        used=int(sum(table.kind == "ball_bar")),
-        rejected=reasons,
-        labels=labels,
-        mountings=result.n_mountings,
-        lines=len(result.passes),
-        lines_used=sum(not line_pass.reason for line_pass in result.passes),
-        lines_rejected=line_reasons,
-        with_bar=result.with_bar,
-    )
+    count = {
+        "session": path.name,
+        "dwells": len(result.dwells) - result.n_mountings,  # stops for mounting are none
+        "used": int(sum(table.kind == "ball_bar")),
+        "rejected": reasons,
+        "labels": labels,  # settled by truearm session relabel
+        "mountings": result.n_mountings,
+        "lines": len(result.passes),
+        "lines_used": sum(not line_pass.reason for line_pass in result.passes),
+        "lines_rejected": line_reasons,
+        "with_bar": result.with_bar,  # otherwise the dwells are only stops between lines
+    }
     nothing = session_observations.nothing_observed(path, reasons, line_reasons, result.survey.marks.plan() is not None)
-    return _SessionRead(table.replace(rig=name), count, recording_of(session, result, count), nothing)
+    return table.replace(rig=name), count, recording_of(session, result, reasons), nothing
 
 
 def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
@@ -267,8 +237,8 @@ def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
     ]
 
 
-def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Recording:
-    """Return the facts of one session; ``count`` has its dwells."""
+def recording_of(session: Session, result: SyncResult, reasons: Mapping[str, int]) -> Recording:
+    """Return the facts of one session, of whose dwells some were rejected for ``reasons``."""
     idents, losses, reports = list(result.survey.idents.values()), result.survey.losses, result.survey.clock_reports
     uid = ", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents))
     firmware = ", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents))
@@ -277,11 +247,12 @@ def recording_of(session: Session, result: SyncResult, count: DwellCount) -> Rec
     begun = f"{datetime.fromtimestamp(NS.to_si(int(stamp)), UTC):%Y-%m-%d %H:%M UTC}" if is_time else ""
     lost = losses.samples_lost + losses.samples_overrun
     facts = [("begun", begun or "not known"), ("box", f"{uid or 'without a uid'}, firmware {firmware or 'not known'}")]
-    if count.with_bar or not count.lines:  # otherwise the dwells are stops between lines
-        rejected = ", ".join(f"{n} {reason}" for reason, n in count.rejected.items()) or "none"
-        facts.append(("dwells", f"{count.dwells}, of these rejected: {rejected}"))
-        facts += [("stops for mounting", str(count.mountings))] if count.mountings else []
-    facts += [("passes along lines", str(count.lines))] if count.lines else []
+    n_mountings, n_passes = result.n_mountings, len(result.passes)
+    if result.with_bar or not n_passes:  # otherwise the dwells are stops between lines
+        rejected = ", ".join(f"{n} {reason}" for reason, n in reasons.items()) or "none"
+        facts.append(("dwells", f"{len(result.dwells) - n_mountings}, of these rejected: {rejected}"))
+        facts += [("stops for mounting", str(n_mountings))] if n_mountings else []
+    facts += [("passes along lines", str(n_passes))] if n_passes else []
     facts.append(("samples", f"{losses.samples:,} received, {lost:,} lost; {losses.frames_lost:,} frames lost"))
     bound = US.text(max(NS.to_si(report.bound_ns) for report in reports), ".0f") if reports else "not known"
     facts.append(("error of the box's clock, at most", bound))
@@ -330,6 +301,8 @@ def _sigma(calibration: Mapping[str, Any], key: str) -> float | None:
 
 LONGEST = 64  # letters in a name, as for a table's identifiers
 Assigned = tuple[str, Rig]  # name, "" for the common rig, and the rig
+# observations of a session, account of its dwells, how it was recorded, and why it gives nothing if there are none
+_SessionRead = tuple[ObservationTable, dict[str, Any], Recording, str]
 
 
 def session_name(path: Path) -> str:
