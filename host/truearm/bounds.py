@@ -78,3 +78,4 @@ DWELL = Within(1.5, 600.0)  # s; a shorter one gives no observation (session/dwe
 VISITS = Within(1, 10)
 CHECK_POSES = Within(0, 100)
 CELL = Within(1e-3, 1.0)  # m, of an error map
+DURATION = Within(1e-3)  # s, of a recording

@@ -95,7 +95,7 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
             (["gauge", "magnetostrictive"], "switch it on"),
             (["gauge", "lvdt", "--unit", "parsec"], "'--unit': 'parsec'"),
             (["gauge", "lvdt", "--order", "9"], "order"),
-            (["monitor", "--duration-s", "0"], "--duration-s 0"),
+            (["monitor", "--duration-s", "0"], "'--duration-s': 0"),
         ):
             assert box(*arguments, "--box", device) == 2
             said = capsys.readouterr().err

@@ -29,7 +29,6 @@ from truearm.model.inverse import singular_value
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.law_chain import carries, distal_frames, with_laws
 from truearm.model.poses import position_and_rotation
-from truearm.model.robot_file import RobotChoice
 from truearm.plan.forecast import Knowledge
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.report.figures import law_figures
@@ -457,7 +456,7 @@ def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
     everywhere = mapped(found, section)
     reached = ~np.isnan(everywhere.error)
     assert everywhere.outside[reached].all()  # joint 1 stands in the gap
-    files = MapFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "map.csv", tmp_path / "map.svg")
+    files = MapFiles(tmp_path / "result.json", tmp_path / "map.csv", tmp_path / "map.svg")
     outside = Finding("joints-outside", {"joints": ["joint1"]})
     assert outside in findings_of(map_files(found, files, section))
     section = replace(section, at=(0.8, *section.at[1:]))

@@ -16,7 +16,6 @@ from truearm.box.control import BoxControl, Sent
 from truearm.box.conversation import conversation, one_line_of, streaming
 from truearm.box.description import with_spread
 from truearm.box.readiness import LVDT, far_from_calibration
-from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.clock import fit_clock
@@ -101,10 +100,8 @@ def monitor_box(
 ) -> Iterator[str]:
     """Watch a box until ``duration`` [s] or an interrupt; ``show`` is called regularly with the measurements.
 
-    Yields a line when the box has answered, and one at the end. Raises InputError, LinkError.
+    Yields a line when the box has answered, and one at the end. Raises LinkError.
     """
-    if duration is not None and not 0 < duration < math.inf:
-        raise InputError(Argument("duration"), f" {duration:g} is not a duration; give seconds above 0")
     with conversation(device, stop=True) as box, asked_to_stop() as interrupted:
         watch = Watch(box.ident)
         yield one_line_of(watch.ident)

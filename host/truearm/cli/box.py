@@ -7,10 +7,11 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
+from truearm.bounds import DURATION
 from truearm.box import configuration
 from truearm.box.boot_drive import find_drives
 from truearm.box.configuration_schema import check
@@ -296,7 +297,7 @@ class _Terminal:
 
 
 @command(app)
-def monitor(*, box: str | None = None, duration: float | None = None, plain: bool = False) -> None:
+def monitor(*, box: str | None = None, duration: Annotated[float | None, DURATION] = None, plain: bool = False) -> None:
     """Show what a box measures: values in physical units with their noise, rates, losses, clock, temperature.
 
     Starts the box, and stops it at the end (Ctrl-C or --duration-s). Nothing is recorded.

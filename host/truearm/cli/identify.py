@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import click
 
@@ -22,9 +22,6 @@ from truearm.model.robot_file import NO_ROBOT, RobotChoice
 from truearm.text import one_line
 from truearm.units import tolerances
 from truearm.workflows.requests import FitOptions, FleetOptions, MapFiles, Section
-
-if TYPE_CHECKING:
-    from truearm.types import Payload
 
 
 def _located(finding: Finding, paths: Mapping[str, str]) -> Finding:
@@ -246,7 +243,7 @@ def validate(
 
 
 @command(title="map")
-def map_(files: MapFiles, *, section: Section, payload: Payload | None = None, allow_unusable: bool = False) -> Answer:
+def map_(files: MapFiles, *, section: Section) -> Answer:
     """Map the error of the uncalibrated robot over a section of its workspace, with the uncertainty of the map.
 
     Example:
@@ -280,7 +277,7 @@ def map_(files: MapFiles, *, section: Section, payload: Payload | None = None, a
 
     if section.task is None and section.within is not None:
         raise InputError("needs-option", place="--within", needed="--task WxH")
-    calibration = read_usable(files.result, files.robot, allow_unusable, payload)
+    calibration = read_usable(files)
     return Answer(map_files(calibration, files, replace(section, at=joints_of(section.at, calibration.chain))))
 
 

@@ -13,7 +13,7 @@ from truearm.bounds import MINUTES, POSES, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.output import print_json
 from truearm.cli.project import CommandGroup, ProjectCommand, project_model, typed
-from truearm.errors import IncompleteError, InputError
+from truearm.errors import IncompleteError
 from truearm.exit_codes import ExitCode
 from truearm.findings import entries
 from truearm.model.robot_file import NO_ROBOT, RobotChoice
@@ -253,10 +253,6 @@ def record(request: RecordOptions) -> Answer:
     """
     from truearm.workflows.record import record_request, recording_document
 
-    if request.duration is not None and request.duration <= 0:
-        raise InputError(f"--duration-s {request.duration:g} is not a duration; give seconds above 0")
-    if request.patience < 0:
-        raise InputError(f"--patience-s {request.patience:g} is not a duration; give seconds, or 0 not to wait")
     request = replace(request, project_model=project_model(Path.cwd()))
     recorded = record_request(request, sys.stderr, lambda text: click.echo(text, err=True))
     interrupted = recorded.summary.reason == "interrupted"

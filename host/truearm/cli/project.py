@@ -243,7 +243,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Answer]:
         "record out": lambda: shown(project_files.new_file(recordings, ".mcap")),
         "identify out": lambda: shown(project_files.new_file(results, ".json")),
         "report out": lambda: shown(project_files.new_file(results, ".html")),
-        "plan out": lambda: shown(project_files.new_plan(home / project.plan)),
+        "plan out": lambda: shown(project_files.unused(home / project.plan)),
     }
 
 

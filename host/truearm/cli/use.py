@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import click
 
@@ -23,8 +22,6 @@ def correct(
     files: CorrectFiles,
     *,
     options: CorrectOptions,
-    payload: Any = None,
-    allow_unusable: bool = False,
     details: bool = False,
     json: bool = False,
 ) -> Answer:
@@ -93,7 +90,7 @@ def correct(
 
     if options.program.mark and not options.program.partial:
         raise InputError("needs-option", place="--mark", needed="--partial")
-    calibration = read_usable(files.result, files.robot, allow_unusable, payload)
+    calibration = read_usable(files)
     home = joints_of(options.home, calibration.chain)
     try:
         document = correct_file(calibration, files, replace(options, home=home, document=details or json))

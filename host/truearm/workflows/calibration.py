@@ -30,6 +30,7 @@ from truearm.report.result_tables import direction_text, parameter_table
 from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, Rigs, SagMasses
 from truearm.units import DEG, MM, UNITS
+from truearm.workflows.requests import UsedResult
 
 NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: farther is outside
 ROUNDED = 1e-4  # rad, m: a reading at a joint's limit that was written with few digits
@@ -226,18 +227,16 @@ def read_calibration(result: Path, choice: RobotChoice = NO_ROBOT) -> Calibratio
     return calibration_of(stored, load_robot(name, base, tip), called, str(result))
 
 
-def read_usable(
-    result: Path, choice: RobotChoice, allow_unusable: bool = False, payload: Payload | None = None
-) -> Calibration:
-    """Read a result and its robot, with a payload, for a command that corrects a robot by it.
+def read_usable(files: UsedResult) -> Calibration:
+    """Read a result and its robot for a command that corrects a robot by it.
 
     Raises InputError if the fit is not usable, unless that is allowed; see also ``read_calibration``.
     """
-    calibration = read_calibration(result, choice)
+    calibration = read_calibration(files.result, files.robot)
     because = calibration.stored.unusable_because
-    if because and not allow_unusable:
-        raise InputError("unusable-result", place=result, reason=because)
-    return calibration if payload is None else calibration.carrying(*payload)
+    if because and not files.allow_unusable:
+        raise InputError("unusable-result", place=files.result, reason=because)
+    return calibration if files.payload is None else calibration.carrying(*files.payload)
 
 
 def frames_of(robot: str, base: str | None, tip: str | None, stored: Result) -> tuple[str | None, str | None]:

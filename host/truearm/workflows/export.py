@@ -109,7 +109,7 @@ def export_file(files: ExportFiles) -> ExportedRobot:
     inputs = [files.result, *files.robot.files, *filter(None, [files.over])]
     check_writable(files.out, files.force, inputs=inputs, kind="exported", suffixes=[FORMATS[files.format].suffix])
     check_outputs([("curves", files.curves_out)], files.force, [*inputs, files.out])
-    calibration = read_usable(files.result, files.robot, files.allow_unusable, files.payload)
+    calibration = read_usable(files)
     over = None if files.over is None else _poses_of(files.over, calibration.chain)
     robot = exported(calibration, files.format, over, files.own_frames, files.adjust)
     curves = files.curves_out

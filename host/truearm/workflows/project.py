@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from importlib.resources import files
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -102,19 +103,13 @@ def by_time(files: Iterable[Path]) -> list[Path]:
 def new_file(folder: Path, suffix: str) -> Path:
     """Return the path of a new file in this folder, named by date and time; the folder is created."""
     folder.mkdir(parents=True, exist_ok=True)
-    stem = datetime.now().astimezone().strftime("%Y-%m-%d-%H%M%S")
-    number = 1
-    while (path := folder / f"{stem}{f'-{number}' * (number > 1)}{suffix}").exists():
-        number += 1
-    return path
+    return unused(folder / f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}{suffix}")
 
 
-def new_plan(path: Path) -> Path:
+def unused(path: Path) -> Path:
     """Return the path, or a numbered one next to it if it exists."""
-    number = 1
-    while (candidate := path if number == 1 else path.with_stem(f"{path.stem}-{number}")).exists():
-        number += 1
-    return candidate
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return next(candidate for candidate in chain([path], numbered) if not candidate.exists())
 
 
 @step("making the project")

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from truearm import option_defaults
-from truearm.bounds import CELL, ITERATIONS, REPEATABILITY, SEED, OneOf, Within
+from truearm.bounds import CELL, DURATION, ITERATIONS, REPEATABILITY, SEED, OneOf, Within
 from truearm.correct.methods import JointMoves, Method
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
@@ -164,8 +164,8 @@ class RecordOptions:
     rig: Path | None = None
     mounted: str | None = None
     rate: float | None = None
-    duration: float | None = None
-    patience: float = 600.0
+    duration: Annotated[float | None, DURATION] = None
+    patience: Annotated[float, Within(0.0)] = 600.0
     plain: bool = False
     unchecked: bool = False
     force: bool = False
@@ -201,35 +201,39 @@ class ExportSession:
 
 
 @dataclass(frozen=True)
-class ExportFiles:
-    """A result, and the file to write of its robot: the ``format``, and patterns of what may change (``adjust``).
-
-    ``over``: a table or a plan of poses to refit over. ``curves_out``: the joints' error curves.
-    """
+class UsedResult:
+    """A result that a command uses for a robot with a payload, also one that is not usable, and whether it replaces files."""
 
     result: Path
-    format: Annotated[str, OneOf(FORMATS)]
-    out: Path
+    _: KW_ONLY
     robot: RobotChoice = NO_ROBOT
-    own_frames: bool = False
     payload: Payload | None = None
-    adjust: tuple[str, ...] = ()
-    over: Path | None = None
-    curves_out: Path | None = None
     allow_unusable: bool = False
     force: bool = False
 
 
 @dataclass(frozen=True)
-class MapFiles:
+class ExportFiles(UsedResult):
+    """A result, and the file to write of its robot: the ``format``, and patterns of what may change (``adjust``).
+
+    ``over``: a table or a plan of poses to refit over. ``curves_out``: the joints' error curves.
+    """
+
+    format: Annotated[str, OneOf(FORMATS)]
+    out: Path
+    own_frames: bool = False
+    adjust: tuple[str, ...] = ()
+    over: Path | None = None
+    curves_out: Path | None = None
+
+
+@dataclass(frozen=True)
+class MapFiles(UsedResult):
     """Input and output files of ``truearm map``."""
 
-    result: Path
-    robot: RobotChoice = NO_ROBOT
     out: Path | None = None
     picture_out: Path | None = None
     report: Path | None = None
-    force: bool = False
 
 
 @dataclass(frozen=True)
@@ -251,15 +255,12 @@ class Section:
 
 
 @dataclass(frozen=True)
-class CorrectFiles:
+class CorrectFiles(UsedResult):
     """Input and output files of ``truearm correct``."""
 
-    result: Path
     targets: Path
     out: Path
-    robot: RobotChoice = NO_ROBOT
     report: Path | None = None
-    force: bool = False
 
 
 @dataclass(frozen=True)
