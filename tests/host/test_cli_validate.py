@@ -17,8 +17,7 @@ from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
 from truearm.report.validation_findings import validation_findings
 from truearm.types import Device, Rig
-from truearm.workflows.project_file import Project, format_project
-from truearm.workflows.project_folder import FILE
+from truearm.workflows.project_file import FILE, Project, format_project
 
 
 def verdict_of(document):

@@ -18,8 +18,7 @@ from identify_bench import SIGMA, exact_lengths
 from truearm.estimate.result_file import FORMAT
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
-from truearm.workflows.project_file import Project, format_project
-from truearm.workflows.project_folder import FILE
+from truearm.workflows.project_file import FILE, Project, format_project
 
 ARMS = ("a", "b", "c")
 

@@ -24,8 +24,7 @@ from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import reach
 from truearm.results import Unusable
 from truearm.workflows.project import results_of, sessions_of
-from truearm.workflows.project_file import Project, format_project, read_project
-from truearm.workflows.project_folder import FILE, find_project
+from truearm.workflows.project_file import FILE, Project, find_project, format_project, read_project
 
 
 @pytest.fixture

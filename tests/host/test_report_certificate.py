@@ -30,8 +30,7 @@ from truearm.types import rms
 from truearm.units import MM
 from truearm.workflows.correction_findings import unexplained_error
 from truearm.workflows.inputs import Sources, read_sources, sensors_of
-from truearm.workflows.project_file import Project, format_project
-from truearm.workflows.project_folder import FILE
+from truearm.workflows.project_file import FILE, Project, format_project
 
 SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
 OPTIONS = ["--hold-out", "0.2", "--seed", "3", "--solver", "map", "--freeze", "link2.y"]

@@ -148,8 +148,7 @@ TEXTS = {
 def issue_of(number: str, tolerance_mm: float | None) -> Issue:
     """Return whom a certificate is for, from two options and the project's file."""
     from truearm.workflows.certificates import Issue
-    from truearm.workflows.project_file import Project
-    from truearm.workflows.project_folder import project_of
+    from truearm.workflows.project_file import Project, project_of
 
     project, _ = project_of(Path.cwd()) or (Project(""), None)
     return Issue(project, number, None if tolerance_mm is None else MM.to_si(tolerance_mm))

@@ -7,7 +7,7 @@ import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 from click.core import ParameterSource
@@ -15,10 +15,7 @@ from click.core import ParameterSource
 from truearm.cli.names import command_for
 from truearm.errors import InputError
 from truearm.file_kind import KINDS, kind_of
-from truearm.workflows.project_folder import project_of
-
-if TYPE_CHECKING:
-    from truearm.workflows.project_file import Project
+from truearm.workflows.project_file import Project, project_of
 
 EXPERT = "Expert options"
 SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut

@@ -10,7 +10,7 @@ from typing import Any
 from truearm.cli.command import Answer, command
 from truearm.errors import InputError
 from truearm.text import counted, one_line, outcome, page
-from truearm.workflows.project_folder import FILE, find_project
+from truearm.workflows.project_file import FILE, find_project
 
 State = dict[str, Any]
 

@@ -26,8 +26,7 @@ from truearm.workflows.certificates import Issue
 from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
 from truearm.workflows.inputs import Sources, hashed_inputs
 from truearm.workflows.project import new_file, result_document, results_of, robot_of, sessions_of
-from truearm.workflows.project_file import Project, read_project
-from truearm.workflows.project_folder import FILE
+from truearm.workflows.project_file import FILE, Project, read_project
 from truearm.workflows.report import report_files
 from truearm.workflows.requests import FleetOptions
 from truearm.workflows.session_parts import with_parts

@@ -28,6 +28,7 @@ from truearm.model.robot import Robot
 from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.report.certificate import Facts, Recording, between
+from truearm.session.box_ident import decimal
 from truearm.session.labels_file import labels_path, read_labels
 from truearm.text import one_line
 from truearm.types import DOUBTFUL, Rig, Rigs, SocketDistance, rigs_by_name
@@ -291,12 +292,10 @@ def _sensor(channel: Mapping[str, Any]) -> tuple[str, str]:
 
 def _sigma(calibration: Mapping[str, Any], key: str) -> float | None:
     """Return a standard deviation [m] of a calibration; None if the box does not report it as a length."""
-    pair = calibration.get(key)
-    if calibration.get("unit") != "m" or not (isinstance(pair, list) and len(pair) == 2):
+    try:
+        return decimal(calibration.get(key), key) if calibration.get("unit") == "m" else None
+    except ValueError:
         return None
-    mantissa, exponent = pair
-    is_number = type(mantissa) is int and type(exponent) is int and abs(exponent) < 30
-    return float(mantissa * 10.0**exponent) if is_number else None
 
 
 LONGEST = 64  # letters in a name, as for a table's identifiers

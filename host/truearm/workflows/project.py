@@ -18,8 +18,7 @@ from truearm.errors import InputError, TruearmError
 from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.progress import step
 from truearm.units import MM
-from truearm.workflows.project_file import Project, format_project, read_project
-from truearm.workflows.project_folder import FILE
+from truearm.workflows.project_file import FILE, Project, format_project, read_project
 
 if TYPE_CHECKING:
     from truearm.findings import Finding

@@ -2,7 +2,7 @@
 (docs/how-to/project.md).
 
 The file is searched for in the working folder and in its parent folders, as git does. Paths in it are relative to its
-folder.
+folder. Every command reads it, even ``--help``, so this imports nothing slow.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from truearm.text import page
 
 FIRST_LINE = f"# A truearm project; {page('A project folder')}"
 MAX_BYTES = 2**16
+FILE = "truearm.toml"
+MAX_LEVELS = 64  # folders above the working folder
 
 _LINE = Text(longest=400, one_line=True)
 
@@ -69,3 +71,15 @@ def format_project(project: Project) -> str:
         is_set = values[key.name] != ""
         lines.append(f"{'' if is_set else '# '}{key.name} = {_LINE.format(values[key.name])}  # {remarks[key.name]}")
     return "\n".join(lines) + "\n"
+
+
+def find_project(start: Path) -> Path | None:
+    """Return the nearest truearm.toml in ``start`` or above it, or None if there is none."""
+    files = (folder / FILE for folder in [start, *start.parents][:MAX_LEVELS])
+    return next((file for file in files if file.is_file()), None)
+
+
+def project_of(start: Path) -> tuple[Project, Path] | None:
+    """Return the project that contains a folder, and the project's folder; None if there is none. Raises InputError."""
+    file = find_project(start)
+    return None if file is None else (read_project(file), file.parent)

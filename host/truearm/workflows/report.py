@@ -25,7 +25,7 @@ from truearm.workflows.certificates import Issue, calibration_certificate, valid
 from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, Origin, identified
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.project import folders_of
-from truearm.workflows.project_folder import find_project
+from truearm.workflows.project_file import find_project
 from truearm.workflows.validate import Validation, measured_files, validated
 
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
