@@ -235,7 +235,8 @@ def validate(
 
     sources = sources_of(inputs, rig, allow_damaged=allow_damaged)
     if report is None and (number or tolerance_mm is not None):
-        raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))
+        detail = Argument("number" if number else "tolerance_mm")
+        raise InputError("needs-option", place=detail, needed=Argument("report"))
     files = IdentifyFiles(robot, sources, report=report, command=command_line(context), force=force)
     with before_error(sources.said):
         document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document

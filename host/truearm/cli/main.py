@@ -68,6 +68,8 @@ _PLAINER = (
     (r"Got unexpected extra argument(?:\(s\)|s)? \((.*)\)", r"Too many arguments: \1"),
     (r"is not a valid int(?:eger)?(?: range)?", "is not a whole number"),
     (r"is not a valid float(?: range)?", "is not a number"),
+    (r"is not in the range x>=(\S+)", r"is less than \1"),
+    (r"is not in the range (\S+)<=x<=(\S+)", r"is not from \1 to \2"),
     (r"requires an argument", "needs a value"),
     (r"\.$", ""),
 )
