@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, Floats, Move, Rig
 
 MOUNTABLE = (*BAR_MOUNTED, "shell", *LINE_MOUNTED)
@@ -116,16 +116,18 @@ def parse_mounted(text: str) -> dict[str, str]:
         key, separator, name = (word.strip() for word in entry.partition("="))
         if key not in MOUNTABLE or not separator or not name:
             raise InputError(
-                f"mounted: {entry[:40]!r} is not KEY=NAME, such as bar=bar46; KEY is {', '.join(MOUNTABLE[:-1])} or {MOUNTABLE[-1]}"
+                Argument("mounted"),
+                f": {entry[:40]!r} is not KEY=NAME, such as bar=bar46; KEY is {', '.join(MOUNTABLE[:-1])} or {MOUNTABLE[-1]}",
             )
         if key in mounting:
-            raise InputError("given-twice", place="mounted", what=key)
+            raise InputError("given-twice", place=Argument("mounted"), what=key)
         mounting[key] = name
     return mounting
 
 
-def check_mounted(mounting: Mapping[str, str], rig: Rig, name: str) -> None:
-    """Raise InputError for a part that the rig called ``name`` does not have; a rig without lines accepts any."""
+def check_mounted(mounting: Mapping[str, str], rig: Rig) -> None:
+    """Raise InputError for a part that the rig does not have; a rig without lines accepts any."""
     for key, names in rig.mounted().items():
         if key in mounting and (names or key in BAR_MOUNTED) and mounting[key] not in names:
-            raise InputError("not-in-rig", place="mounted", what=key, name=mounting[key][:40], names=sorted(names))
+            where, name = Argument("mounted"), mounting[key][:40]
+            raise InputError("not-in-rig", place=where, what=key, name=name, names=sorted(names))

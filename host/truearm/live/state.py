@@ -206,7 +206,7 @@ class LiveState(Operator):
             try:
                 pairing = parse_mounted(text)
                 if self.rig is not None:
-                    check_mounted(pairing, self.rig, "the rig")
+                    check_mounted(pairing, self.rig)
                 self._mount(pairing)
             except InputError as exc:
                 self.messages.append(str(exc))

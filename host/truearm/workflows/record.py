@@ -194,7 +194,7 @@ def _work(request: RecordOptions) -> RecordingWork:
     if rig is None and rig_toml is not None:
         rig = parse_rig(rig_toml.decode(errors="replace"), rig_name)
     if rig is not None:
-        check_mounted(typed, rig, rig_name)
+        check_mounted(typed, rig)
         if plan is not None:
             check_against_rig(plan, rig, str(request.plan))
     robot = request.address or continued.setup.get("robot") or None

@@ -106,7 +106,7 @@ def _named(text: str, rig: Rig, stops: Sequence[Stop]) -> list[tuple[tuple[Path,
     if not places:
         form = "FIRST:LAST=BAR,CHUCK,SPHERE with numbers of dwells, such as 12:14=bar46,c1,s2"
         raise InputError("wrong-value", place=Argument("mounted"), value=text[:60], form=form)
-    check_mounted(dict(zip(BAR_MOUNTED, (bar, chuck, sphere), strict=True)), rig, text)
+    check_mounted(dict(zip(BAR_MOUNTED, (bar, chuck, sphere), strict=True)), rig)
     return [(place, (bar, chuck, sphere)) for place in places]
 
 
