@@ -103,7 +103,7 @@ class TestRefused:
         [
             (["--rate", "5"], "--rate 5 Hz"),
             (["--rate", "nan"], "--rate must be"),
-            (["--duration-s", "-1"], "--duration-s -1"),
+            (["--duration-s", "-1"], "usage"),
             (["--duration-s", "inf"], "--duration-s must be"),
             (["--mounted", "bar46"], "KEY=NAME"),
             (["--mounted", "bar=a,bar=b"], "given-twice"),
