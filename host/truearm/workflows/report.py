@@ -82,7 +82,7 @@ def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: b
     If there is a page ``files.report``, write it, and add the findings of its certificate, the decision after the verdict.
     Raises InputError with a one-line message.
     """
-    measured = measured_files(result, files.robot, files.sources, [("page", files.report)], files.force)
+    measured = measured_files(result, files)
     validation = validated(*measured[:4], keep_rig, measured.said)
     if files.report is not None:
         certificate = validation_certificate(measured, validation, issue)

@@ -33,7 +33,6 @@ from truearm.findings import Finding, entries, findings_of
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
-from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.report.certificate import Recording
 from truearm.report.validation_findings import BY_PLACE, error_tables, validation_findings
@@ -42,7 +41,8 @@ from truearm.strict_json import without_nan
 from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key, shown
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
-from truearm.workflows.inputs import Sources, check_files, hashed_inputs, read_sources
+from truearm.workflows.identify import IdentifyFiles
+from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.selection import parse_effect
 
 LEAST_ROWS = 5  # in a region: fewer are not meaningful
@@ -148,18 +148,12 @@ class Measured(NamedTuple):
     said: Sequence[Finding] = ()
 
 
-def measured_files(
-    result: Path,
-    robot: RobotChoice,
-    sources: Sources,
-    outputs: Sequence[tuple[str, Path | None]] = (),
-    force: bool = False,
-) -> Measured:
-    """Read a result and the observations for judging it, and check the files that will be written. Raises InputError."""
-    calibration = read_calibration(result, robot)
-    check_files(sources, robot, outputs, force)
+def measured_files(result: Path, files: IdentifyFiles) -> Measured:
+    """Read a result and the observations for judging it, and check the report that will be written. Raises InputError."""
+    calibration, sources = read_calibration(result, files.robot), files.sources
+    check_files(sources, files.robot, [("page", files.report)], files.force)
     rigs, table, _, recordings = read_sources(sources, calibration.chain)
-    return Measured(calibration, rigs, table, hashed_inputs(sources, robot), recordings, sources.said)
+    return Measured(calibration, rigs, table, hashed_inputs(sources, files.robot), recordings, sources.said)
 
 
 def validated(
