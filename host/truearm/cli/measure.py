@@ -23,6 +23,9 @@ from truearm.text import one_line
 from truearm.units import DEG, MM
 from truearm.workflows.requests import CharacterizeFiles, PlanFiles, RecordOptions
 
+BANDS_MM = (0.02, 0.05, 0.1)  # of the settling time
+
+
 robot = CommandGroup(
     "robot",
     help="Read the model that a robot's controller computes with.",
@@ -339,9 +342,6 @@ def inspect(session: Path, *, details: bool = False, json: bool = False, allow_d
         if document is not first:
             click.echo(f"\n{one_line(document['file'])} continues it:")
         show(session_findings(document), session_tables(document) if details else None)
-
-
-BANDS_MM = (0.02, 0.05, 0.1)
 
 
 @command()

@@ -19,6 +19,9 @@ from truearm.cli.project import ProjectCommand, typed
 from truearm.errors import InputError
 from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions
 
+DEMO = SimulateOptions(Path("out/demo"), poses=90, rate=FAST_RATE_HZ)
+FULL_POSES = 800
+
 
 class SimulateCommand(ProjectCommand):
     """Takes the project's plan unless poses, lines, a robot or a stage are asked for, and its rig with a plan only."""
@@ -119,12 +122,6 @@ def _typed_lines() -> Callable[[], list[str]]:
 
     threading.Thread(target=read, daemon=True).start()
     return lambda: [lines.get() for _ in range(lines.qsize())]
-
-
-DEMO = SimulateOptions(Path("out/demo"), poses=90, rate=FAST_RATE_HZ)
-
-
-FULL_POSES = 800
 
 
 @command()
