@@ -203,7 +203,7 @@ OPTIONS = {
     f"{PLAN} --region 1e300:2e300,0:1,0:1": "no-plan",
     f"{PLAN} --branch 9:1,0:1,0:1,0:1,0:1,0:1": "wrong-value",
     f"{PLAN} --branch -9999:9999,0:1,0:1,0:1,0:1,0:1": "joint1 must lie within its limits, -165 to 165 deg",
-    f"{PLAN} --reserve-mm 1e9": "range 0.0<=x<=100000.0",
+    f"{PLAN} --reserve-mm 1e9": "is not from 0.0 to 100000.0",
     f"{PLAN} --reserve-mm 1e5": "lower --reserve-mm",
     f"{PLAN} --result result.json": "robot irb120",
     f"{PLAN} --measured rows.csv": "not-in-rig",
