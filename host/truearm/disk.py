@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from truearm.errors import InputError, TruearmError, WriteError
+from truearm.errors import InputError, WriteError
 from truearm.file_kind import HEAD, KINDS
 from truearm.file_names import DISK_FAILED, open_input, reading, system_reason
 from truearm.schema import load_toml
@@ -109,12 +109,19 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Raises InputError, WriteError if the system refuses to write.
     """
+    with _writing(path), working_folder(path.parent) as folder:
+        yield folder / "new"
+        os.replace(folder / "new", path)
+
+
+@contextmanager
+def _writing(path: Path, refusal: str = "cannot be written") -> Iterator[None]:
+    """Turn what the system refuses into WriteError, if the disk is full or fails, or InputError for a wrong name."""
     try:
-        with working_folder(path.parent) as folder:
-            yield folder / "new"
-            os.replace(folder / "new", path)
+        yield
     except OSError as exc:
-        raise _failure(f"{path}: cannot be written", exc) from exc
+        text = f"{path}: {refusal}: {system_reason(exc)}"
+        raise (WriteError(text, exc.strerror or "") if exc.errno in DISK_FAILED else InputError(text)) from exc
 
 
 def _write(path: Path, pieces: Iterable[str | bytes]) -> None:
@@ -129,10 +136,7 @@ def check_new_folder(path: Path, source: Path) -> None:
     """Raise InputError if ``path`` cannot become a new folder, or would be within the folder ``source``."""
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise InputError("file-exists", place=path, folder=True)
-    if not path.parent.is_dir():
-        raise InputError("missing-file", place=path, folder=path.parent)
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: the folder {path.parent} cannot be written; choose another one")
+    _check_parent(path)
     if _real(path).is_relative_to(_real(source)):
         raise InputError(f"{path}: is within {source}, whose files it would join; give a folder elsewhere")
 
@@ -146,12 +150,6 @@ def write_folder(path: Path, contents: Mapping[str, bytes]) -> None:
         for name, data in contents.items():
             (new / name).parent.mkdir(parents=True, exist_ok=True)
             _write(new / name, (data,))
-
-
-def _failure(words: str, exc: OSError) -> TruearmError:
-    """Return the error for what the system refuses: the disk is full or fails, or a wrong name was given."""
-    text = f"{words}: {system_reason(exc)}"
-    return WriteError(text, exc.strerror or "") if exc.errno in DISK_FAILED else InputError(text)
 
 
 def sha256(path: Path) -> str:
@@ -176,12 +174,20 @@ def check_writable(
     truearm when it reads the file again, go by the suffix.
     """
     suffixes = suffixes or (KINDS[kind].suffixes if kind else ())
-    try:
-        _check_writable(path, inputs, kind)
+    with _writing(path):  # a name may be too long, or a folder closed
+        if path.is_dir():
+            raise InputError("unreadable-file", place=path)
+        _check_regular(path)
+        if any(same_file(path, given_file) for given_file in inputs):
+            raise InputError("given-twice", place=path)
+        _check_parent(path)
+        if kind and path.exists():
+            with path.open("rb") as file:
+                head = file.read(HEAD)
+            if head.strip() and not KINDS[kind].fits(head):
+                raise InputError("file-exists", place=path, foreign=True)
         if path.exists() and not force:
             raise InputError("file-exists", place=path, may_force=True)
-    except OSError as exc:  # a name that is too long, or a folder without permission
-        raise InputError(f"{path}: cannot be written: {system_reason(exc)}") from exc
     if suffixes and path.suffix and path.suffix.lower() not in suffixes:
         raise InputError("wrong-suffix", place=path, suffixes=" or ".join(suffixes))
 
@@ -198,23 +204,12 @@ def check_outputs(outputs: Iterable[tuple[str, Path | None]], force: bool, input
             earlier.append(path)
 
 
-def _check_writable(path: Path, inputs: Iterable[Path], kind: str | None) -> None:
-    if path.is_dir():
-        raise InputError("unreadable-file", place=path)
-    _check_regular(path)
-    if any(same_file(path, given_file) for given_file in inputs):
-        raise InputError("given-twice", place=path)
+def _check_parent(path: Path) -> None:
     if not path.parent.is_dir():
         raise InputError("missing-file", place=path, folder=path.parent)
     if not os.access(path.parent, os.W_OK):
-        raise InputError(
-            f"{path}: the folder {path.parent} cannot be written; choose another folder, or change its permissions"
-        )
-    if kind and path.exists():
-        with path.open("rb") as file:
-            head = file.read(HEAD)
-        if head.strip() and not KINDS[kind].fits(head):
-            raise InputError("file-exists", place=path, foreign=True)
+        text = f"{path}: the folder {path.parent} cannot be written; choose another folder, or change its permissions"
+        raise InputError(text)
 
 
 def same_file(a: Path, b: Path) -> bool:
@@ -264,13 +259,11 @@ def own_folder(path: Path, mark: str) -> None:
 
     Raises InputError for any other folder, WriteError if the disk is full or fails.
     """
-    try:
+    with _writing(path, "cannot be used as a folder"):
         path.mkdir(parents=True, exist_ok=True)
         if not (path / mark).exists() and any(path.iterdir()):
             raise InputError("file-exists", place=path, folder=True)
         (path / mark).touch()
-    except OSError as exc:
-        raise _failure(f"{path}: cannot be used as a folder", exc) from exc
 
 
 def _check_regular(path: Path) -> None:

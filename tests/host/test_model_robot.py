@@ -203,9 +203,9 @@ BROKEN = [
     (BY_HAND, 'joint = "slide"', 'joint = ""', "transform: item 4: joint: ''"),
     (BY_HAND, "lower_deg = -170.0", "lower_deg = 170.0", "transform: item 3: swing: its lower limit"),
     (BY_HAND, 'end_frame = "pen"', 'end_frame = "pen"\n[joint1]', "unknown key 'joint1'"),
-    (ARM, "lower_deg = [-155.0, -80.0, -60", "lower_deg = [-60", "branch: lower: needs"),
-    (ARM, "lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, -500.0", "joint 2 must lie within its limits"),
-    (ARM, "lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, 101.0", "joint 2 .* lower below upper"),
+    (ARM, "lower_deg = [-155.0, -80.0, -60", "lower_deg = [-60", "branch: needs bounds of [0-9] joints, lower has"),
+    (ARM, "lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, -500.0", "joint2 must lie within its limits"),
+    (ARM, "lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, 101.0", "joint2 .* lower below upper"),
     (ARM, "joint = 0", "joint = 7", "capsule: item 1: joint: must be"),
     (ARM, "start_mm = [-100.0, 0.0", "start_mm = [0.0", "capsule: item 1: start_mm: needs"),
 ]

@@ -40,7 +40,7 @@ from truearm.model.chain import Chain, forward
 from truearm.model.elementary_transforms import chain_from_slots
 from truearm.model.robot_tables import MAX_NAME, Description, read_tables
 from truearm.model.workspace import BRANCH, CAPSULE, MAX_CAPSULES, Branch, Capsules, capsules_of, check_branch
-from truearm.schema import Key, List, Number, SchemaError, Text, Whole, load_toml, raising
+from truearm.schema import Key, List, Number, SchemaError, Text, Whole, at, load_toml, raising
 from truearm.text import counted
 from truearm.types import Floats
 
@@ -153,7 +153,8 @@ def parse_robot(text: str) -> Robot:
         chain = _chain(head, description)
         branch = head.get("branch")
         if branch is not None:
-            check_branch(branch, chain.joints)
+            with at("branch"):
+                check_branch(branch, chain.joints)
         capsules = capsules_of(head["capsule"], len(chain.joints)) if "capsule" in head else None
     amounts = [description.amounts[name] for name in chain.parameter_names]
     values = {name: np.array([amount.values[name] for amount in amounts]) for name in sets}

@@ -28,8 +28,9 @@ import numpy as np
 
 from truearm.model.chain_structure import Joint
 from truearm.model.robot_tables import MAX_JOINTS, robot_number
-from truearm.schema import Key, List, SchemaError, Table, Whole, at
+from truearm.schema import Key, List, SchemaError, Table, Whole
 from truearm.types import Floats
+from truearm.units import DEG
 
 MAX_CAPSULES = 100
 CLEARANCE, HEIGHT = 0.25, 0.08  # m
@@ -88,16 +89,15 @@ CAPSULE: Table[dict[str, Any]] = Table(
 
 def check_branch(branch: Branch, joints: Sequence[Joint]) -> None:
     """Raise SchemaError if the branch is invalid for an arm with these joints."""
-    with at("branch"):
-        if any(joint.kind != "revolute" for joint in joints):
-            raise SchemaError("only an arm with revolute joints can have one")
-        for key, bounds in (("lower", branch.lower), ("upper", branch.upper)):
-            if len(bounds) != len(joints):
-                raise SchemaError(f"{key}: needs a list of {len(joints)} values, one per joint, has {len(bounds)}")
-        limits = np.array([(joint.lower, joint.upper) for joint in joints])
-        wrong = (branch.lower >= branch.upper) | (branch.lower < limits[:, 0]) | (branch.upper > limits[:, 1])
-        for i in np.flatnonzero(wrong)[:1]:
-            raise SchemaError(f"the bounds of joint {i + 1} must lie within its limits, lower below upper")
+    if any(joint.kind != "revolute" for joint in joints):
+        raise SchemaError("only an arm with revolute joints can have one")
+    for key, bounds in (("lower", branch.lower), ("upper", branch.upper)):
+        if len(bounds) != len(joints):
+            raise SchemaError(f"needs bounds of {len(joints)} joints, {key} has {len(bounds)}")
+    for joint, lower, upper in zip(joints, branch.lower.tolist(), branch.upper.tolist(), strict=True):
+        if not joint.lower <= lower < upper <= joint.upper:
+            limits = f"{DEG.of(joint.lower):.6g} to {DEG.text(joint.upper, '.6g')}"
+            raise SchemaError(f"the bounds of {joint.name} must lie within its limits, {limits}, lower below upper")
 
 
 def capsules_of(entries: Sequence[Mapping[str, Any]], n_joints: int) -> Capsules:

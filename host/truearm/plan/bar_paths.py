@@ -179,11 +179,10 @@ def _straightened(site: Site, stops: Floats) -> Floats:
 def move_seconds(site: Site, start: Floats, end: Floats, p_end_point: Floats, pace: Pace) -> Floats:
     """Return the durations (m,) of quintic moves in which neither a joint nor a point of the end exceeds the pace.
 
-    start, end (m, j), p_end_point (m, 3) or (3,).
+    start, end (m, j), p_end_point (m, 3).
     """
     q, move = samples(start, end)
-    point = p_end_point if p_end_point.ndim == 1 else p_end_point[move]
-    p = point_forward(site.arm.chain, site.arm.params, q, point)
+    p = point_forward(site.arm.chain, site.arm.params, q, p_end_point[move])
     last = np.diff(move, append=len(start)) > 0
     count = np.bincount(move)
     chord = np.where(last, 0.0, np.linalg.norm(np.diff(p, axis=0, append=p[-1:]), axis=1)) * (count - 1)[move]

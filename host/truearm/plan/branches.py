@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from truearm.errors import Argument, PlanError
 from truearm.model.builtin import names_with_branch
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot
-from truearm.model.workspace import Branch
-from truearm.units import DEG
+from truearm.model.workspace import Branch, check_branch
+from truearm.schema import SchemaError
 
 MIN_JOINTS = 6  # with fewer, an arm cannot orient the tool freely
 
@@ -52,12 +50,8 @@ def branch_of(robot: Robot, branch: Branch | None = None) -> Branch:
             )
             raise PlanError(text, Argument("branch"))
         return robot.branch
-    lower, upper = chain.limits
-    if len(branch.lower) != len(lower):
-        raise PlanError(Argument("branch"), f": needs bounds of {len(lower)} joints, has {len(branch.lower)}")
-    outside = np.flatnonzero((branch.lower < lower) | (branch.upper > upper))
-    if outside.size:
-        joint = chain.joints[outside[0]]
-        limits_text = f"{DEG.of(joint.lower):.6g} to {DEG.text(joint.upper, '.6g')}"
-        raise PlanError(Argument("branch"), f": the bounds of {joint.name} must lie within its limits, {limits_text}")
+    try:
+        check_branch(branch, chain.joints)
+    except SchemaError as exc:
+        raise PlanError(Argument("branch"), f": {exc}") from None
     return branch

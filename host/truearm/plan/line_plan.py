@@ -24,13 +24,14 @@ from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation_vector
-from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
+from truearm.plan.bar_paths import Pace, way_without_bar
 from truearm.plan.cartesian_lines import Lines, a_priori, candidate_lines
 from truearm.plan.choose import as_blocks, choose, condensed
 from truearm.plan.forecast import Aim, Forecast, Knowledge, compiled, forecast, planned_table, prior_unit, region_root
 from truearm.plan.measurement_limits import Site
 from truearm.plan.options import LineOptions
 from truearm.plan.region import Region, around, poses_in
+from truearm.plan.route import timed
 from truearm.plan.route_stops import SETTLE, Stop, plain, visits_of
 from truearm.plan.visit_order import short_tour
 from truearm.progress import steps_of
@@ -209,17 +210,11 @@ def _stops(
     """Return the beginning of every line, its ends in both directions, and via points between lines."""
     stops: list[Stop] = []
     for number, (q, name) in enumerate(zip(lines.q, names, strict=True)):
-        places = [q[0]]
-        if stops:
-            places = [*way_without_bar(site, stops[-1].q, q[0], f"line {name}", seed=number), q[0]]
-        first = len(stops)
-        for place in places:
-            seconds = float(move_seconds(site, stops[-1].q[None], place[None], point, pace)[0]) if stops else 0.0
-            stops.append(Stop(place, seconds, Move.VIA))
-        instruction = "Remove the line device" if first else "Check that no line device is in the way"
-        stops[first] = stops[first]._replace(before=plain(f"{instruction}. Next: line {name}"))
-        stops[-1] = stops[-1]._replace(there=plain(f"Place the line device along line {name}"))
-        line = {"line": name, "target": target}
-        ends = (q[-1], q[0]) * options.passes
-        stops += [Stop(place, 0.0, Move.LINE, speed=options.speed, names=line) for place in ends]
-    return stops
+        via = way_without_bar(site, stops[-1].q, q[0], f"line {name}", seed=number) if stops else ()
+        leg = [Stop(place, 0.0, Move.VIA) for place in (*via, q[0])]
+        instruction = "Remove the line device" if stops else "Check that no line device is in the way"
+        leg[0] = leg[0]._replace(before=plain(f"{instruction}. Next: line {name}"))
+        leg[-1] = leg[-1]._replace(there=plain(f"Place the line device along line {name}"))
+        line, ends = {"line": name, "target": target}, (q[-1], q[0]) * options.passes
+        stops += [*leg, *(Stop(place, 0.0, Move.LINE, speed=options.speed, names=line) for place in ends)]
+    return timed(site, stops, np.tile(point, (len(stops), 1)), pace)

@@ -88,9 +88,17 @@ def travelled(site: Site, plan: Plan, legs: Iterable[tuple[Iterable[Floats], boo
             leg[-1] = leg[-1]._replace(there=plain(f"Mount {mounted}"))
         stops += leg
         spheres += [site.rig.spheres[names["sphere"]].xyz] * len(leg)
+    return Route(plan, timed(site, stops, np.array(spheres), pace), pace)
+
+
+def timed(site: Site, stops: Sequence[Stop], p_end_point: Floats, pace: Pace) -> list[Stop]:
+    """Return stops with the seconds of the moves to them, by the speed of points of the end (s, 3); 0 for lines."""
     q = np.array([stop.q for stop in stops])
-    seconds = [0.0, *move_seconds(site, q[:-1], q[1:], np.array(spheres)[1:], pace).tolist()]
-    return Route(plan, [stop._replace(seconds=move) for stop, move in zip(stops, seconds, strict=True)], pace)
+    seconds = [0.0, *move_seconds(site, q[:-1], q[1:], p_end_point[1:], pace).tolist()]
+    return [
+        stop if stop.move == Move.LINE else stop._replace(seconds=move)
+        for stop, move in zip(stops, seconds, strict=True)
+    ]
 
 
 def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap], visits: Visits) -> Route:
