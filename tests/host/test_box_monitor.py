@@ -9,15 +9,14 @@ from record_live import box
 from truearm.box.control import Sent
 from truearm.box.monitor import Watch, clock_words, rows_of
 from truearm.record.frame_splitter import FrameCount
-from truearm_wire.messages import HEARTBEAT, TEMPERATURE
+from truearm_wire.messages import TEMPERATURE
 
-LINK = SimpleNamespace(frame_count=FrameCount())
 CALIBRATED = {"unit": "m", "poly": [[0, 0], [4, -2]], "serial": "", "date": "2026-01-01", "temperature_mdegc": 21_000}
 
 
 def beaten(watch, mdegc=26_000):
-    watch.take(Sent(0, HEARTBEAT, None, {"temperature_mdegc": mdegc, "loop_max_us": 1000}))
-    return dict(rows_of(watch, 1.0, LINK))
+    heartbeat = {"temperature_mdegc": mdegc, "loop_max_us": 1000}
+    return dict(rows_of(watch, 1.0, SimpleNamespace(frame_count=FrameCount(), heartbeat=heartbeat)))
 
 
 def test_thermometers_are_shown_by_their_names_or_missed():

@@ -7,7 +7,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from truearm.session.samples import counts_of, railed, volts
 from truearm.session.streams import COUNTERS
 from truearm.text import counted, faster, one_line
 from truearm.units import DEGC, MDEGC, MS, NS, PPM, US
-from truearm_wire.messages import EVENT, HEARTBEAT, START, SYNC_REPLY, TEMPERATURE
+from truearm_wire.messages import EVENT, START, SYNC_REPLY, TEMPERATURE
 
 WINDOW_S = 1.0  # averaging time of displayed values
 PROBE_S = 0.25
@@ -67,7 +66,6 @@ class Watch:
 
     ident: Ident
     windows: dict[int, LastSecond] = field(default_factory=dict)
-    heartbeat: dict[str, Any] = field(default_factory=dict)
     thermometers: dict[int, float] = field(default_factory=dict)  # °C
     exchanges: deque[tuple[int, int, int, int]] = field(  # t0, t1, t2, t3
         default_factory=lambda: deque(maxlen=MOST_EXCHANGES)
@@ -85,8 +83,6 @@ class Watch:
             stream = self.ident.streams.get(sent.data.stream)
             if stream is not None and (counts := counts_of(sent.data, stream)) is not None:
                 self.windows.setdefault(stream.id, LastSecond()).take(sent.data.n0, counts, sent.data.period_ns)
-        elif sent.kind == HEARTBEAT:
-            self.heartbeat = fields
         elif sent.kind == TEMPERATURE:
             self.thermometers[fields["thermometer"]] = MDEGC.to_si(fields["temperature_mdegc"])
         elif sent.kind == EVENT:
@@ -130,7 +126,7 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Iterator[tuple[s
     for stream in watch.ident.streams.values():
         yield from _stream_rows(stream, watch.windows.get(stream.id))
     yield "clock", clock_words(watch)
-    if beat := watch.heartbeat:
+    if beat := box.heartbeat:
         degc = MDEGC.to_si(beat["temperature_mdegc"])
         longest = MS.text(US.to_si(beat["loop_max_us"]), ".1f")
         yield "box", f"{DEGC.text(degc, '.1f')}, longest loop {longest}"
@@ -189,7 +185,7 @@ def clock_words(watch: Watch) -> str:
 
 def losses(watch: Watch, box: BoxControl) -> str:
     """Return the counts of everything that went wrong, including zeros."""
-    beat = watch.heartbeat
+    beat = box.heartbeat
     counts = [
         f"{counted(box.frame_count.lost, 'frame')} on the link",
         f"{counted(beat.get('overruns', 0), 'sample')} in the box",

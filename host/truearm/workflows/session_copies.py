@@ -4,16 +4,15 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from truearm.disk import check_writable, replacing, sha256, working_folder
+from truearm.disk import check_writable, replacing, sha256
 from truearm.errors import Argument, InputError, SessionError, WriteError
 from truearm.file_names import system_reason
 from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
-from truearm.record.recover import Recovered, is_whole
+from truearm.record.recover import Recovered
 from truearm.record.recover import recover as recover_session
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
@@ -32,17 +31,15 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
     Raises InputError, SessionError if nothing can be saved or the session is still being written, WriteError.
     """
     opened = open_finished(session, allow_damaged=True)
-    if is_whole(opened):
+    if not (opened.truncated or opened.damage):
         return None
     check_writable(out, force, inputs=[session], kind="session")
     provenance = {"source": session.name, "sha256": sha256(session)}
     try:
-        with working_folder(out.parent) as folder:
-            partial = folder / "session.mcap"  # beside ``out``, and renamed: ``out`` is always complete
+        with replacing(out) as partial:
             recovered = recover_session(opened, partial, provenance)
             if not recovered.topics and not opened.metadata:
                 raise SessionError(f"{session}: contains nothing that can be recovered; record again")
-            os.replace(partial, out)
     except (OSError, WriteError) as exc:
         reason = f"{out}: cannot be written: {system_reason(exc)}; {session} is unchanged"
         raise WriteError(reason, exc.strerror or "") from exc

@@ -6,7 +6,6 @@ together.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -115,6 +114,10 @@ def earlier(path: Path) -> Earlier:
     A part without its end (the recorder was killed) is read as far as possible. Raises InputError, SessionError; also
     for a session that is still being written, because two recorders would take box and robot from each other.
     """
+    import msgspec
+
+    from truearm.session.joint_format import are_joints
+
     first = _first(path)
     sessions = [open_finished(session_path, allow_damaged=True) for session_path in session_parts(first)]
     setup = dict(sessions[0].metadata.get(SETUP, {}))
@@ -124,9 +127,14 @@ def earlier(path: Path) -> Earlier:
     for number, session in enumerate(sessions):
         setup |= session.metadata.get(SETUP, {})
         for message in sorted(session.messages(["/plan", "/events"]), key=attrgetter("t_host_ns")):
-            row = _table(message.data)
+            try:
+                row = msgspec.json.decode(message.data, type=dict[str, Any])
+            except (msgspec.MsgspecError, RecursionError) as exc:
+                raise _damaged(session.path) from exc
             if message.topic == "/plan":
-                rows += [_planned(row, rows, session.path)] * (number == 0)
+                if not are_joints(row.get("q")) or len(row["q"]) != len((rows or [row])[0]["q"]):
+                    raise _damaged(session.path)
+                rows += [row] * (number == 0)
             elif row.get("kind") == "mounted":
                 mounted = {k: v for k, v in row.items() if k != "kind" and isinstance(v, str)}
             elif (kind := row.get("kind")) in (Move.DWELL, Move.LINE):
@@ -187,21 +195,6 @@ def _opened(path: Path) -> Session:
     return open_session(path, allow_damaged=True)
 
 
-def _planned(row: dict[str, Any], rows: list[dict[str, Any]], path: Path) -> dict[str, Any]:
-    """Return a row of the plan, with as many joints as the previous ones."""
-    from truearm.session.joint_format import are_joints
-
-    q = row.get("q")
-    if not are_joints(q) or (rows and len(rows[0]["q"]) != len(q)):
-        raise SessionError(Argument("resume"), f" {path}: its plan is damaged; give it again with ", Argument("plan"))
-    return row
-
-
-def _table(data: bytes) -> dict[str, Any]:
-    try:
-        row = json.loads(data)
-    except (ValueError, RecursionError):
-        row = None
-    if not isinstance(row, dict):
-        raise SessionError(Argument("resume"), ": the session's plan or events are damaged; record a new session")
-    return row
+def _damaged(path: Path) -> SessionError:
+    plan = "; give the plan again with ", Argument("plan"), ", or record a new session"
+    return SessionError(Argument("resume"), f" {path}: its plan or its events are damaged", *plan)
