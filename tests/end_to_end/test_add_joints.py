@@ -14,9 +14,8 @@ from tests.refusals import ended
 from truearm.cli.main import main
 from truearm.errors import InputError
 from truearm.model.robot_file import RobotChoice
-from truearm.record.robots.add_readings import Anchors
 from truearm.record.robots.sources import FileOptions, readings_of_file
-from truearm.record.session_writer import SessionWriter
+from truearm.record.session_writer import SessionWriter, copy_head, read_anchor
 from truearm.session.session_file import open_session
 from truearm.workflows.session_copies import joint_names
 from truearm.workflows.session_observations import observations_of_session
@@ -32,15 +31,13 @@ class Recorded:
         self.path, self.bare = folder / "whole.mcap", folder / "bare.mcap"
         record_session(self.path, 9, osr=16384)
         session = open_session(self.path)
-        anchors = Anchors(session)
-        (utc, host) = anchors.first
-        with SessionWriter(self.bare, anchors) as writer:
-            for name, data in session.attachments.items():
-                writer.attach(name, data)
-            writer.metadata("box", session.metadata["box"])
+        utc, host = read_anchor(session.metadata["session"])
+        with SessionWriter(self.bare, None) as writer:
+            copy_head(session, writer)
             for message in session.messages():
                 if message.topic != "/robot/joints":
                     writer.add(message.topic, message.t_host_ns, message.data)
+            writer.close(session.metadata["session-end"])
         rows = [(m.t_host_ns, json.loads(m.data)) for m in session.messages({"/robot/joints"})]
         self.utc_ns = [t - host + utc for t, _ in rows]
         self.t = [row["t"] for _, row in rows]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from record_box import HOST_0, SECOND, Box, ComingBack, Lab, Robot, Wire, heartbeat
+from record_box import HOST_0, SECOND, Box, ComingBack, Lab, Robot, Wire
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError, RefusedError
@@ -124,15 +124,6 @@ COURSES = {
     ),
     "a restart that only the heartbeat tells": Course(
         {2.0: lambda box, robot: box.boot(0x2222, seq=box.seq)}, ["box-restarted", "start"], seconds=4.0
-    ),
-    "a box that somebody stopped": Course(  # a single late heartbeat says nothing
-        {
-            2.0: lambda box, robot: box.send(lambda seq: heartbeat(seq, box.boot_id, box.t_us(), 0)),
-            4.0: of_box("streaming", False),
-        },
-        ["box-stopped", "start"],
-        seconds=9.0,
-        counters={"restarts": 0},
     ),
     "frames counted anew without a restart": Course(
         {2.0: of_box("seq", 0)}, [], seconds=4.0, counters={"restarts": 0}, commands=ASKED

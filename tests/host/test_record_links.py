@@ -9,7 +9,7 @@ import time
 import pytest
 
 from truearm.errors import InputError, LinkClosed, LinkError
-from truearm.record.links import HostClock, SerialLink, TcpLink, host_and_port
+from truearm.record.links import HostClock, SerialLink, TcpLink, parse_address
 from truearm.record.ports import BoxPort
 from truearm.record.reopening import PAUSE_S, Reopening
 
@@ -175,8 +175,8 @@ class TestTcp:
     ("device", "says"),
     [
         ("ttyACM9", "not found; plug the box in"),
-        ("file", "is not a serial port"),
-        (".", "is a directory, no serial port"),
+        ("file", "is no serial port"),
+        (".", "is no serial port"),
         ("socket://127.0.0.1:1", "nothing listens there"),
     ],
 )
@@ -195,7 +195,17 @@ def test_no_device(device):
 
 
 @pytest.mark.parametrize(
-    "url", ["", "localhost:7008", "udp://localhost:1", "tcp://h", "tcp://h:70000", "tcp://h:1/x", "tcp://[::1:5"]
+    "url",
+    [
+        "",
+        "localhost:7008",
+        "udp://localhost:1",
+        "tcp://h",
+        "tcp://h:70000",
+        "tcp://h:1/x",
+        "tcp://h:1?x=1",
+        "tcp://[::1:5",
+    ],
 )
 def test_no_address(url):
     with pytest.raises(InputError, match=r"tcp://host:port"):
@@ -203,8 +213,8 @@ def test_no_address(url):
 
 
 def test_addresses():
-    assert host_and_port("tcp://127.0.0.1:7008", "tcp") == ("127.0.0.1", 7008)
-    assert host_and_port("socket://[::1]:7007", "socket") == ("::1", 7007)
+    assert parse_address("tcp://127.0.0.1:7008?a=b", "tcp", with_options=True) == ("127.0.0.1", 7008, {"a": "b"})
+    assert parse_address("socket://[::1]", "socket", 7007) == ("::1", 7007, {})
 
 
 @pytest.mark.parametrize("raw", [True, False])

@@ -69,7 +69,6 @@ ALL_TYPES = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,UINT64,INT32,UINT32"
 
 class TestBytes:
     def test_requests_answers_and_vectors(self):
-        assert rtde.request_version() == VERSION_2
         assert rtde.package(rtde.CONTROLLER) == CONTROLLER
         assert rtde.request_outputs(["actual_q", "actual_qd"], 500.0) == SETUP_500
         assert rtde.package(rtde.START) == START
@@ -78,7 +77,6 @@ class TestBytes:
         kinds, payloads = zip(*rtde.Packages().push(stream), strict=True)
         assert bytes(kinds) == b"VvOSU"
         assert payloads[0] == payloads[3] == b"\1"
-        assert rtde.controller_version(payloads[1]) == (5, 8, 0, 0)
         recipe = rtde.recipe_of(["timestamp", "target_speed_fraction"], b"\1DOUBLE,DOUBLE")
         assert recipe.values(payloads[4]) == {
             "timestamp": pytest.approx(16412.206, abs=5e-4),
@@ -375,5 +373,5 @@ def test_nobody_there():
     ],
 )
 def test_an_address_that_is_none(url):
-    with pytest.raises(InputError, match="an address"):
+    with pytest.raises(InputError, match="address: "):
         RtdeLink(url, HostClock())

@@ -26,7 +26,7 @@ from record_box import Lab, run_of
 from session_stream import BLOCK, PERIOD_NS, Box, ident_document
 
 from truearm.errors import TruearmError
-from truearm.record.box_storage import BoxStorage, ClockExchanges
+from truearm.record.box_storage import BoxStorage
 from truearm.record.operator import Counters
 from truearm.record.recover import recover
 from truearm.record.requests import Requests
@@ -98,7 +98,7 @@ def check_blocks(messages, of_ours=frozenset(PAYLOADS)):
 def record_stream(rng, raw):
     """Return what a recorder stores of a stream that arrives in pieces: every byte."""
     kept = Kept()
-    storage = BoxStorage(kept, Counters(), ClockExchanges(kept, Counters()), Requests(None, Lab(), None))
+    storage = BoxStorage(kept, Counters(), Requests(None, Lab(), None))
     at, ended = 0, False
     while at < len(raw) and not ended:
         piece = raw[at : at + rng.choice([1, 7, 64, 250, 4096])]

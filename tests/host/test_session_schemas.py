@@ -90,10 +90,10 @@ def test_every_channel_has_a_schema_that_holds(recorded):
 
 
 def test_frames_are_described_element_by_element():
-    assert encodings_of("/box/adc", b"").data == (
-        "frame = [16, seq: any, stream: any, n0: any, t0_us: any, period_ns: any, samples: any, flags: any, * any]\n"
-    )
-    assert encodings_of("/box/reply", b"").data.count("[") == 2
+    text = encodings_of("/box/adc", b"").data
+    data = "[16, seq: any, stream: any, n0: any, t0_us: any, period_ns: any, samples: any, flags: any, * any]"
+    assert text.startswith(f"frame = {data} / [17, ")
+    assert text.count("[") == 8
 
 
 def test_the_lvdt_is_shown_ten_times_a_second(recorded):

@@ -24,45 +24,13 @@ from truearm.record.operator import Counters, Operator
 from truearm.record.requests import Requests
 from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_ident import Ident
+from truearm.session.box_ident import Ident, Stream
 from truearm.session.frames import Data, conforms, data_of, named_elements
 from truearm.session.samples import counts_of, shown
 from truearm.units import MDEGC
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, TEMPERATURE
 
 SYNC_TIMEOUT_NS = 2_000_000_000
-
-
-@dataclass
-class ClockExchanges:
-    """Exchanges by id: those pending, and the outcome of the others."""
-
-    writer: SessionWriter
-    counters: Counters
-    rtt_us: float | None = None  # the shortest exchange, without the time within the box
-    _pending: dict[int, int] = field(default_factory=dict)  # id: t0
-
-    def asked(self, probe: int, t0_ns: int) -> None:
-        """Note a request sent at ``t0_ns``."""
-        self._pending[probe] = t0_ns
-        self.counters.probes += 1
-
-    def answered(self, probe: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
-        """Note a reply, unless it is unknown or too late."""
-        t0_ns = self._pending.pop(probe, None)
-        if t0_ns is None:
-            return
-        row = {"id": probe, "t0_ns": t0_ns, "t1_us": t1_us, "t2_us": t2_us, "t3_ns": t3_ns}
-        self.writer.add("/sync", t3_ns, msgspec.json.encode(row))
-        rtt_us = max(0.0, (t3_ns - t0_ns) / 1000 - (t2_us - t1_us))
-        self.rtt_us = rtt_us if self.rtt_us is None else min(rtt_us, self.rtt_us)
-
-    def expire(self, now_ns: int, older_than_ns: int = SYNC_TIMEOUT_NS) -> None:
-        """Drop requests older than this."""
-        late = [probe for probe, t0_ns in self._pending.items() if now_ns - t0_ns >= older_than_ns]
-        for probe in late:
-            self.writer.add_json("/sync", now_ns, {"id": probe, "t0_ns": self._pending.pop(probe)})
-            self.counters.unanswered_probes += 1
 
 
 _TOPICS = {
@@ -85,18 +53,18 @@ class BoxStorage:
 
     writer: SessionWriter
     counters: Counters
-    exchanges: ClockExchanges
     requests: Requests
     operator: Operator = field(default_factory=Operator)
     suspect: bool = False  # the box may have restarted
     restarted: bool = False  # it has
-    stopped: bool = False  # it reports that it is not streaming, though it was started
     heard_ns: int | None = None  # time of its last message, or since when it could be heard again
     spoke_ns: int | None = None  # time of its last message
+    rtt_us: float | None = None  # the shortest clock exchange, without the time within the box
+    _asked_ns: dict[int, int] = field(default_factory=dict)  # t0 of the clock requests without an answer, by id
     _frame_count: FrameCount = field(default_factory=FrameCount)
-    _idle_us: int | None = None  # box time of the first such report
-    _beat: tuple[int, int, int] | None = None  # the last heartbeat's boot id, dropped and overruns
-    _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes per sample
+    _beats: dict[int, tuple[int, int]] = field(
+        default_factory=dict
+    )  # dropped and overruns of each boot's last heartbeat
     _next_preview_ns: dict[int, int] = field(default_factory=dict)  # by stream
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
 
@@ -134,6 +102,18 @@ class BoxStorage:
         self.suspect = False
         self._frame_count.clear()
 
+    def asked(self, number: int, t0_ns: int) -> None:
+        """Note a clock request with this id, sent at ``t0_ns``."""
+        self._asked_ns[number] = t0_ns
+        self.counters.probes += 1
+
+    def expire(self, now_ns: int, older_than_ns: int = SYNC_TIMEOUT_NS) -> None:
+        """Give up clock requests older than this."""
+        late = [number for number, t0_ns in self._asked_ns.items() if now_ns - t0_ns >= older_than_ns]
+        for number in late:
+            self.writer.add_json("/sync", now_ns, {"id": number, "t0_ns": self._asked_ns.pop(number)})
+            self.counters.unanswered_probes += 1
+
     def _take_console(self, t_host_ns: int, data: bytes) -> None:
         self.counters.console_bytes += len(data)
         self.writer.add("/box/console", t_host_ns, data)
@@ -141,31 +121,28 @@ class BoxStorage:
     def _take_frame(self, t_host_ns: int, frame: list[Any], payload: bytes) -> None:
         kind, seq = frame[:2]
         data = data_of(frame) if kind == DATA and conforms(frame) else None
-        if data is not None and (data.stream <= _LARGEST_UNNAMED_STREAM or data.stream in self._streams):
-            n_bytes = len(data.samples)
-            topic, sample_bytes = self._streams.get(data.stream) or (f"/box/stream{data.stream}", n_bytes + 1)
-            self.writer.add(topic, t_host_ns, payload)
-            self._count(seq)
-            self.counters.samples += n_bytes // sample_bytes
-            if t_host_ns >= self._next_preview_ns.get(data.stream, 0):
-                self._next_preview_ns[data.stream] = t_host_ns + PREVIEW_NS
-                self._preview(t_host_ns, data)
-            self.operator.block(t_host_ns, data)
-            return
-        self.writer.add(_TOPICS.get(kind, "/box/other"), t_host_ns, payload)
+        stream = None if data is None or self.ident is None else self.ident.streams.get(data.stream)
+        topic = _TOPICS.get(kind, "/box/other")
+        if stream is not None:
+            topic = f"/box/{stream.name}"
+        elif data is not None and data.stream <= _LARGEST_UNNAMED_STREAM:
+            topic = f"/box/stream{data.stream}"
+        self.writer.add(topic, t_host_ns, payload)
         self._count(seq)
-        if kind in _TOPICS and (fields := named_elements(frame)) is not None:
+        if stream is not None and data is not None:
+            self._take_samples(t_host_ns, data, stream)
+        elif kind in _TOPICS and (fields := named_elements(frame)) is not None:
             self._interpret(t_host_ns, kind, fields)
 
-    def _preview(self, t_host_ns: int, data: Data) -> None:
-        """Store a block's last sample for viewers that cannot read frames."""
-        stream = None if self.ident is None else self.ident.streams.get(data.stream)
-        counts = None if stream is None else counts_of(data, stream)
-        if stream is not None and counts is not None:
-            row = dict(
-                shown(*pair) for pair in zip(stream.channels, counts[-1].tolist(), strict=True) if not pair[0].fault
-            )
+    def _take_samples(self, t_host_ns: int, data: Data, stream: Stream) -> None:
+        """Pass samples on, and store a block's last one now and then for viewers that cannot read frames."""
+        self.counters.samples += len(data.samples) // (_SAMPLE_BYTES * len(stream.channels))
+        if t_host_ns >= self._next_preview_ns.get(data.stream, 0) and (counts := counts_of(data, stream)) is not None:
+            self._next_preview_ns[data.stream] = t_host_ns + PREVIEW_NS
+            pairs = zip(stream.channels, counts[-1].tolist(), strict=True)
+            row = dict(shown(*pair) for pair in pairs if not pair[0].fault)
             self.writer.add(PREVIEW + stream.name, t_host_ns, msgspec.json.encode(row))
+        self.operator.block(t_host_ns, data)
 
     def _count(self, seq: int) -> None:
         self.counters.frames += 1
@@ -175,61 +152,55 @@ class BoxStorage:
 
     def _interpret(self, t_host_ns: int, kind: int, fields: Mapping[str, Any]) -> None:
         if kind == SYNC_REPLY:
-            self.exchanges.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
+            self._take_exchange(t_host_ns, fields["id"], fields["t1_us"], fields["t2_us"])
         elif kind == HEARTBEAT:
             self._take_heartbeat(fields)
         elif kind in (IDENT, REPLY, ERROR):
-            recorded, faults = self.ident, self.faults
+            recorded = self.ident
             self.requests.take(kind, fields)
             if self.ident is not None and self.ident is not recorded:
-                self._take_ident(t_host_ns, recorded, faults, self.ident)
+                self._take_ident(t_host_ns, recorded, self.ident)
+
+    def _take_exchange(self, t3_ns: int, number: int, t1_us: int, t2_us: int) -> None:
+        """Store a clock exchange, unless it is unknown or too late."""
+        t0_ns = self._asked_ns.pop(number, None)
+        if t0_ns is not None:
+            row = {"id": number, "t0_ns": t0_ns, "t1_us": t1_us, "t2_us": t2_us, "t3_ns": t3_ns}
+            self.writer.add("/sync", t3_ns, msgspec.json.encode(row))
+            rtt_us = max(0.0, (t3_ns - t0_ns) / 1000 - (t2_us - t1_us))
+            self.rtt_us = rtt_us if self.rtt_us is None else min(rtt_us, self.rtt_us)
 
     def _take_heartbeat(self, fields: Mapping[str, Any]) -> None:
-        self._count_in_box(fields["boot_id"], fields["dropped"], fields["overruns"])
-        self.operator.box_temperature(MDEGC.to_si(fields["temperature_mdegc"]))
-        if self.ident is not None and fields["boot_id"] != self.ident.boot_id:
-            self.suspect = True
-        if fields["streaming"]:
-            self._idle_us = None
-        elif self._idle_us is None:
-            self._idle_us = fields["t_us"]
-        elif fields["t_us"] > self._idle_us:  # twice: a single one may be late
-            self.stopped = True
-
-    def _count_in_box(self, boot_id: int, dropped: int, overruns: int) -> None:
         """Count losses in the box. It counts since boot, so losses before this recording first heard of it are not
         included.
         """
-        previous = self._beat or (boot_id, dropped, overruns)
-        if previous[0] != boot_id:
-            previous = (boot_id, 0, 0)
-        increase = (dropped - previous[1]) % _BEAT_WRAP, (overruns - previous[2]) % _BEAT_WRAP
-        if max(increase) >= _BEAT_WRAP // 2:
-            return  # of a count that went back
-        self._beat = boot_id, dropped, overruns
-        self.counters.dropped_in_box += increase[0]
-        self.counters.overruns_in_box += increase[1]
+        boot_id, counts = fields["boot_id"], (fields["dropped"], fields["overruns"])
+        self.operator.box_temperature(MDEGC.to_si(fields["temperature_mdegc"]))
+        if self.ident is not None and boot_id != self.ident.boot_id:
+            self.suspect = True
+        before = self._beats.get(boot_id, (0, 0) if self._beats else counts)
+        dropped, overruns = ((now - then) % _BEAT_WRAP for now, then in zip(counts, before, strict=True))
+        if max(dropped, overruns) < _BEAT_WRAP // 2:  # else the count went back
+            self._beats[boot_id] = counts
+            self.counters.dropped_in_box += dropped
+            self.counters.overruns_in_box += overruns
 
-    def _take_ident(self, t_host_ns: int, recorded: Ident | None, faults: tuple[str, ...], ident: Ident) -> None:
-        """Compare an ident with the one before and its faults."""
+    def _take_ident(self, t_host_ns: int, recorded: Ident | None, ident: Ident) -> None:
+        """Compare an ident with the one before. Raises ProtocolError if a different box answers: its calibration and its
+        clock differ.
+        """
         if recorded is not None:
-            _check_same(recorded, ident)
-        if recorded is not None and ident.boot_id != recorded.boot_id:
-            self.counters.restarts += 1
-            self.restarted = True
-            self.cleared()
-            self.writer.event("box-restarted", t_host_ns, boot_id=ident.boot_id, boot_id_before=recorded.boot_id)
+            uids = [str(document.get("uid", ""))[:32] for document in (ident.document, recorded.document)]
+            if uids[0] != uids[1]:
+                raise ProtocolError(
+                    f"another box answers ({uids[0] or 'without a uid'}; the recording began with {uids[1] or 'one without'}); "
+                    "plug in the box of the recording and resume the session"
+                )
+            if ident.boot_id != recorded.boot_id:
+                self.counters.restarts += 1
+                self.restarted = True
+                self.cleared()
+                self.writer.event("box-restarted", t_host_ns, boot_id=ident.boot_id, boot_id_before=recorded.boot_id)
         for text in ident.faults:
-            if text not in faults:
+            if recorded is None or text not in recorded.faults:
                 self.writer.event("box-fault", t_host_ns, text=text)
-        self._streams = {s.id: (f"/box/{s.name}", _SAMPLE_BYTES * len(s.channels)) for s in ident.streams.values()}
-
-
-def _check_same(recorded: Ident, answering: Ident) -> None:
-    """Raise ProtocolError if a different box answers: its calibration and its clock differ."""
-    uids = [str(ident.document.get("uid", ""))[:32] for ident in (recorded, answering)]
-    if uids[0] != uids[1]:
-        raise ProtocolError(
-            f"another box answers ({uids[1] or 'without a uid'}; the recording began with {uids[0] or 'one without'}); "
-            "plug in the box of the recording and resume the session"
-        )

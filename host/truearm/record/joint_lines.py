@@ -126,11 +126,8 @@ class RobotIntake:
     def _back(self, t_host_ns: int, reading: JointLine) -> None:
         """Note the first reading after a loss: its duration, and the number of lost readings if the robot counts them."""
         self.lost = None
-        last, lost = self._last, None
-        if last and UNNUMBERED not in (last.seq, reading.seq) and reading.t > last.t and reading.seq > last.seq:
-            lost = reading.seq - last.seq - 1
         away_s = None if self.heard_ns is None else round((t_host_ns - self.heard_ns) / 1e9, 3)
-        self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=lost)
+        self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=_missing(self._last, reading))
 
     @property
     def backlog(self) -> Backlog:
@@ -161,29 +158,17 @@ class RobotIntake:
     def _take_reading(self, t_host_ns: int, line: bytes, reading: JointLine) -> None:
         if self.lost is not None and not self.ended:
             self._back(t_host_ns, reading)
-        elif self._last is not None:
-            self._count_missing(self._last, reading)
+        elif self.backlog.held_up and self._last is not None:  # readings may be lost because they could not be stored
+            self._counters.robot_missing += _missing(self._last, reading) or 0
+            self._counters.robot_dropped |= self.backlog.drops and UNNUMBERED in (self._last.seq, reading.seq)
         self._counters.robot_lines += 1
-        self._store(t_host_ns, line, reading)
-        self.heard_ns, self._last = t_host_ns, reading
-        self._operator.reading(t_host_ns, reading)
-
-    def _store(self, t_host_ns: int, line: bytes, reading: JointLine) -> None:
-        """Store a reading; that of a source that sends numbers as columns, with ten lines a second for viewers."""
-        numeric = getattr(self._link, "numeric", False)
+        numeric = getattr(self._link, "numeric", False)  # stored as columns, with ten lines a second for viewers
         self._writer.add_reading(t_host_ns, None if numeric else line, reading)
         if numeric and t_host_ns >= self._next_preview_ns:
             self._next_preview_ns = t_host_ns + PREVIEW_NS
             self._writer.add(ROBOT_PREVIEW, t_host_ns, line)
-
-    def _count_missing(self, last: JointLine, reading: JointLine) -> None:
-        """Count readings that were lost because they could not be stored, by their numbers if they have any."""
-        if not self.backlog.held_up:
-            return
-        if UNNUMBERED in (last.seq, reading.seq):
-            self._counters.robot_dropped |= self.backlog.drops
-        elif reading.t > last.t:
-            self._counters.robot_missing += max(reading.seq - last.seq - 1, 0)
+        self.heard_ns, self._last = t_host_ns, reading
+        self._operator.reading(t_host_ns, reading)
 
     def flush(self, t_host_ns: int) -> None:
         """Store what came behind the last line feed."""
@@ -195,3 +180,10 @@ class RobotIntake:
         self._counters.robot_console_bytes += len(data)
         self.unread = self.unread or data
         self._writer.add("/robot/console", t_host_ns, data)
+
+
+def _missing(last: JointLine | None, reading: JointLine) -> int | None:
+    """Return how many readings are missing between two, by their numbers; None if these do not show it."""
+    if last is None or UNNUMBERED in (last.seq, reading.seq) or reading.t <= last.t or reading.seq <= last.seq:
+        return None
+    return reading.seq - last.seq - 1

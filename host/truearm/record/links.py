@@ -15,8 +15,9 @@ import socket
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Any, NamedTuple, Protocol, runtime_checkable
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 import serial
 
@@ -149,15 +150,13 @@ class StreamLink:
 
     def read(self, timeout_s: float) -> Arrivals:
         arrivals: Arrivals = []
-        try:
+        with suppress(queue.Empty):
             while self._error is None and len(arrivals) < _READ_ITEMS:
-                item = self._queue.get(timeout=timeout_s) if not arrivals else self._queue.get_nowait()
+                item = self._queue.get(not arrivals, timeout_s)  # waits for the first alone
                 if isinstance(item, LinkError):
                     self._error = item
                 else:
                     arrivals.append(item)
-        except queue.Empty:
-            return arrivals
         if not arrivals and self._error is not None:
             raise self._error
         return arrivals
@@ -207,11 +206,8 @@ class StreamLink:
         if self._queue.full():
             self._held_up += 1
         while not self._stopping.is_set():
-            try:
-                self._queue.put(item, timeout=_POLL_S)
-            except queue.Full:
-                continue
-            return
+            with suppress(queue.Full):
+                return self._queue.put(item, timeout=_POLL_S)
 
 
 class SerialLink(StreamLink):
@@ -221,7 +217,8 @@ class SerialLink(StreamLink):
     """
 
     def __init__(self, device: str, clock: Clock) -> None:
-        _check_device(device)
+        if not device or "://" in device:
+            parse_address(device, "socket")
         self._selects = os.name == "posix" or device.startswith("socket://")
         try:
             port = serial.serial_for_url(
@@ -242,34 +239,16 @@ class SerialLink(StreamLink):
         return bytes(self._stream.read(max(1, getattr(self._stream, "in_waiting", 1))))
 
     def _send(self, data: bytes) -> None:
-        try:
-            self._stream.write(data)
-        except serial.SerialTimeoutException as exc:
-            raise LinkError(
-                f"{self.name}: the box accepted no bytes for {_WRITE_TIMEOUT_S:g} s; unplug it and plug it in again"
-            ) from exc
+        self._stream.write(data)
 
 
-def _check_device(device: str) -> None:
-    scheme, separator, _ = device.partition("://")
-    if not device or (separator and scheme != "socket"):
-        raise InputError(
-            "wrong-value", place="box", value=device, form="a path such as /dev/ttyACM0, or socket://host:port"
-        )
-    if separator:
-        host_and_port(device, "socket")
-
-
+_UNREACHABLE = "does not answer; is the address right, the network up, and the machine on?"
 _HINTS = {
     errno.ENOENT: "not found; plug the box in, or correct the name of its port",
     errno.EACCES: "permission denied; on Linux, join the group that owns it (dialout)",
-    errno.EBUSY: "is in use by another program; close it",
-    errno.EAGAIN: "is in use by another program; close it",
-    errno.ENOTTY: "is not a serial port; find the box's with truearm box list",
-    errno.EISDIR: "is a directory, no serial port; find the box's with truearm box list",
-    errno.ETIMEDOUT: "does not answer; is the address right, and the machine on?",
-    errno.EHOSTUNREACH: "cannot be reached; is the address right, and the network up?",
-    errno.ENETUNREACH: "cannot be reached; is the address right, and the network up?",
+    **dict.fromkeys((errno.EBUSY, errno.EAGAIN), "is in use by another program; close it"),
+    **dict.fromkeys((errno.ENOTTY, errno.EISDIR), "is no serial port; find the box's with truearm box list"),
+    **dict.fromkeys((errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH), _UNREACHABLE),
     errno.ECONNREFUSED: "nothing listens there; is the address right, and the box, the robot or the simulator running?",
 }
 
@@ -279,7 +258,7 @@ def _why_not_open(name: str, exc: Exception) -> str:
     if isinstance(causes[-1], socket.gaierror):
         return f"{name}: unknown host name; check it, or give the address, such as 127.0.0.1"
     if isinstance(causes[-1], TimeoutError):
-        return f"{name}: {_HINTS[errno.ETIMEDOUT]}"
+        return f"{name}: {_UNREACHABLE}"
     # termios.error has no attribute errno
     numbers = [number for error in causes for number in (getattr(error, "errno", None), *error.args[:1])]
     hint = next((_HINTS[number] for number in numbers if number in _HINTS), "")
@@ -293,9 +272,9 @@ class TcpLink(StreamLink):
     """A robot's stream behind ``tcp://host:port``; ``name`` identifies it in errors, by default the url."""
 
     def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
-        address = host_and_port(url, "tcp")
+        host, port, _ = parse_address(url, "tcp")
         try:
-            connection = socket.create_connection(address, timeout=_CONNECT_TIMEOUT_S)
+            connection = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S)
         except OSError as exc:
             raise LinkError(_why_not_open(name or url, exc)) from exc
         connection.settimeout(_WRITE_TIMEOUT_S)
@@ -321,15 +300,17 @@ def _notice_silence(connection: socket.socket) -> None:
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
-def host_and_port(url: str, scheme: str) -> tuple[str, int]:
-    """Return host and port of ``scheme://host:port``. Raises InputError."""
+def parse_address(
+    url: str, scheme: str, port: int | None = None, with_options: bool = False
+) -> tuple[str, int, dict[str, str]]:
+    """Return host, port (``port`` where none is given) and options of ``scheme://host:port?name=value``. Raises InputError."""
     try:
         address = urlsplit(url)
-        host, port = address.hostname, address.port
+        host, number = address.hostname, address.port or port
+        options = parse_qsl(address.query, True, bool(address.query), max_num_fields=20)
     except ValueError:
-        host = port = None
-    if host is None or not port or address.scheme != scheme or address.path or address.query:
-        raise InputError(
-            "wrong-value", place="address", value=url, form=f"{scheme}://host:port, such as {scheme}://127.0.0.1:7007"
-        )
-    return host, port
+        host = None
+    if host is None or not number or address.scheme != scheme or address.path or (options and not with_options):
+        form = f"{scheme}://host{'' if port else ':port'}, such as {scheme}://127.0.0.1{'' if port else ':7007'}"
+        raise InputError("wrong-value", place="address", value=url, form=form)
+    return host, number, dict(options)

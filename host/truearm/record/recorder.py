@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from truearm.errors import LinkError, ProtocolError, RefusedError, TruearmError
-from truearm.record.box_storage import BoxStorage, ClockExchanges
+from truearm.record.box_storage import BoxStorage
 from truearm.record.joint_lines import EXPECTED, RobotIntake
 from truearm.record.links import Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Counters, Operator, RecordSummary, Status
@@ -30,9 +30,7 @@ STOP_RETRIES = 4  # the operator who pressed Ctrl-C waits for this
 SILENCE_NS = 3 * SECOND  # for a box that sends a heartbeat every second
 ROBOT_NS = 5 * SECOND  # a robot with a running stream has sent hundreds of readings by then
 REOPEN_S = CHORES_NS / SECOND
-PATIENCE_S = (
-    600.0  # for a lost box or robot; a cable is reconnected sooner, and an unattended session has nobody to do so
-)
+PATIENCE_S = 600.0  # for a lost box or robot; a cable is reconnected sooner
 SHORTEST_NS = 10_000
 ROBOT_SHARE_NS = SECOND // 50  # at a time, so that a flood of readings delays neither clock exchanges nor the end
 DRAIN_NS = SECOND // 5
@@ -113,9 +111,8 @@ class _Recorder:
     def __post_init__(self) -> None:
         self._patience_ns = int(self._options.patience_s * SECOND)
         shared = self._writer, self._counters
-        self._exchanges = ClockExchanges(*shared)
         self._requests = Requests(self._link, self._clock, self._await)
-        self._box = BoxStorage(*shared, self._exchanges, self._requests, self._operator)
+        self._box = BoxStorage(*shared, self._requests, self._operator)
         robot = self._robot_link
         self._robot = None if robot is None else RobotIntake(robot, self._clock, *shared, self._operator)
         self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = self._clock.now_ns()
@@ -164,7 +161,7 @@ class _Recorder:
         while True:
             try:
                 self._check_end()
-                if self._to_set_up or self._box.restarted or self._box.stopped:
+                if self._to_set_up or self._box.restarted:
                     self._set_up()
                 elif self._box.suspect:
                     self._requests.ask(IDENTIFY)
@@ -178,16 +175,13 @@ class _Recorder:
 
     def _set_up(self) -> None:
         self._state = "identifying"
-        if self._box.stopped and not (self._to_set_up or self._box.restarted):
-            self._writer.event("box-stopped", self._clock.now_ns())
-        self._box.restarted = self._box.stopped = False
+        self._box.restarted = False
         self._requests.ask(IDENTIFY)
         with suppress(RefusedError):
             self._requests.ask(STOP)  # a killed recorder left it streaming
         self._configure()
         self._operator.approve(self._requests.identified())
         self._requests.ask(START)
-        self._box.stopped = False
         now_ns = self._clock.now_ns()
         self._writer.event("start", now_ns)
         if self._started_ns is None:
@@ -279,7 +273,7 @@ class _Recorder:
                 self._robot_gone = self._robot.absence(now_ns)
                 waiting = self._robot.backlog.waiting
                 self._counters.robot_unstored = waiting if waiting > USUAL_WAITING else 0
-            self._exchanges.expire(now_ns, 0)
+            self._box.expire(now_ns, 0)
             self._count_backlogs()
             self._take_wishes()
             self._writer.event("stop", now_ns, reason=end.reason, text=end.text)
@@ -329,23 +323,22 @@ class _Recorder:
         for text in self._writer.losses[self._file_losses :]:
             self._file_losses += 1
             self._writer.event("file-lost", now_ns, text=text)
-        self._exchanges.expire(now_ns)
+        self._box.expire(now_ns)
         if self._robot is not None:
             self._robot.watch(now_ns)
         if self._state == "recording":
             self._watch_silence(now_ns)
-            self._probe(now_ns)
+            if now_ns >= self._next_probe_ns:
+                self._probe(now_ns)
         if now_ns >= self._next_progress_ns:
             self._next_progress_ns = now_ns + PROGRESS_NS
             self._count_backlogs()
             self._operator.status(self._status(now_ns))
 
     def _probe(self, now_ns: int) -> None:
-        if now_ns < self._next_probe_ns:
-            return
         self._next_probe_ns = max(self._next_probe_ns + PROBE_NS, now_ns)
         probe, data = self._requests.make(SYNC_REQUEST)
-        self._exchanges.asked(probe, self._link.write(data))
+        self._box.asked(probe, self._link.write(data))
 
     def _watch_silence(self, now_ns: int) -> None:
         heard_ns = self._box.heard_ns
@@ -366,7 +359,7 @@ class _Recorder:
         return Status(
             self._elapsed_s(),
             self._state,
-            self._exchanges.rtt_us,
+            self._box.rtt_us,
             None if robot is None else robot.lost is None,
             Counters(**vars(self._counters)),  # a copy: it may be displayed later, next to the state of this moment
             self._box.faults,

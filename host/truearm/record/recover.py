@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from truearm.errors import SessionError
 from truearm.record.session_writer import SessionWriter, copy_head
-from truearm.session.box_ident import Ident, recorded_ident
+from truearm.session.box_ident import recorded_ident
 from truearm.session.session_file import Damage, Session
 from truearm.session.streams import BoxReader
 from truearm.units import NS
@@ -52,11 +53,6 @@ class Recovered:
     undescribed: int = 0
 
 
-def is_whole(session: Session) -> bool:
-    """Return whether there is nothing to recover."""
-    return not session.truncated and not session.damage
-
-
 def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     """Write ``out``, a complete session, from one that was opened with ``allow_damaged``.
 
@@ -65,7 +61,9 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     """
     saved, ends = Counter[str](), Counter[str](session.counted)  # messages, by the numbers from 0 on of the writer
     first_ns, last_ns = 2**63 - 1, 0
-    ident = _ident(session)
+    ident = None
+    with suppress(SessionError):
+        ident = recorded_ident(session)
     box = BoxReader(ident)
     with SessionWriter(out, None) as writer:
         copy_head(session, writer)
@@ -76,10 +74,8 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
                 ends[topic] = max(ends[topic], int(numbers.max(initial=-1)) + 1)
             first_ns = int(messages.t_host_ns.min(initial=first_ns))
             last_ns = int(messages.t_host_ns.max(initial=last_ns))
-            for sequence, message in zip(
-                messages.sequence.tolist(), messages.of(np.arange(len(messages))), strict=True
-            ):
-                writer.add(*message, sequence)
+            for k, message in enumerate(messages.of(np.arange(len(messages)))):
+                writer.add(*message, int(messages.sequence[k]))
             box.feed(messages)
         box.finish()
         losses = box.losses()
@@ -98,23 +94,13 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
             samples=losses.samples,
             undescribed=losses.blocks_without_ident,
         )
-        writer.metadata("recovered", {**note, **_entries(recovered)})
+        entries = {
+            "cut_off": str(recovered.cut_off).lower(),
+            "unread_bytes": str(recovered.unread_bytes),
+            "messages_saved": str(saved.total()),
+            "messages_lost": str(sum(account.lost for account in topics.values())),
+            "damaged_at": " ".join("?" if damage.at is None else str(damage.at) for damage in recovered.damage),
+        }
+        writer.metadata("recovered", {**note, **entries})
         writer.close(session.metadata.get("session-end"))
     return recovered
-
-
-def _ident(session: Session) -> Ident | None:
-    try:
-        return recorded_ident(session)
-    except SessionError:
-        return None
-
-
-def _entries(recovered: Recovered) -> dict[str, str]:
-    return {
-        "cut_off": str(recovered.cut_off).lower(),
-        "unread_bytes": str(recovered.unread_bytes),
-        "messages_saved": str(sum(account.saved for account in recovered.topics.values())),
-        "messages_lost": str(sum(account.lost for account in recovered.topics.values())),
-        "damaged_at": " ".join("?" if damage.at is None else str(damage.at) for damage in recovered.damage),
-    }

@@ -39,20 +39,14 @@ _JSON: dict[str, dict[str, Any]] = {
     },
     "/plan": {"pose": _INTEGER, "move": _TEXT, **_MOUNTED, "speed_m_s": _NUMBER, "q": _NUMBERS},
 }
-_FRAMES = {
-    "/box/event": (wire.EVENT,),
-    "/box/heartbeat": (wire.HEARTBEAT,),
-    "/box/ident": (wire.IDENT,),
-    "/box/temperature": (wire.TEMPERATURE,),
-    "/box/sync": (wire.SYNC_REPLY,),
-    "/box/reply": (wire.REPLY, wire.ERROR),
-}
+_FRAMES = (
+    *(wire.DATA, wire.EVENT, wire.HEARTBEAT, wire.IDENT, wire.TEMPERATURE, wire.SYNC_REPLY, wire.REPLY, wire.ERROR),
+)
 _COLUMNS = """; n readings of j joints: those since the last such message
 columns = {"arrival_ns": ints, "t": floats, "seq": ints, "q": floats, * text => ints / floats}
 floats = #6.86(bytes) ; RFC 8746 float64, little endian
 ints = #6.79(bytes)   ; RFC 8746 sint64, little endian
 """
-_OTHER = "frame = any ; of a type or a layout that the recorder did not know\n"
 _BYTES = "received bytes that are not a frame or a reading, exactly as they came"
 
 
@@ -71,17 +65,17 @@ def encodings_of(topic: str, first: bytes) -> Encodings:
         return Encodings("application/octet-stream", "truearm/bytes", "text/plain", _BYTES)
     if topic in (COLUMNS, READINGS):
         return Encodings("cbor", "truearm" + topic, "cddl", _COLUMNS)
-    if topic == "/box/other":
-        return Encodings("cbor", "truearm" + topic, "cddl", _OTHER)
     if topic.startswith("/box/"):
-        return Encodings("cbor", "truearm" + topic, "cddl", _grammar(_FRAMES.get(topic, (wire.DATA,))))
+        return Encodings("cbor", "truearm" + topic, "cddl", _grammar())
     properties = _JSON.get(topic, {})
     if topic.startswith(PREVIEW):
         properties = dict.fromkeys(json.loads(first), _NUMBER)
     return Encodings("json", "truearm" + topic, "jsonschema", json.dumps({"type": "object", "properties": properties}))
 
 
-def _grammar(types: tuple[int, ...]) -> str:
-    """Return the CDDL (RFC 8610) of frames of these types; protocol/SPEC.md §4 explains them."""
-    frames = (f"[{', '.join([str(kind), *(f'{name}: any' for name in wire.names(kind)), '* any'])}]" for kind in types)
+def _grammar() -> str:
+    """Return the CDDL (RFC 8610) of a box's frames; protocol/SPEC.md §4 explains them. ``/box/other`` has others too."""
+    frames = (
+        f"[{', '.join([str(kind), *(f'{name}: any' for name in wire.names(kind)), '* any'])}]" for kind in _FRAMES
+    )
     return f"frame = {' / '.join(frames)}\n"

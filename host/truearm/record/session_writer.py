@@ -10,7 +10,8 @@ minute, attachments and a copy of the plan every ten minutes, and at the end. A 
 Twice a second the writer checks its file (``file_loss``). A deleted or replaced file is copied from the open descriptor
 to a new one, where the recording continues. Others are written to as before.
 
-A writer that is held only reserves its name, with a header or a lock, before ``keep``.
+A writer that is held removes its file when it is closed before ``keep``. In place of an earlier recording, nothing is
+written before ``keep``.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
@@ -51,9 +51,7 @@ _OUTCOMES = {  # what becomes of a file that is still there
     "renamed": "the recording continues in it, under its new name",
 }
 
-_as_json = json.JSONEncoder(
-    separators=(",", ":")
-).encode  # one encoder for all rows; dumps would make a new one each time
+_as_json = json.JSONEncoder(separators=(",", ":")).encode  # one for all rows: dumps would make a new one each time
 
 Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
 
@@ -64,7 +62,7 @@ _Message = tuple[int, int, bytes, int, int]  # arguments of add_message(): chann
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` there is only a header before ``keep``, and no file if the writer is closed before. Without a
+    With ``hold`` there is no file if the writer is closed before ``keep``. Without a
     ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata``
     and ``close``.
 
@@ -80,16 +78,14 @@ class SessionWriter:
         self.kept = not hold  # whether there is a file
         self._new = False  # not an earlier recording
         self._file = self._open()
-        self._out = _Output(io.BytesIO() if hold else self._file)
+        self._out = _Output(self._file if self._new or not hold else io.BytesIO())
         self._clock = clock
         self._channels: dict[str, _Channel] = {}  # by topic
         self._utc_offset_ns = 0  # UTC minus the host's clock
         self._chunk_since_ns: int | None = None
         self._chunk_bytes = 0
         self._latest_ns = 0
-        self._readings: list[
-            JointLine | None
-        ] = []  # of the robot, without columns yet; None for a line that is not a reading
+        self._readings: list[JointLine | None] = []  # without columns yet; None for a line that is not a reading
         self._arrival_ns: list[int] = []
         self._columns = COLUMNS  # their topic
         self._synced_s = self._watched_s = time.monotonic()
@@ -102,49 +98,32 @@ class SessionWriter:
         self._attachments: dict[str, bytes] = {}
         self._chunks = 0
         self._writer = _begun(self._out)
-        if hold:
-            self._reserve()
         if clock is not None:
             self.metadata("session", {"version": VERSION, "clock": clock.kind, **_anchor(clock)})
 
     def __enter__(self) -> SessionWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def keep(self) -> None:
-        """Create the file from what was held so far, and write to it from now on. A second call does nothing."""
-        if self.kept:
+        """Let the file be a session, in place of an earlier one. A second call does nothing."""
+        if not self.kept and self._new and self._size_on_disk() != self._size:
+            raise InputError("file-exists", place=self.path, may_force=True)  # somebody else's, of the same name
+        self.kept, held = True, self._out.file
+        if not isinstance(held, io.BytesIO):
             return
-        held = self._out.file
-        if not self._is_reserved():
+        if file_loss(self._file, self.path, 0):  # of the earlier recording
             self._file.close()
             self._file = self._open()
-        self.kept = True
         self._out.file = self._file
         try:
             self._file.truncate(self._file.seek(0))
-            self._file.write(held.getvalue())  # type: ignore[attr-defined]
+            self._file.write(held.getvalue())
             self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
-
-    def _reserve(self) -> None:
-        """Write the header into a new file: without it, what a killed recorder leaves is no session."""
-        try:
-            if self._new:
-                self._file.write(self._out.file.getvalue())  # type: ignore[attr-defined]
-                self._file.flush()
-        except OSError as exc:
-            self.path.unlink()
-            raise self._cannot_write(exc) from exc
-        self._size = os.fstat(self._file.fileno()).st_size
-
-    def _is_reserved(self) -> bool:
-        """Return whether nobody touched the file since its name was reserved."""
-        changed = os.fstat(self._file.fileno()).st_size != self._size
-        return not changed and not file_loss(self._file, self.path, self._size)
 
     def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         """Append a message unchanged; ``sequence`` is its number within its topic, by default the next one.
@@ -222,7 +201,8 @@ class SessionWriter:
             utc_ns, host_ns = read_anchor(entries) or (0, 0)
             self._utc_offset_ns = max(0, utc_ns - host_ns)
         with self._writing():
-            self._add_metadata(name, entries)
+            self._metadata[name] = {**entries, CRC: metadata_crc(name, entries)}
+            self._writer.add_metadata(name, self._metadata[name])
 
     def attach(self, name: str, data: bytes) -> None:
         """Write an attachment."""
@@ -247,7 +227,8 @@ class SessionWriter:
         if self._out.file.closed:
             return
         if not self.kept:
-            unused = self._new and not self._file.closed and self._is_reserved()
+            unused = self._new and self._size_on_disk() == self._size
+            unused = unused and not file_loss(self._out.file, self.path, self._size)
             self._out.file.close()
             self._file.close()
             if unused:
@@ -260,7 +241,7 @@ class SessionWriter:
                 self._copy_head(attached=True)
                 entries = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
                 if entries:
-                    self._add_metadata("session-end", entries)
+                    self.metadata("session-end", entries)
                 self._writer.finish()
                 self._flushed()
                 os.fsync(self._out.file.fileno())
@@ -276,8 +257,10 @@ class SessionWriter:
 
     def _is_as_written(self) -> bool:
         """Return whether nobody overwrote the file or appended to it; its name is the same."""
-        length = os.fstat(self._out.file.fileno()).st_size
-        return length == self._size and content_crc(self._out.file, length) == self._out.crc
+        return self._size_on_disk() == self._size and content_crc(self._out.file, self._size) == self._out.crc
+
+    def _size_on_disk(self) -> int:
+        return os.fstat(self._out.file.fileno()).st_size
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -306,12 +289,11 @@ class SessionWriter:
 
     def _flushed(self) -> None:
         self._out.flush()
-        if self.kept:
-            self._size = self._out.tell()
+        self._size = self._out.tell()
 
     def _watch(self) -> None:
         """Check the file before more is written to it; report each kind of loss once. Raises OSError, WriteError."""
-        if not self.kept:
+        if isinstance(self._out.file, io.BytesIO):
             return
         self._watched_s = time.monotonic()
         loss, old = file_loss(self._out.file, self.path, self._size), self.path
@@ -358,10 +340,6 @@ class SessionWriter:
         now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
         self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
 
-    def _add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
-        self._metadata[name] = {**entries, CRC: metadata_crc(name, entries)}
-        self._writer.add_metadata(name, self._metadata[name])
-
     def _finish_chunk(self) -> None:
         self._add_columns()
         self._chunk_since_ns, self._chunk_bytes = None, 0
@@ -383,10 +361,10 @@ class SessionWriter:
         return self._failure
 
 
-def copy_head(session: Session, writer: SessionWriter, without: str = "") -> None:
-    """Copy metadata and attachments, except metadata ``without`` and what the writer writes itself."""
+def copy_head(session: Session, writer: SessionWriter) -> None:
+    """Copy metadata and attachments, except what the writer writes itself."""
     for name, entries in session.metadata.items():
-        if name not in (without, "session-end", CHANNELS):
+        if name not in ("session-end", CHANNELS):
             writer.metadata(name, entries)
     for name, data in session.attachments.items():
         writer.attach(name, data)

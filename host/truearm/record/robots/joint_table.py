@@ -10,7 +10,7 @@ A table is written by the robot or its logger, and read row by row: a day at 500
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import TextIOWrapper
 from itertools import chain, cycle
@@ -20,7 +20,7 @@ from typing import IO, Any
 
 from truearm.errors import Argument, InputError, TableError
 from truearm.file_names import open_input, reading
-from truearm.kinds.csv_cells import MAX_COLUMNS, NUMBER, Row, rows_of
+from truearm.kinds.csv_cells import MAX_COLUMNS, NUMBER, Column, Row, read_header, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted
@@ -30,9 +30,18 @@ from truearm.units import SUFFIXES
 # to divide by: 1e-9 is not exact in binary
 PER_SECOND = {unit: round(SUFFIXES[unit].factor) for unit in ("s", "ms", "us", "ns")}
 EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints are q1_cmd_rad, ...)"
-
-_TIME = re.compile(r"t_(s|ms|us|ns)")
-_JOINT = re.compile(r"(q|qd)([1-9]\d?)(_cmd)?_(rad|deg|m|mm)(_s)?")
+UNITS_OF_JOINTS = ("rad", "deg", "m", "mm")
+# the quantity and the unit of each column that is read; quantities of joints are numbered
+TITLES = {
+    **{f"t_{unit}": ("t", unit) for unit in PER_SECOND},
+    **{name: (name, "") for name in ("seq", "inputs")},
+    **{
+        title.format(number, unit): (f"{quantity}{number}", unit)
+        for quantity, title in (("q", "q{}_{}"), ("q_cmd", "q{}_cmd_{}"), ("qd", "qd{}_{}_s"))
+        for number in range(1, MAX_JOINTS + 1)
+        for unit in UNITS_OF_JOINTS
+    },
+}
 _NUMBER = re.compile(rf"([+-]?\d{{1,18}})|(?:{NUMBER.pattern})", re.ASCII)
 
 QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
@@ -79,21 +88,18 @@ class Names:
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of a table. ``titles``: of all of them, None for those that are skipped; ``names`` refers to these.
+    """The columns of a table with ``width`` cells per row: those that are read by their titles, to which ``names`` refers."""
 
-    Those of ``integer_titles`` hold integers.
-    """
-
-    titles: Sequence[str | None]
+    width: int
+    read: Sequence[Column]
     names: Names
-    integer_titles: Set[str]
 
     def line(self, cells: Sequence[str], **entries: object) -> bytes | None:
         """Return a row as a line of a session, with ``entries`` added; None if it is not a reading."""
-        if len(cells) != len(self.titles):
+        if len(cells) != self.width:
             return None
-        row = {title: _number(cell) for title, cell in zip(self.titles, cells, strict=True) if title}
-        if None in row.values() or any(type(row[title]) is float for title in self.integer_titles):
+        row = {column.title: _number(cells[column.position]) for column in self.read}
+        if None in row.values() or any(type(row[column.title]) is float for column in self.read if not column.unit):
             return None
         return self.names.line(row, **entries)
 
@@ -140,11 +146,11 @@ def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
     return pairs
 
 
-def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[str]:
+def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]], name: str = "the header") -> list[str]:
     """Return a table's titles with our names. Joints count from the lowest number present.
 
     Columns without a rename keep the titles that we know, unless a renamed column takes their place; others are
-    skipped. Raises InputError for a column that is not there.
+    skipped. ``name`` is that of the file. Raises TableError for a column that is not there.
     """
     out: dict[int, str] = {}
     for ours, theirs in renames:
@@ -152,68 +158,38 @@ def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[s
         places = [(k, match) for k, title in enumerate(titles) if (match := pattern.fullmatch(title))]
         if not places:
             listed = ", ".join(map(quoted, titles[:8]))
-            raise InputError(f"no column {quoted(theirs)}; the table begins with {listed}")
+            raise TableError(f"{name}: no column {quoted(theirs)}; the table begins with {listed}")
         first = min(int(match[1]) for _, match in places) if NUMBERED in theirs else 0
         for k, match in places:
             number = int(match[1]) - first + 1 if NUMBERED in theirs else ""
             out[k] = ours.replace(NUMBERED, str(number))
-    quantities = {None, *map(_known_quantity, out.values())}
-    return [out.get(k, f"x_{k}" if _known_quantity(title) in quantities else title) for k, title in enumerate(titles)]
+    taken = {_quantity(title) for title in out.values()} | {""}
+    return [out.get(k, f"x_{k}" if _quantity(title) in taken else title) for k, title in enumerate(titles)]
 
 
-def _known_quantity(title: str) -> tuple[str, int] | None:
-    """Return quantity and joint number of a column's title, None if it is not known."""
-    try:
-        return _quantity(title)[:2]
-    except InputError:
-        return None
+def _quantity(title: str) -> str:
+    return TITLES.get(title, ("", ""))[0]
 
 
-def read_columns(titles: Sequence[str]) -> Columns:
-    """Return the columns named by a header. Raises InputError."""
+def read_columns(titles: Sequence[str], name: str = "the header") -> Columns:
+    """Return the columns named by a header; ``name`` is that of its file. Raises TableError."""
     if len(titles) > MAX_COLUMNS:
-        raise InputError(f"{len(titles)} columns; the maximum is {MAX_COLUMNS}")
-    columns: dict[str, dict[int, tuple[str, float]]] = {}  # quantity and joint: title and factor
-    for title in titles:
-        if not _is_skipped(title):
-            quantity, number, factor = _quantity(title)
-            if number in columns.setdefault(quantity, {}):
-                raise InputError("given-twice", place=f"column {quoted(title)}", what=f"{quantity}{number or ''}")
-            columns[quantity][number] = title, factor
-    if "t" not in columns:
-        raise InputError("missing-column", column="t_s", example=EXAMPLE)
-    n = len(columns.get("q", ()))
-    keys: dict[str, Name] = {name: columns[name][0][0] for name in ("t", "seq", "inputs") if name in columns}
+        raise TableError(f"{name}: {len(titles)} columns; the maximum is {MAX_COLUMNS}")
+    columns = read_header(list(titles) or [""], TITLES, name, f"expected a header such as {EXAMPLE}", ignored="x_.*")
+    keys: dict[str, Name] = {key: columns[key].title for key in ("t", "seq", "inputs") if key in columns}
     scale: dict[str, tuple[float, ...]] = {}
+    n = sum(key.startswith("q") and key[1:].isdigit() for key in columns)
     for quantity in CONVERTED:
-        joints = [joint for _, joint in sorted(columns.get(quantity, {}).items())]
-        if sorted(columns.get(quantity, ())) not in ([], [*range(1, n + 1)]) or not 1 <= n <= MAX_JOINTS:
-            raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}")
+        joints = [key for key in columns if key.rstrip("0123456789") == quantity]
+        numbered = [f"{quantity}{number}" for number in range(1, n + 1)]
+        if n == 0 or (joints and {*joints} != {*numbered}):
+            raise TableError(
+                f"{name}: columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}"
+            )
         if joints:
-            keys[quantity], scale[quantity] = zip(*joints, strict=True)
-    read_titles = [None if _is_skipped(title) else title for title in titles]
-    integer_titles = {columns[name][0][0] for name in ("seq", "inputs") if name in columns}
-    return Columns(read_titles, Names(keys, scale, int(columns["t"][0][1])), integer_titles)
-
-
-def _is_skipped(title: str) -> bool:
-    return title == "note" or title.startswith("x_")
-
-
-def _quantity(title: str) -> tuple[str, int, float]:
-    """Return quantity, joint number (0: none) and factor of a column's title."""
-    if title in ("seq", "inputs"):
-        return title, 0, 1.0
-    if match := _TIME.fullmatch(title):
-        return "t", 0, PER_SECOND[match[1]]
-    match = _JOINT.fullmatch(title)
-    if match is None or (match[1] == "qd") != bool(match[5]) or (match[1] == "qd" and match[3]):
-        raise InputError(
-            "unknown-column",
-            place=f"column {quoted(title)}",
-            remedy=f"expected a header such as {EXAMPLE}; columns x_... are ignored",
-        )
-    return match[1] + (match[3] or ""), int(match[2]), SUFFIXES[match[4]].scale
+            keys[quantity] = tuple(columns[key].title for key in numbered)
+            scale[quantity] = tuple(SUFFIXES[columns[key].unit].scale for key in numbered)
+    return Columns(len(titles), tuple(columns.values()), Names(keys, scale, PER_SECOND[columns["t"].unit]))
 
 
 NO_ARRIVAL = {"arrival": False}  # in every such line: its arrival was not observed
@@ -239,28 +215,23 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
     separator = separator_of(header)
     rows_of_text = chain([header], lines)
     rows = rows_of(map(_one_space, rows_of_text) if separator == " " else rows_of_text, str(path), separator=separator)
-    try:
-        titles = next(rows, Row(1, [])).cells
-        columns = read_columns(renamed(titles, renames) if renames else titles)
-        last = -1.0
-        for number, cells in rows:
-            line = columns.line(cells if separator == "," else [with_point(cell) for cell in cells], **NO_ARRIVAL)
-            reading = None if line is None else parse_line(line)
-            if line is None or reading is None:
-                raise TableError(
-                    f"{path} row {number}: is not a reading: it needs {len(columns.titles)} numbers, with t not negative"
-                )
-            if reading.t < last:
-                raise TableError(
-                    f"{path} row {number}: time goes back from {last:g} s to {reading.t:g} s; sort the rows, or "
-                    "make two tables if the controller was restarted"
-                )
-            last = reading.t
-            yield AddedReading(reading.t, line)
-    except TableError:
-        raise
-    except InputError as exc:
-        raise TableError(*exc.args, **exc.values).within(path) from exc
+    titles = next(rows, Row(1, [])).cells
+    columns = read_columns(renamed(titles, renames, str(path)) if renames else titles, str(path))
+    last = -1.0
+    for number, cells in rows:
+        line = columns.line(cells if separator == "," else [with_point(cell) for cell in cells], **NO_ARRIVAL)
+        reading = None if line is None else parse_line(line)
+        if line is None or reading is None:
+            raise TableError(
+                f"{path} row {number}: is not a reading: it needs {len(titles)} numbers, with t not negative"
+            )
+        if reading.t < last:
+            raise TableError(
+                f"{path} row {number}: time goes back from {last:g} s to {reading.t:g} s; sort the rows, or "
+                "make two tables if the controller was restarted"
+            )
+        last = reading.t
+        yield AddedReading(reading.t, line)
 
 
 def _one_space(line: str) -> str:

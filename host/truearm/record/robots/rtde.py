@@ -18,10 +18,9 @@ from __future__ import annotations
 import json
 import math
 from contextlib import suppress
-from urllib.parse import parse_qsl, urlsplit
 
 from truearm.errors import InputError, LinkClosed, LinkError
-from truearm.record.links import Arrivals, Clock, Link, LinkOnTop, TcpLink
+from truearm.record.links import Arrivals, Clock, Link, LinkOnTop, TcpLink, parse_address
 from truearm.record.robots import rtde_packages as rtde
 from truearm.session.joint_format import MAX_T_S, format_reading
 
@@ -38,6 +37,7 @@ WANTED = {  # with their keys in a line
     "runtime_state": "runtime_state",
 }
 FULL_RATE_HZ = {True: 500.0, False: 125.0}  # key: e-Series or later, i.e. controller software 5 or later
+VERSION_BYTES = 16  # major, minor, bugfix and build
 EXAMPLE = "rtde://192.168.0.2, with ?hz=125 for a lower rate"
 
 
@@ -57,9 +57,8 @@ class RtdeLink(LinkOnTop):
 
     def __init__(self, url: str, clock: Clock, first_s: float | None = None) -> None:
         host, port, hz = address_of(url)
-        super().__init__(
-            TcpLink(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}", clock, name=url), clock
-        )
+        address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        super().__init__(TcpLink(f"tcp://{address}", clock, name=url), clock)
         self.numeric = True  # the recorder stores columns in place of lines
         self._packages = rtde.Packages()
         self._pending: Arrivals = []  # lines received during the set-up
@@ -72,12 +71,12 @@ class RtdeLink(LinkOnTop):
             raise
 
     def read(self, timeout_s: float) -> Arrivals:
-        if self._pending:
-            lines, self._pending = self._pending, []
-            return lines
-        if self._packages.broken:
-            raise self._stranger()
-        return [
+        lines, self._pending = self._pending, []
+        if self._packages.broken and not lines:  # once may be a damaged package: a recording connects again
+            raise LinkError(
+                f"{self.name}: sends data that are not RTDE; is this port {PORT} of a Universal Robots controller?"
+            )
+        return lines or [
             (t_host_ns, self._line(*package))
             for t_host_ns, data in self._link.read(timeout_s)
             for package in self._packages.push(data)
@@ -92,12 +91,12 @@ class RtdeLink(LinkOnTop):
     # --- set-up
 
     def _set_up(self, hz: float | None) -> None:
-        if self._ask(rtde.VERSION, rtde.request_version()) != b"\1":
+        if self._ask(rtde.VERSION, rtde.package(rtde.VERSION, b"\0\2")) != b"\1":
             raise LinkError(f"{self.name}: the controller does not speak version 2 of RTDE; update its software")
-        version = rtde.controller_version(self._ask(rtde.CONTROLLER, rtde.package(rtde.CONTROLLER)))
-        if version is None:
+        version = self._ask(rtde.CONTROLLER, rtde.package(rtde.CONTROLLER))
+        if len(version) != VERSION_BYTES:
             raise LinkError(f"{self.name}: the controller does not report its version; is this a Universal Robots arm?")
-        full_hz = FULL_RATE_HZ[version[0] >= 5]
+        full_hz = FULL_RATE_HZ[int.from_bytes(version[:4]) >= 5]
         self._hz = hz or full_hz
         if full_hz % self._hz:  # packages would not be evenly spaced, and seq would count wrong
             raise InputError(
@@ -122,38 +121,29 @@ class RtdeLink(LinkOnTop):
         return recipe
 
     def _ask(self, kind: int, request: bytes) -> bytes:
-        """Return the payload of the answer to a request. Raises LinkError if there is none."""
+        """Return the payload of the answer to a request; other packages wait. Raises LinkError if there is none."""
         self._link.write(request)
-        deadline_ns = self._clock.now_ns() + ANSWER_NS
-        while self._clock.now_ns() < deadline_ns:
+        answer, deadline_ns = None, self._clock.now_ns() + ANSWER_NS
+        while answer is None and not self._packages.broken and self._clock.now_ns() < deadline_ns:
             try:
                 arrivals = self._link.read(0.1)
             except LinkClosed as exc:
                 raise LinkError(
                     f"{self.name}: the controller closed the connection; is RTDE enabled in its settings?"
                 ) from exc
-            answer = None
             for t_host_ns, data in arrivals:
                 for package in self._packages.push(data):
                     if package[0] == kind and answer is None:
                         answer = package[1]
                     else:
                         self._pending.append((t_host_ns, self._line(*package)))
-                if len(self._pending) > MOST_UNASKED:
-                    raise self._stranger()
-            if answer is not None:
-                return answer
-            if self._packages.broken:
-                raise self._stranger()
-        raise LinkError(
-            f"{self.name}: no answer to RTDE's {chr(kind)!r} in {ANSWER_NS / 1e9:g} s; "
-            f"is this port {PORT} of a Universal Robots controller?"
-        )
-
-    def _stranger(self) -> LinkError:
-        return LinkError(  # once may be a damaged package: a recording connects again
-            f"{self.name}: sends data that are not RTDE; is this port {PORT} of a Universal Robots controller?"
-        )
+            if len(self._pending) > MOST_UNASKED:
+                break
+        if answer is None:
+            raise LinkError(
+                f"{self.name}: no answer to RTDE's {chr(kind)!r}; is this port {PORT} of a Universal Robots controller?"
+            )
+        return answer
 
     # --- packages → lines
 
@@ -175,16 +165,8 @@ class RtdeLink(LinkOnTop):
 
 def address_of(url: str) -> tuple[str, int, float | None]:
     """Return host, port and rate of an address. Raises InputError."""
-    try:
-        address = urlsplit(url)
-        host, port, query = (
-            address.hostname,
-            address.port or PORT,
-            dict(parse_qsl(address.query, True, bool(address.query))),
-        )
-        hz = float(query.pop("hz")) if "hz" in query else None
-    except ValueError:
-        raise InputError(f"{url!r} is not an address; write {EXAMPLE}") from None
-    if address.scheme != "rtde" or not host or address.path or query or not (hz is None or 1.0 <= hz <= 500.0):
-        raise InputError(f"{url!r} is not an address; write {EXAMPLE}")
-    return host, port, hz
+    host, port, options = parse_address(url, "rtde", PORT, with_options=True)
+    hz = options.pop("hz", None)
+    if options or not (hz is None or (hz.replace(".", "", 1).isdecimal() and 1.0 <= float(hz) <= 500.0)):
+        raise InputError("wrong-value", place="address", value=url, form=EXAMPLE)
+    return host, port, None if hz is None else float(hz)

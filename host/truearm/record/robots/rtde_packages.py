@@ -40,8 +40,6 @@ TYPES = {  # a vector is a list
 }
 
 _HEAD = struct.Struct(">HB")
-_FREQUENCY = struct.Struct(">d")
-_FOUR = struct.Struct(">4I")
 
 Value = Any  # a number, or a list of them
 
@@ -51,19 +49,9 @@ def package(kind: int, payload: bytes = b"") -> bytes:
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
 
-def request_version() -> bytes:
-    """Return a request for protocol version 2."""
-    return package(VERSION, b"\0\2")
-
-
 def request_outputs(names: Sequence[str], frequency_hz: float) -> bytes:
     """Return a request for data packages of these fields; with their commas they may take MAX_NAMES_BYTES."""
-    return package(OUTPUTS, _FREQUENCY.pack(frequency_hz) + ",".join(names).encode())
-
-
-def controller_version(payload: bytes) -> tuple[int, ...] | None:
-    """Return major, minor, bugfix and build from the answer to CONTROLLER; None if it is invalid."""
-    return _FOUR.unpack(payload) if len(payload) == _FOUR.size else None
+    return package(OUTPUTS, struct.pack(">d", frequency_hz) + ",".join(names).encode())
 
 
 class Packages:

@@ -20,9 +20,11 @@ from __future__ import annotations
 
 import json
 import socket
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
-from urllib.parse import parse_qsl
+from typing import Annotated, Any, Literal
+
+import msgspec
 
 from truearm.errors import InputError, LinkError, ProtocolError
 from truearm.record.frame_splitter import Runs
@@ -36,10 +38,9 @@ from truearm.record.links import (
     LinkOnTop,
     StreamLink,
     TcpLink,
-    host_and_port,
+    parse_address,
 )
-from truearm.record.robots.joint_table import CONVERTED, PER_SECOND, QUANTITIES, Name, Names, read_columns
-from truearm.schema import quoted
+from truearm.record.robots.joint_table import CONVERTED, PER_SECOND, QUANTITIES, Names, read_columns
 from truearm.session.joint_format import MAX_JOINTS, parse_line
 from truearm.units import SUFFIXES
 
@@ -59,16 +60,14 @@ class UdpLink(StreamLink):
     """
 
     def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
-        address = host_and_port(url, "udp")
-        family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+        host, port, _ = parse_address(url, "udp")
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
             opened = socket.socket(family, socket.SOCK_DGRAM)
-            opened.bind(address)
+            opened.bind((host, port))
         except OSError as exc:
-            raise LinkError(
-                f"{name or url}: cannot listen there ({exc.strerror or exc}); give an address of this machine"
-            ) from exc
-        self.port = int(opened.getsockname()[1])
+            reason = f"cannot listen there ({exc.strerror or exc}); give an address of this machine"
+            raise LinkError(f"{name or url}: {reason}") from exc
         super().__init__(name or url, clock, opened, ROBOT_LOST)
 
     def _send(self, data: bytes) -> None:
@@ -91,34 +90,30 @@ class UdpLink(StreamLink):
 OVERLONG = b"of a line that is too long: "  # before its pieces, so that none is taken for a reading
 
 
-def read_names(declaration: dict[str, Any], names: Names | None = None) -> Names:
-    """Return ``names`` extended by a declaration: ``names``, ``unit``, ``t_unit``. Raises InputError."""
-    names = names or Names()
-    keys = declaration.get("names", {})
-    wrong = [str(keys)] if not isinstance(keys, dict) else [name for name in keys if name not in QUANTITIES]
-    if wrong:
-        raise InputError(f"{quoted(wrong[0])} is not a quantity that can be named; these are {', '.join(QUANTITIES)}")
-    units = str(declaration.get("unit", "")).split(",")
-    if declaration.get("unit") is not None:
-        if not set(units) <= {"rad", "deg", "m", "mm"} or len(units) > MAX_JOINTS:
-            raise InputError(
-                f"unit {quoted(str(declaration['unit']))} is not known; use rad, deg, m or mm, one for all joints or one per joint"
-            )
-        names = replace(names, scale=dict.fromkeys(CONVERTED, tuple(SUFFIXES[unit].scale for unit in units)))
-    if declaration.get("t_unit") is not None:
-        unit = str(declaration["t_unit"])
-        if unit not in PER_SECOND:
-            raise InputError(f"t_unit {quoted(unit)} is not known; use s, ms, us or ns")
-        names = replace(names, t_per_second=PER_SECOND[unit])
-    return replace(names, keys={**names.keys, **{quantity: _name(name) for quantity, name in keys.items()}})
+class Declaration(msgspec.Struct):
+    """The keys of a robot's quantities, and the units of its joints, one for all or one for each, and of its time."""
+
+    names: dict[
+        Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(QUANTITIES)})$")],
+        str | Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=MAX_JOINTS)],
+    ] = {}
+    unit: Annotated[str, msgspec.Meta(pattern=r"^(rad|deg|mm?)(,(rad|deg|mm?)){0,31}$")] | None = None
+    t_unit: Literal["s", "ms", "us", "ns"] | None = None
 
 
-def _name(name: Any) -> Name:
-    if isinstance(name, str):
-        return name
-    if isinstance(name, list) and 1 <= len(name) <= MAX_JOINTS and all(isinstance(key, str) for key in name):
-        return tuple(name)
-    raise InputError(f"{quoted(str(name))} is not a name; give the key of a list, or a list of the joints' keys")
+def read_names(declaration: Mapping[str, Any], names: Names) -> Names:
+    """Return ``names`` extended by the fields of a ``Declaration``. Raises InputError."""
+    try:
+        declared = msgspec.convert(declaration, Declaration)
+    except msgspec.ValidationError as exc:
+        form = '{"names": {"t": "stamp", "q": ["j1", "j2"]}, "unit": "deg,mm", "t_unit": "ms"}'
+        raise InputError(f"names and units of the readings: {exc}; write them as in {form}") from None
+    if declared.unit is not None:
+        scale = tuple(SUFFIXES[unit].scale for unit in declared.unit.split(","))
+        names = replace(names, scale=dict.fromkeys(CONVERTED, scale))
+    if declared.t_unit is not None:
+        names = replace(names, t_per_second=PER_SECOND[declared.t_unit])
+    return replace(names, keys={**names.keys, **declared.names})
 
 
 class LineDialect:
@@ -130,7 +125,7 @@ class LineDialect:
         columns = names.pop("columns", None)
         declaration: dict[str, Any] = {name: names.pop(name) for name in ("unit", "t_unit") if name in names}
         declaration["names"] = {name: key.split(",") if "," in key else key for name, key in names.items()}
-        self._names = read_names(declaration)
+        self._names = read_names(declaration, Names())
         self._columns = None if columns is None else read_columns(columns.split(","))
 
     def line(self, line: bytes) -> bytes:
@@ -181,16 +176,13 @@ class LinesLink(LinkOnTop):
         self._end: LinkError | None = None
 
     def read(self, timeout_s: float) -> Arrivals:
-        if self._end is not None:
-            raise self._end
         lines: Arrivals = []
         try:
-            for t_host_ns, data in self._link.read(timeout_s):
+            for t_host_ns, data in self._link.read(timeout_s) if self._end is None else ():
                 lines += [(t_host_ns, line) for line in self._lines(t_host_ns, data)]
         except LinkError as exc:
             self._end = exc
-            remainder = self._runs.flush()
-            lines += [(self._clock.now_ns(), remainder)] if remainder else []
+            lines += [(self._clock.now_ns(), remainder)] if (remainder := self._runs.flush()) else []
         if self._end is not None and not lines:
             raise self._end
         return lines
@@ -255,12 +247,8 @@ def connect(url: str, clock: Clock, last: Link | None) -> Link:
     """
     if url.startswith("tcp:"):
         return TcpLink(url, clock)
-    address, _, query = url.partition("?")
-    try:
-        pairs = parse_qsl(query, True, bool(query), max_num_fields=20)
-    except ValueError as exc:
-        raise InputError(f"{url!r}: the part after '?' must be a list of NAME=VALUE") from exc
-    dialect = last.dialect if isinstance(last, LinesLink) else LineDialect(dict(pairs))
+    address, options = url.partition("?")[0], parse_address(url, url.partition(":")[0], with_options=True)[2]
+    dialect = last.dialect if isinstance(last, LinesLink) else LineDialect(options)
     plain = address.removeprefix("lines+")
     if plain.startswith("udp"):
         return DatagramLines(UdpLink(plain, clock, name=url), clock, dialect)

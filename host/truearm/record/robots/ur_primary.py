@@ -17,14 +17,14 @@ PORT = 30001
 CONNECT_S, ANSWER_S = 2.0, 5.0
 HEAD = 5  # bytes: size and type
 MAX_PACKAGE = 65536  # bytes; of a robot's state 1,500
-ROBOT_STATE, KINEMATICS = 16, 5
+ROBOT_STATE, KINEMATICS = b"\x10", 5
 
 
 def kinematics_info(url: str) -> bytes:
     """Return the content of KinematicsInfo of the controller at ``rtde://host``. Raises InputError, LinkError."""
     host, _, _ = address_of(url)
     wrong = LinkError(
-        f"{url}: sends data that are not of the primary interface; is {host} a Universal Robots controller?"
+        f"{url}: port {PORT} sends no data of a primary interface; is it enabled, and {host} a Universal Robots controller?"
     )
     try:
         with socket.create_connection((host, PORT), CONNECT_S) as connection, connection.makefile("rb") as stream:
@@ -32,14 +32,9 @@ def kinematics_info(url: str) -> bytes:
             end = time.monotonic() + ANSWER_S
             while time.monotonic() < end:
                 head = stream.read(HEAD)
-                size = int.from_bytes(head[:4])
-                if len(head) == HEAD and not HEAD <= size <= MAX_PACKAGE:
-                    raise wrong
-                package = stream.read(max(0, size - HEAD))
-                if len(head) < HEAD or len(package) < size - HEAD:
-                    raise LinkError(f"{url}: the controller closed port {PORT}; enable its primary interface")
-                contents = sub_packages(package) if head[4] == ROBOT_STATE else {}
-                if contents is None:
+                package = stream.read(min(max(0, int.from_bytes(head[:4]) - HEAD), MAX_PACKAGE))
+                contents = sub_packages(package) if head[4:] == ROBOT_STATE else {}
+                if HEAD + len(package) != int.from_bytes(head[:4]) or contents is None:
                     raise wrong
                 if KINEMATICS in contents:
                     return contents[KINEMATICS]
