@@ -129,7 +129,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "truearm correct needs a description that the controller shares.",
     ),
     "bad-rows": warning(
-        "{n} of {fitted:#row} are bad: they disagree significantly with all others, which the declared noise explains (without the bad rows: RMS {after}, χ² per degree of freedom {chi2}): {rows}. They are more than {most:.0%} of the rows, so they are still in the fit, and all figures are for all rows.",
+        "{n} of {fitted:#row} are bad: they disagree significantly with all others, which the declared noise explains (without the bad rows: RMS {after}, χ² per degree of freedom {chi2}): {rows:6}. They are more than {most:.0%} of the rows, so they are still in the fit, and all figures are for all rows.",
         "Find their cause, then leave them out, or give {@loss} cauchy.",
     ),
     "fault": warning(
@@ -150,10 +150,10 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "These rows need not show, and twice the stated error does not contain: {faults}; nor what is larger."
     ),
     "noise-learned": note(
-        "The residuals are not as declared: {noise}, {factor:.2g} times the declared size. A fault is then named only if it predicts rows that were left out.[ Not named for that reason: {refused}.]"
+        "The residuals are not as declared: {noise}, {factor:.2g} times the declared size. A fault is then named only if it predicts rows that were left out.[ Not named for that reason: {refused:6}.]"
     ),
     "copies": warning(
-        "{n:#row is a copy|rows are copies} of earlier rows, with the same joints, readings and names to the last digit: {rows}. {n:?It is|They are} left out, because a copy is not a new measurement."
+        "{n:#row is a copy|rows are copies} of earlier rows, with the same joints, readings and names to the last digit: {rows:5}. {n:?It is|They are} left out, because a copy is not a new measurement."
     ),
     "session": note(
         "{session}:[ {used} of {dwells:#dwell} used][ (numbered 1 to {last} with {stops:#stop} for mounting)][; rejected: {rejected}][{relabelled:!} (as relabelled)][{both:!};][ {lines_used} of {lines:#line} used][; rejected: {lines_rejected}][{lines:!} (points are named PASS.POINT)]."
@@ -166,7 +166,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters do not model, or the sigmas are too small[{prior:!}, or the prior is too tight].[{declared:!} The sigmas of the parameters follow from the declared noise alone.]"
     ),
     "outside-prior": warning(
-        "{names}[ and {more} more] differ from the nominal robot by up to {times:.0f} times the sigma of the prior, which holds them back towards it.",
+        "{names:4} differ from the nominal robot by up to {times:.0f} times the sigma of the prior, which holds them back towards it.",
         "Check robot, units and zeros of the joints; if the arm is so far from its drawing, [{wide:!}give {@prior} none||give {@prior} wide].",
     ),
     # the error of the tool
@@ -215,7 +215,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "The rows of a pose err alike, so the arm scatters: {terms} (σ, from {n:#pose} with several rows). The sigmas include it."
     ),
     "outliers": note(
-        "{n:#row disagrees|rows disagree} significantly with all others[; {left_out} left out of the fit][; the {loss} loss gives {ignored} of them less than {share} of their weight]: {rows}.[ Not left out, because {why}: {kept}.][ Fitted to all rows: RMS {after}, χ² per degree of freedom {chi2:.3g}][{geometry:!} (geometry alone)][{after:!}.]",
+        "{n:#row disagrees|rows disagree} significantly with all others[; {left_out} left out of the fit][; the {loss} loss gives {ignored} of them less than {share} of their weight]: {rows:6}.[ Not left out, because {why}: {kept:6}.][ Fitted to all rows: RMS {after}, χ² per degree of freedom {chi2:.3g}][{geometry:!} (geometry alone)][{after:!}.]",
         "[To leave out a row yourself: {first:@leave_out}.]",
     ),
     "too-many-outliers": warning(
@@ -269,7 +269,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     "law-noise": note("Noise learned from the residuals: {terms}."),
     # what to do next
     "measure-next": advice(
-        "Next: {what} [{full_rank:!}to determine {n:#more parameter} better than a drawing][{lacking:!}to identify {n:#more parameter}]: {names}."
+        "Next: {what} [{full_rank:!}to determine {n:#more parameter} better than a drawing||to identify {n:#more parameter}]: {names:4}."
     ),
     "correct-next": advice("Next: correct what the first lines name, then identify again."),
     "hold-out-next": advice(
@@ -670,7 +670,7 @@ CERTIFICATE: Mapping[str, Statement] = {
         "The error leaves out a common displacement of all poses: the observations do not determine where the base stands."
     ),
     "excludes-lengths": note(
-        "The error leaves out errors of the length of {bars}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre.",
+        "The error leaves out errors of the length of {bars:3}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre.",
         "Give the sigma of each in the rig.",
     ),
     "excludes-other-poses": note(
@@ -690,7 +690,7 @@ CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
         "For targets relative to the robot's own base, run truearm correct or truearm map with {@own_frames}."
     ),
     "null-space-moves-end": warning(
-        "Unidentifiable combinations of parameters move the end (weights in m, rad and 1): {terms}[; and {more} more]. Their nominal values are used.",
+        "Unidentifiable combinations of parameters move the end (weights in m, rad and 1): {terms:3}. Their nominal values are used.",
         "Measure what the lines “Next:” of truearm identify propose.",
     ),
     "other-payload": warning(

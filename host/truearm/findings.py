@@ -19,6 +19,7 @@ from truearm.units import SUFFIXES, UNITS
 
 _OPTIONAL = re.compile(r"\[([^\[\]]*)\]")
 _NAME = re.compile(r"\{(\w+)")
+MOST = 12  # texts of a list, unless a template says otherwise
 _ABSENT: tuple[Any, ...] = (None, "", (), [], {}, False)
 
 
@@ -117,7 +118,7 @@ def findings_of(document: Mapping[str, Any]) -> list[Finding]:
 def worded(template: str, values: Mapping[str, Any], argument: Callable[[str], str] = str) -> str:
     """Return a template with its values.
 
-    ``{name}``: a text, a list of texts, or a quantity. ``{n:#row}``: "1 row", "2 rows"; ``{n:#entry|entries}``.
+    ``{name}``: a text, a list of texts, or a quantity. ``{names:4}``: at most four of a list. ``{n:#row}``: "1 row", "2 rows"; ``{n:#entry|entries}``.
     ``{n:?is|are}``: the first for one. ``{@loss}``: the argument of this name; ``{rows:@leave_out}``: it, before each
     text of a list. ``[…]`` is left out if one of its values is
     absent or false, or replaced by ``B`` in ``[A||B]``; ``{name:!}`` prints nothing, so that only its presence matters.
@@ -158,7 +159,7 @@ class _Words(Formatter):
         if format_spec.startswith("@"):
             return " ".join(f"{self._argument(format_spec[1:])} {shlex.quote(one_line(text))}" for text in value)
         if isinstance(value, list | tuple):
-            return listed([one_line(str(name)) for name in value])
+            return listed([one_line(str(name)) for name in value], int(format_spec or MOST))
         if value is None:
             return "-"
         return one_line(value) if isinstance(value, str) else format(value, format_spec)

@@ -43,7 +43,9 @@ def render(document: Document, scene: Scene | None = None) -> str:
         else "",
         page.section("Shifts", page.pictures(_pictures(document))),
         page.section("Targets", page.table(_targets(document)), page.paragraph(words)),
-        page.section("Straight moves", page.table(_cut(_MOVES, moves, "straight moves", len(moves)))) if moves else "",
+        page.section("Straight moves", page.table(Table(_MOVES, moves[:MOST_ROWS], "straight moves", total=len(moves))))
+        if moves
+        else "",
         page.making("", _facts(document)),
     )
     title, subtitle = f"{one_line(document['file'])} corrected", f"written to {one_line(document['out'])}"
@@ -118,19 +120,13 @@ def _targets(document: Document) -> Table:
         position = [page.number(row["before"][f"{axis}_mm"], 2) for axis in "xyz"]
         errors = [page.number(column[i], 3) for column in columns]
         rows.append((row["place"], *position, *errors, _limit(row), page.figures(row["singular_value"], 2)))
-    return _cut(titles, rows, "targets", len(document["targets"]))
+    return Table(titles, rows, "targets", total=len(document["targets"]))
 
 
 _TARGETS = (
     "Positions are those of the file; errors are those of {}. Shift: how far the command moved. Expected: the expanded uncertainty (k = 2, about 95 %) after the correction. "
     "Singular value: the smallest one of the Jacobian (lengths in units of 0.5 m); near 0 the robot is near a singularity."
 )
-
-
-def _cut(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, total: int) -> Table:
-    """Return a table of at most MOST_ROWS of ``total`` rows."""
-    hidden = f"and {total - MOST_ROWS} more; the JSON document has all" if total > MOST_ROWS else ""
-    return Table(titles, rows[:MOST_ROWS], label, hidden)
 
 
 def _pictures(document: Document) -> list[page.Figure]:

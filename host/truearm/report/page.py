@@ -132,13 +132,12 @@ def table(content: Table, css: str = "plain") -> str:
     head = "".join(f'<th scope="col">{escape(title.strip())}</th>' for title in content.titles)
     rows = []
     for k, (first, *cells) in enumerate(content.rows):
-        mark = content.marks[k] if content.marks else ""
+        mark = f' class="{content.marks[k]}"' if content.marks and content.marks[k] else ""
         data = "".join(f"<td>{escape(str(cell), 600)}</td>" for cell in cells)
-        rows.append(
-            f'<tr{f" class={chr(34)}{mark}{chr(34)}" * bool(mark)}><th scope="row">{escape(str(first))}</th>{data}</tr>'
-        )
+        rows.append(f'<tr{mark}><th scope="row">{escape(str(first))}</th>{data}</tr>')
     body = f'<table class="{css}"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-    return scrolled(body, content.label) + f"<p>{escape(content.more)}</p>" * bool(content.more)
+    hidden = content.total - len(rows)
+    return scrolled(body, content.label) + f"<p>and {hidden} more; the JSON document has all</p>" * (hidden > 0)
 
 
 def scrolled(content: str, label: str) -> str:

@@ -24,10 +24,7 @@ Document = Mapping[str, Any]
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
 FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, wherever it is bolted
-MAX_COPIES = 5  # copied rows that are named
 IGNORED = 0.1  # weight by a robust loss: rows with less hardly count
-MAX_ROWS = 6  # bad rows that are named
-MAX_TERMS = 4  # parameters that are named
 OUTSIDE = 1e-3  # chance that any parameter of an arm as its prior says lies outside it
 MAX_CHOICES = 6  # causes whose application is described
 SETTLED = "estimated from the rows that judge"  # unknowns of the rig
@@ -235,8 +232,7 @@ def _outside_prior(document: Document) -> Iterator[Finding]:
     limit = NormalDist().inv_cdf(1.0 - OUTSIDE / (2.0 * max(len(times), 1)))
     names = sorted((name for name in times if times[name] > limit), key=times.__getitem__, reverse=True)
     if names:
-        values = {"names": names[:MAX_TERMS], "more": max(len(names) - MAX_TERMS, 0), "times": times[names[0]]}
-        yield Finding("outside-prior", values | {"wide": prior is Prior.WIDE})
+        yield Finding("outside-prior", {"names": names, "times": times[names[0]], "wide": prior is Prior.WIDE})
 
 
 def joint_zeros(document: Document) -> list[Finding]:
@@ -256,18 +252,13 @@ def joint_zeros(document: Document) -> list[Finding]:
 
 def copies(document: Document) -> list[Finding]:
     """Return which rows were left out because they are copies; empty if there are none."""
-    rows = [f"{one_line(row['source'])} of {one_line(row['of'])}" for row in document.get("copies", ())]
-    return [Finding("copies", {"n": len(rows), "rows": _first(rows, MAX_COPIES, "copies")})] if rows else []
+    rows = [f"{row['source']} of {row['of']}" for row in document.get("copies", ())]
+    return [Finding("copies", {"n": len(rows), "rows": rows})] if rows else []
 
 
-def named_rows(rows: Sequence[Document]) -> str:
-    """Return the first MAX_ROWS rows with their distances, and how many more there are."""
-    return _first([f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows], MAX_ROWS, "suspect")
-
-
-def _first(texts: Sequence[str], limit: int, name: str) -> str:
-    hidden = f" and {len(texts) - limit} more ({name} in the JSON result)" if len(texts) > limit else ""
-    return ", ".join(texts[:limit]) + hidden
+def named_rows(rows: Sequence[Document]) -> list[str]:
+    """Return rows with their distances."""
+    return [f"{row['source']} ({row['distance']:.1f} σ)" for row in rows]
 
 
 # faults
@@ -289,7 +280,7 @@ def fault_findings(document: Document, judging: bool = False) -> Iterator[Findin
         held = document["held_out"] and document["held_out"]["n"]
         yield Finding("faults-applied", {"names": applied, "held": held})
     if claim and claim["noise"] != "declared":
-        refused = [cause(name) for name in claim["refused"][:MAX_CHOICES]]
+        refused = [cause(name) for name in claim["refused"]]
         noise = NOISES.get(claim["noise"], claim["noise"])
         yield Finding("noise-learned", {"noise": noise, "factor": claim["noise_factor"], "refused": refused})
     if claim and claim["unseen"]:
@@ -602,11 +593,8 @@ def _advice(document: Document) -> Iterator[Finding]:
     because, full_rank = document["unusable_because"], document["rank"] == document["n_free"]
     most_useful = {addition["kind"]: addition for addition in reversed(document["additions"])}  # the first is the best
     for addition in () if wrong_first(document) else reversed(most_useful.values()):
-        names = addition["parameters"]
-        hidden = f" and {counted(len(names) - MAX_TERMS, 'other')}" if len(names) > MAX_TERMS else ""
-        words = ", ".join(map(one_line, names[:MAX_TERMS])) + hidden
-        values = {"what": addition["text"], "n": len(names), "names": words}
-        yield Finding("measure-next", {**values, "full_rank": full_rank, "lacking": not full_rank})
+        values = {"what": addition["text"], "n": len(addition["parameters"]), "names": addition["parameters"]}
+        yield Finding("measure-next", {**values, "full_rank": full_rank})
     if because not in (None, Unusable.NO_FREEDOM, Unusable.WORSE):  # which more rows mend
         yield Finding("correct-next")
     if because is None and not document["held_out_by"]:

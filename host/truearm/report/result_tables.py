@@ -145,6 +145,5 @@ def law_steps(document: Document, suffix: str) -> list[Table]:
 def outlier_table(rows: list[Document]) -> Table:
     """Return the rows that are farther from the others than chance allows, the farthest first."""
     titles = ("row", "distance from the others [σ]", "weight in the fit [1]")
-    cells = [(row["source"], f"{row['distance']:.1f}", f"{row['weight']:.2g}") for row in rows[:MAX_ROWS]]
-    hidden = f"and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else ""
-    return Table(titles, cells, "rows far from the others", hidden)
+    cells = ((row["source"], f"{row['distance']:.1f}", f"{row['weight']:.2g}") for row in rows[:MAX_ROWS])
+    return Table(titles, cells, "rows far from the others", total=len(rows))

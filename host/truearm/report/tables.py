@@ -11,14 +11,15 @@ from truearm.units import SUFFIXES, UNITS, title
 class Table(NamedTuple):
     """Rows of cells below titles. The first column names the row; the others are numbers, or text if the title ends in a space.
 
-    ``label`` names it for screen readers, ``more`` follows it, ``marks`` are style classes of its rows.
+    ``label`` names it for screen readers, ``marks`` are style classes of its rows. ``total``: of all rows, if these are only
+    the first.
     """
 
     titles: Sequence[str]
     rows: Iterable[Sequence[object]]
     label: str = ""
-    more: str = ""
     marks: Sequence[str] = ()
+    total: int = 0
 
     def __str__(self) -> str:
         lines = [[title.strip() for title in self.titles], *([str(cell) for cell in row] for row in self.rows)]

@@ -353,7 +353,7 @@ def unseen_of(stored: Result, names: Sequence[str]) -> Floats:
     return weights_of((*stored.null_space, *stored.defaults.frames), names)
 
 
-SHOWN, TERMS = 3, 3  # combinations, and parameters of each
+TERMS = 3  # parameters of a combination
 # In names of the rig's numbers, such as "sphere.s1.x", and in words.
 ITEMS = {
     "chuck": "chucks",
@@ -402,11 +402,8 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
     if own_frames:  # a turn of the base together with the rig moves no target relative to the robot
         null = [direction for direction in null if set(names).intersection(direction.names) - base]
     if null:
-        values = {
-            "terms": [direction_text(direction.weights, direction.names, TERMS) for direction in null[:SHOWN]],
-            "more": max(len(null) - SHOWN, 0),
-        }
-        findings.append(Finding("null-space-moves-end", values))
+        terms = [direction_text(direction.weights, direction.names, TERMS) for direction in null]
+        findings.append(Finding("null-space-moves-end", {"terms": terms}))
     return findings
 
 

@@ -205,7 +205,7 @@ def _excluded(identification: Identification) -> Iterator[Finding]:
     rigs = rigs_by_name(identification.rig).values()
     exact = {name for rig in rigs for name, bar in rig.bars.items() if not bar.zero_sigma}
     if names := sorted(exact & set(identification.table.bar.tolist())):
-        yield Finding("excludes-lengths", {"bars": names[:3]})
+        yield Finding("excludes-lengths", {"bars": names})
     if identification.estimate.held_out is None:
         yield Finding("excludes-other-poses")
     yield from ALWAYS_EXCLUDED
