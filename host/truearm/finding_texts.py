@@ -137,7 +137,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "fault-choice": warning(
         "The result does not contain it[. {choices}||, and nothing is offered to apply][{few:!}: rows of at least three places would have to confirm it][{worse:!}: left-out rows would be predicted worse][{lasting:!}: it stays in the arm, and only joint laws ({@joint_laws} auto) can describe it].[ If all {every} are off, their positions are known to {sigma} only: declare that as their sigma.]",
-        "[Measure {deciding} again to decide.][{both:!} ][To apply it: {@apply} {first}.]",
+        "[Measure {deciding} again to decide.][{deciding:!}{first:!} ][To apply it: {@apply} {first}.]",
     ),
     "faults-here": warning(
         "{n:#fault is|faults are} in the rows that judge.",
@@ -156,7 +156,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "{n:#row is a copy|rows are copies} of earlier rows, with the same joints, readings and names to the last digit: {rows:5}. {n:?It is|They are} left out, because a copy is not a new measurement."
     ),
     "session": note(
-        "{session}:[ {used} of {dwells:#dwell} used][ (numbered 1 to {last} with {stops:#stop} for mounting)][; rejected: {rejected}][{relabelled:!} (as relabelled)][{both:!};][ {lines_used} of {lines:#line} used][; rejected: {lines_rejected}][{lines:!} (points are named PASS.POINT)]."
+        "{session}:[ {used} of {dwells:#dwell} used][ (numbered 1 to {last} with {stops:#stop} for mounting)][; rejected: {rejected}][{relabelled:!} (as relabelled)][{used:!}{lines:!};][ {lines_used} of {lines:#line} used][; rejected: {lines_rejected}][{lines:!} (points are named PASS.POINT)]."
     ),
     "doubtful-dwells": warning(
         "{session}: [{none_fits:!}none of {dwells:#dwell} fits||{n} of {dwells:#dwell} need a decision].",
@@ -191,7 +191,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "{robot}: {rank} of {n_free:#parameter} identified from {rows} fitted[, {held_out} held out][; {unseen:#combination is|combinations are} unidentifiable, and no prediction for such poses depends on {unseen:?it|them}][; {weak:#combination is|combinations are} weakly identifiable]."
     ),
     "held-frames": note(
-        "Held at the nominal values, because such observations cannot determine them in any pose:[ the pose of the base ({base})][{both:!} and][ the mounting of the tool ({tool})]."
+        "Held at the nominal values, because such observations cannot determine them in any pose:[ the pose of the base ({base})][{base:!}{tool:!} and][ the mounting of the tool ({tool})]."
     ),
     "still": note(
         "{joint} moves by only {spread}, too little to identify its axis[; therefore also held at the nominal values: {held}].",
@@ -232,7 +232,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "The held-out error is {ratio:.2g} times the fitted one: too few observations for so many parameters, or errors that the parameters do not model."
     ),
     "group-held-out": note(
-        f"No row with {{names}} is left in the fit.[{{proposed:!}} If you did not intend this, hold out others]{PROPOSAL}[{{proposed:!}}.]"
+        f"No row with {{names}} is left in the fit.[{{fraction:!}} If you did not intend this, hold out others]{PROPOSAL}[{{fraction:!}}.]"
     ),
     "rig-unknowns": note(
         "[{left_out:#row is|rows are} not judged: unknowns of the rig fit such rows exactly.||{n:#unknown of the rig was|unknowns of the rig were} {how}.]"
@@ -273,7 +273,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "correct-next": advice("Next: correct what the first lines name, then identify again."),
     "hold-out-next": advice(
-        f"Next: judge the result by held-out rows[{{few:!}} of other poses: these are too few to hold any out]{PROPOSAL}."
+        f"Next: judge the result by held-out rows[{{fraction:!}}|| of other poses: these are too few to hold any out]{PROPOSAL}."
     ),
 }
 
@@ -448,7 +448,7 @@ LINK = "Close other programs that use the port, use a shorter USB cable, or a fa
 SESSION: Mapping[str, Statement] = {
     # the verdict
     "session-usable": result(
-        "Usable:[ {observations:#observation} from {dwells:#dwell}][ ({planned:#pose} planned)][{both:!}, and][ {points:#point} from {passes:#pass|passes} along lines][ ({planned_passes} planned)]."
+        "Usable:[ {observations:#observation} from {dwells:#dwell}][ ({planned:#pose} planned)][{observations:!}{points:!}, and][ {points:#point} from {passes:#pass|passes} along lines][ ({planned_passes} planned)]."
     ),
     "no-box-data": refusal("Not usable: the box {problem}.", "Check it with truearm box test, and record again."),
     "no-joint-readings": refusal(

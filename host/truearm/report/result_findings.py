@@ -349,8 +349,7 @@ def _choice(fault: Document) -> Finding:
             f"{offer['error_mm']:.3f} mm, and {_gain(offer)}"
             for offer in offers
         )
-        values = {"choices": choices, "first": offers[0]["apply"], "both": bool(deciding)}
-        return Finding("fault-choice", {**values, "deciding": deciding})
+        return Finding("fault-choice", {"choices": choices, "first": offers[0]["apply"], "deciding": deciding})
     size = next((size for size in fault["sizes"] if collective and size["value"] is not None), None)
     values = {
         "few": not (collective or lasting) and unjudged,
@@ -380,7 +379,7 @@ def _sessions(document: Document) -> Iterator[Finding]:
         }
         lines = {"lines_used": str(count["lines_used"]), "lines_rejected": _counts(count["lines_rejected"])}
         values = lines | (dwells if has_dwells else dict.fromkeys(dwells))
-        yield stated("session", count, **values, both=has_dwells and bool(count["lines"]))
+        yield stated("session", count, **values)
         if n := has_dwells and sum(number for reason, number in rejected.items() if reason in NEED_DECISION):
             none_fits = not count["used"] and set(rejected) == {DOUBTFUL}
             values = {"session": count["session"], "n": n, "dwells": count["dwells"], "path": [count["session"]]}
@@ -468,7 +467,7 @@ def _identified(document: Document) -> Iterator[Finding]:
 def held_frames(defaults: Document) -> list[Finding]:
     """Return what of base and tool is held; empty if nothing is."""
     base, tool = defaults["base"], defaults["tool"]
-    return [Finding("held-frames", {"base": base, "tool": tool, "both": bool(base and tool)})] if base or tool else []
+    return [Finding("held-frames", {"base": base, "tool": tool})] if base or tool else []
 
 
 def identified(document: Document) -> Finding:
@@ -573,7 +572,7 @@ def _held_out(document: Document) -> Iterator[Finding]:
             yield Finding("held-out-larger", {"ratio": ratio})
         names = [name for name in document.get("all_held_out", ()) if name not in document["held_out_by"]]
         if names:
-            yield Finding("group-held-out", {"names": names, "proposed": bool(proposed), **_proposal(proposed)})
+            yield Finding("group-held-out", {"names": names, **_proposal(proposed)})
         yield from rig_unknowns(held_out["n_settled"], held_out["n_left_out"])
     if folds := document["folds"]:
         errors = [f"{fold['held_out_by']} {worded('{size}', {'size': sizes(fold, 'rms')})}" for fold in folds[:-1]]
@@ -598,8 +597,7 @@ def _advice(document: Document) -> Iterator[Finding]:
     if because not in (None, Unusable.NO_FREEDOM, Unusable.WORSE):  # which more rows mend
         yield Finding("correct-next")
     if because is None and not document["held_out_by"]:
-        proposed = document.get("hold_out_proposal")
-        yield Finding("hold-out-next", {"few": proposed is None, **_proposal(proposed)})
+        yield Finding("hold-out-next", _proposal(document.get("hold_out_proposal")))
 
 
 def _proposal(proposed: Document | None) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def _verdict(document: Document) -> Finding:
         "planned_passes": passes["planned"],
     }
     if dwells["observations"] or passes["points"]:
-        return Finding("session-usable", values | {"both": bool(dwells["observations"] and passes["points"])})
+        return Finding("session-usable", values)
     if not document["streams"]:
         return Finding("no-box-data", {"problem": "sent no sample"})
     if not robot["readings"]:
