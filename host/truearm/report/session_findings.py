@@ -19,7 +19,7 @@ LOSSES = {  # the counters of a finding
     "missing-stop-pulses": ("missing_stops",),
     "malformed-plan": ("plan_events_malformed",),
 }
-RECEIVED = ("frames", "samples", "blocks")
+RECEIVED = ("frames", "samples", "blocks", "samples_missing")
 REJECTED = {  # the reasons of a finding
     "rejected-unsettled": ("too short", "still moving", "ringing", "drift"),
     "rejected-sensor": ("gap", "rail", "noisy", "no samples"),
@@ -101,23 +101,17 @@ def damage_finding(damage: Mapping[str, Any]) -> Finding:
 
 def _losses(losses: Document) -> Iterator[Finding]:
     """Return what did not arrive, by what to do about it, and all other counters."""
-    counters, missing, stated_names = (
-        {**losses["box"], **losses},
-        losses["samples_missing"],
-        {"samples_missing", *RECEIVED},
-    )
+    counters, missing = {**losses["box"], **losses}, losses["samples_missing"]
     periods = [f"{gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"] if missing]
-    complete = True
+    lost = []
     for code, names in LOSSES.items():
-        counts: dict[str, Any] = {name: counters.get(name, 0) for name in names}
+        counts: dict[str, Any] = {name: counters.pop(name, 0) for name in names}
         counts |= {"periods": periods, "missing": missing} if code == "lost-on-link" else {}
-        stated_names.update(names)
-        if any(counts.values()):
-            complete = False
-            yield Finding(code, counts)
-    further = {name: n for name, n in counters.items() if name not in stated_names and isinstance(n, int) and n}
+        lost += [Finding(code, counts)] if any(counts.values()) else []
+    yield from lost
+    further = {name: n for name, n in counters.items() if isinstance(n, int) and n and name not in RECEIVED}
     texts = [f"{n} {name.replace('_', ' ')}" for name, n in further.items()]
-    yield stated("received", losses, complete=complete, counts=texts)
+    yield stated("received", losses, complete=not lost, counts=texts)
 
 
 def _clock(reports: Iterable[Document]) -> Iterator[Finding]:
@@ -133,9 +127,9 @@ def _robot(document: Document) -> Iterator[Finding]:
     robot = document["robot"]
     if not robot["readings"]:
         return
-    is_bad = any(robot[name] for name in ("lost", "gaps", "malformed", "restarts"))
-    counts = {name: robot[name] for name in ("rate_hz", "lost", "gaps", "malformed", "restarts")}
-    yield stated("joint-readings-lost" if is_bad else "joint-readings", robot, **counts)
+    counts = {name: robot[name] for name in ("lost", "gaps", "malformed", "restarts")}
+    code = "joint-readings-lost" if any(counts.values()) else "joint-readings"
+    yield stated(code, robot, **counts, rate_hz=robot["rate_hz"])
     for report in () if document["metadata"]["joints-added"] else robot["clock"]:
         if report["edges"] is not None:
             yield _edges(report["edges"])
@@ -144,9 +138,7 @@ def _robot(document: Document) -> Iterator[Finding]:
 
 def _edges(edges: Document) -> Finding:
     if not edges["used"]:
-        return stated(
-            "trigger-unseen", edges, **{name: value for name, value in edges.items() if not name.endswith("_ns")}
-        )
+        return Finding("trigger-unseen", {name: value for name, value in edges.items() if not name.endswith("_ns")})
     least, most = map(_us, edges["falling_later_ns"])
     return stated("trigger", _in_us(edges), least=least, most=most, arrivals=not edges["in_use"])
 

@@ -13,6 +13,7 @@ from truearm.estimate.mean_error import gain_of
 from truearm.estimate.prediction import nominal_error, predicted_point_error
 from truearm.estimate.result_file import Input
 from truearm.findings import Finding
+from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.certificate import Certificate, Facts, Recording, conditions, recorded, sensor_facts, shortened
 from truearm.report.page import size
@@ -97,6 +98,7 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
     error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
     reused, simulated = bool(validation.document["identified_from"]), bool(validation.document["simulated"])
     decision = _decision(issue.tolerance, error, calibration.stored.unusable_because, reused, validation.n)
+    lengths = any(kinds()[kind].components.count("m") < 3 for kind in np.unique(table.kind).tolist())
     return Certificate(
         f"Certificate of {'a simulated ' * simulated}validation",
         (
@@ -109,7 +111,12 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
             ("Conditions", conditions(recordings)),
             ("Files read", _files(inputs)),
         ),
-        (decision, *[Finding("simulated")] * simulated, Finding("excludes-directions"), *ALWAYS_EXCLUDED),
+        (
+            decision,
+            *[Finding("simulated")] * simulated,
+            *[Finding("excludes-directions")] * lengths,
+            *ALWAYS_EXCLUDED,
+        ),
     )
 
 
