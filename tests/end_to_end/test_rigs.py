@@ -40,12 +40,6 @@ def identified(folder, *more, code=0):
     return json.loads(done.stdout)
 
 
-def told(folder, *more):
-    done = truearm("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--model", "puma560", *more)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    return done.stderr
-
-
 def test_each_session_has_the_rig_that_it_was_recorded_with(days):
     result = identified(days)
     assert (result["status"], result["rank"], result["n_free"]) == ("converged", 36, 36)
@@ -98,18 +92,9 @@ def test_both_rigs_may_be_given_and_are_saved_with_the_rows(days, tmp_path):
     assert held["held_out"]["n"] == result["n_observations"] - held["n_observations"] > 0
 
 
-def test_names_that_fit_nothing_are_told(days, tmp_path):
-    write_rig(tmp_path / "m.toml", standard_rig())
-    rig = tmp_path / "m.toml"
-    assert f"--rig wednesday={rig}: " in told(days, "--rig", f"wednesday={rig}")
+def test_two_sessions_of_one_name_are_refused(days, tmp_path):
     other = tmp_path / "monday.mcap"
     other.write_bytes((days / "tuesday.mcap").read_bytes())
     two = truearm("identify", days / "monday.mcap", other, "--model", "puma560")
     assert (two.returncode, two.stdout) == (2, "")
     assert "also named monday but" in two.stderr
-    table = tmp_path / "t.csv"
-    table.write_text(
-        "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere\n"
-        "ball_bar,0,0,0,0,0,0,460,bar46,c1,s1\n"
-    )
-    assert told(days, table).rstrip().endswith("t.csv row 2 names no rig in its column rig")
