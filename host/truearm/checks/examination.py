@@ -82,6 +82,8 @@ def examined(
     distorted beyond GROSS. Findings that move the tool too far for an analysis of first order, such as all sockets of a
     place where nothing else knows the scale, are none.
     """
+    if estimate.chi2_freedom < 1.0:
+        return None
     fitted = estimate.fitted
     modelled = [effect.select(fitted) for effect in modelled_of(chain, rig, table, effects)]
     sigma = estimate.prior_sigma[: len(chain.parameters)]
@@ -135,10 +137,9 @@ def of_fit(
 ) -> Examination | None:
     """Return the examination of a fit with the ``covariance`` (k, k); ``gram`` (k, k) [m²] is what moves the tool.
 
-    None for a fit without a degree of freedom, or one too far from its rows for an analysis of first order.
+    None for a fit too far from its rows for an analysis of first order.
     """
-    chi2 = float(fit.residual @ fit.residual)
-    if fit.residual.size <= fit.jac.shape[1] or not chi2 <= GROSS**2 * fit.residual.size:
+    if not float(fit.residual @ fit.residual) <= GROSS**2 * fit.residual.size:
         return None
     result = checked(fit)
     average, kernel = averaged(result, gram, covariance), result.design.kernel
