@@ -115,10 +115,8 @@ def parse_mounted(text: str) -> dict[str, str]:
     for entry in text.split(","):
         key, separator, name = (word.strip() for word in entry.partition("="))
         if key not in MOUNTABLE or not separator or not name:
-            raise InputError(
-                Argument("mounted"),
-                f": {entry[:40]!r} is not KEY=NAME, such as bar=bar46; KEY is {', '.join(MOUNTABLE[:-1])} or {MOUNTABLE[-1]}",
-            )
+            form = f"KEY=NAME, such as bar=bar46; KEY is one of {', '.join(MOUNTABLE)}"
+            raise InputError("wrong-value", place=Argument("mounted"), value=entry[:40], form=form)
         if key in mounting:
             raise InputError("given-twice", place=Argument("mounted"), what=key)
         mounting[key] = name

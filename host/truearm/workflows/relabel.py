@@ -49,7 +49,7 @@ def relabel(
         stops += stops_of(path, rig, surveyed(opened))
     if rig is None or not stops:
         raise SessionError(f"{session}: the robot never stood still long enough; see truearm inspect {session}")
-    named = dict(pair for text in mounted for pair in _named(text, rig, stops))
+    named = dict(pair for text in mounted for pair in _named(text, rig, stops).items())
     chances = None if robot is None else chances_of(robot, rig, stops)
     likely = [(None, 0.0) if chances is None else chances.likeliest(k) for k in range(len(stops))]
     labelled = [
@@ -88,16 +88,14 @@ def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing
     }
     detail = "; ".join(f"{source} {words}" for source, words in statements.items() if words)
     rows = sorted(stop.rows, key=lambda row: pairing_of(row[1]) != pairing)  # one that was planned with this pairing
-    mounted = dict(zip(BAR_MOUNTED, pairing or (), strict=False))
-    if pairing is not None and rows and pairing_of(rows[0][1]) == pairing:
-        mounted = dict(rows[0][1])
-    label = DwellLabel(stop.dwell.start_host_ns, stop.dwell.end_host_ns, mounted, rows[0][0] if rows else None)
-    if pairing is None:
-        return label._replace(detail=detail)
-    return label._replace(probability=p) if pairing == likely else label
+    row, mounted = rows[0] if rows else (None, dict[str, str]())
+    if pairing is None or pairing_of(mounted) != pairing:
+        mounted = dict(zip(BAR_MOUNTED, pairing or (), strict=False))
+    label = DwellLabel(stop.dwell.start_host_ns, stop.dwell.end_host_ns, mounted, row, detail="" if pairing else detail)
+    return label._replace(probability=p) if pairing and pairing == likely else label
 
 
-def _named(text: str, rig: Rig, stops: Sequence[Stop]) -> list[tuple[tuple[Path, int], Pairing]]:
+def _named(text: str, rig: Rig, stops: Sequence[Stop]) -> dict[tuple[Path, int], Pairing]:
     """Parse what was mounted at some dwells: ``12:14=BAR,CHUCK,SPHERE``; of a further part, ``s.2.mcap 12=…``."""
     match = re.fullmatch(r"(?:(.+) )?([0-9]{1,9})(?::([0-9]{1,9}))?=([^,]+),([^,]+),([^,]+)", text)
     file, first, last, bar, chuck, sphere = match.groups() if match else ("", "0", "0", "", "", "")
@@ -107,7 +105,7 @@ def _named(text: str, rig: Rig, stops: Sequence[Stop]) -> list[tuple[tuple[Path,
         form = "FIRST:LAST=BAR,CHUCK,SPHERE with numbers of dwells, such as 12:14=bar46,c1,s2"
         raise InputError("wrong-value", place=Argument("mounted"), value=text[:60], form=form)
     check_mounted(dict(zip(BAR_MOUNTED, (bar, chuck, sphere), strict=True)), rig)
-    return [(place, (bar, chuck, sphere)) for place in places]
+    return dict.fromkeys(places, (bar, chuck, sphere))
 
 
 LEAST_DWELLS = 3  # fewer cannot support one another
