@@ -44,24 +44,11 @@ def read_controller(source: str, model: str, out: Path, force: bool = False) -> 
     ``source``: an address rtde://HOST, a calibration.conf or a file of ur_calibration. ``model``: the built-in robot or
     the robot file with the drawing. Raises InputError, LinkError, and then writes nothing.
     """
-    live = source.startswith(f"{RTDE}://")
-    inputs = [path for path in (None if live else Path(source), robot_file(model)) if path is not None]
+    inputs = [path for path in (None if _is_live(source) else Path(source), robot_file(model)) if path is not None]
     check_writable(out, force, inputs=inputs, kind="robot", suffixes=[".toml"])
     text = drawing_text(model)
     drawing = parse_robot(text)
-    if live:
-        kinematics = _controller_kinematics(source)
-    else:
-        content = read_text(Path(source), MAX_BYTES, InputError)
-        try:
-            is_conf = "delta_theta" in content
-            kinematics = (
-                controller_kinematics.kinematics_of_conf(content, _drawn_rows(drawing))
-                if is_conf
-                else controller_kinematics.kinematics_of_yaml(content)
-            )
-        except RobotError as exc:
-            raise exc.within(Path(source)) from exc
+    kinematics = _kinematics(source, drawing)
     written, differences = controller_text(text, drawing, kinematics)
     write_atomic(out, written)
     checksums = as_hex(kinematics.checksums)
@@ -77,13 +64,21 @@ def as_hex(checksums: tuple[int, ...]) -> list[str]:
     return [f"{checksum:08x}" for checksum in checksums]
 
 
-def _controller_kinematics(address: str) -> ControllerKinematics:
-    """Return the kinematics of the controller at ``rtde://host``. Raises LinkError, RobotError, with the address."""
-    content = kinematics_info(address)
+def _is_live(source: str) -> bool:
+    return source.startswith(f"{RTDE}://")
+
+
+def _kinematics(source: str, drawing: Robot) -> ControllerKinematics:
+    """Return the kinematics of the controller at ``rtde://host``, or in a file. Raises LinkError, InputError, which names the source."""
     try:
-        return controller_kinematics.kinematics_of_info(content)
+        if _is_live(source):
+            return controller_kinematics.kinematics_of_info(kinematics_info(source))
+        content = read_text(Path(source), MAX_BYTES, InputError)
+        if "delta_theta" in content:
+            return controller_kinematics.kinematics_of_conf(content, _drawn_rows(drawing))
+        return controller_kinematics.kinematics_of_yaml(content)
     except RobotError as exc:
-        raise exc.within(address) from exc
+        raise exc.within(source) from exc
 
 
 def drawing_text(model: str) -> str:
@@ -164,13 +159,14 @@ class ControllerState(NamedTuple):
 
 def controller_state(address: str | None, model: str) -> ControllerState:
     """Return a controller's checksums if the robot file ``model`` has some, and whether they differ or were not read."""
-    if not (address or "").startswith(f"{RTDE}://") or not Path(model).is_file() or is_urdf(model):
+    if not _is_live(address or "") or not Path(model).is_file() or is_urdf(model):
         return ControllerState()
-    stored = load_robot(model).checksums
+    robot = load_robot(model)
+    stored = robot.checksums
     if not stored:
         return ControllerState()
     try:
-        checksums = _controller_kinematics(address or "").checksums
+        checksums = _kinematics(address or "", robot).checksums
     except (LinkError, RobotError) as exc:
         unread = Finding("controller-unread", {"model": model, "reason": str(exc), "stored": True})
         return ControllerState(findings=(unread,))
@@ -184,7 +180,7 @@ def controller_choice(model: str, address: str, folder: Path) -> tuple[RobotChoi
 
     Raises RobotError for a controller of another arm.
     """
-    if not address.startswith(f"{RTDE}://") or is_urdf(model):
+    if not _is_live(address) or is_urdf(model):
         return None, None
     out = folder / ROBOT_FILE
     try:
