@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -51,23 +51,10 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     Raises InputError with a one-line message, and then writes nothing.
     """
     read = [files.result, files.targets, *files.robot.files]
-    is_folder = files.targets.is_dir()
-    programs = read_program_files(files.targets) if is_folder or files.targets.suffix.lower() in ALL_SUFFIXES else None
-    method = _how(calibration, options)
-    if programs is None:
-        check_is_table(files.targets, ALL_SUFFIXES)
-        _refuse_for_table(files.targets, options.program)
-        check_outputs([("targets", files.out)], files.force, read)
-    else:
-        check_program_out(files.out, programs, read)
+    is_folder, method = files.targets.is_dir(), _how(calibration, options)
     check_outputs([("page", files.report)], files.force, [*read, files.out])
-    if programs is None:
-        done = _correct_table(files.targets, method, options)
-    else:
-        chain, is_brought = method.pair.chain, not files.robot.is_urdf
-        tool0 = tool0_in_flange(files.robot, chain)
-        frames = CalibrationFrames(chain.base_frame, chain.end_frame, is_brought, options.own_frames, tool0)
-        done = correct_program(programs.contents, programs.language, method, frames, options.program)
+    are_programs = is_folder or files.targets.suffix.lower() in ALL_SUFFIXES
+    done = (_correct_programs if are_programs else _correct_table)(files, read, method, options)
     spread, configurations = comparison(calibration, method.pair, done.configurations)
     stated = [
         *correction_findings(calibration, done),
@@ -151,7 +138,11 @@ def _corrected(
     return done, inverted(work) @ done.commanded @ tool
 
 
-def _correct_table(path: Path, method: HowCorrected, options: CorrectOptions) -> Corrected:
+def _correct_table(files: CorrectFiles, read: list[Path], method: HowCorrected, options: CorrectOptions) -> Corrected:
+    path = files.targets
+    check_is_table(path, ALL_SUFFIXES)
+    _refuse_for_table(path, options.program)
+    check_outputs([("targets", files.out)], files.force, read)
     chain, tool = method.pair.chain, frame_of(options.frames[1])
     targets = read_targets(path, chain.joint_units, chain.mimics)
     if not targets.oriented and not np.array_equal(tool, np.eye(4)):
@@ -202,16 +193,24 @@ def _frames(calibration: Calibration, own_frames: bool) -> Finding:
 MAX_BYTES = 64 * 2**20  # of all files together
 
 
-class ProgramFiles(NamedTuple):
-    """Program files by their names: of a file its own, in a folder the path within it with slashes."""
+def _correct_programs(
+    files: CorrectFiles, read: list[Path], method: HowCorrected, options: CorrectOptions
+) -> Corrected:
+    language, contents = _read_programs(files.targets)
+    if files.targets.is_dir():
+        check_new_folder(files.out, files.targets)
+    else:
+        check_writable(files.out, inputs=read, suffixes=SUFFIXES[language])
+        if files.out.exists():
+            raise InputError("file-exists", place=files.out)
+    chain, is_brought = method.pair.chain, not files.robot.is_urdf
+    tool0 = tool0_in_flange(files.robot, chain)
+    frames = CalibrationFrames(chain.base_frame, chain.end_frame, is_brought, options.own_frames, tool0)
+    return correct_program(contents, language, method, frames, options.program)
 
-    path: Path
-    language: ProgramLanguage
-    contents: Mapping[str, bytes]
 
-
-def read_program_files(path: Path) -> ProgramFiles:
-    """Read a program, or all programs of a folder and its folders. Raises InputError."""
+def _read_programs(path: Path) -> tuple[ProgramLanguage, dict[str, bytes]]:
+    """Return the language and the contents of a program by its name, or of a folder's by paths with slashes. Raises InputError."""
     files = {path.name: path}
     if path.is_dir():
         files = {file.relative_to(path).as_posix(): file for file in sorted(path.rglob("*")) if file.is_file()}
@@ -227,14 +226,4 @@ def read_program_files(path: Path) -> ProgramFiles:
     for name in names:
         contents[name] = read_bytes(files[name], room, InputError)
         room -= len(contents[name])
-    return ProgramFiles(path, language, contents)
-
-
-def check_program_out(out: Path, programs: ProgramFiles, inputs: list[Path]) -> None:
-    """Raise InputError unless corrected programs can be written to a new file or folder."""
-    if programs.path.is_dir():
-        check_new_folder(out, programs.path)
-    else:
-        check_writable(out, inputs=inputs, suffixes=SUFFIXES[programs.language])
-        if out.exists():
-            raise InputError("file-exists", place=out)
+    return language, contents
