@@ -130,45 +130,39 @@ def create(
     from truearm.workflows.requests import PlanFiles
     from truearm.workflows.socket_project import SEATS, plan_sockets
 
-    paths = {"project": folder / FILE, "rig": folder / project.rig, "plan": folder / project.plan}
-    if paths["project"].exists():
-        raise InputError(f"{paths['project']} already exists; edit it, or use another folder")
+    if (folder / FILE).exists():
+        raise InputError(f"{folder / FILE} already exists; edit it, or use another folder")
     choice = robot_of(project, folder)
     with _workplace(folder) as new:
         read, controller = controller_choice(choice.robot or "", project.address, new)
         if read is not None:
             choice, project = read, replace(project, model=ROBOT_FILE)
-            paths["robot"] = folder / ROBOT_FILE
-            if paths["robot"].exists():
-                raise InputError("file-exists", place=paths["robot"])
-        robot = choice.load()
-        plan = None
+            if (folder / ROBOT_FILE).exists():
+                raise InputError("file-exists", place=folder / ROBOT_FILE)
+        robot, plan = choice.load(), None
         if sockets is not None:
             bounded = robot if branch is None else replace(robot, branch=branch_of(robot, branch))
             contents, plan = plan_sockets(bounded, sockets, project.name or robot.chain.name)
             for name, content in contents.items():
-                if (folder / name).exists():
-                    raise InputError(f"{folder / name} already exists; move it, or use another folder")
                 write_atomic(new / name, content)
             project = replace(project, table=SEATS, plan="")
-            paths = {name: path for name, path in paths.items() if name in ("project", "robot")}
-            paths |= {name: folder / name for name in contents}
         else:
-            rig = paths["rig"]
+            rig = folder / project.rig
             if not rig.exists():
                 rig = new / project.rig
                 bounded = replace(robot, branch=branch_of(robot, branch))
                 points = first_rig(bounded, first.chucks, first.spheres)
                 write_atomic(rig, _rig_text(_as_measured(points, first), project.name or robot.chain.name))
             read_rig(rig)
-            if minutes and not paths["plan"].exists():
+            if minutes and not (folder / project.plan).exists():
                 files = PlanFiles(choice, rig, branch=branch, out=new / project.plan)
                 plan = plan_ball_bar_files(files, Budget(minutes=minutes), BallBarOptions())
         write_atomic(new / FILE, format_project(project))
-        for name in (project.sessions, project.results):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        written = [path for path in paths.values() if (new / path.name).exists()]
+        written = [folder / FILE, *(folder / path.name for path in by_time(new.iterdir()) if path.name != FILE)]
+        folder.mkdir(parents=True, exist_ok=True)
         _move(new, written)
+    for name in (project.sessions, project.results):
+        (folder / name).mkdir(parents=True, exist_ok=True)
     return Created(tuple(written), plan, controller)
 
 
