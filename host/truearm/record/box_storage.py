@@ -83,8 +83,7 @@ class BoxStorage:
 
     def flush(self) -> None:
         """Store what follows the last delimiter: the stream has ended or was cut."""
-        remainder = self._splitter.flush()
-        if remainder and self.heard_ns is not None:
+        if (remainder := self._splitter.flush()) and self.heard_ns is not None:
             self._take_console(self.heard_ns, remainder)
 
     @property

@@ -40,8 +40,11 @@ class Runs:
         *runs, self._remainder = (self._remainder + data).split(self._delimiter)
         items: list[tuple[bool, bytes]] = []
         for run in runs:
-            items += self._pieces(run)
-            self._overlong = False
+            if self._overlong or len(run) > self._limit:
+                items += self._pieces(run)
+                self._overlong = False
+            elif run:
+                items.append((True, run))
         if len(self._remainder) > self._limit:
             items += self._pieces(self._remainder)
             self._overlong, self._remainder = True, b""
@@ -53,8 +56,7 @@ class Runs:
         return remainder
 
     def _pieces(self, run: bytes) -> list[tuple[bool, bytes]]:
-        is_whole = len(run) <= self._limit and not self._overlong
-        return [(is_whole, run[k : k + self._limit]) for k in range(0, len(run), self._limit)]
+        return [(False, run[k : k + self._limit]) for k in range(0, len(run), self._limit)]
 
 
 class FrameCount:

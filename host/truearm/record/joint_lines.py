@@ -172,8 +172,7 @@ class RobotIntake:
 
     def flush(self, t_host_ns: int) -> None:
         """Store what came behind the last line feed."""
-        remainder = self._runs.flush()
-        if remainder:
+        if remainder := self._runs.flush():
             self._store_console(t_host_ns, remainder)
 
     def _store_console(self, t_host_ns: int, data: bytes) -> None:

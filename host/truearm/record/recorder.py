@@ -225,8 +225,7 @@ class _Recorder:
         if robot.lost is not None and (robot.ended or away_ns > self._patience_ns):
             text = "" if robot.ended else f"; it did not come back within {self._patience_ns / SECOND:g} s"
             raise _Ended("robot closed" if robot.closed else "robot lost", f"{robot.lost}{text}")
-        waited_ns = 0 if self._started_ns is None else self._clock.now_ns() - self._started_ns
-        if waited_ns >= ROBOT_NS and not self._counters.robot_lines and robot.lost is None:
+        if self._elapsed_s() >= ROBOT_NS / SECOND and not self._counters.robot_lines and robot.lost is None:
             sent = f"; it sent {quoted(robot.unread.decode(errors='replace'))}" if robot.unread else ""
             raise _Ended(
                 "no readings", f"no joint reading from the robot within {ROBOT_NS / SECOND:g} s{sent}; {EXPECTED}"
