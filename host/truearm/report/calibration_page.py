@@ -63,34 +63,26 @@ def render(
     )
 
 
-def _tiles(document: Document) -> Iterator[tuple[str, str, list[tuple[str, str]], str]]:
+def _tiles(document: Document) -> Iterator[page.Tile]:
     n_fitted = sum(entry["fitted"] for entry in document["observations"])
     error_before, raw = (sizes(document, name) for name in ("rms_before", "rms_raw"))
     placed = " with base and tool fitted" * (error_before != raw)
-    yield (
-        "old",
-        "RMS before",
-        _figures(error_before),
-        f"{counted(n_fitted, 'fitted observation')}, the nominal robot{placed}",
-    )
+    yield "old", "RMS before", error_before, f"{counted(n_fitted, 'fitted observation')}, the nominal robot{placed}"
     if not result_tables.has_little_freedom(document):
-        yield "fit", "RMS after", _figures(sizes(document, "rms_after")), "the same observations, identified parameters"
+        yield "fit", "RMS after", sizes(document, "rms_after"), "the same observations, identified parameters"
     if judged := document["held_out"]:
-        means, largest = (_figures(sizes(judged, name)) for name in ("mean", "max"))
-        errors = zip(means, largest, strict=True)
-        remark = "; ".join(f"mean {mean}, largest {size} {unit}".rstrip() for (mean, _), (size, unit) in errors)
+        largest = sizes(judged, "max")
+        remark = "; ".join(
+            f"mean {figures(mean)}, largest {figures(largest[suffix])} {SUFFIXES[suffix].symbol}".rstrip()
+            for suffix, mean in sizes(judged, "mean").items()
+        )
         note = f"{counted(judged['n'], 'observation')} not used to fit; {remark}"
-        yield "val", "RMS held out", _figures(sizes(judged, "rms")), note
+        yield "val", "RMS held out", sizes(judged, "rms"), note
     predicted = document["predicted_error"]
     if predicted and any(finding.code in LEADING for finding in findings_of(document)):
         over = f"over {counted(predicted['n'], 'pose')}; at most {figures(predicted['max_mm'])} mm"
         remark = f"from the parameters, faults that the rows do not exclude and the arm's own scatter, {over}"
-        yield "old", "RMS of the tool, predicted", _figures({"mm": predicted["rms_mm"]}), remark
-
-
-def _figures(errors: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Return the text of each error, and its unit."""
-    return [(figures(value), SUFFIXES[suffix].symbol) for suffix, value in errors.items()]
+        yield "old", "RMS of the tool, predicted", {"mm": predicted["rms_mm"]}, remark
 
 
 def _residuals(document: Document, rows: Sequence[ResidualRows]) -> Iterator[str]:

@@ -99,7 +99,7 @@ def _moves(document: Document) -> list[tuple[str, ...]]:
     return rows
 
 
-def _tiles(document: Document) -> Iterator[tuple[str, str, list[tuple[str, str]], str]]:
+def _tiles(document: Document) -> Iterator[page.Tile]:
     point, due = document["error_point"], _column(document, "expected_mm")
     error_before, shift = _column(document, "error_before_mm"), _column(document, "shift_mm")
     largest = float(due.max()) if np.isfinite(due).all() else float("nan")
@@ -108,7 +108,7 @@ def _tiles(document: Document) -> Iterator[tuple[str, str, list[tuple[str, str]]
         ("val", "error without correction, RMS", rms(error_before), f"of {point}, by the model"),
         ("fit", "expected error, largest (k = 2)", largest, f"of {point}, {_EXPECTED}"),
     ):
-        yield css, name, [(page.figures(value), "mm")], note
+        yield css, name, {"mm": value}, note
 
 
 def _targets(document: Document) -> Table:

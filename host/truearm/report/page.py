@@ -12,7 +12,7 @@ import base64
 import hashlib
 import html
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
 from truearm.report.scene_view import Scene, script, view_section
 from truearm.report.tables import Table
-from truearm.units import shown, symbol
+from truearm.units import SUFFIXES, shown, symbol
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
@@ -110,14 +110,17 @@ def finding_parts(findings: Sequence[Finding]) -> tuple[str, str, str]:
     return heading, doubts, listed("remarks", Severity.RESULT, Severity.NOTE)
 
 
-def tiles(entries: Iterable[tuple[str, str, Iterable[tuple[str, str]], str]]) -> str:
-    """Return figures in large type: class, name, value and unit of each figure, and a note."""
+Tile = tuple[str, str, Mapping[str, float], str]  # class, name, a quantity such as {"mm": 0.1}, note
+
+
+def tiles(entries: Iterable[Tile]) -> str:
+    """Return quantities in large type."""
     return f'<div class="tiles">{"".join(_tile(*entry) for entry in entries)}</div>'
 
 
-def _tile(css: str, name: str, sizes: Iterable[tuple[str, str]], note: str) -> str:
-    units = [(value, "" if value == ABSENT else unit) for value, unit in sizes]
-    texts = "".join(f'<p class="figure">{value}<span> {unit}</span></p>' for value, unit in units)
+def _tile(css: str, name: str, quantity: Mapping[str, float], note: str) -> str:
+    units = ((value, SUFFIXES[suffix].symbol if math.isfinite(value) else "") for suffix, value in quantity.items())
+    texts = "".join(f'<p class="figure">{figures(value)}<span> {unit}</span></p>' for value, unit in units)
     return f'<div class="tile {css}"><p class="name">{name}</p>{texts}<p class="small">{escape(note)}</p></div>'
 
 
