@@ -39,7 +39,8 @@ def at_values(world, values, sigma=None, free=None):
     problem = build_problem(of.chain, of.rig, world.table, sigma)
     columns = problem.columns(of.free if free is None else free)
     how = measured_order(world.table, of.chain, np.ones(len(of.q), bool))
-    return whitened_fit(problem, values, columns, how, np.ones(len(of.q)))
+    even = np.ones(len(of.q))
+    return whitened_fit(problem, values, columns, how, even, even)
 
 
 def fitted(world):

@@ -105,7 +105,7 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
     unnamed = [np.zeros((len(gram), 0))]
     for weighed, weight in zip(result.table, posterior(result.table, result.refused), strict=True):
         if weight > LEAST_WEIGHT:
-            choice = explanation(weighed, float(weight), result.design, fitted)
+            choice = explanation(weighed, float(weight), result.design, result.response)
             unnamed.append(math.sqrt(weight) * np.column_stack([choice.step, choice.root]))
     choices = tuple(explanations(detection, result) for detection in result.detections)
     return Average(gram, covariance, np.concatenate(unnamed, axis=1), choices)
@@ -125,8 +125,8 @@ def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
 
 
-def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design, is_named: bool = False) -> Choice:
-    """Return what the best candidate does to the parameters; its size is that of the ``design``.
+def explanation(weighed: Weighed, weight: float, design: Design, response: Floats, is_named: bool = False) -> Choice:
+    """Return what the best candidate does to the parameters by their ``response``; its size is that of the ``design``.
 
     In directions that the rows do not show, a finding is as large as in those that they do, in which it could be
     smaller by chance: one typical size is added.
@@ -135,8 +135,7 @@ def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design,
     size, root, hidden = amount_of(weighed, design.variance, scale, is_named)
     if is_named:
         root = np.column_stack([root, hidden * math.sqrt((1.0 + float(size @ size)) / max(root.shape[1], 1))])
-    columns = weighed.columns
-    loading = fitted.root @ (fitted.basis[: len(columns)].T @ columns)
+    loading = response @ weighed.columns
     return Choice(weighed, weight, size, -loading @ size, loading @ root)
 
 
@@ -149,7 +148,7 @@ def explanations(detection: Detection, result: Search) -> tuple[Choice, ...]:
     log = np.array([weighed.log_evidence for weighed in options])
     weights = np.exp(log - special.logsumexp(log)).tolist()
     pairs = zip(options, weights, strict=True)
-    return tuple(explanation(weighed, weight, design, result.fitted, is_named=True) for weighed, weight in pairs)
+    return tuple(explanation(weighed, weight, design, result.response, is_named=True) for weighed, weight in pairs)
 
 
 def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:

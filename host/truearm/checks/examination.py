@@ -88,15 +88,16 @@ def examined(
     modelled = [effect.select(fitted) for effect in modelled_of(chain, rig, table, effects)]
     sigma = estimate.prior_sigma[: len(chain.parameters)]
     problem = build_problem(chain, rig, table.select(fitted), sigma, modelled)
-    if estimate.weight.size:
-        problem = only(problem, estimate.weight[fitted] > 0.0)
+    problem = only(problem, estimate.weight[fitted] > 0.0)
     measured = measured_order(table, chain, fitted)
     gram = tool_gram(chain, rig, table.select(~estimate.left_out), estimate, any_base)
     covariance = estimate.covariance[np.ix_(estimate.free, estimate.free)]
     laws = estimate.law_parameters, estimate.law_prior
 
     def by_weights(weight: Floats) -> Examination | None:
-        fit = whitened_fit(problem, estimate.value, estimate.free, measured, weight[fitted], *laws)
+        fit = whitened_fit(
+            problem, estimate.value, estimate.free, measured, weight[fitted], estimate.weight[fitted], *laws
+        )
         return of_fit(fit, gram, covariance, table, estimate.free)
 
     weight = row_weights(estimate)
@@ -123,7 +124,8 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     problem, x = judgement.problem, judgement.x
     problem = replace(problem, prior_sigma=np.where(judgement.settled, problem.prior_sigma, np.inf))
     measured = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
-    fit = whitened_fit(problem, x, ways.columns, measured, np.ones(len(table)))
+    even = np.ones(len(table))
+    fit = whitened_fit(problem, x, ways.columns, measured, even, even)
     k = ways.matrix.shape[1]
     prior = np.column_stack([fit.prior[:, :-1] @ ways.matrix, fit.prior[:, -1]])
     prior = np.concatenate([prior, np.eye(ways.known, k + 1)])

@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import repeat
 from typing import NamedTuple
 
@@ -55,6 +56,15 @@ class Search:
     declared: Design  # without findings, with the declared noise
     block: Indices  # (m,) of residuals to leave out together
     refused: tuple[str, ...] = ()  # beyond chance, but they do not predict rows that were left out
+
+    @cached_property
+    def response(self) -> Floats:
+        """Return by how much (k, m) the parameters follow errors of the residuals."""
+        fitted, fit = self.fitted, self.fitted.fit
+        if (fit.pull != 1.0).any():
+            pulled = replace(fit, jac=fit.jac * fit.pull[:, None], residual=fit.residual * fit.pull)
+            fitted = build_design(pulled, DECLARED, fit.prior)
+        return fitted.root @ (fitted.basis[: fit.pull.size].T * fit.pull)
 
     def beside(self, detection: Detection) -> Floats:
         """Return the columns (m, d) of all other findings."""

@@ -48,6 +48,7 @@ class WhitenedFit:
     component: Indices  # (m,) numbers: scalar residuals of one kind and unit
     jac: Floats  # (m, k)
     residual: Floats  # (m,)
+    pull: Floats  # (m,) 1; of a robust loss the root of the weight in the fit, relative to that of the whitened row
     prior: Floats
     wide_prior: Floats
     fault_jac: Floats  # (m, c) by everything in ``errors``
@@ -135,12 +136,14 @@ def whitened_fit(
     columns: NDArray[np.bool_],
     measured: Measured,
     weight: Floats,
+    of_loss: Floats,
     laws: range = range(0),
     law_prior: Floats | None = None,
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
-    ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight`` (n,).
+    ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight`` (n,),
+    and was fitted with the weight ``of_loss`` (n,).
     The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without it they
     would explain anything. ``law_prior`` (l, l) is a root of its precision.
     """
@@ -191,6 +194,7 @@ def whitened_fit(
         component=component[order],
         jac=jac,
         residual=residual[:, 0],
+        pull=np.sqrt(of_loss / weight)[row[order]],
         prior=with_prior(problem.prior_sigma, error),
         wide_prior=with_prior(np.where(arm, leeway, problem.prior_sigma), np.where(arm, 0.0, error)),
         fault_jac=fault_jac,

@@ -80,9 +80,10 @@ def clean_square(loss: Loss, width: int) -> float:
 
 
 class Moments(NamedTuple):
-    """Sums over observations for the covariance: of a, of b and of the weights, and the number of observations."""
+    """Sums over observations for the covariance: of a, of the derivative's square, of b and of the weights, and their number."""
 
     a: float = 0.0
+    square: float = 0.0
     b: float = 0.0
     weight: float = 0.0
     n: int = 0
@@ -90,6 +91,8 @@ class Moments(NamedTuple):
     def plus(self, weighted: Weighted, length: Floats, width: int) -> Moments:
         return Moments(
             self.a + float((weighted.weight + weighted.slope / width).sum()),
+            self.square
+            + float((weighted.weight**2 + (2.0 * weighted.weight + weighted.slope) * weighted.slope / width).sum()),
             self.b + float(((weighted.weight * length) ** 2).sum()) / width,
             self.weight + float(weighted.weight.sum()),
             self.n + length.size,
@@ -105,8 +108,11 @@ def sandwich(data_root: Floats, prior_sigma: Floats, moments: Moments, n_scalar:
     k = prior_sigma.size
     # If most rows lie beyond c, as with a wrong rig, the mean curvature of cauchy is negative and meaningless. With the
     # mean weight instead, the result is (JᵀJ)⁻¹ times the square of the residuals, as for least squares.
-    a = (moments.a if moments.a > 0.0 else moments.weight) / moments.n
-    b = moments.b / moments.n * n_scalar / max(n_scalar - k, 1)
+    a, varies = moments.weight / moments.n, 0.0
+    if moments.a > 0.0:
+        a = moments.a / moments.n
+        varies = moments.square / moments.n / a**2 - 1.0
+    b = moments.b / moments.n * n_scalar / max(n_scalar - k, 1) * (1.0 + varies * k / n_scalar) ** 2
     prior = np.diag(np.where(np.isfinite(prior_sigma), 1.0 / prior_sigma, 0.0))
     inverse = covariance(spectrum(fold(np.sqrt(a) * data_root, prior)))
     half = fold(np.sqrt(b) * data_root, prior) @ inverse
