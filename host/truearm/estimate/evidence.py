@@ -16,10 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
 
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 
 _pstrf = get_lapack_funcs("pstrf", dtype=np.float64)
 UNSEEN = 1e-3  # a prior at its cap gains half of this in nats along a neglected direction of the data
@@ -70,10 +69,13 @@ def weigh(data: Seen, sizes: Floats) -> Weighed:
     return Weighed(x, x.T @ y, nats)
 
 
-def nats_without(data: Seen, sizes: Floats, dropped: NDArray[np.bool_]) -> float:
-    """Return the log evidence [nats] without some modes, all other variances unchanged."""
-    half = np.sqrt(np.where(dropped, 0.0, sizes))[:, None] * data.root
-    return _evidence(data, half.T @ half)[2]
+def nats_of(data: Seen, sizes: Floats, number: Indices) -> list[float]:
+    """Return by how much [nats] the log evidence falls without the modes of each ``number`` (f,), all others unchanged."""
+    half = np.sqrt(sizes)[:, None] * data.root
+    square = half.T @ half
+    dropped = (half[number == law] for law in range(int(number.max(initial=-1)) + 1))
+    total = _evidence(data, square)[2]
+    return [total - _evidence(data, square - modes.T @ modes)[2] for modes in dropped]
 
 
 def _evidence(data: Seen, square: Floats) -> tuple[Floats, Floats, float]:

@@ -1,7 +1,8 @@
 """Which joint laws are kept: those that the evidence supports, and that regions left out do not contradict.
 
-From the one with the least nats to one with EARNEST, each law is left out, and the noise learned again. It is kept if
-the evidence is then lower by GATE. All sags stand or fall together, for gravity acts on all joints or on none.
+None is kept if all together do not raise the evidence by GATE: fewer raise it less. Otherwise, from the one with the
+least nats to one with EARNEST, each law is left out, and the noise learned again. It is kept if the evidence is then
+lower by GATE. All sags stand or fall together, for gravity acts on all joints or on none.
 
 Evidence is of the rows that were measured. A law that describes the arm also helps where it was not fitted, so regions
 of poses are left out in turn, at fixed variances and noise. The fit to all other regions
@@ -27,6 +28,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.types import CurveKnots, Floats, Indices, Law
 
 GATE = 6.0  # nats
+HOPE = 3.0  # nats: with less after two rounds, all laws together do not reach GATE
 EARNEST = 25.0  # nats
 ABSENT = 0.05  # nats: without such a law, variances and noise are those that were learned with it
 HALVINGS = 3  # of the joint space: 8 regions
@@ -63,8 +65,10 @@ def supported(
         problem, dropped, sure = make(start.kept), dict(start.dropped), start.sure
         learned = learn(problem, start.learned._replace(x=problem.start))  # beside other faults, x is longer
     else:
-        problem = make(laws)
-        learned = learn(problem, start)
+        problem, without = make(laws), learn(make(()), start)
+        learned = learn(problem, start, least=without.evidence + HOPE)
+        if learned.evidence - without.evidence < GATE:
+            return LawChoice((), without, learned.nats, sure)
     while problem.laws:
         units = _units(problem.laws)
         gain = {unit: sum(learned.nats[law] for law in unit) for unit in units if unit not in sure}

@@ -13,6 +13,7 @@ x ~ N(x, P).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -21,7 +22,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.evidence import ModePrior, Seen, learned, nats_without, seen_by, solve_lower, weigh
+from truearm.estimate.evidence import ModePrior, Seen, learned, nats_of, seen_by, solve_lower, weigh
 from truearm.estimate.information import observe
 from truearm.estimate.law_candidates import LawPrior, acting
 from truearm.estimate.pose_noise import (
@@ -53,7 +54,7 @@ WITHOUT_SCATTER = 2  # of them: laws and robot are already those of the rows
 NOISE_END = 0.01  # the last round changes the variance of the rows by less
 SHARED_START = 1e-10  # m² and rad²
 RIG_SIGMA = 10.0  # m, rad: keeps unknowns without a prior finite along null directions
-ROUNDING = 1e-14  # of all information: what is added along null directions
+ROUNDING = 1e-13  # of the information about an unknown, more than rounding leaves along null directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,10 +174,17 @@ class Posterior(NamedTuple):
     freedom: float
 
 
-def learn(problem: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS, shared: bool = True) -> Learned:
+def learn(
+    problem: LawProblem,
+    start: PoseNoise | Learned,
+    rounds: int = ROUNDS,
+    shared: bool = True,
+    least: float = -math.inf,
+) -> Learned:
     """Learn variances and noise from at most LEARNING poses; without ``shared``, no error that the rows of a pose share.
 
-    They start from what was learned with more laws; with a noise alone, all variances start small.
+    They start from what was learned with more laws; with a noise alone, all variances start small. Learning ends once the
+    evidence is less than ``least`` with a noise that was learned beside the laws.
     """
     (sample, stride), linearised = problem.some(), LINEARISED
     if isinstance(start, Learned):
@@ -193,14 +201,14 @@ def learn(problem: LawProblem, start: PoseNoise | Learned, rounds: int = ROUNDS,
         data = _data(sample, middle, rows, noise)
         variances = learned(data.seen, problem.prior, variances)
         fit = _posterior(sample, middle, data, variances)
+        if i and fit.evidence < least:
+            break
         samples = pose_samples(rows, (middle - fit.x)[sample.columns], fit.covariance, stride)
         x, old, noise = fit.x, noise, learned_noise(samples, noise, shared)
         if i >= linearised - 1 and noise_change(samples, old, noise) < NOISE_END:
             break
-    sizes, laws = variances @ problem.prior.spectra, range(len(problem.laws))
-    total = weigh(data.seen, sizes).nats
-    nats = [total - nats_without(data.seen, sizes, problem.law_of_mode == law) for law in laws]
-    of_laws = [variances[problem.law_of_variance == law] for law in laws]
+    nats = nats_of(data.seen, variances @ problem.prior.spectra, problem.law_of_mode)
+    of_laws = [variances[problem.law_of_variance == law] for law in range(len(problem.laws))]
     named = (dict(zip(problem.laws, values, strict=True)) for values in (of_laws, nats))
     return Learned(next(named), noise, next(named), fit.evidence, x)
 
@@ -235,7 +243,8 @@ def _data(problem: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: Pos
     gram, logdet = pose_information(rows, problem.is_law.size + 1, noise)
     gram = problem.by_modes(problem.by_modes(gram, x).T, x)
     geometry = gram[:g, :g]
-    lower = np.linalg.cholesky(geometry + (1.0 + ROUNDING * np.trace(geometry)) * np.eye(g))
+    prior = np.diag(1.0 + ROUNDING * np.diag(geometry))
+    lower = np.asarray(np.linalg.cholesky(geometry + prior), dtype=float)
     half = solve_lower(lower, gram[:g, g:])
     remaining = gram[g:, g:] - half.T @ half
     logdet += 2.0 * float(np.log(np.diag(lower)).sum())
