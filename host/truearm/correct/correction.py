@@ -116,11 +116,28 @@ def correct(
     """
     q_start, home, quadrants, origins = configuration
     if q_start is None:
-        nominal = search(pair.chain, pair.nominal, targets, oriented, home, quadrants, origins)
+        q_nominal = search(pair.chain, pair.nominal, targets, oriented, home, quadrants, origins)
     else:
-        nominal = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
-        nominal[~within(pair.chain, nominal)] = np.nan
-    return _at(pair, targets, nominal, Method(method), steps, oriented, margin)
+        q_nominal = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
+        q_nominal[~within(pair.chain, q_nominal)] = np.nan
+    error_before = _error(pair, targets, q_nominal, oriented)
+    q = _corrected(pair, targets, q_nominal, Method(method), steps, oriented)
+    error_after = _error(pair, targets, q, oriented)
+    models = (pair.nominal, q_nominal), (pair.identified, q)
+    singular = np.fmin(*(singular_value(pair.chain, *model, oriented) for model in models))
+    q = pair.chain.completed(q)
+    unreached = "no joint values within the limits were found at which the nominal robot reaches the target; "
+    near = f"too near a singularity (smallest singular value {{:.3f}}, the margin is {margin:g}); "
+    reasons: tuple[tuple[Any, str], ...] = (
+        (np.isnan(q_nominal).any(axis=1), unreached + "move the target or the base"),
+        (singular < margin, near + "move the target, or lower the margin"),
+        (np.isnan(q).any(axis=1), "the correction does not converge"),
+        (np.abs(q - q_nominal).max(axis=-1) > MOST_TURN, "the correction leads to another configuration of the arm"),
+        (~within(pair.chain, q), "the corrected joints are outside the joint limits"),
+    )
+    problem = (next((words for refused, words in reasons if refused[i]), "") for i in range(len(q)))
+    words = tuple(text.format(value) for text, value in zip(problem, singular.tolist(), strict=True))
+    return Correction(q_nominal, q, believed(pair, q), error_before, error_after, words)
 
 
 def joined(corrections: Sequence[Correction]) -> Correction:
@@ -141,37 +158,6 @@ def at_tools(pair: ModelPair, done: Correction, tools: Floats) -> Correction:
         for end, error in zip(ends, (done.before, done.after), strict=True)
     )
     return replace(done, before=error_before, after=error_after)
-
-
-def _at(
-    pair: ModelPair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool, margin: float
-) -> Correction:
-    """Return ``correct`` for joints (n, j) where the controller would go, NaN if it does not reach the target."""
-    error_before = _error(pair, targets, q_nominal, oriented)
-    q = _corrected(pair, targets, q_nominal, method, steps, oriented)
-    error_after = _error(pair, targets, q, oriented)
-    models = (pair.nominal, q_nominal), (pair.identified, q)
-    singular = np.fmin(*(singular_value(pair.chain, *model, oriented) for model in models))
-    problem = [""] * len(q)
-
-    q = pair.chain.completed(q)
-
-    def refuse(refused: Any, words: str) -> None:
-        for i in np.flatnonzero(refused):
-            problem[i] = problem[i] or words.format(singular[i])
-
-    refuse(
-        np.isnan(q_nominal).any(axis=1),
-        "no joint values within the limits were found at which the nominal robot reaches the target; move the target or the base",
-    )
-    refuse(
-        singular < margin,
-        f"too near a singularity (smallest singular value {{:.3f}}, the margin is {margin:g}); move the target, or lower the margin",
-    )
-    refuse(np.isnan(q).any(axis=1), "the correction does not converge")
-    refuse(np.abs(q - q_nominal).max(axis=-1) > MOST_TURN, "the correction leads to another configuration of the arm")
-    refuse(~within(pair.chain, q), "the corrected joints are outside the joint limits")
-    return Correction(q_nominal, q, believed(pair, q), error_before, error_after, tuple(problem))
 
 
 def _corrected(

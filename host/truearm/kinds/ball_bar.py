@@ -225,12 +225,7 @@ def dwell_sensor(rig: Rig, mounted: Mapping[str, str]) -> DwellSensor:
 
 
 CHUCK = Entries("chuck", POINT, "chucks", by_name)
-BAR = Entries(
-    "bar",
-    Table((NAME, *keys_of(BallBar, "gain")), _bar),
-    "bars",
-    by_name,
-)
+BAR = Entries("bar", Table((NAME, *keys_of(BallBar, "gain")), _bar), "bars", by_name)
 KIND = Kind(
     group=BallBarRows,
     use_rig=use_rig,

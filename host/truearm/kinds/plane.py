@@ -94,12 +94,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     return RigUse.of(PlaneRows, scope, rows, variance, **fields)
 
 
-PLANE = Entries(
-    "plane",
-    Table((NAME, *keys_of(Plane)), Plane),
-    "planes",
-    by_name,
-)
+PLANE = Entries("plane", Table((NAME, *keys_of(Plane)), Plane), "planes", by_name)
 KIND = Kind(
     group=PlaneRows,
     use_rig=use_rig,
