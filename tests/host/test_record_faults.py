@@ -20,7 +20,7 @@ from record_box import (
 from record_files import Watching, events, received, run, topics
 
 from truearm.record.recorder import RecordOptions
-from truearm.session.box_ident import parse_ident_json
+from truearm.session.box_ident import recorded_ident
 from truearm.session.session_file import open_session
 
 
@@ -43,7 +43,7 @@ class TestFaults:
         assert seen[1] == (fault,)
         assert events(path, "box-fault") == [{"kind": "box-fault", "text": fault}]
         assert len(topics(path)["/box/adc"]) == box.blocks > 100
-        assert parse_ident_json(open_session(path).metadata["box"]["ident"]).faults == (fault,)
+        assert recorded_ident(open_session(path)).faults == (fault,)
 
     def test_a_lost_frame_and_a_doubled_one(self, lab, path):
         box = Box(lab)

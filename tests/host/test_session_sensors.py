@@ -3,6 +3,7 @@
 import json
 import math
 from fractions import Fraction
+from pathlib import Path
 
 import cbor2
 import numpy as np
@@ -12,10 +13,11 @@ from hypothesis import strategies as st
 from session_stream import ident_document, metres_of
 
 from truearm.errors import ProtocolError, SessionError
-from truearm.session.box_ident import Channel, decimal, decode_ident, find_channels, parse_ident, parse_ident_json
+from truearm.session.box_ident import Channel, decimal, decode_ident, find_channels, parse_ident, recorded_ident
 from truearm.session.frames import Pages
 from truearm.session.joint_format import JointLine, parse_line
 from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, shown, volts
+from truearm.session.session_file import Session
 
 
 @given(st.integers(-(2**63), 2**63), st.integers(-30, 30))
@@ -29,6 +31,11 @@ def test_decimal_is_the_nearest_float(mantissa, exponent):
 def test_what_is_no_decimal_is_refused(value):
     with pytest.raises(ValueError, match="scale"):
         decimal(value, "scale")
+
+
+def recorded(text):
+    """Return what a session says whose metadata have this text."""
+    return recorded_ident(Session(Path("s.mcap"), {"box": {"ident": text}}))
 
 
 def test_counts_to_metres_by_the_ident():
@@ -60,7 +67,7 @@ def test_rails():
 @pytest.mark.parametrize("text", ["", "[]", "{", "[" * 100_000, '{"streams": []}', "9" * 5000])
 def test_metadata_that_are_no_ident(text):
     with pytest.raises(SessionError):
-        parse_ident_json(text)
+        recorded(text)
 
 
 def with_channel(**change):
@@ -147,7 +154,7 @@ class TestIdent:
         kept = {"1": "2.5", "b": "ff", "big": "<int>", "t": "<CBORTag>", "6b": [None, True]}
         assert found.document["extra"] == kept
         assert found.document["uid"] == "0102"
-        assert parse_ident_json(json.dumps(found.document)) == found
+        assert recorded(json.dumps(found.document)) == found
 
     @pytest.mark.parametrize(
         ("change", "says"),
@@ -186,7 +193,7 @@ class TestIdent:
         with pytest.raises(ProtocolError, match=says):
             decode_ident(cbor2.dumps(document))
         with pytest.raises(SessionError, match="session's metadata"):
-            parse_ident_json(json.dumps({**document, "uid": "0102"}))
+            recorded(json.dumps({**document, "uid": "0102"}))
 
     @given(st.binary(max_size=60) | st.just(b"\x81" * 6000))
     def test_any_bytes_are_refused_politely(self, raw):
@@ -211,7 +218,7 @@ class TestIdent:
             found = decode_ident(bytes(raw))
         except ProtocolError:
             return
-        again = parse_ident_json(json.dumps(found.document))
+        again = recorded(json.dumps(found.document))
         assert repr(again.streams) == repr(found.streams)  # NaN is not equal to itself
         assert (again.boot_id, again.firmware, len(again.faults)) == (found.boot_id, found.firmware, len(found.faults))
 

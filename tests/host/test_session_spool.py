@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from truearm.errors import SessionError
-from truearm.session import spool as spool_module
-from truearm.session.spool import Spool
+from truearm.session import samples as spool_module
+from truearm.session.samples import Spool
 
 
 @pytest.mark.parametrize("in_memory_bytes", [1, 1 << 20])

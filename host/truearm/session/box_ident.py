@@ -192,16 +192,6 @@ def parse_ident(document: object) -> Ident:
     )
 
 
-def parse_ident_json(text: str) -> Ident:
-    """Parse an ident document from a session's metadata. Raises SessionError if it is not valid."""
-    try:
-        return parse_ident(json.loads(text))
-    except (ValueError, RecursionError, ProtocolError) as exc:
-        raise SessionError(
-            f"the box's ident in the session's metadata cannot be used: {exc}; copy the session again"
-        ) from exc
-
-
 def find_channels(ident: Ident, *names: str) -> tuple[Stream, tuple[int, ...]] | None:
     """Return the stream that has channels of these names, and their indices; None if no single stream has them all."""
     for stream in ident.streams.values():
@@ -318,6 +308,11 @@ def _refuse(_: object) -> NoReturn:
 
 
 def recorded_ident(session: Session) -> Ident | None:
-    """Return the box's description in the session's metadata; None if there is none."""
+    """Return the box's description in the session's metadata; None if there is none. Raises SessionError if it is not valid."""
     text = session.metadata.get("box", {}).get("ident")
-    return None if text is None else parse_ident_json(text)
+    try:
+        return None if text is None else parse_ident(json.loads(text))
+    except (ValueError, RecursionError, ProtocolError) as exc:
+        raise SessionError(
+            f"the box's ident in the session's metadata cannot be used: {exc}; copy the session again"
+        ) from exc

@@ -32,8 +32,8 @@ from truearm.session.joint_format import (
     parse_lines,
     unpack,
 )
+from truearm.session.samples import Spool
 from truearm.session.session_file import Messages
-from truearm.session.spool import Spool
 from truearm.types import Floats, Ints, Mask
 
 MOST_CHANGES = 1_000_000  # per segment; edges cannot be distinguished in a signal faster than that

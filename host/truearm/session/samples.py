@@ -6,9 +6,11 @@ the channel). The rig provides the rest: length = zero + gain · extension, cent
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -16,10 +18,10 @@ from numpy.typing import NDArray
 
 from truearm import units
 from truearm.errors import SessionError
+from truearm.file_names import system_reason
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channels
 from truearm.session.clock import DeviceClock, host_times
 from truearm.session.frames import Data
-from truearm.session.spool import Spool
 from truearm.session.streams import Blocks
 from truearm.text import box_command, one_line
 from truearm.types import Floats, Indices, Ints, Mask
@@ -93,6 +95,41 @@ def shown(channel: Channel, count: int) -> tuple[str, float]:
     return f"{channel.name}_m", float(extension(np.array(count), channel))
 
 
+IN_MEMORY_BYTES = 1 << 20
+
+
+class Spool:
+    """Arrays that belong together, by number, in the order in which they were added, in a temporary file.
+
+    A session may hold more than fits in memory. The file lies in the folder for temporary files (``TMPDIR``), has no name, and
+    takes about as much space as the session.
+    ``spans``: the segment of each number, and its first and last time.
+    """
+
+    def __init__(self) -> None:
+        self.spans: list[tuple[int, float, float]] = []
+        self._file = tempfile.SpooledTemporaryFile(max_size=IN_MEMORY_BYTES)
+        self._layouts: list[tuple[int, list[tuple[np.dtype[Any], tuple[int, ...]]]]] = []
+
+    def append(self, arrays: Sequence[NDArray[Any]], span: tuple[int, float, float]) -> None:
+        """Add arrays. Raises SessionError if the disk is full."""
+        try:
+            self._layouts.append((self._file.seek(0, 2), [(array.dtype, array.shape) for array in arrays]))
+            self._file.write(b"".join(array.tobytes() for array in arrays))
+        except OSError as exc:
+            raise SessionError(
+                f"{tempfile.gettempdir()}: the samples cannot be kept here while the session is read: "
+                f"{system_reason(exc)}; set TMPDIR to a folder with more space"
+            ) from exc
+        self.spans.append(span)
+
+    def load(self, number: int) -> list[NDArray[Any]]:
+        """Return the arrays with a number."""
+        begin, layout = self._layouts[number]
+        self._file.seek(begin)
+        return [np.frombuffer(self._file.read(d.itemsize * prod(shape)), d).reshape(shape) for d, shape in layout]
+
+
 # ------------------------------------------------------------------------------------------------- samples of channels
 
 SLACK_US = 10_000  # of the time between which samples lie
@@ -147,7 +184,7 @@ class ChannelSamples:
         self._arrays = Spool()
         self._kept: list[tuple[int, Callable[..., Blocks]]] = []  # the pieces before, and the blocks of their arrays
         self._pieces = 0
-        self._loaded: dict[int, Samples] = {}  # the last batch: dwells come in order
+        self._samples = lru_cache(1)(self._load)  # the last batch: dwells come in order
         self._host_ns: NDArray[np.float64] = np.empty((0, 2))  # between which each lies; NaN without a clock
         self._clocks: Mapping[int, DeviceClock] = {}
         self._lacking: Ident | None = None
@@ -167,13 +204,8 @@ class ChannelSamples:
                 self._kept.append((self._pieces, partial(Blocks, block.segment, block.ident, block.stream, channels)))
                 self._pieces += int(np.count_nonzero(block.table["gap"]))
 
-    def _samples(self, number: int) -> Samples:
-        """Return the samples that were kept together."""
-        if number not in self._loaded:
-            self._loaded = {number: self._load(number)}
-        return self._loaded[number]
-
     def _load(self, number: int) -> Samples:
+        """Return the samples that were kept together."""
         pieces_before, blocks_of = self._kept[number]
         blocks = blocks_of(*self._arrays.load(number))
         table = blocks.table
