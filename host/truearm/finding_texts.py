@@ -500,7 +500,7 @@ SESSION: Mapping[str, Statement] = {
         "Bring the magnet closer to the rod.",
     ),
     "malformed-plan": warning(
-        "{plan_events_malformed:#row of the plan or event is|rows of the plan or events are} malformed and not used.",
+        "[{place}: ]{plan_events_malformed:#row of the plan or event is|rows of the plan or events are} malformed and not used.",
         "Check what was mounted with truearm session relabel.",
     ),
     "received": note(
@@ -813,7 +813,7 @@ PLAN: Mapping[str, Statement] = {
     ),
 }
 
-READ = {*READING, "session-damaged"}  # stated before anything is computed
+READ = {*READING, "session-damaged", "malformed-plan"}  # stated before anything is computed
 
 STATEMENTS: Mapping[str, Statement] = {
     **IDENTIFICATION,

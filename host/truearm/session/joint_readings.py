@@ -14,6 +14,7 @@ the old level and the first with the new one: two controller times, one cycle ap
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections import Counter
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import Any
@@ -235,7 +236,7 @@ class JointReader:
         self._step: Floats = np.empty(0)  # smallest change between readings
         self._fast_step: Floats = np.empty(0)  # smallest change of a change
         self._numbered = True
-        self.lost = self.duplicated = self.late = self.gaps = 0
+        self._count: Counter[str] = Counter()
 
     def take(self, messages: Messages) -> None:
         """Take a batch of messages; those of other topics are ignored."""
@@ -253,10 +254,8 @@ class JointReader:
         return JointStream(
             readings=readings,
             malformed=self._order.malformed,
-            duplicated=self.duplicated,
-            late=self.late,
-            lost=self.lost if self._numbered else None,
-            gaps=self.gaps,
+            **{name: self._count[name] for name in ("duplicated", "late", "gaps")},
+            lost=self._count["lost"] if self._numbered else None,
             restarts=max(0, len(self._arrivals) - 1),
             rate_hz=(readings - len(self._arrivals)) / spans if spans > 0.0 else float("nan"),
             step=_step(self._step, self._fast_step),
@@ -281,7 +280,9 @@ class JointReader:
         t, seq = batch.t, batch.seq
         if segment == len(self._arrivals):
             if self._last_seq is not None and t[0] > self._arrivals[-1].last_s and seq[0] > self._last_seq:
-                self.lost += int(seq[0]) - self._last_seq - 1  # the robot continued counting while nobody listened
+                self._count["lost"] += (
+                    int(seq[0]) - self._last_seq - 1
+                )  # the robot continued counting while nobody listened
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(batch.arrival_ns[0])))
             self._inputs.append(InputTrack())
@@ -291,11 +292,11 @@ class JointReader:
         number_before = np.append(seq[0] - 1 if self._last_seq is None else self._last_seq, seq[:-1])
         late, doubled = t < highest[:-1], (t == highest[:-1]) & (seq == number_before)
         keep = ~late & ~doubled
-        self.late += int(np.sum(late))
-        self.duplicated += int(np.sum(doubled))
+        self._count["late"] += int(np.sum(late))
+        self._count["duplicated"] += int(np.sum(doubled))
         batch = batch[keep]
         t, seq = batch.t, batch.seq
-        self.lost += int(np.maximum(np.diff(seq, prepend=number_before[0]) - 1, 0).sum())
+        self._count["lost"] += int(np.maximum(np.diff(seq, prepend=number_before[0]) - 1, 0).sum())
         if not len(batch):
             return
         self._last_seq = int(seq[-1])
@@ -325,7 +326,7 @@ class JointReader:
 
     def _store(self, t: Floats, q: Floats, key: Floats) -> None:
         silent = np.diff(t, prepend=self._previous_bin_s) > self._order.gap_s
-        self.gaps += int(np.sum(silent)) - int(np.isinf(self._previous_bin_s))
+        self._count["gaps"] += int(np.sum(silent)) - int(np.isinf(self._previous_bin_s))
         self._previous_bin_s = float(t[-1])
         segment = len(self._arrivals) - 1
         bins = binned(segment, t, q, key, silent)

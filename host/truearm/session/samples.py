@@ -21,7 +21,7 @@ from truearm.errors import SessionError
 from truearm.file_names import system_reason
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channels
 from truearm.session.clock import DeviceClock, host_times
-from truearm.session.frames import Data
+from truearm.session.frames import FRAME, Data
 from truearm.session.streams import Blocks
 from truearm.text import box_command, one_line
 from truearm.types import Floats, Indices, Ints, Mask
@@ -132,6 +132,8 @@ class Spool:
 
 # ------------------------------------------------------------------------------------------------- samples of channels
 
+_KEPT = ["t_us", "period_ns", "n", "flags", "gap"]  # of a block
+_PACKED = np.dtype([(name, FRAME[name]) for name in _KEPT])
 SLACK_US = 10_000  # of the time between which samples lie
 
 
@@ -200,7 +202,7 @@ class ChannelSamples:
                 channels = tuple(block.channels[column] for column in place[1])
                 begin_us = int(block.table["t_us"].min()) - block.stream.group_delay_ns // 1000 - SLACK_US
                 end_us = int(block.table["t_us"].max()) + block.reach_ns // 1000 + SLACK_US
-                self._arrays.append((block.table, counts), (block.segment, begin_us, end_us))
+                self._arrays.append((block.table[_KEPT].astype(_PACKED), counts), (block.segment, begin_us, end_us))
                 self._kept.append((self._pieces, partial(Blocks, block.segment, block.ident, block.stream, channels)))
                 self._pieces += int(np.count_nonzero(block.table["gap"]))
 

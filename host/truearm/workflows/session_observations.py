@@ -145,6 +145,8 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     if not len(result.table) and not options.may_be_empty:
         planned = result.survey.marks.plan() is not None
         raise SessionError(nothing_observed(path, result.reasons, result.pass_reasons, planned))
+    if n := read.losses.plan_events_malformed:
+        options.said.append(Finding("malformed-plan", {**named, "plan_events_malformed": n}))
     options.said.extend(_other_temperature(result, rig, str(path)))
     return result
 
