@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 from tests.end_to_end.conftest import truearm
+from tests.wire_frames import data_frame
 
 from truearm.record.links import HostClock, backlog_of
 from truearm.record.operator import Operator
@@ -18,7 +19,6 @@ from truearm.record.recorder import RecordOptions, record
 from truearm.record.reopening import Reopening
 from truearm.record.session_writer import SessionWriter
 from truearm.session.clock import fit_clock
-from truearm.session.frames import data_frame
 from truearm.session.session_file import open_session
 from truearm.session.streams import BoxReader
 

@@ -39,7 +39,7 @@ def lost(lab, path, happens, at_ns=AT_NS):
 
 def samples(path):
     """Return the indices of the frames' first samples, in the order of the file."""
-    from truearm.session.frames import data_frame
+    from tests.wire_frames import data_frame
 
     return [data_frame(m.data).n0 for m in topics(path)["/box/adc"]]
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from record_box import array, data, frame, run_of, u32, u64
+from tests.wire_frames import data_frame
 
 from truearm.record.frame_splitter import (
     MAX_RUN,
@@ -16,7 +17,7 @@ from truearm.record.frame_splitter import (
     Runs,
     frame_of,
 )
-from truearm.session.frames import data_frame, decode, is_echo
+from truearm.session.frames import decode, is_echo
 
 VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
 

@@ -24,6 +24,7 @@ from mutations import (
 )
 from record_box import Lab, run_of
 from session_stream import BLOCK, PERIOD_NS, Box, ident_document
+from tests.wire_frames import data_frame
 
 from truearm.errors import TruearmError
 from truearm.record.box_storage import BoxStorage
@@ -33,7 +34,6 @@ from truearm.record.requests import Requests
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import parse_ident
-from truearm.session.frames import data_frame
 from truearm.session.joint_format import COLUMNS
 from truearm.session.session_file import open_session
 from truearm.types import Message

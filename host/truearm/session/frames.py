@@ -40,12 +40,6 @@ class Data(NamedTuple):
     flags: int
 
 
-def data_frame(payload: bytes) -> Data | None:
-    """Decode a data frame; None if it is not a data frame."""
-    frame = decode(payload)
-    return data_of(frame) if frame is not None and frame[0] == wire.DATA and conforms(frame) else None
-
-
 def data_of(frame: list[Any]) -> Data:
     """Return the elements of a data frame that conforms."""
     _, seq, stream, n0, t0_us, period_ns, samples, flags = frame[:8]

@@ -60,14 +60,10 @@ _ROW: Any = msgspec.defstruct("_Row", [("q", Joints), ("move", Move, Move.DWELL)
 _EVENT: Any = msgspec.defstruct("_Event", [("kind", str), *_NAMES])
 
 
-def read_event(data: bytes) -> Any | None:
-    """Return an event, with its ``kind`` and FITTINGS; None if it is malformed."""
-    return _read(data, _EVENT)
-
-
-def _read(data: bytes, form: Any) -> Any | None:
+def read_mark(topic: str, data: bytes) -> Any | None:
+    """Return a row of the plan or an event, with FITTINGS; None if it is malformed."""
     try:
-        return msgspec.json.decode(data, type=form)
+        return msgspec.json.decode(data, type=_ROW if topic == "/plan" else _EVENT)
     except (ValueError, RecursionError):
         return None
 
@@ -83,16 +79,16 @@ class Marks:
 
     def feed(self, topic: str, t_host_ns: int, data: bytes) -> None:
         """Take one message of either topic."""
-        row, event = (_read(data, _ROW), None) if topic == "/plan" else (None, read_event(data))
-        if row is not None and len(row.q) == len((self.rows or [row])[0].q):
-            self.rows.append(PlanRow(row.q, _fittings(row), row.move))
-        elif event is None:
+        mark = read_mark(topic, data)
+        if mark is None or (topic == "/plan" and len(mark.q) != len((self.rows or [mark])[0].q)):
             self.malformed += 1
+        elif topic == "/plan":
+            self.rows.append(PlanRow(mark.q, _fittings(mark), mark.move))
         else:
-            if event.kind in self.kinds or len(self.kinds) < MAX_KINDS:
-                self.kinds[event.kind] += 1
-            if event.kind == "mounted":
-                insort(self.mountings, (t_host_ns, _fittings(event)), key=itemgetter(0))
+            if mark.kind in self.kinds or len(self.kinds) < MAX_KINDS:
+                self.kinds[mark.kind] += 1
+            if mark.kind == "mounted":
+                insort(self.mountings, (t_host_ns, _fittings(mark)), key=itemgetter(0))
 
     def with_plan(self, plan: Plan) -> Marks:
         """Return the same with the rows of another plan."""

@@ -27,7 +27,7 @@ from truearm.session.joint_format import NO_INPUTS, OPTIONAL, UNNUMBERED, JointB
 from truearm.session.joint_readings import JointStream, SegmentedReadings
 from truearm.session.line_passes import LinePass
 from truearm.session.observations import Survey, read_blocks
-from truearm.session.plan_matching import read_event
+from truearm.session.plan_matching import read_mark
 from truearm.session.samples import extension, volts, with_ratios
 from truearm.session.session_file import Messages
 from truearm.session.streams import Blocks, BoxReader, segment_at
@@ -89,7 +89,7 @@ def _small_tables(messages: Messages, messages_before: int, survey: Survey) -> I
     for segment, message in zip(segments, messages.of(rows), strict=True):
         row: dict[str, Any] = {"arrival_ns": message.t_host_ns}
         if message.topic == "/events":
-            event = read_event(message.data)
+            event = read_mark(message.topic, message.data)
             kind_name = "" if event is None else event.kind
             row |= {"kind": kind_name, "event": message.data.decode(errors="backslashreplace")}
         elif message.topic == "/sync":
