@@ -147,7 +147,8 @@ def whitened_fit(
     The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without it they
     would explain anything. ``law_prior`` (l, l) is a root of its precision.
     """
-    rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
+    rows = np.concatenate([group.row for group in problem.groups if group.row is not None])
+    rows_used = np.flatnonzero(np.bincount(rows))  # at once, unlike unique rows
     examined = rows_used[:: -(-rows_used.size // MOST_ROWS)]
     problem, measured = only(problem, np.isin(np.arange(problem.n_rows), examined)), measured.take(examined)
     p, k = problem.n_robot, int(columns.sum())
