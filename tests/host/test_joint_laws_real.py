@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from ur10_bench import RIG
 
+from truearm.kinds.position import nearest_rotation
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import parse_table
+from truearm.model.chain import forward
 from truearm.model.robot_file import load_robot
 from truearm.workflows.identify import identified
 
@@ -36,6 +38,20 @@ def test_ur5_by_its_authors_poses():
     geometry, laws = held_out_means(robot, RIG, table, np.arange(len(table)) >= len(grid))
     assert geometry < 0.105
     assert laws < 0.066
+
+
+def test_a_reflector_remounted_by_a_third_of_a_millimetre_is_named(real_arms):
+    """After row 40 of 120 of the UR10: curves follow a part of it, and noise that neighbours share explains the rest."""
+    robot, table = real_arms.ur10("c")
+    table = table.select(np.sort(np.random.default_rng(3).permutation(len(table))[:400])[:120])
+    points = real_arms.base_points(robot, table)
+    device = nearest_rotation((points - points.mean(0)).T @ (table.xyz - table.xyz.mean(0)), np.eye(3))
+    axes = forward(robot.chain, robot.chain.params_nominal, table.q)[:, :3, :3]
+    moved = (axes @ [2.4e-4, -1.5e-4, 9e-5]) @ device * (np.arange(120)[:, None] >= 40)
+    found = identified(robot, RIG, table.replace(xyz=table.xyz + moved)).estimate
+    assert [(fault.rivals[0].name, fault.rivals[0].rows) for fault in found.faults] == [
+        ("target.reflector.step", (40, 120))
+    ]
 
 
 CASES = [

@@ -96,7 +96,8 @@ def checked(fit: WhitenedFit) -> Search:
         explained = sum(
             detection.best.log_evidence - price[detection.best.hypothesis.kind] for detection in plain.detections
         )
-        learned = learned_noise(fit.extended(columns_of(plain.detections, fit), WIDEST)) if still_odd else DECLARED
+        is_doubtful = still_odd or explained < kernel.gain
+        learned = learned_noise(fit.extended(columns_of(plain.detections, fit), WIDEST)) if is_doubtful else DECLARED
         kernel = learned if explained + learned.gain > kernel.gain else kernel
     if kernel.declared:
         return plain
