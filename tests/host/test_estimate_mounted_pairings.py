@@ -35,13 +35,16 @@ def test_probabilities_are_those_of_all_paths():
     rng = np.random.default_rng(5)
     n, states = 5, 3
     steps = [rng.dirichlet(np.ones(states), states) for _ in range(n)]
-    density = rng.normal(0.0, 2.0, (n, states))
+    told, came, stayed = (rng.normal(0.0, 2.0, (n, states)) for _ in range(3))
     weight = np.zeros((n, states))
     for path in product(range(states), repeat=n):
-        log = np.log(steps[0].mean(axis=0)[path[0]]) + density[range(n), path].sum()
-        log += sum(np.log(steps[i][path[i - 1], path[i]]) for i in range(1, n))
-        weight[range(n), path] += np.exp(log)
-    probability, evidence = posterior(steps, density)
+        log = np.log(steps[0].mean(axis=0)[path[0]]) + told[0, path[0]] + came[0, path[0]]
+        for i in range(1, n):
+            seen = stayed if path[i] == path[i - 1] else came
+            log += np.log(steps[i][path[i - 1], path[i]]) + told[i, path[i]] + seen[i, path[i]]
+        for i in range(n):
+            weight[i, path[i]] += np.exp(log)
+    probability, evidence = posterior(steps, told, came, stayed)
     np.testing.assert_allclose(probability, weight / weight.sum(axis=1, keepdims=True), rtol=1e-9)
     np.testing.assert_allclose(evidence, np.log(weight[0].sum()), rtol=1e-9)
 

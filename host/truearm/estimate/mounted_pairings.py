@@ -6,8 +6,8 @@ repeats the plan, and the reading. The forward-backward algorithm of a hidden Ma
 (Rabiner 1989, Proc. IEEE 77, III-B).
 
 The robot is fitted at the same time, linearised about the nominal one, to dwells weighted by the probability of their
-pairing. A dwell is judged by the fit without its run. Fit and judgement alternate, with a noise that falls along NOISE
-(deterministic annealing).
+pairing. A dwell is judged by the fit without its run, given the dwell before. Fit and judgement alternate, with a noise
+that falls along NOISE (deterministic annealing).
 
 The labels of fits with the weak and the wide prior are weighted by the pseudo-marginal likelihood (Geisser & Eddy 1979,
 JASA 74, 153).
@@ -15,10 +15,10 @@ JASA 74, 153).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -116,7 +116,7 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
     transitions, log_words = _course(words, pairings)
     fits = (_Fit(chain, rig, readings, pairings, free, prior) for prior in (weak_prior(chain), wide_prior(chain)))
     probabilities, evidences = zip(*(_annealed(fit, transitions, log_words) for fit in fits), strict=True)
-    by_words, _ = posterior(transitions, log_words)
+    by_words, _ = posterior(transitions, log_words, np.zeros_like(log_words), np.zeros_like(log_words))
     return MountingChances(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)), by_words)
 
 
@@ -131,13 +131,14 @@ def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
 
 def _annealed(fit: _Fit, transitions: Sequence[Floats], log_words: Floats) -> tuple[Floats, float]:
     """Return state probabilities (n, k + 1) and their evidence, from fit and labels alternated under decreasing noise [m]."""
-    probability, evidence = posterior(transitions, log_words)
+    nothing = np.zeros_like(log_words)
+    probability, evidence = posterior(transitions, log_words, nothing, nothing)
     if not fit.readings.read.any():
         return probability, evidence
     for fit.noise in steps_of(NOISE, "comparing labels with the readings"):
-        probability, _ = posterior(transitions, log_words + fit.densities(probability))
+        probability, _ = posterior(transitions, log_words, *fit.densities(fit.judge(probability)))
         fit.move(probability)
-    return posterior(transitions, log_words + fit.densities(probability))
+    return posterior(transitions, log_words, *fit.densities(fit.judge(probability)))
 
 
 def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Floats]:
@@ -186,25 +187,44 @@ def transition(wrong: Floats, wanted: Sequence[int], asked: bool) -> Floats:
     return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
-def posterior(transitions: Sequence[Floats], log_density: Floats) -> tuple[Floats, float]:
+def posterior(transitions: Sequence[Floats], log_words: Floats, came: Floats, stayed: Floats) -> tuple[Floats, float]:
     """Return the probability (n, s) of each state at each dwell (forward-backward algorithm), and the log-likelihood.
 
-    ``transitions`` (s, s) lead to each dwell, the first from the mean over all states. ``log_density`` (n, s) is that of
-    the evidence about each dwell.
+    ``transitions`` (s, s) lead to each dwell, the first from the mean over all states. ``log_words`` (n, s) are
+    log-likelihoods of the operator input; ``came`` (n, s) those of the readings if the state changed before, ``stayed``
+    if it did not.
     """
-    top = log_density.max(axis=1, keepdims=True)
-    density = np.exp(log_density - top)
-    forward, backward, scale = np.empty_like(density), np.ones_like(density), np.empty(len(density))
-    ahead = transitions[0].mean(axis=0)
-    for i in range(len(density)):
-        step = (forward[i - 1] @ transitions[i] if i else ahead) * density[i]
+    top = np.maximum(came, stayed).max(axis=1, keepdims=True)
+    came, stayed = np.exp(came - top + log_words), np.exp(stayed - top + log_words)
+    n = len(came)
+    forward, backward, scale = np.empty_like(came), np.ones_like(came), np.empty(n)
+    forward[0] = transitions[0].mean(axis=0) * came[0]
+    scale[0] = forward[0].sum()
+    forward[0] /= scale[0]
+    for i in range(1, n):
+        stay = forward[i - 1] * transitions[i].diagonal()
+        step = (forward[i - 1] @ transitions[i] - stay) * came[i] + stay * stayed[i]
         scale[i] = step.sum()
         forward[i] = step / scale[i]
-    for i in range(len(density) - 1, 0, -1):
-        step = transitions[i] @ (density[i] * backward[i])
-        backward[i - 1] = step / step.sum()
+    for i in range(n - 2, -1, -1):
+        ahead = backward[i + 1]
+        step = transitions[i + 1] @ (came[i + 1] * ahead)
+        step += transitions[i + 1].diagonal() * (stayed[i + 1] - came[i + 1]) * ahead
+        backward[i] = step / step.sum()
     both = forward * backward
     return np.asarray(both / both.sum(axis=1, keepdims=True)), float(np.log(scale).sum() + top.sum())
+
+
+class _Misfits(NamedTuple):
+    """Readings less predictions for the candidates by the fit without the dwell's run, and their σ, all (n, k) [m].
+
+    ``given``: given the dwell before, in the same state; NaN if there is none.
+    """
+
+    misfit: Floats
+    sigma: Floats
+    given: Floats
+    given_sigma: Floats
 
 
 class _Fit:
@@ -268,41 +288,69 @@ class _Fit:
         self.x[self.columns] += cho_solve(cho_factor(info), rhs)
         self._linearise()
 
-    def densities(self, probability: Floats) -> Floats:
-        """Return log-likelihoods (n, k + 1) [1/m] of each dwell's reading, by the fit without the dwell's run."""
+    def judge(self, probability: Floats) -> _Misfits:
+        """Compare each dwell with the fit without its run."""
         best, weight, jac, residual, info, rhs = self._normal(probability)
-        misfit, sigma = np.empty((2, self.n, self.k))
-        for run in runs(best):
-            less = jac[run] * weight[run, None]
-            root = np.linalg.inv(np.linalg.cholesky(info - less.T @ jac[run]))
-            dwell_jac = self.jac[run].reshape(-1, len(root)) @ root.T  # one product, not one for each dwell
-            misfit[run] = self.residual[run] - (dwell_jac @ (root @ (rhs - less.T @ residual[run]))).reshape(-1, self.k)
-            sigma[run] = np.sqrt((dwell_jac**2).sum(axis=1).reshape(-1, self.k) + self.noise**2)
-        sigma *= _widening(misfit / sigma, np.flatnonzero(weight), best)
+        misfits = _Misfits(*(np.full((self.n, self.k), np.nan) for _ in range(4)))
+
+        def compare(left_out: slice, dwells: slice, are_run: bool) -> None:
+            """Compare dwells with the fit without ``left_out``, each given the one before; a run's also on their own."""
+            less = jac[left_out] * weight[left_out, None]
+            root = np.linalg.inv(np.linalg.cholesky(info - less.T @ jac[left_out]))
+            delta = root.T @ (root @ (rhs - less.T @ residual[left_out]))
+            dwell_jac = self.jac[dwells].reshape(-1, delta.size)  # one product, not one for each dwell
+            misfit = self.residual[dwells] - (dwell_jac @ delta).reshape(-1, self.k)
+            along = (dwell_jac @ root.T).reshape(-1, self.k, delta.size)
+            variance = (along**2).sum(axis=2) + self.noise**2
+            if are_run:
+                misfits.misfit[dwells], misfits.sigma[dwells] = misfit, np.sqrt(variance)
+            ratio = (along[1:] * along[:-1]).sum(axis=2) / variance[:-1]
+            both = (self.readings.read[dwells][1:] & self.readings.read[dwells][:-1])[:, None]
+            later = slice(dwells.start + 1, dwells.stop)
+            misfits.given[later] = np.where(both, misfit[1:] - ratio * misfit[:-1], np.nan)
+            misfits.given_sigma[later] = np.sqrt(np.maximum(variance[1:] - ratio**2 * variance[:-1], self.noise**2))
+
+        runs_of_best = runs(best)
+        for run in runs_of_best:
+            compare(run, run, are_run=True)
+        for previous, run in pairwise(runs_of_best):
+            compare(slice(previous.start, run.stop), slice(run.start - 1, run.start + 1), are_run=False)
+        fitted = np.flatnonzero(weight > 0.0)
+        followers = fitted[(fitted > 0) & (best[fitted] == best[fitted - 1])]
+        widen(misfits.misfit, misfits.sigma, fitted, best)
+        widen(misfits.given, misfits.given_sigma, followers, best)
+        return misfits
+
+    def densities(self, misfits: _Misfits) -> tuple[Floats, Floats]:
+        """Return log-likelihoods (n, k + 1) [1/m] of each dwell's reading, if the state changed before and if it did not."""
         k, read, beyond = self.k, self.readings.read, self.readings.beyond & ~self.readings.read
-        out = np.zeros((self.n, k + 1))
-        out[read, :k] = log_density(misfit[read], sigma[read])
-        out[read, k] = -np.log(2.0 * self.half.max())
-        predicted, spread = -misfit[beyond] / self.gain, sigma[beyond] / np.abs(self.gain)
-        inside = special.ndtr((self.half - predicted) / spread) - special.ndtr((-self.half - predicted) / spread)
-        out[beyond, :k] = np.log(np.maximum(1.0 - inside, LOST))
-        out[beyond, k] = np.log(0.5)
-        return out
+        came = np.zeros((self.n, k + 1))
+        came[read, :k] = log_density(misfits.misfit[read], misfits.sigma[read], misfits.sigma[read])
+        came[read, k] = -np.log(2.0 * self.half.max())
+        predicted, sigma = -misfits.misfit[beyond] / self.gain, misfits.sigma[beyond] / np.abs(self.gain)
+        inside = special.ndtr((self.half - predicted) / sigma) - special.ndtr((-self.half - predicted) / sigma)
+        came[beyond, :k] = np.log(np.maximum(1.0 - inside, LOST))
+        came[beyond, k] = np.log(0.5)
+        stayed = came.copy()
+        follows = read & np.isfinite(misfits.given[:, 0])
+        stayed[follows, :k] = log_density(misfits.given[follows], misfits.given_sigma[follows], misfits.sigma[follows])
+        return came, stayed
 
 
-def log_density(misfit: Floats, sigma: Floats) -> Floats:
-    """Return the log density of a misfit: a normal distribution of ``sigma`` plus a wide tail."""
-    sizes = np.stack([sigma, TAIL_SIGMAS * sigma])
-    shares = np.log([1.0 - TAIL, TAIL]).reshape(2, *[1] * misfit.ndim)
-    return np.asarray(
-        special.logsumexp(shares - 0.5 * (misfit / sizes) ** 2 - np.log(sizes * math.sqrt(2.0 * math.pi)), axis=0)
-    )
+def log_density(misfit: Floats, sigma: Floats, wide: Floats) -> Floats:
+    """Return the log density of a misfit: a normal distribution of ``sigma`` plus a wide tail of ``wide``."""
+
+    def normal(s: Floats) -> Floats:
+        return np.asarray(-0.5 * (misfit / s) ** 2 - np.log(s) - 0.5 * np.log(2.0 * np.pi))
+
+    return np.asarray(np.logaddexp(np.log(1.0 - TAIL) + normal(sigma), np.log(TAIL) + normal(TAIL_SIGMAS * wide)))
 
 
-def _widening(ratio: Floats, rows: Indices, best: Indices) -> float:
-    """Return how much larger than σ the usual misfit of some rows' most probable candidates is, at least 1."""
-    usual = float(np.median(np.abs(ratio[rows, best[rows]]))) if rows.size else 0.0
-    return max(1.0, usual / float(special.ndtri(0.75)))
+def widen(misfit: Floats, sigma: Floats, rows: Indices, best: Indices) -> None:
+    """Increase σ if the usual misfit of some rows' most probable candidates is larger."""
+    ratio = np.abs(misfit[rows, best[rows]]) / sigma[rows, best[rows]]
+    if np.isfinite(ratio).any():
+        sigma *= max(1.0, float(np.nanmedian(ratio)) / float(special.ndtri(0.75)))
 
 
 def runs(labels: Indices) -> list[slice]:
