@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from record_box import HOST_0, SECOND, Box, ComingBack, Lab, Robot, Wire
+from record_box import HOST_0, SECOND, Box, ComingBack, Lab, Robot, Wire, heartbeat
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError, RefusedError
@@ -57,6 +57,24 @@ def mute(box, robot):
 def reset(box, robot):
     box.boot(0x2222)
     box.send_ident(0)
+
+
+def losing(kind, n):
+    """What resets a box that then misses ``n`` commands of a kind."""
+
+    def action(box, robot):
+        left, obey = [n], box._obey
+
+        def obey_most(command):
+            if command[0] == kind and left[0]:
+                left[0] -= 1
+            else:
+                obey(command)
+
+        reset(box, robot)
+        box._obey = obey_most
+
+    return action
 
 
 def words(box, robot):
@@ -124,6 +142,31 @@ COURSES = {
     ),
     "a restart that only the heartbeat tells": Course(
         {2.0: lambda box, robot: box.boot(0x2222, seq=box.seq)}, ["box-restarted", "start"], seconds=4.0
+    ),
+    "a box that somebody stopped": Course(  # a single late heartbeat says nothing
+        {
+            2.0: lambda box, robot: box.send(lambda seq: heartbeat(seq, box.boot_id, box.t_us(), 0)),
+            4.0: of_box("streaming", False),
+        },
+        ["box-stopped", "start"],
+        seconds=9.0,
+        counters={"restarts": 0},
+    ),
+    "a box that somebody stopped while the link was away": Course(
+        {
+            2.0: of_box_link(UNPLUGGED),
+            3.0: of_box("streaming", False),
+            4.0: of_box_link(None),
+        },
+        ["link-lost", "link-back", "box-stopped", "start"],
+        seconds=9.0,
+        counters={"restarts": 0},
+    ),
+    "a box that boots and does not hear STOP": Course(
+        {2.0: losing(51, 14)}, ["box-restarted", "link-lost", "link-back", "start"], seconds=15.0
+    ),
+    "a box that boots and does not hear START": Course(
+        {2.0: losing(50, 14)}, ["box-restarted", "link-lost", "link-back", "start"], seconds=15.0
     ),
     "frames counted anew without a restart": Course(
         {2.0: of_box("seq", 0)}, [], seconds=4.0, counters={"restarts": 0}, commands=ASKED

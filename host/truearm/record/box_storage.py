@@ -57,6 +57,7 @@ class BoxStorage:
     operator: Operator = field(default_factory=Operator)
     suspect: bool = False  # the box may have restarted
     restarted: bool = False  # it has
+    idle: int = 0  # heartbeats in a row that say that it does not stream
     heard_ns: int | None = None  # time of its last message, or since when it could be heard again
     spoke_ns: int | None = None  # time of its last message
     rtt_us: float | None = None  # the shortest clock exchange, without the time within the box
@@ -174,6 +175,7 @@ class BoxStorage:
         included.
         """
         boot_id, counts = fields["boot_id"], (fields["dropped"], fields["overruns"])
+        self.idle = 0 if fields["streaming"] else self.idle + 1
         self.operator.box_temperature(MDEGC.to_si(fields["temperature_mdegc"]))
         if self.ident is not None and boot_id != self.ident.boot_id:
             self.suspect = True

@@ -60,11 +60,15 @@ class Runs:
 
 
 class FrameCount:
-    """Counts the frames that a link lost, and those behind the count, by the frames' own count (SPEC §4)."""
+    """Counts the frames that a link lost, and those behind the count, by the frames' own count (SPEC §4).
+
+    A frame ahead of the count shows a loss, unless the next frame does not follow it: then its count was wrong (SPEC §1).
+    """
 
     def __init__(self) -> None:
         self.lost = self.odd = 0
         self._next: int | None = None
+        self._jump = 0  # of the last frame
 
     def clear(self) -> None:
         """Count from the next frame on."""
@@ -75,9 +79,12 @@ class FrameCount:
         ahead = 0 if self._next is None else (seq - self._next + _SEQ_HALF) % _SEQ_END - _SEQ_HALF
         if ahead < 0:
             self.odd += 1
-            return False
+            skipped = ahead + self._jump + 1  # since the frame before the last one
+            if skipped < 0 or ahead == -1:
+                return False
+            ahead, self.lost = skipped, self.lost - self._jump
         self.lost += ahead
-        self._next = seq + 1
+        self._next, self._jump = seq + 1, ahead
         return True
 
 

@@ -161,7 +161,7 @@ class _Recorder:
         while True:
             try:
                 self._check_end()
-                if self._to_set_up or self._box.restarted:
+                if self._to_set_up or self._box.restarted or self._box.idle > 1:  # one heartbeat may be late
                     self._set_up()
                 elif self._box.suspect:
                     self._requests.ask(IDENTIFY)
@@ -175,13 +175,16 @@ class _Recorder:
 
     def _set_up(self) -> None:
         self._state = "identifying"
-        self._box.restarted = False
+        if self._box.idle > 1 and not (self._to_set_up or self._box.restarted):
+            self._writer.event("box-stopped", self._clock.now_ns())
+        self._box.restarted, self._to_set_up = False, True  # also if the link is lost before it has started
         self._requests.ask(IDENTIFY)
         with suppress(RefusedError):
             self._requests.ask(STOP)  # a killed recorder left it streaming
         self._configure()
         self._operator.approve(self._requests.identified())
         self._requests.ask(START)
+        self._box.idle = 0
         now_ns = self._clock.now_ns()
         self._writer.event("start", now_ns)
         if self._started_ns is None:
