@@ -19,6 +19,7 @@ from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.errors import SessionError
+from truearm.record.links import HostClock
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
@@ -183,6 +184,15 @@ class TestRefusals:
     def test_nothing_to_save(self, cut, tmp_path, capsys, size):
         cut.write_bytes(cut.read_bytes()[:size])
         self.refused(capsys, cut)
+        assert os.listdir(tmp_path) == ["s.mcap"]
+
+    def test_a_recording_that_was_killed_before_the_start(self, tmp_path, capsys):
+        path = tmp_path / "s.mcap"
+        writer = SessionWriter(path, HostClock(), hold=True)
+        writer.attach("rig.toml", b"")
+        writer.add_json("/plan", 1, {"q": [0.0]})  # in a chunk that was not written
+        writer._out.file.close()
+        assert "nothing that can be recovered; record again" in self.refused(capsys, path)
         assert os.listdir(tmp_path) == ["s.mcap"]
 
     @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")

@@ -205,10 +205,11 @@ def test_marks_of_a_stranger():
     for data in (b"", b"[]", b'{"q":"x"}', b'{"q":[]}', b'{"q":[1e9]}', b'{"q":[NaN]}', b'{"q":[true]}', b"[" * 2000):
         marks.feed("/plan", 0, data)
     assert marks.rows == []
-    for data in (b'{"q":[1,2],"bar":"b","chuck":null}', b'{"q":[1,2],"bar":7}', b'{"q":[1,2,3]}'):
+    for data in (b'{"q":[1,2],"bar":"b","chuck":null,"pose":0,"later":{}}', b'{"q":[1,2],"bar":7}', b'{"q":[1,2,3]}'):
         marks.feed("/plan", 0, data)
+    marks.feed("/plan", 0, b'{"q":[1,2],"m\xedve":"via"}')
     marks.feed("/events", 1, b'{"bar":"b"}')
-    assert marks.malformed == 11
+    assert marks.malformed == 12
     assert marks.plan().mounted == ({"bar": "b"},)
     marks.feed("/events", 5, b'{"kind":"mounted","bar":"b1"}')
     marks.feed("/events", 9, b'{"kind":"mounted","bar":"b2"}')

@@ -63,7 +63,7 @@ _EVENT: Any = msgspec.defstruct("_Event", [("kind", str), *_NAMES])
 def read_mark(topic: str, data: bytes) -> Any | None:
     """Return a row of the plan or an event, with FITTINGS; None if it is malformed."""
     try:
-        return msgspec.json.decode(data, type=_ROW if topic == "/plan" else _EVENT)
+        return msgspec.json.decode(data.decode(), type=_ROW if topic == "/plan" else _EVENT)
     except (ValueError, RecursionError):
         return None
 

@@ -38,7 +38,7 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
     try:
         with replacing(out) as partial:
             recovered = recover_session(opened, partial, provenance)
-            if not recovered.topics and not opened.metadata:
+            if not recovered.topics and "box" not in opened.metadata:  # it ended before the start
                 raise SessionError(f"{session}: contains nothing that can be recovered; record again")
     except (OSError, WriteError) as exc:
         reason = f"{out}: cannot be written: {system_reason(exc)}; {session} is unchanged"
