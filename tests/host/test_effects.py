@@ -11,11 +11,14 @@ from tests.host.findings_bench import stated
 from truearm.errors import InputError
 from truearm.estimate.circumstances import last_motions
 from truearm.estimate.identify import SolverOptions, identify
+from truearm.estimate.joint_laws import gravity_of, payloads_of
+from truearm.estimate.law_candidates import LawMode, candidates
 from truearm.estimate.prediction import predicted_point_error
-from truearm.estimate.problem import build_problem
+from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.systematic_effects import error_columns
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
+from truearm.model.law_chain import with_laws
 from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation
 from truearm.results import DriftWith, Effect
@@ -55,6 +58,30 @@ def test_derivatives_of_all_that_can_be_off_are_those_of_the_world():
     assert columns["base.z"] == pytest.approx(change(moved=lifted), abs=1e-8)
     assert columns["base.rx"] == pytest.approx(change(moved=turned), abs=1e-8)
     assert columns["bar.short.zero"] == pytest.approx(np.full(5, -1.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("what", ["base", "chuck.c2"])
+def test_effects_of_rows_with_different_payloads_are_differentiated(what):
+    rng = np.random.default_rng(3)
+    rows = table(random_poses(20, rng), np.full(20, 0.5), [PAIRS[0], PAIRS[-1]] * 10)
+    rows = replace(rows, payload=np.where(np.arange(20) % 2, 2.0, 0.0))
+    laws, _ = candidates(
+        CHAIN, rows.q, LawMode.SAG, gravity_of(rows, None), tuple(dict.fromkeys(payloads_of(RIG, rows)))
+    )
+    chain = with_laws(CHAIN, laws)
+    problem = build_problem(chain, RIG, rows, None, modelled_of(chain, RIG, rows, (Effect(what, 10, 20),)))
+    effects = range(len(problem.start) - (6 if what == "base" else 3), len(problem.start))
+    steps = 1e-5 * np.eye(len(problem.start))[effects]
+    groups = [group for group in problem.groups if group.row is not None]
+    assert len(groups) > 2  # payloads and halves
+    for group in groups:
+        numeric = [
+            group.evaluate(chain, problem.start - h).residual - group.evaluate(chain, problem.start + h).residual
+            for h in steps
+        ]
+        by_x = group.evaluate(chain, problem.start).jac_params[:, effects]
+        # Central differences of step 1e-5: rounding 1e-16 over it, and the third derivative times 1e-10.
+        np.testing.assert_allclose(by_x, np.transpose(numeric) / 2e-5, atol=1e-8)
 
 
 def test_rows_are_judged_with_the_effects_of_the_fit():

@@ -240,7 +240,9 @@ def with_effects(
     effects: Mapping[str, Any] = {"bodies": bodies, "columns": columns, "whole": whole}
     setting = np.unique(profiles[:, whole], axis=0, return_inverse=True)[1].ravel()
     return tuple(
-        EffectRows.around(
+        replace(group, profile=profiles[group.row], **effects)
+        if isinstance(group, EffectRows)
+        else EffectRows.around(
             group,
             profile=np.zeros((len(group.sensor_cov), columns.size)) if group.row is None else profiles[group.row],
             **effects,
