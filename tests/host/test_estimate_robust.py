@@ -106,6 +106,15 @@ def test_gross_rows_neither_widen_the_stated_error_nor_hide_a_fault(loss, size):
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_one_gross_row_is_no_fault(loss):
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        of_clean = clean(plan(), rng)
+        value = of_clean.value + 3e-3 * rng.choice([-1.0, 1.0]) * (np.arange(len(of_clean)) == rng.integers(360))
+        assert not robustly_identified(of_clean.replace(value=value), loss).estimate.faults
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
 def test_wrong_chuck_is_no_set_of_gross_rows(loss):
     rng = np.random.default_rng(1)
     world = plan()

@@ -57,6 +57,17 @@ def test_a_tracker_that_stayed_may_be_kept_and_one_that_moved_shows(result):
         truearm.validate(result, session(np.random.default_rng(3), tracker="u"), rig, keep_rig=True)
 
 
+def test_rows_that_the_unknowns_can_fit_show_no_fault(result):
+    """Four or five positions that err by 0.3 mm; nine unknowns of the rig and what the calibration leaves fit them."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        for n in (4, 5):
+            rows = session(rng, n)
+            rows = rows.replace(xyz=rows.xyz + 0.3e-3 * rng.normal(size=(n, 3)))
+            faults = truearm.validate(result, rows, RIG).document["faults"]
+            assert not faults, (seed, n)
+
+
 def test_the_kept_rigs_covariance_counts():
     """χ² of judged sessions, robot, tracker and target kept: the mean of 12 values of 90 degrees of freedom, ± 4 σ.
 

@@ -14,7 +14,7 @@ from truearm.checks.search import RIVAL, Search, checked, columns_of, gain, left
 from truearm.checks.whitened import WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import measured_order
-from truearm.estimate.outliers import HEAVY, MOST_BAD
+from truearm.estimate.outliers import HEAVY, MOST_BAD, single
 from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.solvers import Loss
@@ -101,6 +101,8 @@ def examined(
         return of_fit(fit, gram, covariance, table, estimate.free)
 
     weight = row_weights(estimate)
+    if single(weight[fitted] < 1.0):
+        return by_weights(weight)
     examination = by_weights(np.ones(len(table)))
     # Rows that a loss ignores may be those of one item that is wrong: all of them together show it.
     is_explained = examination is not None and bool(examination.faults)
@@ -127,6 +129,8 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     even = np.ones(len(table))
     fit = whitened_fit(problem, x, ways.columns, measured, even, even)
     k = ways.matrix.shape[1]
+    if fit.residual.size <= k:
+        return ()
     prior = np.column_stack([fit.prior[:, :-1] @ ways.matrix, fit.prior[:, -1]])
     prior = np.concatenate([prior, np.eye(ways.known, k + 1)])
     fit = replace(fit, jac=fit.jac @ ways.matrix, prior=prior, wide_prior=prior, arm={})
