@@ -147,6 +147,7 @@ def write_folder(path: Path, contents: Mapping[str, bytes]) -> None:
     Raises InputError if the folder cannot be written, WriteError if the disk is full or fails.
     """
     with replacing(path) as new:
+        new.mkdir()
         for name, data in contents.items():
             (new / name).parent.mkdir(parents=True, exist_ok=True)
             _write(new / name, (data,))

@@ -202,6 +202,7 @@ WRONG = {
     "a negative error": (("rms_after_mm",), -0.1, "rms_after_mm: expected float >= 0.0"),
     "a status that no solver has": (("status",), "fine", "status: invalid enum value 'fine'"),
     "an unknown unit": (("parameters", 0, "unit"), "furlong", "parameters[0].unit: expected str matching"),
+    "a unit with a line's end": (("parameters", 0, "unit"), "m\n", "parameters[0].unit: expected str matching"),
     "a negative gap of the rank": (("rank_gap",), -2.0, "rank_gap: expected float >= 0.0"),
     "a direction without weights": (("null_space",), [{"names": ["link1.x"], "weights": []}], "null_space[0]: needs"),
     "a covariance of other parameters": (("covariance", "names", 0), "x", "parameters: their names"),

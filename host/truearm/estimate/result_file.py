@@ -71,7 +71,7 @@ class RobotFrames(Struct, frozen=True):
     name: Name
     base_frame: Name
     end_frame: Name
-    joint_units: tuple[Annotated[str, Meta(pattern="^(rad|m)$")], ...]
+    joint_units: tuple[Annotated[str, Meta(pattern=r"^(rad|m)\Z")], ...]
 
     @classmethod
     def of(cls, chain: Chain) -> RobotFrames:
@@ -166,7 +166,7 @@ class ParameterEstimate(Struct, frozen=True, kw_only=True):
     """
 
     name: Name
-    unit: Annotated[str, Meta(pattern=f"^({'|'.join(UNITS)})$")]
+    unit: Annotated[str, Meta(pattern=rf"^({'|'.join(UNITS)})\Z")]
     nominal: float
     value: float | None
     sigma: Size | None

@@ -30,7 +30,13 @@ CHUNK = 2_000  # targets solved at once: Jacobians of 1 MB
 
 
 def inverse(
-    chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool = True, bounded: bool = False
+    chain: Chain,
+    params: Floats,
+    targets: Floats,
+    q_start: Floats,
+    oriented: bool = True,
+    bounded: bool = False,
+    steps: int = MAX_STEPS,
 ) -> Floats:
     """Return the solutions (n, j) for targets (n, 4, 4) that are nearest downhill from q_start (n, j), NaN for none.
 
@@ -38,15 +44,17 @@ def inverse(
         q_start must be; otherwise limits are ignored.
     """
     chunks = [slice(first, first + CHUNK) for first in range(0, max(len(targets), 1), CHUNK)]
-    return np.concatenate([_inverse(chain, params, targets[c], q_start[c], oriented, bounded) for c in chunks])
+    return np.concatenate([_inverse(chain, params, targets[c], q_start[c], oriented, bounded, steps) for c in chunks])
 
 
-def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool, bounded: bool) -> Floats:
+def _inverse(
+    chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool, bounded: bool, steps: int
+) -> Floats:
     q = np.array(q_start, dtype=float)
     error, jac = error_and_jacobian(chain, params, targets, q, oriented)
     size = np.linalg.norm(error, axis=-1)
     moving = size > REACHED
-    for _ in range(MAX_STEPS):
+    for _ in range(steps):
         rows = np.flatnonzero(moving)
         if not rows.size:
             break

@@ -30,6 +30,7 @@ from truearm.units import MM
 
 # of the tool from end to end: determines its orientation without tilting the device's magnet far
 MOST_TURN = np.deg2rad(40.0)
+STEPS = 8  # of the inverse kinematics from one point to the next: more only where the arm does not reach it
 AT_ONCE, ROUNDS = 100, 40  # random draws
 
 
@@ -110,7 +111,7 @@ def driven_lines(site: Site, middle: Floats, displacement: Floats, turn: Floats,
             pose = at_middle.copy()
             pose[:, :3, :3] = Rotation.from_rotvec(shares[k] * turn).as_matrix() @ pose[:, :3, :3]
             pose[:, :3, 3] = p_middle + shares[k] * displacement - pose[:, :3, :3] @ point
-            q = inverse(chain, params, pose, q)
+            q = inverse(chain, params, pose, q, steps=STEPS)
             q[((q <= branch.lower) | (q >= branch.upper)).any(axis=1)] = np.nan
             out[:, k] = q
     return np.where(np.isnan(out).any(axis=(1, 2), keepdims=True), np.nan, out)

@@ -94,10 +94,10 @@ class Declaration(msgspec.Struct):
     """The keys of a robot's quantities, and the units of its joints, one for all or one for each, and of its time."""
 
     names: dict[
-        Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(QUANTITIES)})$")],
+        Annotated[str, msgspec.Meta(pattern=rf"^({'|'.join(QUANTITIES)})\Z")],
         str | Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=MAX_JOINTS)],
     ] = {}
-    unit: Annotated[str, msgspec.Meta(pattern=r"^(rad|deg|mm?)(,(rad|deg|mm?)){0,31}$")] | None = None
+    unit: Annotated[str, msgspec.Meta(pattern=r"^(rad|deg|mm?)(,(rad|deg|mm?)){0,31}\Z")] | None = None
     t_unit: Literal["s", "ms", "us", "ns"] | None = None
 
 
