@@ -1,6 +1,7 @@
 """The report of a correction compared with the true arm: expected errors, straight moves, margins, targets outside the calibrated range."""
 
 import json
+import re
 
 import correct_bench
 import numpy as np
@@ -102,6 +103,24 @@ def test_a_straight_move_bends_as_the_controller_drives_it():
         assert (
             found.limits[k].min() <= limit_margins(CHAIN, path[[0, -1]]).min() + 1e-9
         )  # the interpreter ends to 1e-10
+
+
+def test_a_line_that_cannot_be_followed_has_no_figures(bench, tmp_path, run):
+    """From the other side of the base straight through it: nothing is stated from the part within reach."""
+    there = correct_bench.good_poses(3)[2]
+    behind = there - np.pi * np.sign(there[0]) * np.eye(6)[0]
+    q = np.array([there, behind])
+    program = rapid(correct_bench.nominal_poses(q), q)
+    (tmp_path / "a.mod").write_bytes(re.sub(rb"MoveL [^!\r]*,v100", b"MoveL p0,v100", program))
+    frames = ("--work", SAME, "--flange", SAME)
+    given = ("correct", bench[0] / "result.json", tmp_path / "a.mod", "--out", tmp_path / "b.mod", *frames)
+    code, said, err = run(*given, "--report", tmp_path / "page.html", "--json")
+    assert code == 0, err
+    (move,) = json.loads(said)["moves"]
+    assert (move["deviation_mm"], move["singular_value"], move["drivable"]) == (None, None, False)
+    bent = listed(json.loads(said))["moves-bent"]
+    assert (bent["n"], "worst" in bent) == (1, False)
+    assert "cannot be followed" in (tmp_path / "page.html").read_text("utf-8")
 
 
 # what is said

@@ -22,10 +22,13 @@ SAMPLES = 9  # points between the ends: the deviation is smooth, largest near th
 
 
 class StraightMoves(NamedTuple):
-    """n moves: the largest deviation of the true tool from the line, and the smallest margins, with both ends."""
+    """n moves: the largest deviation of the true tool from the line, and the smallest margins, with both ends.
 
-    deviation: Floats  # (n,) m
-    singular_value: Floats  # (n,) of the nominal robot
+    Of a line that the controller's model cannot follow, the limits are those as far as it can.
+    """
+
+    deviation: Floats  # (n,) m, NaN if the line cannot be followed
+    singular_value: Floats  # (n,) of the nominal robot, NaN likewise
     limits: Floats  # (n, j) rad or m to each joint's nearest limit, negative beyond it
     drivable: NDArray[np.bool_]  # (n,) whether the controller's model follows the line without a jump of a joint
 
@@ -40,15 +43,18 @@ def straight_moves(pair: ModelPair, q_start: Floats, commanded: Floats, tool: Fl
     """
     begin = believed(pair, q_start) @ tool
     motion = apart(commanded @ tool, begin)
-    path, drivable = [np.asarray(q_start, dtype=float)], np.ones(len(commanded), dtype=bool)
+    path = [np.asarray(q_start, dtype=float)]
+    drivable, lost = np.ones(len(commanded), dtype=bool), np.zeros(len(commanded), dtype=bool)
     for share in np.linspace(0.0, 1.0, SAMPLES + 2)[1:]:
         q = inverse(pair.chain, pair.nominal, moved(begin, share * motion) @ inverted(tool), path[-1])
         drivable &= np.abs(q - path[-1]).max(axis=-1) < JUMP
+        lost |= np.isnan(q).any(axis=-1)
         path.append(np.where(np.isnan(q), path[-1], q))
     places = np.array([(reached(pair, q) @ tool)[:, :3, 3] for q in path])
     singular = np.min([singular_value(pair.chain, pair.nominal, q) for q in path], axis=0)
     limits = np.min([limit_margins(pair.chain, q) for q in path], axis=0)
-    return StraightMoves(_deviation(places), singular, limits, drivable & (limits >= 0.0).all(axis=1))
+    deviation, singular = (np.where(lost, np.nan, values) for values in (_deviation(places), singular))
+    return StraightMoves(deviation, singular, limits, drivable & (limits >= 0.0).all(axis=1))
 
 
 def limit_margins(chain: Chain, q: Floats) -> Floats:

@@ -70,9 +70,9 @@ def _facts(document: Document) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _column(document: Document, key: str) -> Floats:
-    """Return a number of each target; NaN where it is null."""
-    return np.array([row[key] for row in document["targets"]], dtype=float)
+def _column(document: Document, key: str, rows: str = "targets") -> Floats:
+    """Return a number of each target, or move; NaN where it is null."""
+    return np.array([row[key] for row in document[rows]], dtype=float)
 
 
 def _places(document: Document, pose_key: str) -> Floats:
@@ -89,13 +89,15 @@ def _limit(row: Document) -> str:
 
 
 def _moves(document: Document) -> list[tuple[str, ...]]:
-    """Return rows of cells, beginning with the move that deviates most from a straight line."""
+    """Return rows of cells, beginning with the move that cannot be followed, or deviates most from a straight line."""
     rows: list[tuple[str, ...]] = []
-    for move in sorted(document["moves"], key=lambda move: -move["deviation_mm"]):
-        bent = "bends" if move["deviation_mm"] > MM.of(STRAIGHT) else ""
-        remark = bent if move["drivable"] else "may not be drivable"
-        margins = f"{move['deviation_mm']:.3f}", _limit(move), f"{move['singular_value']:.3f}"
-        rows.append((move["place"], move["from"], *margins, remark))
+    deviation, singular = (_column(document, key, "moves") for key in ("deviation_mm", "singular_value"))
+    for i in np.argsort(-np.nan_to_num(deviation, nan=np.inf), kind="stable"):
+        move = document["moves"][i]
+        bent = "bends" if deviation[i] > MM.of(STRAIGHT) else ""
+        blocked = "cannot be followed" if np.isnan(deviation[i]) else "may not be drivable"
+        margins = page.number(deviation[i], 3), _limit(move), page.number(singular[i], 3)
+        rows.append((move["place"], move["from"], *margins, bent if move["drivable"] else blocked))
     return rows
 
 

@@ -266,8 +266,8 @@ def _move_entries(moves: CorrectedMoves, units: Sequence[str]) -> list[dict[str,
         {
             "place": place,
             "from": start,
-            "deviation_mm": float(MM.of(deviation)),
-            "singular_value": float(singular),
+            "deviation_mm": number_or_null(MM.of(deviation)),
+            "singular_value": number_or_null(singular),
             **_limit_entry(limits, units),
             "drivable": bool(drivable),
         }
