@@ -17,7 +17,7 @@ from identify_bench import SIGMA, exact_lengths
 
 from truearm.estimate.result_file import FORMAT
 from truearm.kinds.rig_file import write_rig
-from truearm.kinds.table_file import write_table
+from truearm.kinds.table_file import read_table, write_table
 from truearm.workflows.project_file import FILE, Project, format_project
 
 ARMS = ("a", "b", "c")
@@ -95,6 +95,15 @@ def test_a_further_run_does_what_is_missing(run, cells):
     rig.write_text(rig.read_text() + "\n# measured again\n")
     assert run("fleet", cells, "--workers", 1).code == 0
     assert [len(paths) for paths in results(cells).values()] == [1, 1, 2]
+
+
+def test_a_page_states_once_what_was_noticed_while_reading(run, cells):
+    poses = cells / "a" / "poses.csv"
+    table = read_table(poses, ("rad",) * 6)
+    write_table(poses, replace(table, time=np.arange(len(table))[::-1].astype(float)), ("rad",) * 6)
+    assert run("fleet", cells, "--workers", 1, "--reports").code == 0
+    (result,) = results(cells)["a"]
+    assert result.with_suffix(".html").read_text("utf-8").count("not in the order of time_s") == 1
 
 
 def test_a_result_of_other_options_is_not_adopted(run, cells, monkeypatch):
