@@ -222,6 +222,13 @@ def test_init_where_no_folder_can_be(tmp_path, run, name):
     assert f"{tmp_path / name}: cannot be used" in err
 
 
+@pytest.mark.parametrize("name", ["sessions", "results"])
+def test_init_where_a_folder_of_the_project_is_a_file_writes_nothing(tmp_path, run, name):
+    (tmp_path / name).write_text("mine")
+    told(run("init", tmp_path, "--model", "puma560", "--minutes", 0), f"{tmp_path / name}: cannot be used as a folder")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
 def test_init_as_json_names_the_files_and_the_plan(tmp_path, run):
     code, out, err = run("init", tmp_path / "cell", "--model", "puma560", "--minutes", 0, "--json")
     assert code == 0, err

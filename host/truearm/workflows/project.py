@@ -132,6 +132,10 @@ def create(
 
     if (folder / FILE).exists():
         raise InputError(f"{folder / FILE} already exists; edit it, or use another folder")
+    folders = [folder / name for name in (project.sessions, project.results)]
+    for path in folders:
+        if path.is_file():
+            raise InputError(f"{path}: cannot be used as a folder: it is a file")
     choice = robot_of(project, folder)
     with _workplace(folder) as new:
         read, controller = controller_choice(choice.robot or "", project.address, new)
@@ -159,10 +163,9 @@ def create(
                 plan = plan_ball_bar_files(files, Budget(minutes=minutes), BallBarOptions())
         write_atomic(new / FILE, format_project(project))
         written = [folder / FILE, *(folder / path.name for path in by_time(new.iterdir()) if path.name != FILE)]
-        folder.mkdir(parents=True, exist_ok=True)
+        for path in (folder, *folders):
+            path.mkdir(parents=True, exist_ok=True)
         _move(new, written)
-    for name in (project.sessions, project.results):
-        (folder / name).mkdir(parents=True, exist_ok=True)
     return Created(tuple(written), plan, controller)
 
 
