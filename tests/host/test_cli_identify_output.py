@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import Run, told
 from identify_bench import MUKCA, ROOT, SIGMA, identified
@@ -13,7 +14,9 @@ from tests.host.findings_bench import stated
 
 from truearm.estimate.result_file import ParameterEstimate
 from truearm.findings import option
+from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
+from truearm.kinds.table_file import write_table
 from truearm.types import Rig
 
 
@@ -61,6 +64,21 @@ def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Pa
         told(outcome, text)
     assert table.read_bytes() == before
     assert mine.read_text() == '{"my": "notes"}'
+
+
+def test_the_table_is_written_if_its_rows_form_no_problem(
+    run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]
+) -> None:
+    """Not if an option is refused."""
+    rows, rig = noisy
+    write_table(tmp_path / "short.csv", rows.select(np.array([0])), ("rad",) * 6)
+    write_rig(tmp_path / "rig.toml", rig)
+    given = ["identify", tmp_path / "short.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml"]
+    given += ["--table-out", tmp_path / "o.csv"]
+    assert run(*given, "--free", "nothing").code == 2
+    assert not (tmp_path / "o.csv").exists()
+    assert run(*given).code == 2
+    assert len((tmp_path / "o.csv").read_text().splitlines()) == 2
 
 
 def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:

@@ -148,7 +148,7 @@ class IdentifyFiles:
 def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: IdentifyOptions) -> Identification:
     """Read everything, identify, and write result, table and report as requested.
 
-    Raises InputError with a one-line message, and ProblemError as ``identified`` does; then no result is written.
+    Raises InputError with a one-line message, and ProblemError as ``identified`` does; then only the table is written.
     """
     sources = files.sources
     outputs = [*(("result", path) for path in files.results), ("table", files.save_table), ("page", files.report)]
@@ -156,15 +156,23 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     robot = files.robot.load()
     rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
     origin = Origin(hashed_inputs(sources, files.robot), counts, sources.said)
-    identification = identified(robot, rig, table, hold_out, options, origin)
-    if files.save_table is not None:
-        write_table(files.save_table, table, robot.chain.joint_units)
+    try:
+        identification = identified(robot, rig, table, hold_out, options, origin)
+    except ProblemError:
+        _save_table(files, table, robot)  # it may show why
+        raise
+    _save_table(files, table, robot)
     if files.report is not None:
         with step("drawing the report"):
             write_page(files.report, identification, files.command, recordings)
     for path in files.results:
         write_result(path, identification.stored)
     return identification
+
+
+def _save_table(files: IdentifyFiles, table: ObservationTable, robot: Robot) -> None:
+    if files.save_table is not None:
+        write_table(files.save_table, table, robot.chain.joint_units)
 
 
 def _other_robots() -> Robots:
