@@ -154,6 +154,9 @@ def test_without_a_rig(made, tmp_path):
     tables, said = export(tmp_path / "s.mcap", tmp_path / "y", "npz", "--rig", str(tmp_path / "rig.toml"))
     assert len(tables["observations"]["length_m"]) >= 3
     assert said["not_paired"] == ""
+    write_rig(tmp_path / "other.toml", replace(RIG, chucks={}))
+    _, said = export(tmp_path / "s.mcap", tmp_path / "w", "npz", "--rig", str(tmp_path / "other.toml"))
+    assert said["not_paired"].endswith("or give the right rig as --rig")
     (tmp_path / "s.labels.json").write_text("{}")
     tables, said = export(tmp_path / "s.mcap", tmp_path / "z", "npz", "--rig", str(tmp_path / "rig.toml"))
     assert "s.labels.json" in said["not_paired"]

@@ -11,6 +11,7 @@ from typing import Any
 from truearm.disk import check_new_folder, sha256, working_folder
 from truearm.errors import InputError, WriteError
 from truearm.file_names import system_reason
+from truearm.findings import option
 from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table_file import table_columns
 from truearm.progress import step
@@ -65,7 +66,7 @@ def _export(
                 tables[file], titles[file] = ArrowTable(folder / file, columns), list(columns)
             tables[file].write(columns)
     except InputError as exc:  # no observations; the rest is useful without them
-        not_paired = one_line(str(exc))
+        not_paired = one_line(exc.text(option))
     for table in tables.values():
         table.close()
     return {
