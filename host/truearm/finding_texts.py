@@ -428,7 +428,7 @@ REASONS = {
 }
 
 READING: Mapping[str, Statement] = {  # of the observations, while they are read
-    "rows-reordered": note(
+    "rows-reordered": warning(
         "{place}: the rows are not in the order of time_s. They are used in that order, and row numbers count in it."
     ),
     "doubtful-rows": warning("{reason}."),

@@ -55,3 +55,7 @@ def test_judging_a_fit_that_is_not_usable_says_so(folder, run):
     assert next(iter(findings)) == "validation-holds"
     assert findings["calibration-unusable"] == {"because": Unusable.NOT_CONVERGED}
     assert findings["rows-reordered"] == {"place": "friday.csv"}
+    given = ("validate", bad, "friday.csv", "--rig", "rig.toml", "--report", folder / "page.html", "--force")
+    assert "friday.csv: the rows are not in the order" in " ".join(run(*given).out.split())
+    codes = [entry["code"] for entry in json.loads(run(*given, "--json").out)["findings"]]
+    assert len(codes) == len(set(codes)), "the decision of the certificate is stated once"

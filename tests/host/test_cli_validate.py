@@ -147,6 +147,10 @@ def test_a_robot_without_errors_of_its_own_is_not_helped_by_where_it_was_bolted(
     # 0.084 mm of noise, less what few parameters follow; where they only nearly take the pose up, some µm more.
     assert found["rms_before_mm"] < 0.12
     assert verdict_of(found) == "validation-no-help"
+    given = ("--rig", tmp_path / "rig.toml", "--report", tmp_path / "page.html", "--tolerance-mm", "20", "--json")
+    stated = listed(json.loads(run("validate", tmp_path / "result.json", rows, *given).out))
+    assert "certified" not in stated
+    assert "calibration-unusable" in stated
 
 
 def test_few_rows_place_nothing_and_a_robot_that_changed_is_found_out(folder, run):

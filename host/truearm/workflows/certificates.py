@@ -97,7 +97,9 @@ def validation_certificate(measured: Measured, validation: Validation, issue: Is
             errors.append(("expected from noise and calibration", f"{size(validation.expected[si], si)} RMS"))
     error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
     reused, simulated = bool(validation.document["identified_from"]), bool(validation.document["simulated"])
-    decision = _decision(issue.tolerance, error, calibration.stored.unusable_because, reused, validation.n)
+    no_help = any(finding.code == "validation-no-help" for finding in validation.findings)
+    problem = calibration.stored.unusable_because or ("it does not help here" if no_help else None)
+    decision = _decision(issue.tolerance, error, problem, reused, validation.n)
     lengths = any(kinds()[kind].components.count("m") < 3 for kind in np.unique(table.kind).tolist())
     return Certificate(
         f"Certificate of {'a simulated ' * simulated}validation",

@@ -59,7 +59,10 @@ def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) ->
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
     rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
     identification = identified(robot, rig, table, hold_out, options, Origin(inputs, counts, sources.said))
-    _check_same(result, stored.column("value"), identification)
+    same_files = {file.sha256 for file in inputs} == {file.sha256 for file in stored.inputs}
+    same_robot = bool(choice.files) or choice.robot in (None, stored.robot.name)
+    lines = any(count["lines"] for count in counts)
+    _check_same(result, stored.column("value"), identification, same_files and same_robot and not lines)
     certificate = calibration_certificate(identification, issue, recordings, inputs)
     with step("drawing the report"):
         write_page(out, identification, files.command, recordings, certificate)
@@ -90,7 +93,8 @@ def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: b
         write_atomic(files.report, validation_page(name, certificate, validation.document, files.command))
         decision, *excluded = entries(finding for finding in certificate.findings if finding.code != "simulated")
         stated, place = validation.document["findings"], 1 + validation.document["simulated"]
-        findings = [*stated[:place], decision, *stated[place:], *excluded]
+        is_stated = decision["code"] in (entry["code"] for entry in stated)
+        findings = [*stated[:place], *[decision] * (not is_stated), *stated[place:], *excluded]
         return replace(validation, document={**validation.document, "findings": findings})
     return validation
 
@@ -126,15 +130,18 @@ def _check_inputs(path: Path, stored: Result, hashes: set[str]) -> None:
             )
 
 
-def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], identification: Identification) -> None:
-    """Raise InputError if the fit differs from the stored one."""
+def _check_same(
+    path: Path, value: np.ndarray[Any, np.dtype[np.float64]], identification: Identification, same_inputs: bool
+) -> None:
+    """Raise InputError if the fit differs from the stored one; ``same_inputs``: nothing that was given can be the cause."""
     e, n = identification.estimate, min(len(value), len(identification.estimate.value))
     tolerance = SAME * np.where(np.isfinite(e.sigma), e.sigma, np.inf)[:n]
     differs = (np.abs(e.value[:n] - value[:n]) > tolerance) & (e.free & e.identifiable)[:n]
     if differs.any() or len(e.value) != len(value):
         name = e.parameter_names[int(np.argmax(differs))]
-        raise InputError(
-            f"{path}: the files given lead to another result (first difference: {name}); give only the files that it was made "
-            "with, and the same ",
-            Argument("line_points"),
-        )
+        text = f"{path}: the files given lead to another result (first difference: {name}); "
+        if same_inputs:
+            raise InputError(
+                f"{text}they are those that it was made with, by another version of truearm: identify again"
+            )
+        raise InputError(f"{text}give only the files that it was made with, and the same ", Argument("line_points"))
