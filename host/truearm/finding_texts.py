@@ -750,7 +750,7 @@ CORRECTION: Mapping[str, Statement] = {
         "Add targets between the ends.",
     ),
     "moves-unchecked": warning(
-        "{n:#straight move was|straight moves were} not checked between the ends, because the program does not say at which joints it starts.",
+        "{n:#straight move was|straight moves were} not checked between the ends, because the program does not say at which joints it starts, or no joints reach that target.",
         "Begin the program with a joint move.",
     ),
     "home-decides": warning(

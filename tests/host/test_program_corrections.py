@@ -255,6 +255,15 @@ def test_quarter_turns_that_the_correction_crosses_are_written():
     assert sorted(crossed) == [False, True]
 
 
+def test_a_straight_move_from_a_target_out_of_reach_is_not_checked():
+    far = POSES[1].copy()
+    far[0, 3] += 5.0
+    lines = (f"movej({six(POSES[1])})", f"movel({six(far)})", f"movel({six(POSES[2])})", f"movel({six(POSES[3])})")
+    moves = outcome(program(*lines), partial=True).moves
+    assert (moves.unchecked, len(moves.places)) == (1, 1)
+    assert np.isfinite(moves.straight.limits).all()
+
+
 def test_hundreds_of_straight_moves_are_driven(monkeypatch):
     """The longest among 601 bends most; of more than are driven the number is said."""
     near = POSES[1].copy()

@@ -358,11 +358,13 @@ def _straight_moves(pair: ModelPair, programs: Sequence[Program], solution: Solu
     """Simulate the straight moves between corrected targets."""
     visits = enumerate(solution.visits[: solution.n_poses])
     straight = [(row, *visit) for row, visit in visits if visit.move.straight and visit.move.reason is None]
-    moves = [(row, number, move, origin) for row, number, move, _, origin in straight if origin is not None]
+    # What was refused stands as it was, so the arm drives there as before the correction.
+    q = {goal: np.where(np.isnan(ends.after), ends.before, ends.after) for goal, ends in solution.joints.items()}
+    lost = {goal for goal, readings in q.items() if np.isnan(readings).any()}
+    moves = [(row, number, move, origin) for row, number, move, _, origin in straight if origin and origin not in lost]
     if not moves or len(moves) > MOST_MOVES:
         return CorrectedMoves(unchecked=len(straight))
     rows = [row for row, *_ in moves]
-    q = {goal: joints.after for goal, joints in solution.joints.items()}
     starts = np.array([q[origin] if origin in q else readings_of(origin.target.literal) for *_, origin in moves])
     simulated = straight_moves(
         pair, pair.chain.completed(starts), solution.correction.commanded[rows], solution.tools[rows]
