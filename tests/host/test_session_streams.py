@@ -113,6 +113,24 @@ def test_a_single_frame_behind_the_count_changes_nothing(seq):
     assert [block.gap for block in read(messages)[0]].count(True) == 1
 
 
+@pytest.mark.parametrize("of", ["heartbeat", "adc"])
+@pytest.mark.parametrize("bit", [2, 12, 30])
+def test_a_single_frame_ahead_of_the_count_is_malformed_itself(of, bit):
+    """Wherever a batch ends; its place is a lost frame."""
+    messages = long_box(20 * SECOND).messages
+    at = [k for k, m in enumerate(messages) if m.topic == f"/box/{of}"][9]
+    seq = cbor2.loads(messages[at].data)[1]
+    assert not seq & 1 << bit
+    numbers = [b"\x1a" + number.to_bytes(4, "big") for number in (seq, seq | 1 << bit)]
+    odd = messages[at]._replace(data=messages[at].data.replace(*numbers, 1))
+    whole, messages[at] = account(messages), odd
+    found = account(messages)
+    assert (found["frames_malformed"], found["frames_lost"]) == (1, 1)
+    assert not whole
+    for cut in (at, at + 1, at + 2):
+        assert in_batches(messages, [cut]) == in_batches(messages, [])
+
+
 @pytest.mark.parametrize("number", [2**63, 2**70, -(2**70), -1, 2**1500])
 def test_numbers_that_no_box_can_send_are_malformed(number):
     """As a type, and as an element that has no range of its own."""

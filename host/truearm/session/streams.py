@@ -54,7 +54,7 @@ class Losses:
     frames: int = 0  # frames of any type received, each counted once
     frames_lost: int = 0  # gaps of seq
     loss_events: int = 0  # places where seq has a gap
-    frames_malformed: int = 0  # frames with a valid CRC that violate the specification, or are behind the count
+    frames_malformed: int = 0  # frames with a valid CRC that violate the specification, or do not count up
     frames_unknown: int = 0  # of types unknown to this version
     blocks: int = 0
     samples: int = 0
@@ -279,8 +279,8 @@ class BoxReader:
     # ------------------------------------------------------------------------------------------------ boots
 
     def _use(self, frames: Frames, held: int) -> list[Blocks]:
-        """Account for the frames up to the last that states the boot id, and hold at most ``held`` behind it."""
-        stated = np.flatnonzero(frames.table["boot_id"] != NONE)
+        """Account for the frames up to the last that states the boot id and has one behind it; hold at most ``held``."""
+        stated = np.flatnonzero(frames.table["boot_id"][: len(frames.table) - bool(held)] != NONE)
         end = max(int(stated[-1]) + 1 if stated.size else 0, len(frames.table) - held)
         self._held = Frames(frames.table[end:].copy(), frames.contents[end:])
         restarts, blocks = self._restarts(frames.table, stated), list[Blocks]()
@@ -316,20 +316,23 @@ class BoxReader:
     def _in_order(self, table: NDArray[Any], begin: int, end: int) -> Ints:
         """Return which frames of one boot count up, and enter the frames lost in the session before each.
 
-        A frame behind the count, or ahead of the next one that states the boot id, is malformed.
+        A frame behind the count is malformed, and one ahead of the next frame (SPEC §1) or of the next that states the boot id.
         """
-        seq, boot_id = table["seq"][begin:end], table["boot_id"][begin:end]
+        seq, boot_id = table["seq"][begin : end + 1], table["boot_id"][begin:end]
         expected = seq[:1] if self._next is None else self._next
         ahead = (seq - expected + CIRCLE // 2) % CIRCLE - CIRCLE // 2
+        before, following = np.append(-1, ahead)[: end - begin], np.append(ahead, CIRCLE)[1 : end - begin + 1]
+        ahead = ahead[: end - begin]
+        ahead = np.where((before < following) & (following < ahead), -1, ahead)
         stated = np.flatnonzero(boot_id != NONE)
         stated = stated[ahead[stated] > np.maximum.accumulate(np.append(-1, ahead[stated][:-1]))]
-        limit = np.append(ahead[stated], CIRCLE)[np.searchsorted(stated, np.arange(len(seq)))]
+        limit = np.append(ahead[stated], CIRCLE)[np.searchsorted(stated, np.arange(end - begin))]
         ahead = np.where(ahead <= limit, ahead, -1)
         rows = np.flatnonzero(ahead > np.maximum.accumulate(np.append(-1, ahead[:-1])))
         gaps = np.diff(ahead[rows], prepend=-1) - 1
         counted = begin + rows
         table["lost"][counted] = self._count["frames_lost"] + np.cumsum(gaps)
-        self._count["frames_malformed"] += len(seq) - len(rows)
+        self._count["frames_malformed"] += end - begin - len(rows)
         self._count.update(frames=len(rows), frames_lost=int(gaps.sum()), loss_events=int(np.count_nonzero(gaps)))
         if len(rows):
             self._next = (int(table["seq"][counted[-1]]) + 1) % CIRCLE
