@@ -7,7 +7,7 @@ import pytest
 from tests.host import plan_bench as bench
 
 from truearm.model.chain import point_forward
-from truearm.plan.choose import as_blocks, choose, condensed, value
+from truearm.plan.choose import TIE, Gains, Setup, as_blocks, choose, condensed, value
 from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
 from truearm.plan.measurement_limits import Pairing
 from truearm.plan.options import Criterion
@@ -60,16 +60,23 @@ def test_exchange_never_makes_it_worse_and_nothing_is_taken_twice(criterion):
     assert value(information(rows, better), criterion, region) <= value(information(rows, greedy), criterion, region)
 
 
+@pytest.mark.parametrize("tie", [TIE, 0.1])
 @pytest.mark.parametrize("criterion", Criterion)
-def test_no_choice_rests_on_rounding(criterion):
+def test_no_choice_rests_on_rounding(criterion, tie):
     """Three unknowns are as vague as an unknown sphere's coordinates: the first readings of them are worth all the same."""
     rng = np.random.default_rng(3)
     rows, region = rng.normal(size=(300, 1, 12)), 0.01 * rng.normal(size=(40, 12))
     rows[:, :, :3] *= 1e4 / np.linalg.norm(rows[:, :, :3], axis=2, keepdims=True)
     region[:, :3] = np.tile(np.eye(3), (14, 1))[:40]
     noisy = rows * (1.0 + 1e-15 * rng.normal(size=rows.shape))
-    chosen, again = (choose(each, np.eye(12), 30, criterion, region) for each in (rows, noisy))
+    chosen, again = (choose(each, np.eye(12), 30, criterion, region, tie=tie) for each in (rows, noisy))
     assert set(chosen.tolist()) == set(again.tolist())
+
+
+def test_what_is_excluded_is_not_chosen_where_nothing_gains(monkeypatch):
+    gains = Gains(*problem(n=3)[:1], np.eye(3), Criterion.D, None, TIE)
+    monkeypatch.setattr(Gains, "_gain", lambda _: np.array([5.0, -2.0, -1.0]))
+    assert gains.best(np.array([0.0, 1.0, 1.0])) == 2
 
 
 def test_a_setup_is_paid_where_it_brings_enough_and_not_again():
@@ -77,14 +84,14 @@ def test_a_setup_is_paid_where_it_brings_enough_and_not_again():
     rng = np.random.default_rng(4)
     rows = rng.normal(size=(40, 1, 3)) * [1.0, 1.0, 0.0]
     group = np.arange(40) % 2
-    cheap = choose(rows, np.eye(3), 10, "D", passes=0, group=group, setup=50.0)
+    cheap = choose(rows, np.eye(3), 10, "D", passes=0, setup=Setup(group, 50.0))
     assert len(set(group[cheap].tolist())) == 1
     assert (
-        choose(rows, np.eye(3), 10, "D", passes=2, group=group, setup=0.0).tolist()
+        choose(rows, np.eye(3), 10, "D", passes=2, setup=Setup(group, 0.0)).tolist()
         == choose(rows, np.eye(3), 10, "D", passes=2).tolist()
     )
     rows[group == 1] += [0.0, 0.0, 30.0]
-    began = group[choose(rows, np.eye(3), 10, "D", passes=3, group=group, setup=50.0)]
+    began = group[choose(rows, np.eye(3), 10, "D", passes=3, setup=Setup(group, 50.0))]
     assert began[0] == 1
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -15,11 +16,11 @@ from truearm.errors import Argument, PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import check_joints
-from truearm.plan.choose import as_blocks, choose
+from truearm.plan.choose import TIE, Setup, as_blocks, choose
 from truearm.plan.collision_shapes import Sizes, make_shapes
 from truearm.plan.forecast import Aim, Forecast, Knowledge, arm_of, bar_table, candidate_rows, forecast, region_root
 from truearm.plan.measurement_limits import Limits, Pairing, Site
-from truearm.plan.options import Budget, PoseOptions
+from truearm.plan.options import Budget, Criterion, PoseOptions
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.roadmap import roadmaps
 from truearm.plan.route import ONCE, Route, Visits, n_checks, route
@@ -30,6 +31,9 @@ from truearm.types import Floats, Plan, Rig
 from truearm.units import UNITS
 
 TRIALS = 6  # numbers of poses tried to meet a time budget
+# Shares of a gain that count as equal, with each of which minutes are planned, for the least error: a mount is chosen by
+# its first pose, before it shows what its others are worth.
+TIES = (TIE, 0.01, 0.1)
 # Shares of the work, for the progress: candidates found, and the ways between them; with a budget of minutes or of poses.
 LOOKING, LOOKING_ONCE = (0.17, 0.24), (0.45, 0.6)
 # Poses per free parameter of the robot from which bars are considered uncertain. With two bars, 40 poses for 36
@@ -134,15 +138,14 @@ def plan_ballbar(
         blocks, root = as_blocks(rows), region_root(doubted, table, aim)
 
         pairing = np.unique(pairing_names(candidate_poses), axis=0, return_inverse=True)[1].reshape(-1)
-        setup = 0.0 if budget.minutes is None else pace.mount / (pace.dwell + MOVE)
+        cost = 0.0 if budget.minutes is None else pace.mount / (pace.dwell + MOVE)
 
-        def chosen(n: int) -> Plan:
+        def chosen(n: int, tie: float = TIE) -> Plan:
             """Return the n best, the most important first."""
             stock = np.arange(len(candidate_poses))
             while True:
-                order = choose(
-                    blocks[stock], information, n, options.criterion, root, group=pairing[stock], setup=setup
-                )
+                setup = Setup(pairing[stock], cost)
+                order = choose(blocks[stock], information, n, options.criterion, root, setup=setup, tie=tie)
                 best = candidate_poses.select(stock[order])
                 is_worth = _worth_mounting(knowledge, candidate_poses.select(stock), best)
                 if is_worth.all() or is_worth.sum() < n:
@@ -151,25 +154,42 @@ def plan_ballbar(
 
         if budget.n is not None:
             best = _with_room(site, chosen, budget.n, visits)
-            planned_route = route(site, best, pace, graphs, visits)
+            routes = [route(site, best, pace, graphs, visits)]
         else:
-            trials = (linked + (1.0 - linked) * k / TRIALS for k in count(1))
+            ties = TIES if options.criterion == Criterion.I else TIES[:1]
+            trials = (linked + (1.0 - linked) * k / (TRIALS * len(ties)) for k in count(1))
             longest: list[Plan] = []
 
-            def tried(n: int) -> Route:
+            def tried(n: int, tie: float) -> Route:
                 if longest and TRIMMED * len(longest[0]) < n < len(longest[0]):
                     best = longest[0].select(np.arange(n))  # the same mounts, without the least important poses
                     best = best.select(_worth_mounting(knowledge, best, best))
                 else:
-                    best = chosen(n)
+                    best = chosen(n, tie)
                     longest[:] = [best]
                 planned_route = route(site, best, pace, graphs, visits)
                 advance(min(next(trials), 1.0))
                 return planned_route
 
             n_most = min(len(candidate_poses), int(60.0 * (budget.minutes or 0.0) / pace.dwell))
-            planned_route = _within(tried, max(1, int(FIRST * poses)), n_most, budget.minutes or 0.0, pace)
-        return BallBarPlan(planned_route, forecast(knowledge, bar_table(knowledge, planned_route.plan), aim))
+            routes = []
+            for tie in ties:
+                longest.clear()
+                first = max(1, int(FIRST * poses))
+                within = _within(partial(tried, tie=tie), first, n_most, budget.minutes or 0.0, pace)
+                routes += [] if within is None else [within]
+            if not routes:
+                raise PlanError(
+                    f"{budget.minutes:g} min are too few, mounting one pairing takes {pace.mount:g} s; give more ",
+                    Argument("minutes"),
+                )
+        plans = [BallBarPlan(each, forecast(knowledge, bar_table(knowledge, each.plan), aim)) for each in routes]
+        return min(plans, key=_loss)
+
+
+def _loss(planned: BallBarPlan) -> tuple[bool, float]:
+    """Return what the expected error lacks, and the error; the least is best."""
+    return planned.forecast.relative, float(np.nan_to_num(planned.forecast.cartesian_rms, nan=np.inf))
 
 
 def _worth_mounting(knowledge: Knowledge, candidate_poses: Plan, best: Plan) -> NDArray[np.bool_]:
@@ -225,8 +245,8 @@ def pairing_names(plan: Plan) -> NDArray[np.str_]:
     return np.stack([plan.bar, plan.chuck, plan.sphere], axis=1)
 
 
-def _within(planned: Callable[[int], Route], first: int, n_most: int, minutes: float, pace: Pace) -> Route:
-    """Return as many poses as the minutes allow, at most ``n_most``; ``first``: the number to begin with.
+def _within(planned: Callable[[int], Route], first: int, n_most: int, minutes: float, pace: Pace) -> Route | None:
+    """Return as many poses as the minutes allow, at most ``n_most``, None if none; ``first``: the number to begin with.
 
     The next number lies between one that is too long and one that is not, by their minutes. Without the one or the
     other, it follows from what a further pose of this route would take: a dwell, and a share of a move because moves
@@ -247,10 +267,6 @@ def _within(planned: Callable[[int], Route], first: int, n_most: int, minutes: f
         if best is not None and np.isfinite(long[1]):
             further = (long[1] - short[1]) / (long[0] - short[0])
         n = int(np.clip(n + (AIM * minutes - trial.minutes) / further, max(short[0] + 1, n // 2), max(long[0] - 1, 1)))
-    if best is None:
-        raise PlanError(
-            f"{minutes:g} min are too few, mounting one pairing takes {pace.mount:g} s; give more ", Argument("minutes")
-        )
     return best
 
 

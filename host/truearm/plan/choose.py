@@ -7,7 +7,7 @@ With J_i (w, k) the whitened rows of a candidate, M the information in units of 
 - tr(LᵀPL) by −‖S^(−1/2) J_i P L‖²: A-optimality with L = I, I-optimality with L Lᵀ = the mean of J_rᵀJ_r over the
   region, E-optimality with L Lᵀ a high power of P, in which the eigenvectors of the largest eigenvalues count.
 
-Each step takes the best candidate. If time counts, gains are per second, with ``setup`` for the first candidate of a
+Each step takes the best candidate. If time counts, gains are per second, with ``Setup`` for the first candidate of a
 group. The exchange (Fedorov 1972) replaces each by the best one as long as this helps. 400 of 5000 candidates take 0.2
 to 0.3 s.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +27,16 @@ from truearm.types import Floats
 
 GAIN = 1e-9  # of the criterion, relative: a swap with a smaller gain is rounding
 REFRESH = 100  # changes
-TIE = 1e-6  # of a gain: among candidates that differ by less, as by rounding, the one with the most information is best
+TIE = 1e-6  # of a gain: more than rounding
 WORST, NEGLIGIBLE = 8, 1e-3  # power of the variances for E-optimality, and the weight below which they are left out
 ALONE = 1e-4  # of a variance: a change that leaves less, or as many times more, loses the digits of all else
+
+
+class Setup(NamedTuple):
+    """Groups (N,) of candidates that each need a setup, and its extra ``cost`` in candidates."""
+
+    group: NDArray[np.intp]
+    cost: float
 
 
 def choose(
@@ -38,28 +46,28 @@ def choose(
     criterion: str = "D",
     region: Floats | None = None,
     passes: int = 1,
-    group: NDArray[np.intp] | None = None,
-    setup: float = 0.0,
+    setup: Setup | None = None,
+    tie: float = TIE,
 ) -> NDArray[np.intp]:
     """Return the best ``n`` of N candidates in the order of their choice.
 
     rows (N, w, k): whitened rows, columns in units of the prior; information (k, k): of the prior and of existing
     measurements, in the same units. ``region`` (r, k): L of I-optimality, transposed. ``passes``: maximum number of
-    exchange passes. ``group`` (N,): groups that each need a setup; its extra cost is ``setup`` times that of a
-    candidate.
+    exchange passes. ``tie``: share of a gain; among candidates that differ by less, the one with the most information is
+    best, and the first of those.
     """
-    state = Gains(rows, information.copy(), Criterion(criterion), region)
+    state = Gains(rows, information.copy(), Criterion(criterion), region, tie)
     chosen = list[int]()
     available = np.ones(len(rows), dtype=bool)
-    group = np.zeros(len(rows), dtype=np.intp) if group is None else group
+    group, cost = setup or Setup(np.zeros(len(rows), dtype=np.intp), 0.0)
     begun = np.zeros(len(rows), dtype=bool)  # of a group already begun
     for _ in steps_of(range(n), f"choosing {n} of {len(rows)} poses"):
-        best = state.best(available / np.where(begun, 1.0, 1.0 + setup))
+        best = state.best(available / np.where(begun, 1.0, 1.0 + cost))
         state.change(best, 1.0)
         chosen.append(best)
         available[best] = False
         begun |= group == group[best]
-    if setup > 0.0:
+    if cost > 0.0:
         available &= begun
     for _ in range(passes):
         if not _exchange(state, chosen, available):
@@ -92,6 +100,7 @@ class Gains:
     information: Floats  # M (k, k)
     criterion: Criterion
     region: Floats | None
+    tie: float
     changes: int = 0
     covariance: Floats = field(init=False)  # P (k, k)
     total: Floats = field(init=False)  # S (N, w, w)
@@ -138,8 +147,8 @@ class Gains:
 
     def best(self, worth: Floats) -> int:
         """Return the candidate with the largest gain times its ``worth`` (N,); 0 excludes a candidate."""
-        gain = np.where(worth > 0.0, self._gain() * worth, -np.inf)
-        return int(np.argmax(np.where(gain >= gain.max() * (1.0 - TIE), self._growth() * worth, -np.inf)))
+        near = _near(np.where(worth > 0.0, self._gain() * worth, -np.inf), self.tie)
+        return int(np.argmax(_near(np.where(near, self._growth() * worth, -np.inf), TIE)))
 
     def _gain(self) -> Floats:
         """Return by how much each candidate reduces the criterion (N,)."""
@@ -159,6 +168,11 @@ class Gains:
         """Return log det S (N,)."""
         single = self.rows.shape[1] == 1
         return np.asarray(np.log(self.total[:, 0, 0]) if single else np.linalg.slogdet(self.total)[1])
+
+
+def _near(gain: Floats, tie: float) -> NDArray[np.bool_]:
+    """Return a mask (N,) of the gains that equal the largest but for a share of it."""
+    return np.asarray(gain >= gain.max() - tie * abs(gain.max()))
 
 
 def _products(first: Floats, second: Floats) -> Floats:
