@@ -32,7 +32,7 @@ def cpu_s():
 
 
 def test_a_pose_in_a_pocket_is_left_over_several_via_points(tmp_path, monkeypatch, capsys):
-    """From pose 11 of this plan no straight move leads to any of 60 random postures."""
+    """Two hundred random postures do not lead to pose 10 of this plan."""
     monkeypatch.chdir(tmp_path)
     assert main(["init", "cell", "--model", "panda", "--minutes", "0"]) == 0
     monkeypatch.chdir(tmp_path / "cell")

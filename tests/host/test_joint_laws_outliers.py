@@ -95,4 +95,4 @@ def test_the_reason_for_a_kept_row_is_that_of_the_fit(laws, why):
         "joint_laws": {"tried": [{"kept": laws}]},
     }
     (finding,) = outliers(document)
-    assert (finding.values["why"], finding.values["kept"]) == (why, "a.csv row 9 (6.0 σ)")
+    assert (finding.values["why"], finding.values["kept"]) == (why, ["a.csv row 9 (6.0 σ)"])

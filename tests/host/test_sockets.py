@@ -56,7 +56,7 @@ def measured(home, robot, ball, seed=1):
     plan, table = rows(home / "places.csv"), rows(home / "seats.csv")
     joints = [name for name in table[0] if name.startswith("q")]
     q = np.radians([[float(row[name]) for name in joints] for row in plan])
-    moved = {place: 5e-3 * rng.normal(size=3) for place in {row["place"] for row in plan}}
+    moved = {place: 5e-3 * rng.normal(size=3) for place in dict.fromkeys(row["place"] for row in plan)}
     socket = np.array([[1e-3 * float(row[f"ball_{axis}_mm"]) for axis in "xyz"] + moved[row["place"]] for row in plan])
     socket += SEAT_NOISE * rng.normal(size=socket.shape)
     for _ in range(6):

@@ -25,7 +25,8 @@ STEPS = 5  # of Newton's method; the third is exact to rounding for half the bul
 PEAK = 15.0 / 8.0  # peak speed of a quintic relative to its mean
 SHORTEST = 0.2  # s for a move
 BETWEEN = 1.005  # a speed may peak between two samples: by at most (6 joints · STEP/2)²/6 = 0.24 %; twice that
-DETOURS = 200  # random postures towards which a way without a bar is sought
+DETOURS = 200  # random postures towards which a way without a bar is sought, the nearest first
+ROUNDS = 5  # of further postures
 SHORT = np.array([[0.0], [0.5], [0.75], [0.88], [0.94]])  # shares of the way to one that may be left
 
 
@@ -153,8 +154,10 @@ def way_without_bar(site: Site, start: Floats, end: Floats, goal: str, seed: int
     (RRT-Connect: Kuffner and LaValle 2000). Via points that a straight move makes needless are left out.
     """
     branch = site.arm.branch
-    postures = np.random.default_rng([seed, 0xDE700]).uniform(branch.lower, branch.upper, (DETOURS, len(start)))
-    postures = postures[np.argsort(np.abs(postures - start).max(axis=1) + np.abs(postures - end).max(axis=1))]
+    random = np.random.default_rng([seed, 0xDE700])
+    postures = random.uniform(branch.lower, branch.upper, (ROUNDS * DETOURS, len(start)))
+    detour = np.abs(postures - start).max(axis=1) + np.abs(postures - end).max(axis=1)
+    postures = postures[np.lexsort((detour, np.arange(len(detour)) // DETOURS))]
     tree, other_tree = first, last = _Tree(start), _Tree(end)
     for posture in (end, *postures):
         added = tree.extend(site, posture)

@@ -163,9 +163,10 @@ def create(
                 plan = plan_ball_bar_files(files, Budget(minutes=minutes), BallBarOptions())
         write_atomic(new / FILE, format_project(project))
         written = [folder / FILE, *(folder / path.name for path in by_time(new.iterdir()) if path.name != FILE)]
-        for path in (folder, *folders):
-            path.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         _move(new, written)
+        for path in folders:
+            path.mkdir(parents=True, exist_ok=True)
     return Created(tuple(written), plan, controller)
 
 
