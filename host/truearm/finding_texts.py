@@ -656,11 +656,11 @@ CERTIFICATE: Mapping[str, Statement] = {
         "[{reused:!}Validate with other measurements.]",
     ),
     "calibration-unusable": refusal(
-        "NOT USABLE: {because}.", "Correct the inputs of the calibration, and identify again."
+        "NOT USABLE: {because}.", "Do not correct by it: mend the cause, and identify again."
     ),
     # what the error does not include
     "excludes-conditions": note(
-        "The error leaves out other poses, payloads and temperatures than those of the measurement, the arm in motion (its controller's path errors, vibration), and the mounting of base and tool in the cell. Steel expands by about {steel:g} µm per metre and kelvin, aluminium by {aluminium:g}."
+        "The error leaves out other poses, payloads and temperatures than those of the measurement. It leaves out the arm in motion (its controller's path errors, vibration), and the mounting of base and tool in the cell. Steel expands by about {steel:g} µm per metre and kelvin, aluminium by {aluminium:g}."
     ),
     "excludes-repeatability": note(
         "The error leaves out the arm's own repeatability, as far as the measured rows do not show it.",

@@ -88,7 +88,7 @@ def calibration_certificate(
 
 def validation_certificate(measured: Measured, validation: Validation, issue: Issue) -> Certificate:
     """Return page one of the report on a validation."""
-    calibration, rig, table, inputs, recordings = measured[:5]
+    calibration, rig, table, inputs, recordings, _ = measured
     errors: list[tuple[str, str]] = []
     for si, figures in validation.after.items():
         errors.append(("without the calibration", _figures_text(validation.before[si], si)))
