@@ -1,7 +1,7 @@
 """An interpreter for PIO programs, from chapter 3 of the RP2040 datasheet alone, one cycle at a time.
 
-It and the assembler next to it check other implementations: the programs of the firmware's drivers, MicroPython's
-assembler and the emulator of hil_sim/chip. They therefore share no code with those, and are as simple as possible.
+It checks other implementations: the programs of the firmware's drivers and the emulator of hil_sim/chip. It therefore
+shares no code with those, and is as simple as possible. MicroPython assembles the programs.
 
 `Block` is one PIO block. In a cycle, every state machine that has a tick executes (sections 3.2, 3.4); the pins and
 flags that it writes change in the next cycle. Inputs pass two flip-flops (3.5.6.3): at the edge that begins a cycle the
@@ -10,8 +10,6 @@ first takes the pad's previous level, the second takes the first.
 
 from collections import deque
 from dataclasses import dataclass, field
-
-from .pio_assembler import Program
 
 WORD = 0xFFFFFFFF
 
@@ -22,6 +20,38 @@ def rotate_right(value, n):
 
 def ones(n):
     return (1 << n) - 1
+
+
+@dataclass
+class Program:
+    words: list[int]
+    wrap_target: int
+    wrap: int
+    side_count: int  # side set bits, including the enable bit
+    side_optional: bool
+    in_right: bool = True
+    out_right: bool = True
+    autopush: bool = False
+    autopull: bool = False
+    push_at: int = 32
+    pull_at: int = 32
+    join: int = 0
+
+    @classmethod
+    def assembled(cls, words, control, shifts, side_pins):
+        """Return a program as MicroPython's ``asm_pio`` has it, by the fields of SM_EXECCTRL and SM_SHIFTCTRL (3.7)."""
+        optional, flags = bool(control >> 30 & 1), [bool(shifts >> bit & 1) for bit in (18, 19, 16, 17)]
+        thresholds = [shifts >> bit & 31 or 32 for bit in (20, 25)]
+        return cls(
+            words,
+            control >> 7 & 31,
+            control >> 12 & 31,
+            side_pins + optional,
+            optional,
+            *flags,
+            *thresholds,
+            shifts >> 30,
+        )
 
 
 @dataclass

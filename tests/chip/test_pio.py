@@ -15,61 +15,41 @@ import pytest
 from truearm_sim import node
 
 from .bench import run_steps
-from .pio_assembler import Assembler, Program
-from .pio_reference import Block
+from .pio_reference import Block, Program
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "firmware"))
 
-from drivers import ads131m04_dma, ds18b20, magnetostrictive, triggers  # noqa: E402
+from drivers import magnetostrictive  # noqa: E402
 
 BENCH = Path(__file__).with_name("pio_bench.mjs")
 INTERROGATION, STOP = 2, 3
 
 
-# -- the assembler, against programs whose words are published
+PULSES = (1000, 7)  # ns of a start pulse, the pacer's rounds for it
+ASSEMBLED = f"""
+from drivers import ads131m04_dma, ds18b20, magnetostrictive, triggers
+for made in (
+    magnetostrictive.pacer_program(rp2, {PULSES[1]}), magnetostrictive.counter_program(rp2), magnetostrictive.gate_program(rp2),
+    ads131m04_dma.program(rp2), ads131m04_dma.counter_program(rp2), triggers.program(rp2), ds18b20.program(rp2),
+):
+    side = made[7]
+    print([list(made[0]), made[3], made[4], 0 if side is None else 1 if isinstance(side, int) else len(side)])
+"""
 
 
-def squarewave():
-    set(pindirs, 1)  # noqa: F821
-    label("again")  # noqa: F821
-    set(pins, 1)[1]  # noqa: F821
-    set(pins, 0)  # noqa: F821
-    jmp("again")  # noqa: F821
+@pytest.fixture(scope="module")
+def programs():
+    """Return the drivers' programs as the chip's MicroPython assembles them: pacer, counter, gate, and those of the other block."""
+    assert magnetostrictive.pulse_rounds(PULSES[0]) == PULSES[1]
+    (step,) = run_steps([{"script": ASSEMBLED}])
+    return [Program.assembled(*made) for made in step["out"]]
 
 
-def ws2812():
-    label("bitloop")  # noqa: F821
-    out(x, 1).side(0)[2]  # noqa: F821
-    jmp(not_x, "do_zero").side(1)[1]  # noqa: F821
-    jmp("bitloop").side(1)[4]  # noqa: F821
-    label("do_zero")  # noqa: F821
-    nop().side(0)[4]  # noqa: F821
-
-
-def spi_cpha0():
-    out(pins, 1).side(0)[1]  # noqa: F821
-    in_(pins, 1).side(1)[1]  # noqa: F821
-
-
-@pytest.mark.parametrize(
-    ("source", "side", "words"),
-    [
-        (squarewave, None, [0xE081, 0xE101, 0xE000, 0x0001]),  # RP2040 datasheet 3.2.2
-        (ws2812, 0, [0x6221, 0x1123, 0x1400, 0xA442]),  # pico-examples, ws2812.pio.h
-        (spi_cpha0, 0, [0x6101, 0x5101]),  # pico-examples, spi.pio.h
-    ],
-)
-def test_the_assembler_makes_the_published_words(source, side, words):
-    assert Assembler.asm_pio(sideset_init=side)(source).words == words
-
-
-def test_both_blocks_have_room_for_the_programs():
-    pacer = len(magnetostrictive.pacer_program(Assembler, 14).words)
-    for counter in (magnetostrictive.counter_program, magnetostrictive.gate_program):
-        assert pacer + len(counter(Assembler).words) <= 32
-    others = (ads131m04_dma.program, ads131m04_dma.counter_program, triggers.program, ds18b20.program)
-    assert sum(len(program(Assembler).words) for program in others) <= 32
+def test_both_blocks_have_room_for_the_programs(programs):
+    pacer, counter, gate, *others = (len(program.words) for program in programs)
+    assert pacer + max(counter, gate) <= 32
+    assert sum(others) <= 32
 
 
 def test_each_request_paces_one_dma_channel():
@@ -104,16 +84,14 @@ class Head:
         return self.edge is not None and any(self.edge + begin < time <= self.edge + end for begin, end in self.pulses)
 
 
-def shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns=1000, edge=magnetostrictive.FIRST):
+def shots(programs, period_ns, blanking_ns, timeout_ns, heads, edge=magnetostrictive.FIRST):
     """Run the three state machines for len(heads) shots; return the counts of each, their references, edges and pulse ends (ticks)."""
     block = Block()
-    rounds = magnetostrictive.pulse_rounds(pulse_ns)
-    busy, y, first, n, top = magnetostrictive.timing(blanking_ns, timeout_ns, rounds)
+    busy, y, first, n, top = magnetostrictive.timing(blanking_ns, timeout_ns, PULSES[1])
     rest = period_ns // 8 - busy
-    gated = edge == magnetostrictive.GATE
-    counter = (magnetostrictive.gate_program if gated else magnetostrictive.counter_program)(Assembler)
+    pacer, counter, gate, *_ = programs
+    counter = gate if edge == magnetostrictive.GATE else counter
     inverted = edge != magnetostrictive.FIRST
-    pacer = magnetostrictive.pacer_program(Assembler, rounds)
     for i in range(2):
         block.load(i, counter, 0, y=first, osr=n, osr_count=0, jmp_pin=STOP)
     block.load(2, pacer, len(counter.words), side_base=INTERROGATION, y=y, osr=rest, x=(1 << 32) - 1, isr=(1 << 32) - 1)
@@ -150,17 +128,17 @@ def ticks_of(counted, top):
 START = (6.5, 130)  # a start pulse; its tick is 6
 
 
-def test_edges_at_the_borders_of_blanking_and_time_out():
+def test_edges_at_the_borders_of_blanking_and_time_out(programs):
     blanking, timeout = 625, 1000  # ticks
     ends = [blanking - 1, blanking - 0.5, blanking + 0.001, blanking + 1, timeout - 2, timeout + 1.5, timeout + 5]
     heads = [Head([START, (end, end + 60)]) for end in ends]
-    counted, top, _, _ = shots(8 * timeout + 10000, 8 * blanking, 8 * timeout, heads)
+    counted, top, _, _ = shots(programs, 8 * timeout + 10000, 8 * blanking, 8 * timeout, heads)
     found = [ticks_of(pair, top) for pair in counted]
     # within the blanking; in its last tick; just behind it; ...; behind the time-out
     assert found == [0, 0, blanking - 6, blanking + 1 - 6, timeout - 2 - 6, 0, 0]
 
 
-def test_an_edge_counts_and_not_a_level():
+def test_an_edge_counts_and_not_a_level(programs):
     heads = [
         Head([START]),  # no stop
         Head([(5, 700), (800, 925)]),  # a start pulse longer than the blanking
@@ -173,11 +151,11 @@ def test_an_edge_counts_and_not_a_level():
         Head([(620, 640), (750, 875)]),  # one that comes too late
         Head([START, (700.5, 800), (810, 900)]),
     ]
-    counted, top, _, _ = shots(18400, 5000, 8000, heads)
+    counted, top, _, _ = shots(programs, 18400, 5000, 8000, heads)
     assert [ticks_of(pair, top) for pair in counted] == [0, 795, 0, 654, 0, 0, 0, 694]
 
 
-def test_a_gate_that_does_not_begin_or_end_is_none():
+def test_a_gate_that_does_not_begin_or_end_is_none(programs):
     heads = [
         Head([]),
         Head([(6.5, 2300)]),  # it does not end
@@ -186,7 +164,7 @@ def test_a_gate_that_does_not_begin_or_end_is_none():
         Head([(-1e9, 1e9)]),
         Head([(20.5, 900)]),
     ]
-    counted, top, _, _ = shots(18400, 5000, 8000, heads, edge=magnetostrictive.GATE)
+    counted, top, _, _ = shots(programs, 18400, 5000, 8000, heads, edge=magnetostrictive.GATE)
     assert [ticks_of(pair, top) for pair in counted] == [0, 0, 794, 0, 0, 880]
 
 

@@ -5,8 +5,6 @@ import random
 import pytest
 
 from .bench import run_steps
-from .pio_assembler import Assembler
-from .test_pio import triggers
 
 SETTLE_NS = 20_000_000  # edges come after the script's start
 MAKE = """
@@ -40,7 +38,6 @@ def random_edges(seed, n):
 
 STEPS = {
     "make": {"script": MAKE + "print(edges())"},
-    "words": {"script": "from drivers import triggers as d\nprint(list(d.program(rp2)[0]))"},
     "random": {"script": "time.sleep_ms(40)\nprint(edges())\nprint(t.dropped)", "edges": random_edges(1, 200)},
     # both lines at one moment, and back; a pulse of 10 µs; the lines end low
     "together": {
@@ -83,10 +80,6 @@ def check(found, run, step):
     late_us = [stamp - ns / 1000 for (_, _, stamp), (_, _, ns) in zip(found, made, strict=True)]
     assert min(late_us) > -1
     assert max(late_us) <= 0.3
-
-
-def test_the_chips_assembler_and_ours_agree(runs):
-    assert runs["words"]["out"] == [triggers.program(Assembler).words]
 
 
 def test_every_edge_of_both_lines_is_stamped(runs):
