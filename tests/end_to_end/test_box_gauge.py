@@ -76,24 +76,6 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
     assert re.fullmatch(r"\w+, firmware .+", facts["box"])
 
 
-def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys):
-    table, page = tmp_path / "steps.csv", tmp_path / "page.html"
-    table.write_text("place,reference_um\n1,-20000\n2,-10000\n3,0\n4,10000\n5,20000\n6,30000\n")
-    with served() as (device, world, _):
-        lines = [*((mm, "") for mm in (-20, -10, 0, 10, 20)), "s", "n"]
-        monkeypatch.setattr(sys, "stdin", Operator(world, lines))
-        options = ["--references", table, "--sample-s", "0.2", "--out", page, "--order", "1"]
-        assert box("gauge", "lvdt", "--box", device, *options) == 0
-        said = capsys.readouterr().out
-        assert "6: set -20.0000 mm, then Enter" in said
-        assert "order 1: cross-validation error" in said
-        assert f"{device}: unchanged" in said.splitlines()[-1]
-        assert str(page.with_suffix(".places.json")) in said.splitlines()[-1]
-        assert box("config", "get", "--box", device) == 0
-        assert 'serial = "sim-lvdt"' in capsys.readouterr().out
-    assert page.exists()
-
-
 def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monkeypatch, capsys):
     """Neither ends the measurement: with five places there is a calibration, of these five alone."""
     monkeypatch.chdir(tmp_path)

@@ -2,11 +2,9 @@
 
 import struct
 
-import pytest
-
-from tests.firmware.conftest import PERIOD_NS, Bench, ident_document, real_micropython, ticks
+from tests.firmware.conftest import PERIOD_NS, Bench, ident_document, real_micropython
 from tests.wire_frames import command, frames
-from truearm_sim.box import FAULT_CRC, FAULT_RESET, STALL
+from truearm_sim.box import FAULT_CRC, STALL
 from truearm_wire import messages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, REPLY
 
@@ -25,18 +23,6 @@ def beat(bench):
     """Return the counters of the next heartbeat by name."""
     found = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT][-1]
     return dict(zip(messages.names(HEARTBEAT), found[1:], strict=True))
-
-
-def flights(found, missing=frozenset()):
-    """Check that every shot is there once, in order; return their number."""
-    n = 0
-    for block in blocks(found, 1):
-        assert block[3] == n
-        expected = [0 if k in missing else ticks(k) for k in range(n, n + len(values(block)))]
-        assert list(values(block)) == expected
-        assert block[7] == (messages.FLAG_MISSING_STOP if 0 in expected else 0)
-        n += len(expected)
-    return n
 
 
 def test_nothing_is_allocated_while_both_stream(chip):
@@ -70,15 +56,6 @@ def test_nothing_is_allocated_while_both_stream(chip):
     assert free[1] > 80_000
 
 
-def test_missing_stops_are_zeros_flagged_and_counted(bench):
-    bench.start()
-    missing = frozenset({0, 60, 61, 150})
-    found = [f for _ in range(4) for f in bench.sample(52, both=True, missing=missing)]
-    assert flights(found, missing) == 208
-    assert [f[7] for f in blocks(found, 1)] == [4, 4, 4, 0]
-    assert beat(bench)["missing_stops"] == 4
-
-
 def test_times_outside_of_blanking_and_time_out_are_no_stops(bench):
     config = bench.document(messages.GET_CONFIG)
     config["magnetostrictive"].update(blanking_ns=20_000, timeout_ns=200_000)
@@ -89,18 +66,6 @@ def test_times_outside_of_blanking_and_time_out_are_no_stops(bench):
     bench.give(mag=mag, mag_index=0)
     found = bench.give(rx=command(51, 3))
     assert values(blocks(found, 1)[0]) == (0, 2500, 25_000, 0)
-
-
-@pytest.mark.parametrize(
-    ("fault", "counter"), [(FAULT_CRC, "crc_errors"), (FAULT_RESET, "converter_resets")], ids=["crc", "reset"]
-)
-def test_a_fault_of_the_converter_flags_its_block_alone_and_is_counted(bench, fault, counter):
-    bench.start()
-    found = bench.sample(13, both=True) + bench.sample(13, both=True, fault=fault) + bench.sample(13, both=True)
-    assert [f[7] for f in blocks(found, 0)] == [0, messages.FLAG_CONVERTER, 0]
-    after = beat(bench)
-    assert after[counter] == 1
-    assert after["crc_errors"] + after["converter_resets"] == 1
 
 
 def test_a_stream_that_is_off_is_not_described_and_not_started(bench):

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from command_line import Outcome, Run, process, told
@@ -39,14 +38,6 @@ def test_a_rig_that_is_not_there_and_bad_input_as_the_shell_sees_it(run, good, t
     told(process("identify"), "Missing argument")
     (tmp_path / "t.csv").write_bytes(b"\x89MCAP0\r\n\0\0")
     told(process("identify", tmp_path / "t.csv", *good[2:]), "its name must end in .mcap")
-
-
-@pytest.mark.parametrize("name", ["rig.toml", "result.json", "arm.urdf"])
-def test_a_file_of_another_kind_as_observations(run: Run, good: list[object], tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_text("# a rig\njoint_sigma_rad = 1e-4, 2\n[[bar]]\n")
-    told(run("identify", tmp_path / name, *good[2:]), "give it as --rig")
-    (tmp_path / name).write_text("something else\n")
-    told(run("identify", tmp_path / name, *good[2:]), f"{name}: ")
 
 
 def test_version_help_and_no_command(run):

@@ -13,7 +13,6 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 
 from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
-from truearm.errors import RobotError
 from truearm.estimate.result_file import read_result
 from truearm.findings import Finding
 from truearm.model.chain import forward, joint_frames
@@ -161,14 +160,6 @@ def test_the_best_region_is_found_by_hand_too():
     assert best_region(grid, 1.0, 1.0, (1.0, 3.5, 0.0, 3.0))[:3] == ((1.0, 2.0), (2.0, 3.0), 1.0)
     assert best_region(grid, 1.0, 1.0, (1.0, 3.0, 0.0, 2.0)).largest == 2.0
     assert best_region(grid, 3.0, 1.0, (1.0, 3.0, 0.0, 2.0)) is None
-
-
-@pytest.mark.parametrize("joints", [(0, 1), (2, 1), (1, 4)])
-def test_joints_that_span_no_section_are_refused(joints):
-    pair = ModelPair(CHAIN, DESIGN, TRUTH)
-    q = np.radians([0.0, 0.0, 90.0, 40.0, 30.0, 0.0])
-    with pytest.raises(RobotError, match="turn about parallel axes"):
-        error_map(pair, q, joints, 0.1, np.zeros((P, P)), NONE)
 
 
 def test_a_section_of_an_arm_whose_controller_has_its_own_calibration():

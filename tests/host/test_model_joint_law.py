@@ -65,20 +65,6 @@ def test_the_inverse_comes_back(further_terms):
         np.testing.assert_allclose(chain.law.readings(params, angles, near=q + 0.1), q, atol=1e-12)
 
 
-def test_batches_of_any_shape(further_terms):
-    rng = np.random.default_rng(5)
-    for chain, params in cases(rng):
-        law, j = chain.law, len(chain.joints)
-        flat = rng.uniform(-2, 2, (6, j))
-        for function in (law.angles, law.by_joints, law.readings):
-            whole = function(params, flat)
-            for lead in ((2, 3), (6, 1), (1, 2, 3)):
-                batch = function(params, flat.reshape(*lead, j))
-                np.testing.assert_array_equal(batch, whole.reshape(*lead, *whole.shape[1:]))
-            np.testing.assert_allclose(function(params, flat[2]), whole[2], rtol=0.0, atol=1e-15)
-            assert function(params, flat[:0]).shape == (0, *whole.shape[1:])
-
-
 def test_near_a_singular_law_the_inverse_is_right_or_none(further_terms):
     """a·sin(q) with a = −1 stands still at q = 0: close to it the inverse is ill-conditioned, but what it says is true."""
     chain = with_terms(builtin_robot("ur10e").chain, ("ripple", 2))

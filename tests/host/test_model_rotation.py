@@ -46,14 +46,6 @@ def test_the_left_jacobian_is_the_turn_about_the_base_axes(angle):
         np.testing.assert_allclose(left_jacobian(v)[:, :, k], rotation_vector(turn) / (2 * h), atol=2e-9)
 
 
-def test_a_complex_step_passes_through():
-    v, h = vectors(0.3), 1e-30
-    for v_ in (v, vectors(1e-9), vectors(2.5)):
-        step = rotation(v_ + 1j * h * np.array([1.0, 0.0, 0.0])).imag / h
-        by_hand = skew(left_jacobian(v_)[:, :, 0]) @ rotation(v_)
-        np.testing.assert_allclose(step, by_hand, atol=4e-15)
-
-
 @pytest.mark.parametrize("angle", ANGLES[1:])
 def test_a_turn_about_one_axis_keeps_that_axis(angle):
     """However large: the axis of a device does not move when it rolls about it."""

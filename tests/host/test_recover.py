@@ -123,22 +123,6 @@ def test_cut_anywhere(made, tmp_path, n):
         out.unlink()
 
 
-def test_other_places_are_counted_too(made, tmp_path):
-    """Two damaged chunks, bytes that are missing, the end cut off: all bytes are either read or counted."""
-    _, whole, chunks, path = made
-    a, b, c = (chunks[k].chunk_start_offset for k in (1, 3, 5))
-    damaged = bytearray(whole[: c + 50])
-    damaged[a + 40] ^= 8
-    del damaged[b + 20 : b + 90]
-    path.write_bytes(damaged)
-    read, found, _ = mended(path, tmp_path / "new.mcap")
-    assert len(found.damage) == 2
-    assert found.unread_bytes > 50
-    assert read == [message for k in (0, 2, 4) for message in chunks[k].holds]
-    lost = [message for k in (1, 3) for message in chunks[k].holds]
-    assert found.topics["/box/adc"].lost == sum(m.topic == "/box/adc" for m in lost)
-
-
 def test_what_is_whole_is_left_alone(made, tmp_path, capsys):
     *_, path = made
     assert main(["session", "recover", str(path)]) == 0

@@ -13,7 +13,7 @@ from record_files import events, topics
 from record_real import box_on_a_socket
 from tests.host.findings_bench import listed
 from tests.host.tcp_peer import Peer, Played
-from tests.refusals import refused, shown
+from tests.refusals import shown
 
 from truearm.cli.main import main
 from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError, TableError
@@ -228,12 +228,6 @@ class TestTcp:
         link.close()
         assert lines == [[None, 1.0], [None, 13.0]]
 
-    def test_a_header_that_is_not_understood_ends_it(self):
-        peer = Peer(b"t_s,q1_degrees\n1,90\n")
-        got, end = all_of(open_source(f"lines+tcp://{peer.address}", HostClock()))
-        assert got.startswith(b"t_s,q1_degrees\n")
-        assert "'q1_degrees'" in str(end)
-
 
 @contextmanager
 def sender(address):
@@ -431,11 +425,3 @@ class TestTable:
             list(readings(path, NO_OPTIONS))
         assert str(failure.value).startswith(str(path))
         assert "\n" not in str(failure.value)
-
-    def test_other_files(self, tmp_path):
-        with refused("not-text"):
-            list(readings(self.table(tmp_path, "t_s,q1_rad,x_é\n", "latin-1"), NO_OPTIONS))
-        with refused("missing-file"):
-            list(readings(tmp_path / "none.csv", NO_OPTIONS))
-        with refused("unreadable-file"):
-            list(readings(tmp_path, NO_OPTIONS))

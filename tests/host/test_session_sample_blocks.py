@@ -248,28 +248,3 @@ def test_any_mixture_of_faults_is_counted_exactly(plan, seq):
     losses = asdict(read(received)[1].losses())
     assert {name: losses[name] for name in expected} == expected
     assert losses["starts"] == 0
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.lists(st.binary(max_size=260), max_size=20))
-def test_arbitrary_bytes_are_counted_as_malformed(payloads):
-    messages = [Message(topic, 0, payload) for payload in payloads for topic in ("/box/adc", "/sync")]
-    _, reader = read(messages, parse_ident(ident_document()))
-    losses = reader.losses()
-    assert losses.frames + losses.frames_malformed >= len(payloads)
-
-
-ELEMENT = st.one_of(
-    st.integers(-(2**64), 2**64 - 1), st.binary(max_size=12), st.text(max_size=4), st.none(), st.booleans(),
-    st.builds(cbor2.CBORTag, st.sampled_from([69, 78, 1000]), st.binary(max_size=24)),
-)  # fmt: skip
-
-
-@settings(max_examples=100, deadline=None)
-@given(
-    st.lists(st.tuples(st.sampled_from([16, 17, 18, 19, 33, 64, 65, 99]), st.lists(ELEMENT, max_size=14)), max_size=8)
-)
-def test_frames_of_wrong_elements_end_nowhere_but_in_the_account(frames):
-    payloads = [cbor2.dumps([kind, seq, *elements]) for seq, (kind, elements) in enumerate(frames)]
-    _, reader = read([Message("/box/other", 0, payload) for payload in payloads], parse_ident(ident_document()))
-    assert reader.losses().blocks + reader.losses().frames_malformed <= 2 * len(frames)

@@ -1,11 +1,10 @@
 """Arms that are not stiff and quick: backlash, a late joint, a link that swings, noisy readings."""
 
 import numpy as np
-import pytest
 
 from truearm.types import Plan
 from truearm_sim import robot
-from truearm_sim.arm import BLOCK, Arm, last_direction
+from truearm_sim.arm import Arm
 from truearm_sim.robot import Controller
 
 BACKLASH = (4e-4, 0.0, 2e-4, 0.0, 0.0, 1e-3)
@@ -65,20 +64,3 @@ def test_a_link_swings_while_its_encoder_stands():
     assert np.allclose(beyond, 5e-4 * np.exp(-1 / 16 / 0.15) * controller.direction, rtol=0, atol=1e-12)
     rest = controller.arrive + controller.arm.rest_s(robot.SETTLED)
     assert np.abs(controller.q_true(rest) - controller.q_rest).max() < 5e-4 * np.exp(-9.9)
-
-
-def test_noise_belongs_to_the_reading():
-    arm = Arm(reading_sigma=2e-5)
-    numbers = np.arange(BLOCK - 300, BLOCK + 500)
-    whole = arm.reading_noise(7, numbers, 6)
-    assert np.array_equal(
-        np.concatenate([arm.reading_noise(7, part, 6) for part in np.split(numbers, [17, 400])]), whole
-    )
-    # 4800 numbers: the variance's own spread is sqrt(2/4800) = 2 %.
-    assert np.var(whole) == pytest.approx(4e-10, rel=0.1)
-    assert not np.array_equal(arm.reading_noise(8, numbers, 6), whole)
-
-
-def test_the_last_direction_of_each_joint():
-    delta = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -2.0], [-1.0, 0.0]])
-    assert last_direction(delta).tolist() == [[0, 0], [1, 0], [1, -1], [-1, -1]]

@@ -1,54 +1,8 @@
-"""The box's trigger output at the robot's input: each reading shows the level at its own instant, made ahead of time or not."""
-
-import json
-from functools import partial
+"""The box's trigger output at the robot's input: no wire, polarity and delays; end_to_end/test_trigger.py has the rest."""
 
 import numpy as np
-import pytest
 
-from truearm_sim.lab import Lab
-from truearm_sim.micropython import find
-from truearm_sim.simbox import SimulatedBox
-from truearm_sim.vmbox import VmBox
 from truearm_sim.world import RobotInput, Setup, World, standard_plan
-from truearm_wire.frame import frame
-from truearm_wire.messages import START, encode_payload
-
-INPUT = 3
-
-
-@pytest.fixture
-def lab():
-    world = World(4, standard_plan(9, 4), setup=Setup(robot_rate=500.0, robot_input=RobotInput(INPUT, (300, 1300))))
-    box = SimulatedBox(world, power_on=partial(VmBox, find()))
-    yield Lab(world, box, 4)
-    box.close()
-
-
-def test_every_reading_shows_the_level_at_its_instant(lab):
-    lab.box_link.read(0.5)
-    lab.box_link.write(frame(encode_payload([START, 1])))
-    lines = []
-    while lab.now_ns < 14e9:
-        lab.box_link.read(0.013)
-        lines += lab.robot_link.read(0.0)
-    rows = [json.loads(line) for _, line in lines]
-    arrival = np.array([t for t, _ in lines])
-    assert np.all(np.diff(arrival) >= 0)
-    assert [row["seq"] for row in rows] == list(range(len(rows)))  # none twice, none left out
-    t = lab.world.clocks.robot.true(np.array([row["t"] for row in rows]))
-    assert arrival.min() - lab.host_ns(0) >= 1e9 * t.min()
-    shown = np.array([row["inputs"] for row in rows])
-    edges = lab.box.output_edges
-    assert len(edges) > 8
-    assert [level for _, level in edges] == [k % 2 == 0 for k in range(len(edges))]
-    assert np.array_equal(shown, np.where(lab.box.output_at(t), 1 << INPUT, 0))
-    # Each edge lies between two readings that differ, within a cycle of 2 ms.
-    changes = np.flatnonzero(np.diff(shown))
-    seen = [(1e9 * t[i], 1e9 * t[i + 1]) for i in changes]
-    for (before, after), (at, _) in zip(seen, edges, strict=False):
-        assert before <= at <= after
-        assert after - before < 2.1e6
 
 
 def test_without_a_wire_readings_have_no_inputs():

@@ -4,8 +4,8 @@ import cbor2
 import numpy as np
 import pytest
 
-from truearm_sim import micropython, sensors
-from truearm_sim.hardware import Edge, Signals
+from truearm_sim import micropython
+from truearm_sim.hardware import Edge
 from truearm_sim.simbox import Fault, SimulatedBox
 from truearm_sim.world import MAG_MIDDLE, MAG_STROKE, Setup, World, standard_plan
 from truearm_wire import frame, messages
@@ -121,16 +121,6 @@ def test_long_waits_come_in_batches_and_nothing_is_left_out(talk):
 # -- the head
 
 
-def test_flight_times_are_those_of_the_magnet():
-    n, start, period = 4000, 5 * 10**9, 983_040
-    flights = WORLD.flight_times(0, n, start, period)
-    t = WORLD.clocks.device.true(1e-9 * (start + np.arange(n) * period))
-    position = WORLD.magnet_position(t)
-    delay = 1e-12 * flights - position * 9.05e-6 / 0.0254 - 1.2e-6
-    assert abs(delay.mean()) < 5 * 1.8e-9 / np.sqrt(n)
-    assert delay.std() == pytest.approx(1.8e-9, rel=5 / np.sqrt(2 * n))
-
-
 def test_the_magnet_stays_within_its_stroke_and_rests_while_the_bar_is_off():
     t = np.arange(0.0, WORLD.duration, 0.01)
     position = WORLD.magnet_position(t)
@@ -139,28 +129,3 @@ def test_the_magnet_stays_within_its_stroke_and_rests_while_the_bar_is_off():
     off = ~WORLD.controller.bar_is_on(t)
     assert np.all(position[off] == MAG_MIDDLE)
     assert np.ptp(position[~off]) > 0.05
-
-
-def test_stops_are_lost_by_the_share_and_between_the_times_that_were_asked_for():
-    world = World(4, standard_plan(9, 4), setup=Setup(mag_period_ns=983_040, lost_stops=0.1))
-    n = 20_000
-    lost = np.mean(world.flight_times(0, n, 0, 983_040) < 0)
-    assert abs(lost - 0.1) < 5 * np.sqrt(0.09 / n)
-    kept = world.flight_times(0, n, 0, 983_040)
-    assert np.array_equal(kept[kept >= 0], WORLD.flight_times(0, n, 0, 983_040)[kept >= 0])
-    t_s = (2.0, 2.01)
-    signals = Signals(WORLD, WORLD.device_clock.from_true_ns(10**9), (t_s,))
-    flights = signals.flight_times(0, 2000, 0, 983_040)
-    t = WORLD.clocks.device.true(1e-9 * (signals.boot_device_ns + np.arange(2000) * 983_040))
-    assert np.array_equal(flights < 0, (t >= t_s[0]) & (t < t_s[1]))
-    assert (flights < 0).sum() in (10, 11)
-
-
-def test_what_the_configuration_says_of_the_head_is_what_the_head_does():
-    head = WORLD.box_config()["magnetostrictive"]
-    assert head["period_ns"] == 983_040
-    assert head["us_per_inch"][0] * 10.0 ** head["us_per_inch"][1] == pytest.approx(25400.0 / sensors.SOUND, rel=1e-15)
-    assert head["delay_ns"] == sensors.MAG_DELAY_NS
-    assert World(4, standard_plan(9, 4)).box_config()["magnetostrictive"]["period_ns"] == 0
-    earliest, latest = (p / sensors.SOUND * 1e9 + head["delay_ns"] for p in MAG_STROKE)
-    assert head["blanking_ns"] < earliest < latest < sensors.magnetostrictive(250_000)["timeout_ns"]

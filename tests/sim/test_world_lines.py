@@ -1,12 +1,9 @@
 """Lines that the robot drives past the line device: the drive itself, where the device lies, and what its sensors show and when."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from truearm.errors import PlanError
 from truearm.model.chain import forward, point_forward
@@ -179,17 +176,6 @@ def test_out_of_reach_nothing_is_shown():
     counts, _ = WORLD.samples(k0, k1, START, PERIOD)
     assert (counts[:, 1:3] == -(2**23)).all()
     assert (WORLD.flight_times(k0, k1, START, PERIOD) == -1).all()
-
-
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 3 * sensors.BLOCK), st.lists(st.integers(0, sensors.BLOCK), max_size=3))
-def test_what_the_sensors_show_does_not_depend_on_the_chunks(first, lengths):
-    edges = np.cumsum([first, *lengths])
-    fresh = World(6, PLAN, RIG)
-    for ask in (lambda w, a, b: w.samples(a, b, START, PERIOD)[0], lambda w, a, b: w.flight_times(a, b, START, PERIOD)):
-        parts = [ask(WORLD, int(a), int(b)) for a, b in pairwise(edges)]
-        whole = ask(fresh, first, int(edges[-1]))
-        assert np.array_equal(np.concatenate([whole[:0], *parts]), whole)
 
 
 def test_a_late_robot_reports_where_it_was():

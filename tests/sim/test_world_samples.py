@@ -1,18 +1,13 @@
 """What the box's converter sees: noise that belongs to the sample, repeatability, rails, stamps, delay, calibration."""
 
 import importlib.util
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import stats
-from tests.refusals import refused
 
 from truearm.model.chain import point_forward
-from truearm.types import Plan
 from truearm_sim import sensors
 from truearm_sim.clocks import Clock
 from truearm_sim.world import Setup, World, standard_plan, standard_rig
@@ -31,17 +26,6 @@ def extension_of(counts):
     return zero + gain * volts
 
 
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 3 * sensors.BLOCK), st.lists(st.integers(0, 2 * sensors.BLOCK), max_size=5))
-def test_samples_do_not_depend_on_the_chunks_they_are_asked_in(first, lengths):
-    edges = np.cumsum([first, *lengths])
-    parts = [WORLD.samples(int(a), int(b), START, PERIOD) for a, b in pairwise(edges)]
-    whole = World(11, PLAN).samples(first, int(edges[-1]), START, PERIOD)
-    for column in (0, 1):
-        pieces = [part[column] for part in parts] or [whole[column][:0]]
-        assert np.array_equal(np.concatenate(pieces), whole[column])
-
-
 def test_noise_of_another_seed_channel_or_block_is_other_noise():
     streams = [sensors.sample_noise(s, c, b) for s, c, b in [(1, 0, 0), (2, 0, 0), (1, 1, 0), (1, 0, 1)]]
     correlations = np.corrcoef(streams)[np.triu_indices(4, 1)]
@@ -49,22 +33,6 @@ def test_noise_of_another_seed_channel_or_block_is_other_noise():
     assert np.array_equal(sensors.sample_noise(1, 0, 0), streams[0])
     for noise in streams:
         assert stats.kstest(noise, "norm").pvalue > 1e-4
-
-
-def test_the_host_reads_the_true_length_in_a_dwell():
-    truth = WORLD.truth
-    zero = np.where(PLAN.bar == "bar46", 0.46, 0.61)
-    for i in range(0, len(PLAN), 9):
-        interval = (truth.dwell_start[i] + 0.6, truth.dwell_end[i])
-        k0, k1 = (int((WORLD.device_clock.from_true_ns(int(1e9 * t)) - START) / PERIOD) for t in interval)
-        counts, _ = WORLD.samples(k0, k1 - 1, START, PERIOD)
-        extension = extension_of(counts)
-        n = len(extension)
-        assert n > 1400
-        error = extension.mean() - (truth.length[i] - zero[i])
-        # Mean of the sample noise; settling's rest and a count are below 40 nm.
-        assert abs(error) < 5 * sensors.SAMPLE_SIGMA / np.sqrt(n) + 4e-8
-        assert extension.std() == pytest.approx(sensors.SAMPLE_SIGMA, rel=5 / np.sqrt(2 * n))
 
 
 def test_the_length_in_motion_joins_the_dwells_without_a_jump_but_for_the_scatter():
@@ -141,9 +109,3 @@ def test_the_truth_is_what_was_asked_for():
     # Link 1 moved by 1 mm along x: every length changes by the bar's direction along x.
     change = world.truth.length - World(1, PLAN, setup=Setup(clocks=clocks)).truth.length
     assert 0.1e-3 < np.abs(change).max() <= 1e-3 + 1e-7
-
-
-def test_a_plan_for_another_rig_is_refused():
-    plan = Plan(PLAN.q[:1], *(np.array(["x"]) for _ in range(4)))
-    with refused("not-in-rig", place="pose 0", what="bar", name="x"):
-        World(1, plan)

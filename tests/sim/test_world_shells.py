@@ -9,7 +9,6 @@ from truearm.errors import PlanError
 from truearm.model.chain import forward, joint_jacobian
 from truearm.model.robot import builtin_robot
 from truearm.plan import visit_order as tour
-from truearm.plan.branch_inverse import inverse, make_arm
 from truearm.plan.forecast import Knowledge
 from truearm.types import Point, Rig
 from truearm_sim import shells
@@ -101,20 +100,6 @@ def test_the_true_bar_stays_within_its_travel_on_every_way_that_it_is_on(plan):
     assert np.nanmax(np.abs(extension)) < 0.0375 + 0.0005 + 0.00005
     # Few ways need the bar off beside the 18 new pairings, or the plan's order is poor.
     assert 18 <= world.controller.mounting.sum() <= 18 + 0.01 * len(plan)
-
-
-def test_inverse_kinematics_reaches_what_it_says_and_refuses_the_rest():
-    rng = np.random.default_rng(8)
-    arm = make_arm(ROBOT.chain, DESIGN, ROBOT.branch, rng)
-    poses = forward(ROBOT.chain, DESIGN, rng.uniform(ROBOT.branch.lower, ROBOT.branch.upper, (500, 6)))
-    poses[::10, :3, 3] += [2.0, 0.0, 0.0]  # out of reach
-    q = inverse(arm, poses)
-    found = ~np.isnan(q[:, 0])
-    assert not found[::10].any()
-    # All are of the branch; what is not found comes near a singularity, the column or the table.
-    assert found.sum() > 250
-    error = forward(ROBOT.chain, DESIGN, q[found]) - poses[found]
-    assert np.abs(error).max() < 2e-7
 
 
 def test_what_cannot_be_planned_is_said():
