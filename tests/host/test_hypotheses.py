@@ -20,7 +20,7 @@ from truearm.checks.noise import learned_noise
 from truearm.checks.search import chance_of_ranks, gain, left_out, searched
 from truearm.checks.trial import Alternative
 from truearm.checks.whitened import DECLARED, whitened_fit
-from truearm.estimate.measured_order import measured_order
+from truearm.estimate.circumstances import measured_order
 from truearm.estimate.problem import build_problem
 from truearm.kinds import ball_bar
 from truearm.kinds.rig_file import read_rig
@@ -114,7 +114,7 @@ def test_the_drop_is_that_of_a_refit(slipped):
     rows = np.concatenate([np.column_stack([fit.jac, fit.residual]), fit.wide_prior])
     rows /= np.r_[np.linalg.norm(rows[:, :-1], axis=0), 1.0]
     for one in catalogue(fit)[::9]:
-        weighed = weigh(one, of)
+        (weighed,) = weigh([one], of)
         if one.columns.shape[1] > one.sizes.size:
             continue
         by = np.zeros((len(rows), weighed.columns.shape[1]))
@@ -139,7 +139,9 @@ def test_the_evidence_is_that_of_two_normal_distributions(slipped):
             ratios.append(
                 stats.multivariate_normal(cov=cov).logpdf(of.remainder) - stats.norm.logpdf(of.remainder).sum()
             )
-    assert weigh(one, of).log_evidence == pytest.approx(np.logaddexp.reduce(ratios) - np.log(len(ratios)), abs=1e-6)
+    assert weigh([one], of)[0].log_evidence == pytest.approx(
+        np.logaddexp.reduce(ratios) - np.log(len(ratios)), abs=1e-6
+    )
 
 
 def test_the_chance_of_a_clean_session_is_that_of_chi2():
@@ -224,7 +226,8 @@ def of_recipe(robot, seed, noncentrality=30.0):
     of = worlds.site(robot)
     drawing = worlds.measured(of, of.chain.params_nominal, np.ones(len(of.q)), None, noise=0.0)
     fit = at_values(drawing, of.chain.params_nominal)
-    ((information,),) = moments(hypothesis_of(fit, "bar.pads"), build_design(fit, DECLARED, fit.wide_prior)).values
+    of_pads, design = [hypothesis_of(fit, "bar.pads")], build_design(fit, DECLARED, fit.wide_prior)
+    (((information,),),) = moments(of_pads, design).values
     size = TYPICAL["m"] * np.sqrt(noncentrality / information)
     return worlds.RECIPE(of, np.random.default_rng([seed, 0xAD]), size), size
 
@@ -384,13 +387,13 @@ def test_a_last_move_is_judged_beside_the_pose(slipped):
     fit, _ = fitted(slipped)
     one = hypothesis_of(fit, "joint2.backlash")
     of = build_design(fit, DECLARED, fit.wide_prior)
-    by = moments(one, of)
+    by = moments([one], of)
     nuisance = one.columns[:, 1:]
     columns = np.concatenate([of.without(nuisance), np.eye(nuisance.shape[1]) / WIDEST])
     u, _, _ = np.linalg.svd(columns, full_matrices=False)
     left = np.concatenate([of.without(one.candidate(0)), np.zeros((nuisance.shape[1], 1))])
     left -= u @ (u.T @ left)
-    assert by.values[0] == pytest.approx((left**2).sum(axis=0), rel=1e-6)
+    assert by.values[0, 0] == pytest.approx((left**2).sum(axis=0), rel=1e-6)
 
 
 def test_what_returns_is_applied_by_a_name_that_says_so():

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
+from truearm.checks.catalogue import Hypothesis, alike
 from truearm.checks.evidence import SCALES, Design, Weighed, amount_of, followed, products, weigh
 from truearm.checks.search import RIVAL, Detection, Search
 from truearm.types import Floats
@@ -142,7 +143,7 @@ def explanation(weighed: Weighed, weight: float, design: Design, response: Float
 def explanations(detection: Detection, result: Search) -> tuple[Choice, ...]:
     """Return the finding and its rivals by their probability, beside all other findings, which may have excluded some."""
     design = result.bare.extended(result.beside(detection))
-    options = [weigh(weighed.hypothesis, design) for weighed in (detection.best, *detection.rivals)]
+    options = [weigh([weighed.hypothesis], design)[0] for weighed in (detection.best, *detection.rivals)]
     threshold = max(weighed.log_evidence for weighed in options) - RIVAL
     options = [weighed for weighed in options if weighed.log_evidence > threshold]
     log = np.array([weighed.log_evidence for weighed in options])
@@ -163,11 +164,13 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
     follow = fitted.basis[: fitted.fit.residual.size] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     named = {choice.weighed.hypothesis.kind for choices in average.choices for choice in choices}
     smallest: dict[tuple[str, ...], tuple[float, str, dict[str, float]]] = {}
+    square = dict[Hypothesis, Floats]()
+    for members in alike([weighed.hypothesis for weighed in result.table]):
+        loading = products(members, follow)[:, :, : members[0].sizes.size]
+        square |= zip(members, followed(members, loading), strict=True)
     for hypothesis, moments in ((weighed.hypothesis, weighed.moments) for weighed in result.table):
         root = HIDDEN * moments.vectors / np.sqrt(1.0 + moments.values / result.design.variance)[:, None]
-        loading = products(hypothesis, follow)[:, : hypothesis.sizes.size]
-        square = followed(hypothesis, loading)
-        moves, directions = np.linalg.eigh(root.swapaxes(1, 2) @ square @ root)
+        moves, directions = np.linalg.eigh(root.swapaxes(1, 2) @ square[hypothesis] @ root)
         median = int(np.argsort(moves[:, -1])[len(moves) // 2])
         motion = math.sqrt(max(moves[median, -1], 0.0))
         if motion > limit and hypothesis.kind not in named:

@@ -68,16 +68,17 @@ class Candidates(NamedTuple):
         return np.cumsum([columns[a:b].T @ vectors[a:b] for a, b in pairwise(edges)], axis=0)
 
     def of_profiles(self, values: Floats) -> Floats:
-        """Return what each candidate has of ``values`` (p, …) that each profile has."""
-        return values if self.pairs is None else np.asarray(values[self.pairs[:, 1]] - values[self.pairs[:, 0]])
+        """Return what each candidate has of ``values`` (h, p, …) that each profile has."""
+        return values if self.pairs is None else np.asarray(values[:, self.pairs[:, 1]] - values[:, self.pairs[:, 0]])
 
     def of_squares(self, values: Floats) -> Floats:
-        """Return what each candidate has (c, d, d) of the products (p, d, p, d) of all profiles."""
+        """Return what each candidate has (h, c, d, d) of the products (h, p, d, p, d) of all profiles."""
         if self.pairs is None:
-            return np.asarray(np.einsum("pdpe->pde", values))
+            return np.asarray(np.einsum("hpdpe->hpde", values))
         first, last = self.pairs.T
-        crossed = values[last, :, first]
-        return np.asarray(values[last, :, last] + values[first, :, first] - crossed - crossed.swapaxes(1, 2))
+        crossed = values[:, last, :, first]  # (c, h, d, d)
+        squares = values[:, last, :, last] + values[:, first, :, first] - crossed - crossed.swapaxes(2, 3)
+        return np.asarray(squares.swapaxes(0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +123,7 @@ class Catalogue:
         self.hypotheses: list[Hypothesis] = []
         self.always = Candidates(np.ones((1, fit.n)), np.array([[0, fit.n]]))
         self.drifts = drifts_of(fit)
+        self._spans: dict[tuple[str, bytes], Candidates] = {}
 
     def add(
         self,
@@ -144,20 +146,28 @@ class Catalogue:
         joined = np.column_stack([columns * size, *nuisance])
         self.hypotheses.append(Hypothesis(self.fit, kind, item, form, joined, size, tuple(units), candidates))
 
-    def steps(self, columns: Floats) -> Candidates:
-        """Return steps between the rows that some columns (m, d) touch."""
-        knots = self._knots(columns, STEPS)
-        return spans_of(np.stack([knots, np.full(knots.size, self.fit.n)], axis=1), self.fit.n)
+    def spans(self, columns: Floats, form: str) -> Candidates:
+        """Return the steps or runs between the rows that some columns (m, d) touch, with LEAST_ROWS of them on either side.
 
-    def runs(self, columns: Floats) -> Candidates:
-        """Return runs inside the rows that some columns (m, d) touch: one that ends with them is a step."""
-        knots = self._knots(columns, KNOTS)
-        return spans_of(np.stack([knots[edge] for edge in np.triu_indices(knots.size, 1)], axis=1), self.fit.n)
-
-    def _knots(self, columns: Floats, count: int) -> Indices:
-        """Return some of the rows that columns (m, d) touch, with LEAST_ROWS of them on either side."""
+        A step lasts to the end; a run that does is a step. Columns that touch the same rows have the same candidates.
+        """
         rows = away_from_edges(rows_used(columns, self.fit)[LEAST_ROWS : 1 - LEAST_ROWS], self.fit)
-        return rows[thinned(rows.size, count)]
+        key = form, rows.tobytes()
+        if key not in self._spans:
+            knots = rows[thinned(rows.size, STEPS if form == "step" else KNOTS)]
+            first, last = np.triu_indices(knots.size, 1)
+            ends = (knots, np.full_like(knots, self.fit.n)) if form == "step" else (knots[first], knots[last])
+            self._spans[key] = spans_of(np.stack(ends, axis=1), self.fit.n)
+        return self._spans[key]
+
+
+def alike(hypotheses: Sequence[Hypothesis]) -> list[list[Hypothesis]]:
+    """Return the hypotheses in sets with the same candidates and as many columns, which are weighed together."""
+    sets: dict[tuple[int, int, int], list[Hypothesis]] = {}
+    for hypothesis in hypotheses:
+        key = id(hypothesis.candidates), hypothesis.columns.shape[1], hypothesis.sizes.size
+        sets.setdefault(key, []).append(hypothesis)
+    return list(sets.values())
 
 
 def catalogue(fit: WhitenedFit) -> list[Hypothesis]:
@@ -184,8 +194,8 @@ def add_item(out: Catalogue, cause: Cause) -> None:
     if is_constant(cause, fit):
         out.add(cause.name, "offset", columns, units, out.always)
     if fault.step:
-        out.add(cause.name, "step", columns, units, out.steps(columns))
-        out.add(cause.name, "run", columns, units, out.runs(columns))
+        for form in ("step", "run"):
+            out.add(cause.name, form, columns, units, out.spans(columns, form))
     out.add(cause.name, "drift", columns, units, out.drifts)
 
 
@@ -209,7 +219,7 @@ def add_groups(out: Catalogue) -> None:
 def add_tilt(out: Catalogue) -> None:
     """Add a base that tilts about its level axes: the usual one of its six motions, and so a hypothesis by itself."""
     columns, units = out.fit.by_numbers(["base.rx", "base.ry"])
-    out.add("base.tilt", "step", columns, units, out.steps(columns))
+    out.add("base.tilt", "step", columns, units, out.spans(columns, "step"))
     out.add("base.tilt", "drift", columns, units, out.drifts)
 
 
@@ -223,8 +233,8 @@ def add_joints(out: Catalogue) -> None:
         reading = q[:, number][fit.row]
         z = (reading - reading.mean()) / max(float(reading.std()), 1e-9)
         polynomial = columns * np.stack([z, z**2, z**3], axis=1) * TYPICAL[units[0]]
-        out.add(name, "step", columns, units, out.steps(columns))
-        out.add(name, "run", columns, units, out.runs(columns))
+        for form in ("step", "run"):
+            out.add(name, form, columns, units, out.spans(columns, form))
         out.add(name, "drift", columns, units, out.drifts)
         for form, drift in LAST_MOVE.items():
             course = fit.measured.table.during(name, drift, 0, fit.measured.total)

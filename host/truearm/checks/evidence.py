@@ -11,6 +11,7 @@ and β ~ N(0, s²I) in units of the typical size. All of it follows from the eig
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -99,7 +100,10 @@ def build_design(fit: WhitenedFit, kernel: Kernel, prior: Floats) -> Design:
 
 
 class Moments(NamedTuple):
-    """M and b of c candidates along the eigenvectors of M: λ (c, d), V (c, d, d), y (c, d); 0 where λ is insignificant."""
+    """M and b of c candidates along the eigenvectors of M: λ (c, d), V (c, d, d), y (c, d); 0 where λ is insignificant.
+
+    Of several hypotheses with the same candidates, h of each.
+    """
 
     values: Floats
     vectors: Floats
@@ -133,79 +137,87 @@ class Weighed(NamedTuple):
 
 
 class Information(NamedTuple):
-    """CᵀC (c, d, d) of c candidates without what the parameters follow, and its trace (c, 1) before."""
+    """CᵀC (h, c, d, d) of the candidates without what the parameters follow, and its trace (h, c, 1) before."""
 
     square: Floats
     size: Floats
 
 
-def information(hypothesis: Hypothesis, design: Design) -> Information:
-    """Return what a hypothesis is beside the parameters, whatever the findings."""
-    square, d = squares(hypothesis, design.kernel), hypothesis.sizes.size
-    size = np.trace(square[:, :d, :d], axis1=1, axis2=2)[:, None]
-    return Information(square - followed(hypothesis, products(hypothesis, design.follow)), size)
+def information(hypotheses: Sequence[Hypothesis], design: Design) -> Information:
+    """Return what hypotheses that are ``alike`` are beside the parameters, whatever the findings."""
+    square, d = squares(hypotheses, design.kernel), hypotheses[0].sizes.size
+    size = np.trace(square[..., :d, :d], axis1=2, axis2=3)[..., None]
+    return Information(square - followed(hypotheses, products(hypotheses, design.follow)), size)
 
 
-def followed(hypothesis: Hypothesis, cross: Floats) -> Floats:
-    """Return the products (c, d, d) of the candidates with what follows them, from those (p, d, x) of the profiles."""
-    return hypothesis.candidates.of_squares(np.tensordot(cross, cross, axes=(2, 2)))
+def followed(hypotheses: Sequence[Hypothesis], cross: Floats) -> Floats:
+    """Return the products (h, c, d, d) of the candidates with what follows them, from those (h, p, d, x) of the profiles."""
+    h, p, d, x = cross.shape
+    flat = cross.reshape(h, p * d, x)
+    return hypotheses[0].candidates.of_squares((flat @ flat.swapaxes(1, 2)).reshape(h, p, d, p, d))
 
 
-def moments(hypothesis: Hypothesis, design: Design, prepared: Information | None = None) -> Moments:
-    """Return M and b of all candidates beside a design and the hypothesis' nuisance; ``prepared``: its information, if known."""
-    square, size = information(hypothesis, design) if prepared is None else prepared
-    cross, d = products(hypothesis, design.further), hypothesis.sizes.size
-    square = square - followed(hypothesis, cross[..., :-1])
-    score = hypothesis.candidates.of_profiles(cross[..., -1])
-    nuisance = square[:, d:, d:] + np.eye(square.shape[1] - d) / WIDEST**2
-    follow = np.linalg.solve(nuisance, square[:, d:, :d])
-    square = square[:, :d, :d] - square[:, :d, d:] @ follow
-    score = score[:, :d] - np.einsum("cf,cfd->cd", score[:, d:], follow)
+def moments(hypotheses: Sequence[Hypothesis], design: Design, prepared: Information | None = None) -> Moments:
+    """Return M and b of all candidates beside a design and the hypotheses' nuisance; ``prepared``: their information, if known."""
+    square, size = information(hypotheses, design) if prepared is None else prepared
+    cross, d = products(hypotheses, design.further), hypotheses[0].sizes.size
+    square = square - followed(hypotheses, cross[..., :-1])
+    score = hypotheses[0].candidates.of_profiles(cross[..., -1])[..., None]
+    nuisance = square[..., d:, d:] + np.eye(square.shape[-1] - d) / WIDEST**2
+    follow = np.linalg.solve(nuisance, square[..., d:, :d]).swapaxes(2, 3)
+    square = square[..., :d, :d] - follow @ square[..., d:, :d]
+    score = score[..., :d, :] - follow @ score[..., d:, :]
     values, vectors = np.linalg.eigh(square)
     significant = values > np.maximum(SEEN * size, WIDEST**-2)
-    return Moments(values * significant, vectors, np.einsum("cdk,cd->ck", vectors, score) * significant)
+    return Moments(values * significant, vectors, (vectors.swapaxes(2, 3) @ score)[..., 0] * significant)
 
 
-def products(hypothesis: Hypothesis, vectors: Floats) -> Floats:
-    """Return Cᵀ times ``vectors`` (m, x) for each profile, (p, d, x)."""
-    return hypothesis.candidates.products(hypothesis.columns, hypothesis.fit.row, vectors)
+def products(hypotheses: Sequence[Hypothesis], vectors: Floats) -> Floats:
+    """Return Cᵀ times ``vectors`` (m, x) for each profile of each hypothesis, (h, p, d, x)."""
+    first, columns = hypotheses[0], np.concatenate([hypothesis.columns for hypothesis in hypotheses], axis=1)
+    by_profile = first.candidates.products(columns, first.fit.row, vectors)
+    return by_profile.reshape(len(by_profile), len(hypotheses), -1, vectors.shape[1]).swapaxes(0, 1)
 
 
-def squares(hypothesis: Hypothesis, kernel: Kernel) -> Floats:
-    """Return CᵀV⁻¹C (c, d, d) of the candidates."""
-    candidates, columns, row = hypothesis.candidates, hypothesis.columns / kernel.scale, hypothesis.fit.row
+def squares(hypotheses: Sequence[Hypothesis], kernel: Kernel) -> Floats:
+    """Return CᵀV⁻¹C (h, c, d, d) of the candidates."""
+    first, h = hypotheses[0], len(hypotheses)
+    columns = np.concatenate([hypothesis.columns for hypothesis in hypotheses], axis=1) / kernel.scale
+    candidates, row, d = first.candidates, first.fit.row, first.columns.shape[1]
     if not kernel.shared:
-        return candidates.of_profiles(candidates.products(columns, row, columns, power=2))
+        by_profile = candidates.products(columns, row, columns, power=2).reshape(-1, h, d, h, d)
+        return candidates.of_profiles(np.einsum("phdhe->hpde", by_profile))
     gram: Floats | float = 0.0
     for residuals, precision in kernel.precisions:
         for index in residuals.T:
             half = candidates.products(columns[index], row[index], precision)
             by_row = half.reshape(-1, len(index)).T
-            gram = gram + candidates.products(columns[index], row[index], by_row).reshape(half.shape[:2] * 2)
+            p = len(half)
+            crossed = candidates.products(columns[index], row[index], by_row).reshape(p, h, d, p, h, d)
+            gram = gram + np.einsum("phdqhe->hpdqe", crossed)
     return candidates.of_squares(np.asarray(gram))
 
 
-def weigh(hypothesis: Hypothesis, design: Design, prepared: Information | None = None) -> Weighed:
-    """Return the evidence of a hypothesis and the probability of chance."""
-    sums = moments(hypothesis, design, prepared)
+def weigh(hypotheses: Sequence[Hypothesis], design: Design, prepared: Information | None = None) -> list[Weighed]:
+    """Return the evidence of hypotheses that are ``alike``, and the probability of chance."""
+    sums = moments(hypotheses, design, prepared)
     information, scores, significant = sums.values, sums.scores, sums.values > 0.0
-    variance, square = design.variance, SCALES[:, None, None] ** 2
+    variance, square = design.variance, SCALES[:, None, None, None] ** 2
     gain = square * scores**2 / variance / (variance + square * information)
-    by_scale = 0.5 * gain.sum(axis=2) - 0.5 * np.log1p(square * information / variance).sum(axis=2)
-    drop = (scores**2 / np.where(significant, information, 1.0)).sum(axis=1)
-    freedom = significant.sum(axis=1)
-    chance = log_chance(drop, freedom, design)
-    best = first_within(np.logaddexp.reduce(by_scale, axis=0))
-    return Weighed(
-        hypothesis,
-        sums,
-        by_scale,
-        best,
-        float(np.logaddexp.reduce(by_scale, axis=None)) - math.log(SCALES.size * hypothesis.candidates.number),
-        float(drop[best]),
-        int(freedom[best]),
-        min(float(chance.min()) + float(np.log(chance.size)), 0.0),
-    )
+    by_scale = 0.5 * gain.sum(axis=3) - 0.5 * np.log1p(square * information / variance).sum(axis=3)
+    drop = (scores**2 / np.where(significant, information, 1.0)).sum(axis=2)
+    freedom = significant.sum(axis=2)
+    chance = log_chance(drop, freedom, design).min(axis=1)
+    by_candidate, weighed = np.logaddexp.reduce(by_scale, axis=0), []
+    count = hypotheses[0].candidates.number * SCALES.size
+    for k, hypothesis in enumerate(hypotheses):
+        best = first_within(by_candidate[k])
+        log_evidence = float(np.logaddexp.reduce(by_candidate[k])) - math.log(count)
+        log_chance_of_any = min(float(chance[k]) + math.log(drop.shape[1]), 0.0)
+        strength = float(drop[k, best]), int(freedom[k, best]), log_chance_of_any
+        own = Moments(*(array[k] for array in sums))
+        weighed.append(Weighed(hypothesis, own, by_scale[:, k], best, log_evidence, *strength))
+    return weighed
 
 
 def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:

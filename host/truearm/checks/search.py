@@ -10,13 +10,13 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import repeat
+from itertools import chain, repeat
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, special
 
-from truearm.checks.catalogue import Hypothesis, catalogue, rows_used, spans_of
+from truearm.checks.catalogue import Hypothesis, alike, catalogue, rows_used, spans_of
 from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, information, weigh
 from truearm.checks.noise import learned_noise
 from truearm.checks.whitened import DECLARED, WhitenedFit
@@ -125,12 +125,15 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
     """
     fit, log_count = bare.fit, log_counts(hypotheses)
     block = left_out_blocks(fit.n, fit.measured.place)[fit.row]
-    prepared = [information(hypothesis, bare) for hypothesis in hypotheses]
+    sets = alike(hypotheses)
+    prepared = [information(members, bare) for members in sets]
     detections: list[Detection] = []
     refused: tuple[str, ...] = ()
     while True:
         design = bare.extended(columns_of(detections, fit))
-        table = tuple(map(weigh, hypotheses, repeat(design), prepared))
+        by_set = chain.from_iterable(map(weigh, sets, repeat(design), prepared))
+        evidence = {weighed.hypothesis: weighed for weighed in by_set}
+        table = tuple(evidence[hypothesis] for hypothesis in hypotheses)
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count[weighed.hypothesis.kind])}
         if not significant or refused or len(detections) == MOST_FINDINGS:
             return Search(tuple(detections), design, table, bare, fitted, bare, block, refused)
@@ -195,7 +198,8 @@ def refined(best: Weighed, design: Design) -> Weighed:
         ends.append(np.union1d(rows[(first <= rows) & (rows <= last)], end))
     moved = sum(choices.size > 1 for choices in ends)
     tried = np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2)
-    fine = weigh(replace(hypothesis, candidates=spans_of(tried, n, rows.size**moved / max(moved, 1))), design)
+    finer = replace(hypothesis, candidates=spans_of(tried, n, rows.size**moved / max(moved, 1)))
+    (fine,) = weigh([finer], design)
     return max(best, fine, key=lambda weighed: weighed.log_evidence)
 
 
