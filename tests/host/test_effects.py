@@ -9,7 +9,7 @@ from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, random_po
 from tests.host.findings_bench import stated
 
 from truearm.errors import InputError
-from truearm.estimate.circumstances import last_motions
+from truearm.estimate.circumstances import last_motions, sessions
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.joint_laws import gravity_of, payloads_of
 from truearm.estimate.law_candidates import LawMode, candidates
@@ -208,16 +208,18 @@ ROWS = [f"a.csv row {i}" for i in range(2, 6)] + ["b.csv row 2", "b.csv row 3"]
 def test_directions_of_moves_and_known_sides():
     # Rows of one pose have one move; the first pose of a file has none that is known.
     np.testing.assert_allclose(
-        last_motions(visits(TURNS, ROWS))[1], [[0.0, 0.0], [0.5, 0.0], [0.5, 0.0], [-0.3, 0.1], [0.0, 0.0], [-0.2, 0.0]]
+        last_motions(visits(TURNS, ROWS), sessions(visits(TURNS, ROWS)))[1],
+        [[0.0, 0.0], [0.5, 0.0], [0.5, 0.0], [-0.3, 0.1], [0.0, 0.0], [-0.2, 0.0]],
     )
     np.testing.assert_array_equal(
-        last_motions(visits(TURNS, ROWS))[0], [[0, 0], [1, 0], [1, 0], [-1, 1], [0, 0], [-1, 0]]
+        last_motions(visits(TURNS, ROWS), sessions(visits(TURNS, ROWS)))[0],
+        [[0, 0], [1, 0], [1, 0], [-1, 1], [0, 0], [-1, 0]],
     )
     still = visits([[0.0], [0.5], [0.5 + 5e-4], [0.5]], [f"a.csv row {i}" for i in range(2, 6)])
-    np.testing.assert_array_equal(last_motions(still)[0][:, 0], [0, 1, 1, 1])
+    np.testing.assert_array_equal(last_motions(still, sessions(still))[0][:, 0], [0, 1, 1, 1])
     side = np.array([[1.0, -1.0], [np.nan, 1.0]])
     known = visits([[0.0, 0.0], [0.5, 0.5]], ["s.mcap dwell 1", "s.mcap dwell 2"], side=side)
-    np.testing.assert_array_equal(last_motions(known)[0], [[1, -1], [0, 1]])
+    np.testing.assert_array_equal(last_motions(known, sessions(known))[0], [[1, -1], [0, 1]])
     rows = worlds.clean(worlds.plan(), np.random.default_rng(0))
     sorted_rows = rows.select(np.argsort(rows.q[:, 0]))
     with pytest.raises(InputError, match=r"joint1.backlash: rows 1 to 360 have no direction, or it does"):

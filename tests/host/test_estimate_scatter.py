@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tests.host.puma_bench import CHAIN, DESIGN, FREE, TRUTH, random_poses
 
+from truearm.estimate.circumstances import poses
 from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import half, spectrum
-from truearm.estimate.measured_order import poses
 from truearm.estimate.problem import build_problem
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options

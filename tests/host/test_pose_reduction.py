@@ -7,10 +7,10 @@ import pytest
 from ur10_bench import RIG, ROBOT
 
 from truearm.estimate import law_fit
+from truearm.estimate.circumstances import poses
 from truearm.estimate.law_candidates import candidates, gravity_of, law_priors
 from truearm.estimate.law_choice import GATE
 from truearm.estimate.law_fit import law_problem, learn, posterior
-from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_noise import PoseNoise, RowsByPose
 from truearm.estimate.problem import build_problem
 from truearm.estimate.row_errors import row_errors

@@ -13,7 +13,7 @@ from truearm.checks.evidence import Design, Weighed, amount_of
 from truearm.checks.search import RIVAL, Search, checked, columns_of, gain, left_out
 from truearm.checks.whitened import WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
-from truearm.estimate.measured_order import measured_order
+from truearm.estimate.circumstances import measured_order
 from truearm.estimate.outliers import HEAVY, MOST_BAD, single
 from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
 from truearm.estimate.problem import build_problem, modelled_of

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from truearm.checks.trial import LEVEL, Alternative, idle_options, misfit, trial_problem
 from truearm.errors import ProblemError
+from truearm.estimate.circumstances import mountings
 from truearm.estimate.fit import fit
-from truearm.estimate.measured_order import mountings
 from truearm.estimate.solvers import Loss
 from truearm.kinds.registry import kinds, rig_names
 from truearm.kinds.table import ObservationTable

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from truearm.estimate.circumstances import Measured
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.measured_order import Measured
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.estimate.systematic_effects import Cause, Errors, error_columns

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.estimate.measured_order import first_alike
+from truearm.estimate.circumstances import first_alike
 from truearm.estimate.problem import build_problem
 from truearm.kinds.columns import is_label
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from truearm import option_defaults
 from truearm.errors import ProblemError
+from truearm.estimate.circumstances import poses
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
@@ -29,7 +30,6 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import observe, of_rows
 from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.mean_error import mean_errors
-from truearm.estimate.measured_order import poses
 from truearm.estimate.outliers import (
     MOST_BAD,
     WithoutBad,

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.estimate.circumstances import payloads_of
+from truearm.estimate.circumstances import payloads_of, poses
 from truearm.estimate.defaults import LEAST_POSES, in_any_pose
 from truearm.estimate.identifiability import spread
 from truearm.estimate.identify import determined, judged, merged
@@ -31,7 +31,6 @@ from truearm.estimate.law_choice import LawChoice, regions, supported, without_a
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
 from truearm.estimate.law_fit import LawProblem, law_problem, learn, nearer_geometry, posterior
 from truearm.estimate.mean_error import mean_errors
-from truearm.estimate.measured_order import poses
 from truearm.estimate.outliers import matter, misfit, single, within
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Problem, build_problem, modelled_of, settled, without_knowledge

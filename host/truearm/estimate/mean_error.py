@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from truearm.estimate.measured_order import poses
+from truearm.estimate.circumstances import poses
 from truearm.kinds.table import ObservationTable
 from truearm.results import Estimate, Gain, MeanChange, MeanError, Unusable
 from truearm.types import Floats, Indices, Residuals

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.measured_order import first_alike
+from truearm.estimate.circumstances import first_alike
 from truearm.estimate.problem import Problem
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import constants_of

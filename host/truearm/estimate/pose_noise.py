@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
 from scipy.sparse import csr_array
 
-from truearm.estimate.measured_order import first_alike
+from truearm.estimate.circumstances import first_alike
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.group import Group

@@ -33,7 +33,12 @@ class Block(NamedTuple):
     components: tuple[str, ...]  # w SI units
     jac: Floats  # (n, w, k)
     residual: Floats  # (n, w)
-    noise_root: Floats  # (n, w, w) noise_root @ whitened is in the components' units again
+    cov: Floats  # (n, w) or (n, w, w)
+
+    @property
+    def noise_root(self) -> Floats:
+        """Return L (n, w, w): L times whitened residuals is in the components' units again."""
+        return noise_root(self.cov)
 
 
 def whitened_blocks(
@@ -48,7 +53,7 @@ def whitened_blocks(
         stacked = np.concatenate([lin.jac_by(columns), lin.residual[:, None]], axis=1)
         stacked = stacked.reshape(len(cov), cov.shape[1], -1)
         whiten(stacked.T, cov)
-        yield Block(block.row, block.COMPONENTS, stacked[:, :, :-1], stacked[:, :, -1], noise_root(cov))
+        yield Block(block.row, block.COMPONENTS, stacked[:, :, :-1], stacked[:, :, -1], cov)
 
 
 def observe_robustly(

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate.circumstances import poses
 from truearm.estimate.law_candidates import LENGTHS, candidates, gravity_of, law_priors
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.estimate.law_fit import Learned, law_problem, posterior
-from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solvers import LawMode

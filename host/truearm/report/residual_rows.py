@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.circumstances import sessions
-from truearm.estimate.measured_order import mountings
+from truearm.estimate.circumstances import mountings, sessions
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report.result_tables import COMPONENTS, kind_name

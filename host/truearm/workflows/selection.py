@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, ProblemError
-from truearm.estimate.measured_order import first_alike, poses
+from truearm.estimate.circumstances import first_alike, poses
 from truearm.estimate.solvers import SOLVERS, Prior
 from truearm.kinds.columns import ANYWHERE, GROUPS, identifiers, is_label
 from truearm.kinds.quantities import POINT, Quantity
