@@ -40,6 +40,8 @@ from truearm.model.chain import Chain as Chain
 from truearm.model.chain import about as about
 from truearm.model.chain import along as along
 from truearm.model.chain import forward as forward
+from truearm.model.chain import link_frames as link_frames
+from truearm.model.chain import trace_link as trace_link
 from truearm.model.chain import trace_point as trace_point
 from truearm.model.chain_structure import Structure as Structure
 from truearm.model.joint_terms.nominal_arm import NominalArm as NominalArm
@@ -50,6 +52,7 @@ from truearm.record.links import Link as Link
 from truearm.record.links import TcpLink as TcpLink
 from truearm.record.robots.text_lines import LineDialect as LineDialect
 from truearm.record.robots.text_lines import LinesLink as LinesLink
+from truearm.schema import IDENTIFIER as IDENTIFIER
 from truearm.schema import Entries as Entries
 from truearm.schema import Key as Key
 from truearm.schema import List as List

@@ -8,15 +8,21 @@ from hypothesis import strategies as st
 from truearm.errors import RobotError
 from truearm.model.chain import (
     Chain,
+    about,
     along,
     forward,
     joint_frames,
+    link_frames,
     point_forward,
     point_jacobians,
+    trace_link,
     trace_point,
 )
 from truearm.model.chain_structure import Joint, Parameter
+from truearm.model.law_chain import with_laws
+from truearm.model.robot import builtin_robot
 from truearm.model.transforms import MOTIONS, Element, cos_sin
+from truearm.types import SagMasses
 
 AMOUNT = st.floats(-3.0, 3.0, allow_nan=False)
 
@@ -117,6 +123,55 @@ def test_along_is_the_point_jacobian_read_along_a_direction(chain, seed):
     np.testing.assert_allclose(rows.jac_joints, np.einsum("nc,ncj->nj", u, jac_joints), atol=1e-12)
     rot = forward(chain, chain.params_nominal, q)[:, :3, :3]
     np.testing.assert_allclose(rows.jac_point, np.einsum("nc,nck->nk", u, rot), atol=1e-12)
+
+
+def check_links(chain, params, rng):
+    """Compare derivatives of points and directions on all links with complex steps."""
+    j = len(chain.joints)
+    link = np.arange(1, j + 1)
+    q, point, u = rng.uniform(-3, 3, (j, j)), rng.uniform(-1, 1, (j, 3)), rng.normal(size=(j, 3))
+    trace = trace_link(chain, params, q, link, point)
+    moved, turned = along(trace, u), about(trace, u)
+
+    def moves(params, q):
+        """The points along u, and the frames' derivatives by the imaginary part."""
+        frames = link_frames(chain, params, q, link)
+        at = np.einsum("nik,nk->ni", frames[:, :3, :3], point) + frames[:, :3, 3]
+        spin = frames[:, :3, :3].imag @ frames[:, :3, :3].real.swapaxes(1, 2)
+        axis = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+        return (at.imag * u).sum(axis=1) / 1e-30, (axis * u).sum(axis=1) / 1e-30
+
+    for i in range(params.size):
+        step = moves(params + 1e-30j * (np.arange(params.size) == i), q)
+        np.testing.assert_allclose((moved.jac_params[:, i], turned.jac_params[:, i]), step, atol=1e-12)
+    for i in range(j):
+        step = moves(params, q + 1e-30j * (np.arange(j) == i))
+        np.testing.assert_allclose((moved.jac_joints[:, i], turned.jac_joints[:, i]), step, atol=1e-12)
+    frames = link_frames(chain, params, q, link)
+    np.testing.assert_allclose(frames[-1], forward(chain, params, q[-1]), atol=1e-13)
+    np.testing.assert_allclose(moved.jac_point, np.einsum("ni,nik->nk", u, frames[:, :3, :3]), atol=1e-12)
+    end = moved.wrenches[-1] @ moved.basis.end  # force and moment in the frame of the end, axis by axis
+    np.testing.assert_allclose(end[::2], moved.jac_point[-1], atol=1e-12)
+    assert not (moved.wrenches[:-1] @ moved.basis.end).any()
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(chain=chains(), seed=st.integers(0, 2**32 - 1))
+def test_points_of_any_link(chain, seed):
+    if chain.joints:
+        check_links(chain, chain.params_nominal, np.random.default_rng(seed))
+
+
+def test_points_of_any_link_of_an_arm_that_sags():
+    """The weight beyond a joint twists it, so a link moves with joints beyond it."""
+    sags = [SagMasses(joint, (3, 6), (0.0, 0.0, -1.0)) for joint in (1, 2)]
+    chain = with_laws(builtin_robot("puma560").chain, sags)
+    check_links(chain, chain.params_nominal + 1e-3, np.random.default_rng(8))
+
+
+def test_a_link_that_is_not_there():
+    with pytest.raises(RobotError):
+        link_frames(scara(), scara().params_nominal, np.zeros((2, 3)), np.array([1, 4]))
 
 
 def test_cosine_and_sine_by_the_half_angle():

@@ -17,7 +17,7 @@ from tests.host.plan_bench import RIGS
 from tests.host.tcp_peer import Peer
 from tests.recipes.recipes import ROOT, Copy, findings
 from truearm.kinds.rig_file import write_rig
-from truearm.model.chain import forward
+from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
 from truearm.session.joint_format import parse_line
 from truearm.types import BallBar
@@ -46,10 +46,10 @@ TARGETS = {"a": (0.0, 0.0, 0.1), "b": (0.1, 0.0, 0.0), "c": (0.0, 0.1, 0.05)}  #
 TARGET = '\n[[target]]\nname = "{}"\nxyz_mm = [{}, {}, {}]\nsigma_mm = 0\n'
 WITH_TARGETS = TRACKER + "".join(TARGET.format(name, *(1e3 * v for v in xyz)) for name, xyz in TARGETS.items())
 
-# --- a kind: two inclinometers beside a tracker, on a PUMA 560
+# --- a kind: three inclinometers, one of them on the second link, beside a tracker, on a PUMA 560
 
-ZERO = {"i1": 0.01, "i2": -0.005}
-AXES = {"i1": (1.0, 0.0, 0.0), "i2": (-1.0, 0.0, 0.0)}
+ZERO = {"i1": 0.01, "i2": -0.005, "i3": 0.003}
+AXES = {"i1": (1.0, 0.0, 0.0), "i2": (-1.0, 0.0, 0.0), "i3": (0.6, 0.8, 0.0)}
 INCLINOMETERS = f"""
 [[inclinometer]]
 name = "i1"
@@ -60,6 +60,13 @@ zero_sigma_deg = "unknown"
 name = "i2"
 sigma_rad = 1e-4
 axis = [-1, 0, 0]
+zero_sigma_deg = "unknown"
+
+[[inclinometer]]
+name = "i3"
+sigma_rad = 1e-4
+joint = "joint2"
+axis = [0.6, 0.8, 0]
 zero_sigma_deg = "unknown"
 {TRACKER}"""
 WRONG = {  # rows and rigs, and what is said of them
@@ -74,12 +81,14 @@ WRONG = {  # rows and rigs, and what is said of them
 
 
 def write_inputs(folder):
-    """Write poses.csv and rig.toml: points of a tracker and readings of two inclinometers on a PUMA 560."""
+    """Write poses.csv and rig.toml: points of a tracker and readings of the inclinometers on a PUMA 560."""
     robot, rng = builtin_robot("puma560"), np.random.default_rng(4)
-    q = rng.uniform(-2.0, 2.0, (500, 6))
+    q = rng.uniform(-2.0, 2.0, (600, 6))
     pose = forward(robot.chain, robot.parameter_sets["optimised"], q)
-    name = np.array(list(AXES))[np.arange(len(q)) % 2]
-    angle = np.arcsin(np.einsum("nk,nk->n", pose[:, 2, :3], np.array([AXES[n] for n in name])))
+    second = joint_frames(robot.chain, robot.parameter_sets["optimised"], q)[:, 1]
+    name = np.array(list(AXES))[np.arange(len(q)) % 3]
+    up = np.where(name[:, None] == "i3", second[:, 2, :3], pose[:, 2, :3])
+    angle = np.arcsin(np.einsum("nk,nk->n", up, np.array([AXES[n] for n in name])))
     angle += np.array([ZERO[n] for n in name]) + SIGMA_RAD * rng.normal(size=len(q))
     point = pose[:, :3, 3] + SIGMA_M * rng.normal(size=(len(q), 3))
     lines = [f"kind,inclinometer,tracker,inclination_deg,x_m,y_m,z_m,sigma_deg,{JOINTS}"]
@@ -112,6 +121,7 @@ def write_more_of_the_kind(folder, lines):
     with patch.object(session_stream, "ident_document", lambda *_: document):
         messages, truth = session_stream.session(np.random.default_rng(6), dwells=4, plan=False)
     session_stream.write_session(folder / "s.mcap", messages)
+    (folder / "seventh.toml").write_text(INCLINOMETERS.replace("joint2", "joint7"))
     (folder / "device.toml").write_text("[[inclinometer]]\nname = 'i1'\nsigma_rad = 1e-4\n")
     return truth
 
@@ -280,6 +290,7 @@ COMMANDS = {
     "sinking": (*("identify", "sinking.csv", "--model", "puma560", "--rig", "flat.toml", "--out", "sinking.json"),),
 }
 REFUSED = {
+    "another joint": ("identify", "poses.csv", "--model", "puma560", "--rig", "seventh.toml"),
     "another robot": ("identify", "none.csv", "--model", "ur3la", "--rig", "rig.toml"),
     **{
         name: ("identify", f"wrong{i}.csv", "--model", "puma560", "--rig", f"wrong{i}.toml", "--json")
@@ -343,12 +354,33 @@ def test_the_kind_is_identified_judged_and_reported(copy, said):
     assert result["rms_after_deg"] == inclined["rms_after_deg"]
     assert result["held_out"]["rms_deg"] == inclined["rms_held_out_deg"]
     assert result["held_out"]["rms_mm"] is None
-    (zero,) = (p for p in result["parameters"] if p["name"] == "inclinometer.i1.zero")
-    assert zero["unit"] == "rad"
-    assert abs(zero["value"] - ZERO["i1"]) < 5 * zero["sigma"] < 1e-3
+    for name in ("i1", "i3"):
+        (zero,) = (p for p in result["parameters"] if p["name"] == f"inclinometer.{name}.zero")
+        assert zero["unit"] == "rad"
+        assert abs(zero["value"] - ZERO[name]) < 5 * zero["sigma"] < 1e-3
     page = (copy.folder / "page.html").read_text()
     assert "measured minus predicted inclination." in page
-    assert "<dt>inclinometers</dt><dd>i1, i2</dd>" in page
+    assert "<dt>inclinometers</dt><dd>i1, i2, i3</dd>" in page
+
+
+DERIVATIVES = """
+import numpy as np
+import truearm
+from truearm.estimate.problem import build_problem
+
+robot = truearm.load_robot("puma560")
+table = truearm.read_table("poses.csv", robot)
+problem = build_problem(robot.chain, truearm.read_rig("rig.toml"), table.select(table.kind == "inclinometer"))
+(group,) = problem.groups
+lin = group.evaluate(problem.chain, problem.start)
+steps = 1e-6 * np.eye(problem.start.size)
+by_x = [group.evaluate(problem.chain, problem.start + s).residual - group.evaluate(problem.chain, problem.start - s).residual for s in steps]
+print(np.abs(lin.jac_params + np.array(by_x).T / 2e-6).max())
+"""
+
+
+def test_derivatives_of_the_kind_are_differences(copy):
+    assert float(copy.python("-c", DERIVATIVES).out) < 1e-7
 
 
 def test_the_kind_is_proposed_where_it_would_show_more(said):
@@ -362,6 +394,11 @@ def test_wrong_input_of_the_kind_is_one_line(said, wrong):
     (values,) = (values for name, values in findings(said[wrong].out).items() if name == code)
     assert [word for word in words if word not in str(values)] == []
     assert said[wrong].err.count("\n") == 1
+
+
+def test_a_joint_that_the_robot_lacks_is_one_line(said):
+    assert "joint7" in said["another joint"].err
+    assert said["another joint"].err.count("\n") == 1
 
 
 def test_the_term_is_identified_with_its_standard_deviation(copy, said):

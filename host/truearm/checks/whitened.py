@@ -218,11 +218,9 @@ def _whitened_group(
     group: Group, by_faults: Sequence[Floats], problem: Problem, x: Floats, columns: NDArray[np.bool_]
 ) -> Floats:
     """Return (n·w, k + c + f + 1) derivatives by x[columns], ``problem.errors`` and faults, and residuals; all whitened."""
-    p = problem.n_robot
     lin = group.opened(problem.chain, x)
-    by_robot, by_rig = lin.wrenches @ lin.twists[:, columns[:p]], lin.jac_rig[:, :, : x.size - p][:, :, columns[p:]]
     residual = lin.residual.reshape(len(group.sensor_cov), -1).T[:, :, None]
-    derivatives = [by_robot, by_rig, error_columns(lin, problem.errors.bodies), *by_faults, residual]
+    derivatives = [lin.by_columns(columns), error_columns(lin, problem.errors.bodies), *by_faults, residual]
     stacked = np.concatenate([np.moveaxis(derivative, 2, 0) for derivative in derivatives])
     whiten(stacked, residual_cov(group.sensor_cov, lin.jac_joints, problem.joint_cov))
     return stacked.transpose(2, 1, 0).reshape(-1, len(stacked))

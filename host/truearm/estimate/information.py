@@ -5,7 +5,8 @@ Whitened rows [J | f] (each divided by its σ) are folded block by block into on
     R_aug = qr([R_aug; J_block | f_block]),   R_aug = [[R, z], [0, ρ]],
 
 so that JᵀJ = RᵀR and Jᵀf = Rᵀz, and memory does not grow with the number of poses. For J = W X, with X the same for all
-poses (model/chain.py), W is folded and the triangle is multiplied by X at the end. The triangle keeps the condition
+poses (model/chain.py), W is folded and the triangle is multiplied by X at the end. J itself is folded where X differs,
+as for a sensor on a link. The triangle keeps the condition
 number of J. The normal equations of Goswami's (10) would square it, and a rank test on them would have only half the
 digits. A prior adds the rows 1/σ with residuals (mean − x)/σ.
 """
@@ -63,32 +64,41 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
     """
     _keep_freed_memory()
     robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
-    twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
+    twists = folded(problem.chain, x[: problem.n_robot]).basis.twists[:, robot]
     moving = np.asarray(twists.any(axis=1))
     n_used, n_rig = int(moving.sum()), int(rig.sum())
     b, k = n_used + n_rig + 1, twists.shape[1] + n_rig + 1
-    triangle = np.zeros((b, b), order="F")
+    triangle, in_params = np.zeros((b, b), order="F"), np.zeros((k, k), order="F")
     residual = problem.no_residuals()
     chi2, count = 0.0, 0
     for block in blocks(problem):
         lin = block.evaluate(problem.chain, x)
         note(block, lin.residual, residual)
-        stacked = _stacked(lin, moving, rig)
+        direct = lin.basis.direct
+        stacked = (
+            _stacked(lin.wrenches @ lin.basis.twists, robot, lin, rig)
+            if direct
+            else _stacked(lin.wrenches, moving, lin, rig)
+        )
         whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
         chi2 += float((stacked[-1] ** 2).sum())
         count += lin.residual.size
-        triangle = fold(triangle, stacked.reshape(b, -1).T, overwrite=True)
-    in_params = np.concatenate([triangle[:, :n_used] @ twists[moving], triangle[:, n_used:]], axis=1)
-    triangle = fold(np.zeros((k, k)), in_params)
+        rows = stacked.reshape(len(stacked), -1).T
+        if direct:
+            in_params = fold(in_params, rows, overwrite=True)
+        else:
+            triangle = fold(triangle, rows, overwrite=True)
+    rows = np.concatenate([triangle[:, :n_used] @ twists[moving], triangle[:, n_used:]], axis=1)
+    triangle = fold(in_params, rows)
     return Information(triangle[:-1, :-1], triangle[:-1, -1], chi2, count, residual)
 
 
-def _stacked(lin: Linearised, moving: NDArray[np.bool_], rig: NDArray[np.bool_]) -> Floats:
-    """Return (b, w, n) the ``moving`` wrenches, the derivatives by the free unknowns of the ``rig``, and the residuals."""
-    width, n, _ = lin.wrenches.shape
+def _stacked(by_robot: Floats, moving: NDArray[np.bool_], lin: Linearised, rig: NDArray[np.bool_]) -> Floats:
+    """Return (b, w, n) the ``moving`` columns of those by the robot, the free unknowns of the ``rig``, and the residuals."""
+    width, n, _ = by_robot.shape
     n_moving = int(moving.sum())
     out = np.empty((n_moving + int(rig.sum()) + 1, width, n))
-    np.compress(moving, lin.wrenches.transpose(2, 0, 1), axis=0, out=out[:n_moving])
+    np.compress(moving, by_robot.transpose(2, 0, 1), axis=0, out=out[:n_moving])
     np.compress(rig, lin.jac_rig.transpose(2, 0, 1), axis=0, out=out[n_moving:-1])
     out[-1] = lin.residual.reshape(n, width).T
     return out

@@ -14,7 +14,8 @@ All other directions have the noise m alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.group import Group
 from truearm.model.chain import folded
+from truearm.model.constant_folding import direct_basis
 from truearm.types import Floats, Indices
 
 _geqrf, _ormqr = get_lapack_funcs(("geqrf", "ormqr"), dtype=np.float64)
@@ -135,10 +137,10 @@ def pose_rows(
     The unknowns are x[columns], linearised at x, or these by ``root`` (k, r). ``pose`` (n_rows,) holds the numbers of the
     poses. Without ``motions``, ``moved`` has no columns.
     """
-    by_unknowns: Floats | csr_array = _by_unknowns(problem, x, columns)
-    if root is not None:
-        by_unknowns = np.column_stack([by_unknowns[:, :-1] @ root, np.eye(by_unknowns.shape[0])[:, -1]])
-    for pieces in _pieces(problem.groups, pose, by_unknowns.shape[0]):
+    p = problem.n_robot
+    bases = folded(problem.chain, x[:p]).basis, direct_basis(p)
+    by_unknowns = cache(lambda direct: _by_unknowns(bases[direct].twists, columns, root))
+    for pieces in _pieces(problem.groups, pose, by_unknowns(False).shape[0]):
         ends = np.cumsum([count * group.sensor_cov.shape[1] for group, count in pieces]).tolist()
         whitened = [_whitened(problem, x, group, count, by_unknowns, motions) for group, count in pieces]
         places = (slice(first, last) for first, last in pairwise([0, *ends]))
@@ -179,16 +181,17 @@ def _pieces(groups: Sequence[Group], pose: Indices, width: int) -> Iterator[list
 
 
 def _whitened(
-    problem: Problem, x: Floats, piece: Group, count: int, by_unknowns: Floats | csr_array, motions: bool
+    problem: Problem, x: Floats, piece: Group, count: int, of_basis: Callable[[bool], Floats | csr_array], motions: bool
 ) -> tuple[Floats, Floats, Floats]:
     """Return the rows' declared covariances; of their poses the rows of ``RowsByPose``, and ``moved``."""
     lin = piece.evaluate(problem.chain, x)
     w, n, _ = lin.wrenches.shape
+    by_unknowns = of_basis(lin.basis.direct)
     columns = [lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None]]
     flat = np.concatenate([np.moveaxis(column, 2, 0) for column in columns]).reshape(-1, w * n)
     columns = [np.moveaxis((by_unknowns.T @ flat).reshape(-1, w, n), 0, 2)]
     if motions:
-        end = folded(problem.chain, x[: problem.n_robot]).end
+        end = lin.basis.end
         columns += [lin.wrenches @ np.concatenate([end[:, ::2], end[:, 1::2]], axis=1), lin.by_joints]
     stacked = np.concatenate([np.moveaxis(column, 2, 0) for column in columns])
     declared = residual_cov(piece.sensor_cov, lin.jac_joints, problem.joint_cov)
@@ -229,16 +232,19 @@ def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -
     return information, logdet
 
 
-def _by_unknowns(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
-    """Return (b + r + 1, k + 1), nearly all zeros: wrenches, by the rig's unknowns and residual times it are rows of ``RowsByPose``."""
-    robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
-    twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
+def _by_unknowns(twists: Floats, columns: NDArray[np.bool_], root: Floats | None) -> Floats | csr_array:
+    """Return (b + r + 1, k + 1), nearly all zeros: wrenches, by the rig's unknowns and residual times it are rows of ``RowsByPose``.
+
+    With a ``root`` (k, r), the unknowns are these by it.
+    """
+    robot, rig = np.split(columns, [twists.shape[1]])
+    twists = twists[:, robot]
     b, p = twists.shape
     out = np.zeros((b + rig.size + 1, p + int(rig.sum()) + 1))
     out[:b, :p] = twists
     out[b + np.flatnonzero(rig), p + np.arange(int(rig.sum()))] = 1.0
     out[-1, -1] = 1.0
-    return csr_array(out)
+    return csr_array(out) if root is None else np.column_stack([csr_array(out)[:, :-1] @ root, out[:, -1]])
 
 
 class PoseSample(NamedTuple):

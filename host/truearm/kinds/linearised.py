@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.model.chain import PointDerivatives
+from truearm.model.constant_folding import Basis
 from truearm.types import Floats, Indices, Mask
 
 
@@ -25,19 +26,24 @@ class Linearised(NamedTuple):
 
     residual: Floats  # (m,) measured − predicted, in the units of the group's components
     wrenches: Floats  # (w, n, b)
-    twists: Floats  # (b, p)
+    basis: Basis  # of the b columns
     jac_rig: Floats  # (w, n, P − p) ∂predicted/∂(the rig's unknowns)
     by_joints: Floats  # (w, n, j) ∂predicted/∂(joint readings)
 
     @property
     def jac_params(self) -> Floats:
         """(m, P) ∂predicted/∂x."""
-        return self.jac_by(np.ones(self.twists.shape[1] + self.jac_rig.shape[2], dtype=bool))
+        return self.jac_by(np.ones(self.basis.twists.shape[1] + self.jac_rig.shape[2], dtype=bool))
 
     def jac_by(self, columns: Mask) -> Floats:
         """Return (m, k) ∂predicted/∂x[columns]."""
-        robot, rig = np.split(columns, [self.twists.shape[1]])
-        return _by_observation(np.concatenate([self.wrenches @ self.twists[:, robot], self.jac_rig[:, :, rig]], axis=2))
+        return _by_observation(self.by_columns(columns))
+
+    def by_columns(self, columns: Mask) -> Floats:
+        """Return the same as ``jac_by``, (w, n, k); what ``jac_rig`` has beyond the mask is left out."""
+        robot, rig = np.split(columns, [self.basis.twists.shape[1]])
+        by_rig = self.jac_rig[:, :, np.flatnonzero(rig)]
+        return np.concatenate([self.wrenches @ self.basis.twists[:, robot], by_rig], axis=2)
 
     @property
     def jac_joints(self) -> Floats:
@@ -52,11 +58,11 @@ def linearised(
 
     Each of the ``columns`` are the indices (n, c) of some of the rig's numbers and the derivatives (w, n, c) by these.
     """
-    p = derivative.twists.shape[1]
+    p = derivative.basis.twists.shape[1]
     jac_rig = zero_columns(derivative.wrenches, x.size - p)
     for index, values in columns:
         scatter(jac_rig, index - p, values)
-    return Linearised(residual, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints)
+    return Linearised(residual, derivative.wrenches, derivative.basis, jac_rig, derivative.jac_joints)
 
 
 def gather(x: Floats, constants: Floats, index: Indices) -> Floats:

@@ -61,7 +61,7 @@ class PoseRows(PositionRows):
         return Linearised(
             np.concatenate([point.residual.reshape(-1, 3), rho], axis=1).ravel(),
             np.concatenate([point.wrenches, turn.wrenches]),
-            point.twists,
+            point.basis,
             np.concatenate([point.jac_rig, turn.jac_rig]),
             np.concatenate([point.by_joints, turn.by_joints]),
         )

@@ -41,14 +41,14 @@ class SocketDistanceRows(Group):
         d = np.linalg.norm(vector, axis=1)
         u = np.divide(vector, d[:, None], out=np.zeros_like(vector), where=d[:, None] > 0.0)
         p = len(chain.parameters)
-        twists = folded(chain, x[:p]).twists
-        wrenches = np.zeros((1, d.size, len(twists)))
+        basis = folded(chain, x[:p]).basis
+        wrenches = np.zeros((1, d.size, len(basis.twists)))
         jac_rig = zero_columns(wrenches, x.size - p)
         scatter(jac_rig, self.first - p, u[None])
         scatter(jac_rig, self.second - p, -u[None])
         scatter(jac_rig, self.distance - p, np.full((1, d.size, 1), -1.0))
         residual = gather(x, self.constants, self.distance)[:, 0] - d
-        return Linearised(residual, wrenches, twists, jac_rig, np.zeros((1, d.size, len(chain.joints))))
+        return Linearised(residual, wrenches, basis, jac_rig, np.zeros((1, d.size, len(chain.joints))))
 
 
 def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:

@@ -27,10 +27,10 @@ import numpy as np
 from truearm.errors import RobotError
 from truearm.model.chain_frames import far_frames
 from truearm.model.chain_structure import Structure
-from truearm.model.constant_folding import Columns, Folded, fold, new_numbers, on_axis
+from truearm.model.constant_folding import Basis, Columns, Folded, direct_basis, fold, new_numbers, on_axis
 from truearm.model.joint_law import JointLaw, LawAt, flat
 from truearm.model.transforms import apply, axis_of, cos_sin, cross, move, turn
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 
 
 @dataclass(frozen=True)
@@ -60,27 +60,28 @@ class Chain(Structure):
 
 
 class PointTrace(NamedTuple):
-    """A point of the end in the base frame, and the data that ``along`` needs to differentiate it."""
+    """A point of the end, or of other links, in the base frame, and the data that ``along`` needs to differentiate it."""
 
     chain: Chain
     folded: Folded
     law: LawAt  # the joints' true angles (j, n) and their derivatives
     cos_sin: tuple[Floats, Floats]  # (j, n) of the angles
     p_base: Floats  # (n, 3)
+    links: tuple[Indices, Floats] | None = None  # (n,) the links with the point, (n, 3, 3) their axes; None: the end
 
 
 class PointDerivatives(NamedTuple):
     """Derivatives of a point's coordinate along given directions; each b, j or axis is contiguous in memory."""
 
     wrenches: Floats  # (…, b)
-    twists: Floats  # (b, p)
+    basis: Basis
     jac_joints: Floats  # (…, j), with respect to the joint readings
-    jac_point: Floats  # (…, 3), with respect to the point's coordinates in the end frame
+    jac_point: Floats  # (…, 3), with respect to the point's coordinates in the frame of its link
 
     @property
     def jac_params(self) -> Floats:
         """(…, p)"""
-        return np.asarray(self.wrenches @ self.twists)
+        return np.asarray(self.wrenches @ self.basis.twists)
 
 
 def forward(chain: Chain, params: Floats, q: Floats) -> Floats:
@@ -181,6 +182,25 @@ def trace_point(chain: Chain, params: Floats, q: Floats, p_end_point: Floats) ->
     return PointTrace(chain, links, law, (cos, sin), p_base)
 
 
+def link_frames(chain: Chain, params: Floats, q: Floats, link: Indices) -> Floats:
+    """Return the frames (n, 4, 4) of links (n,) in the base frame; q (n, j). Link k is moved by the first k joints.
+
+    Its frame is that of joint k after its motion. Link j is the end, with the end frame. Raises RobotError for a link
+    that no joint moves, or that the robot does not have.
+    """
+    frames, j = _far_frames(chain, params, q), len(chain.joints)
+    if not np.all((link >= 1) & (link <= j)):
+        raise RobotError(f"robot {chain.name}: links have the numbers 1 to {j}")
+    return np.stack(frames)[np.where(link == j, j, link - 1), np.arange(len(q))]
+
+
+def trace_link(chain: Chain, params: Floats, q: Floats, link: Indices, p_link_point: Floats) -> PointTrace:
+    """Trace points (3,) or (n, 3) that are on links (n,), in their ``link_frames``, like ``trace_point`` those of the end."""
+    frames = link_frames(chain, params, q, link)
+    p_base = np.einsum("nik,nk->ni", frames[:, :3, :3], np.broadcast_to(p_link_point, (len(q), 3))) + frames[:, :3, 3]
+    return trace_point(chain, params, q, np.zeros(3))._replace(p_base=p_base, links=(link, frames[:, :3, :3]))
+
+
 def along(trace: PointTrace, direction: Floats) -> PointDerivatives:
     """Return derivatives of direction·p_base for a traced point; direction (3,), (n, 3) or (w, n, 3) in the base frame.
 
@@ -208,10 +228,10 @@ def about(trace: PointTrace, direction: Floats) -> PointDerivatives:
 
 def _carried(trace: PointTrace, force: Floats, moment: Floats) -> PointDerivatives:
     """Carry wrenches at the base's origin, (3, …), outwards through the chain."""
-    law, carries, twists = trace.law, trace.folded.carries, trace.folded.twists
+    law, carries, basis = trace.law, trace.folded.carries, trace.folded.basis
     wrench = np.stack([force, moment], axis=1)  # (3, 2, …): on each axis, force and moment
     lead = wrench.shape[2:]
-    wrenches = np.empty((len(twists), *lead), np.result_type(wrench, law.angles, twists))
+    wrenches = np.empty((len(basis.twists), *lead), np.result_type(wrench, law.angles, basis.twists))
     jac_joints = np.empty((len(carries) - 1, *lead), wrenches.dtype)
     by_joints, columns = law.by_joints, law.law.columns
     diagonal = by_joints.ndim == 2
@@ -221,6 +241,8 @@ def _carried(trace: PointTrace, force: Floats, moment: Floats) -> PointDerivativ
     for i, motion in enumerate(trace.chain.motions):
         carried = (carries[i] @ wrench.reshape(6, -1)).reshape(wrench.shape)
         felt = carried.reshape(6, *lead)[on_axis(motion)]
+        if trace.links is not None:
+            felt = np.where(trace.links[0] > i, felt, 0.0)
         if diagonal:
             np.multiply(felt, by_joints[i], out=jac_joints[i])
         else:
@@ -235,9 +257,16 @@ def _carried(trace: PointTrace, force: Floats, moment: Floats) -> PointDerivativ
     carried = (carries[-1][::2] @ wrench.reshape(6, -1)).reshape(3, *lead)
     if not diagonal:
         jac_joints = np.einsum("i...n,ikn->k...n", jac_joints, by_joints)
-    return PointDerivatives(
-        np.moveaxis(wrenches, 0, -1), twists, np.moveaxis(jac_joints, 0, -1), np.moveaxis(carried, 0, -1)
-    )
+    derivatives = (np.moveaxis(values, 0, -1) for values in (wrenches, jac_joints, carried))
+    by_columns, by_joints, by_point = derivatives
+    if trace.links is None:
+        return PointDerivatives(by_columns, basis, by_joints, by_point)
+    link, axes = trace.links
+    at_end = by_columns @ basis.end * (link == len(carries) - 1)[:, None]
+    by_params = by_columns @ basis.twists * (trace.chain.first_moved <= link[:, None])
+    direct = np.concatenate([by_columns[..., :6], at_end, by_params], axis=-1)
+    by_point = np.einsum("i...n,nik->...nk", force, axes)
+    return PointDerivatives(direct, direct_basis(by_params.shape[-1]), by_joints, by_point)
 
 
 def _moved(motion: str, amount: Floats, cos: Floats, sin: Floats, wrench: Floats) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 from truearm.model.constant_folding import Constants, constants_of, multiplied
 from truearm.model.mimic import Mimic, completed
 from truearm.model.transforms import Element
-from truearm.types import Floats, Payload
+from truearm.types import Floats, Indices, Payload
 
 GEOMETRY = "geometry"
 NO_PAYLOAD = Payload(0.0)
@@ -87,6 +87,14 @@ class Structure:
     def completed(self, q: Floats) -> Floats:
         """Return the readings of all joints (…, j), from those of all joints or of the motors alone."""
         return completed(q, self.mimics, len(self.joints))
+
+    @cached_property
+    def first_moved(self) -> Indices:
+        """Return the first link (p,) that each parameter moves: link k follows k joints, and the last one is the end."""
+        first = np.array([0 if p.joint is None else p.joint + 1 for p in self.parameters], dtype=np.intp)
+        for joints, members in enumerate(self.constants.named):
+            first[self.constants.parameter[members]] = min(joints + 1, len(self.joints))
+        return first
 
     @cached_property
     def limits(self) -> Floats:

@@ -8,6 +8,7 @@ A joint about an axis rotates two such pairs into each other and leaves the thir
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -40,13 +41,26 @@ class Columns(NamedTuple):
     ]  # parameters of laws with ∂θ/∂parameter = 1, their joints, their components
 
 
+class Basis(NamedTuple):
+    """What the b columns of ``wrenches`` stand for; the first six are always the wrench in the base frame."""
+
+    twists: Floats  # (b, p) ``wrenches`` @ twists are the derivatives by the parameters
+    end: Floats  # (b, 6) ``wrenches`` @ end is the wrench in the frame of the last link
+    direct: bool = False  # the derivatives are columns themselves (``direct_basis``)
+
+
 class Folded(NamedTuple):
     """A chain's constants multiplied out for one set of params."""
 
     transforms: Floats  # (j + 1, 4, 4) the links
     carries: Floats  # (j + 1, 6, 6) a wrench from a link's near frame to its far frame
-    twists: Floats  # (b, p)
-    end: Floats  # (b, 6) ``wrenches`` @ end is the wrench in the frame of the last link
+    basis: Basis
+
+
+@cache
+def direct_basis(p: int) -> Basis:
+    """Return that of 6 + 6 + p columns: the wrench in the base frame, that at the end, the derivatives by p parameters."""
+    return Basis(np.eye(12 + p, p, -12), np.eye(12 + p, 6, -6), direct=True)
 
 
 def constants_of(elements: Sequence[Element]) -> Constants:
@@ -76,7 +90,7 @@ def fold(constants: Constants, columns: Columns, params: Floats) -> Folded:
     twists, end = _combined(constants, columns, _twists_beyond(constants, beyond), carries)
     for array in (transforms, carries, twists, end):
         array.setflags(write=False)
-    return Folded(transforms, carries, twists, end)
+    return Folded(transforms, carries, Basis(twists, end))
 
 
 def _amounts(constants: Constants, params: Floats) -> Floats:
