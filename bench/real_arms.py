@@ -33,6 +33,7 @@ from truearm.model.robot_file import load_robot
 from truearm.types import BallBar, Device, Floats, Point, Rig
 from truearm.workflows.calibration import Identification
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 from truearm.workflows.selection import held_out_rows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -240,7 +241,7 @@ def run(case: Case) -> Outcome:
     seconds, results = [], []
     for mode in ("none", "auto"):
         start = time.process_time()
-        found = identified(case.robot, case.rig, case.table, case.held, IdentifyOptions(joint_laws=mode))
+        found = identified(case.robot, Observed(case.rig, case.table), case.held, IdentifyOptions(joint_laws=mode))
         seconds.append(time.process_time() - start)
         results.append(found)
     plain, best = (errors(case, one.chain, one.estimate.parameter_names, one.estimate.value) for one in results)

@@ -18,6 +18,7 @@ from truearm.model.chain import _folded, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.types import BallBar, Device, Point, Rig
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 
 ROBOTS = {"position": "ur10e", "ball_bar": "puma560"}
 
@@ -62,7 +63,7 @@ def main(what: str, kind: str, path: str, runs: int) -> None:
     def run():
         if what == "identify":
             names = [name for name, is_free in zip(chain.parameter_names, free, strict=True) if is_free]
-            return identified(robot, rig, table, options=IdentifyOptions(free=tuple(names))).estimate
+            return identified(robot, Observed(rig, table), options=IdentifyOptions(free=tuple(names))).estimate
         problem = build_problem(chain, rig, table)
         return fit(problem, free, problem.start)
 

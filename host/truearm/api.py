@@ -42,7 +42,7 @@ from truearm.workflows import identify as identification
 from truearm.workflows import map as maps
 from truearm.workflows.calibration import Calibration, Identification, read_calibration
 from truearm.workflows.identify import DEFAULTS, IdentifyOptions, Progress
-from truearm.workflows.inputs import Sources, completed_rigs, read_sources
+from truearm.workflows.inputs import Observed, Sources, completed_rigs, read_sources
 from truearm.workflows.plan import BallBarOptions
 from truearm.workflows.requests import CorrectOptions, Section
 from truearm.workflows.session_observations import channel_samples, is_session, joint_readings
@@ -306,8 +306,9 @@ def read_session(
         allow_damaged=allow_damaged,
         line_points=line_points,
     )
-    around, table, *_ = read_sources(sources, None)
-    return SessionObservations(table, around, tuple(finding.text() for finding in sources.said), parts, allow_damaged)
+    observed = read_sources(sources, None)
+    lost = tuple(finding.text() for finding in observed.findings)
+    return SessionObservations(observed.table, observed.rigs, lost, parts, allow_damaged)
 
 
 @checked
@@ -368,7 +369,7 @@ def identify(
         held: Sequence[str] | NDArray[np.bool_] = _mask(hold_out, rows)
     else:
         held = _texts(hold_out) if isinstance(hold_out, str | Sequence) else (str(float(hold_out)),)
-    return identification.identified(robot, rigs, rows, held, options or DEFAULTS, progress=progress)
+    return identification.identified(robot, Observed(rigs, rows), held, options or DEFAULTS, progress=progress)
 
 
 @checked
@@ -410,7 +411,7 @@ def validate(
     The calibration holds:
     """
     rows = _table("table", table, result.robot)
-    return validated(result, _rigs(rig, rows), rows, keep_rig=keep_rig)
+    return validated(result, Observed(_rigs(rig, rows), rows), keep_rig)
 
 
 @checked

@@ -23,7 +23,8 @@ from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 from truearm.exit_codes import ExitCode
@@ -39,7 +40,8 @@ _PLACE = re.compile(r"[^\s;]+|--[^;]+|[^;]*(?:\w\.[a-z]|[/\\_])[^;]*")
 class TruearmError(Exception):
     """Base class of all truearm errors; the text is one line that states what is wrong and what to do.
 
-    ``finding`` has the error's code and values. An argument of a wrong type raises TypeError instead.
+    ``finding`` has the error's code and values, ``noticed`` are findings about data that were read before: they may be its
+    cause. An argument of a wrong type raises TypeError instead.
 
     Examples
     --------
@@ -53,6 +55,7 @@ class TruearmError(Exception):
 
     exit_code = ExitCode.FAILED
     default_code = "invalid-input"  # of an error that is raised with a text
+    noticed: tuple[Finding, ...] = ()
 
     def __init__(self, *text: object, **values: Any) -> None:
         """Take a code and its values, or a text in pieces."""
@@ -102,6 +105,16 @@ class TruearmError(Exception):
             return type(self)(f"{place}: ", *self.args)
         places = [str(name) for name in (place, self.values.get("place")) if name]
         return type(self)(*self.args, **{**self.values, "place": ": ".join(places)})
+
+
+@contextmanager
+def noting(findings: Iterable[Finding]) -> Iterator[None]:
+    """Add findings to an error, as what was noticed before it."""
+    try:
+        yield
+    except TruearmError as exc:
+        exc.noticed = (*findings, *exc.noticed)
+        raise
 
 
 class InputError(TruearmError, ValueError):

@@ -7,6 +7,7 @@ imports this module.
 from truearm.export.link_frames import check_gains as check_gains
 from truearm.export.link_frames import joint_motion as joint_motion
 from truearm.export.writing import RobotToWrite as RobotToWrite
+from truearm.findings import Finding as Finding
 from truearm.kinds.group import Group as Group
 from truearm.kinds.kind import DwellSensor as DwellSensor
 from truearm.kinds.kind import Kind as Kind

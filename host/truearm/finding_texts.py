@@ -10,6 +10,8 @@ from enum import StrEnum
 from functools import partial
 from typing import NamedTuple
 
+from truearm.text import page
+
 
 class Severity(StrEnum):
     """What a finding is.
@@ -37,6 +39,7 @@ class Statement(NamedTuple):
 error, refusal, warning, result, note, advice = (partial(Statement, severity) for severity in Severity)
 
 MORE_POSES = "Measure more poses, in more of the workspace"
+HARDWARE = page("Build the box: parts, wiring, accuracy")
 SHARED = "This is the error in what the rows measure. Errors that all rows share do not show in it."
 SHOWN = "The error that the rows show: {error}[ (95 %: {range})], the mean of {n:#pose} {by}."
 CHI2_DROP = "χ² falls by {chi2_drop:.4g} with {freedom:#degree of freedom|degrees of freedom}."
@@ -349,11 +352,24 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "not-measured": ("{place}: holds no session yet", "make one with truearm record"),
     # box and robot
     "no-box": ("{place}: not found", "plug the box in"),
+    "no-box-plugged-in": (
+        "no box is plugged in: no serial port has a Pico's USB identity",
+        "plug it in (a new Pico: truearm box flash), name its port with {@box}, or try all with truearm box list {@all}; without hardware, truearm simulate simulates a box",
+    ),
     "several-boxes": ("{boxes:#box is|boxes are} plugged in: {boxes}", "name one with {@box}"),
     "no-answer": (
         "{place}: no answer to {request!r} in {seconds:g} s",
         "is this a truearm box, and is its firmware running?",
     ),
+    "no-channel": (
+        "the box has no channel {channel} (it has {names})",
+        "[{switch:!}switch it on with truearm box config set magnetostrictive.period_us=983.04 {device:@box}||to rename one, save what truearm box config get {device:@box} prints as box.toml, edit it, and run truearm box config set box.toml {device:@box}]",
+    ),
+    "unusable-channel": (
+        "channel {channel} cannot be used: {fault}",
+        "correct it with truearm box config set channel.{channel}.KEY=VALUE {device:@box}",
+    ),
+    "unready-box": ("{problems}; nothing was started", "{@unchecked} records anyway"),
     "old-firmware": ("[{place}: ]the box {reason}", "update its firmware with truearm box flash"),
     # programs
     "no-program": (
@@ -431,7 +447,15 @@ READING: Mapping[str, Statement] = {  # of the observations, while they are read
     "rows-reordered": warning(
         "{place}: the rows are not in the order of time_s. They are used in that order, and row numbers count in it."
     ),
-    "doubtful-rows": warning("{reason}."),
+    "doubtful-rows": warning("{reason}."),  # of a kind that a plug-in adds
+    "beyond-stroke": warning(
+        "Bar {bar}: {n} of its {rows:#row} are beyond its stroke of {low:.1f} to {high:.1f} (first {first}: {length:.1f}).",
+        "Check the bar in these rows, and its zero_mm and travel_mm in the rig.",
+    ),
+    "other-distance": warning(
+        "The distance of sockets {sockets} is {declared:.6g} in the rig, and about {nominal:.6g} by the nominal robot.",
+        "Correct its unit (distance_mm or distance_m) in the rig, or the joints.",
+    ),
     "repeated-distance": warning(
         "Rigs {rigs}: each has the same distance of sockets {sockets}, which counts as a measurement of each.",
         "If it was measured once, give one rig for all rows.",
@@ -596,6 +620,83 @@ RECORDING: Mapping[str, Statement] = {
         "Read them again with truearm robot read, then measure and identify again: a result corrects for the kinematics it was identified with.",
     ),
     "recording-disturbed": warning("Disturbed by: {events}.", "What was lost is shown by truearm inspect."),
+}
+
+BOX: Mapping[str, Statement] = {
+    # the self-test
+    "box-failed": refusal(
+        "The box fails its self-test: {failed} failed, {warned} with a warning, {passed} passed. {box}."
+    ),
+    "box-passed": result(
+        "The box passes its self-test: {passed} passed, {warned} with a warning, {failed} failed. {box}."
+    ),
+    **{
+        code: warning("{verdict}: {title}: [{value}||not measured][{near:!}, near its limit].", remedy)
+        for code, remedy in {
+            "test-converter": f"Check its supply and the SPI wires: DOUT, CS, SCLK, DIN ({HARDWARE}).",
+            "test-excitation": f"Check the LVDT's plug, primary and supply ({HARDWARE}). Without an LVDT, run truearm box config set channel.NAME.over= {{device:@box}} for each channel that has the key 'over' (the channel to divide by).",
+            "test-noise": "Check the analogue ground and the 3.3 V supply; keep USB and motor cables away from the converter.",
+            "test-stops": "Check the head's supply, that the magnet is on its rod, both RS-422 pairs, and blanking_us and timeout_us, which truearm box config get {device:@box} prints. Without such a head, run truearm box config set magnetostrictive.period_us=0 {device:@box}.",
+            "test-supply": "Use another port or a shorter cable, or a powered hub.",
+            "test-temperature": "Cool or warm the box.",
+            "test-thermometers": "Check the wires at J1 and the addresses: truearm box config get {device:@box} prints those of the configuration, truearm box config set thermometers.NAME=ADDRESS {device:@box} changes one.",
+            "test-unknown": "The box's firmware is newer than this truearm: update truearm.",
+        }.items()
+    },
+    "test-unreadable": warning(
+        "{verdict}: {title}: the box's answer cannot be read.", "Update its firmware with truearm box flash."
+    ),
+    "test-passed": result("{verdict}: {title}: {value}."),
+    "box-fault": warning("{fault}[{recorded:!}; its samples are recorded anyway]"),
+    "other-firmware": warning(
+        "The image has {image}, but the box runs {box}: firmware files on its flash take precedence."
+    ),
+    # whether it can measure
+    "uncalibrated-channel": refusal(
+        "channel {channel} is not calibrated to a length", "calibrate it with truearm box gauge {channel} {device:@box}"
+    ),
+    "nothing-calibrated": warning(
+        "no channel of the box is calibrated to a length, so truearm identify cannot use this session",
+        "calibrate one with truearm box gauge CHANNEL {device:@box}",
+    ),
+    "old-calibration": warning(
+        "channel {channel} was calibrated {days} days ago, on {date}",
+        "calibrate it again with truearm box gauge {channel} {device:@box}",
+    ),
+    "future-calibration": warning(
+        "channel {channel} was calibrated on {date}, which is in the future", "check the date of this computer"
+    ),
+    "other-rate": warning("stream {stream} samples at oversampling ratio (osr) {osr}, not {requested} as requested"),
+    "box-temperature": warning(
+        "the box is {difference:.1f} [{warmer:!}warmer||colder] than when {channel} was calibrated, and reads no thermometer on the bar: lengths may be off by about {error:.2f} (a steel bar of {length:.0f})",
+        "put a thermometer on the bar, or wait",
+    ),
+}
+
+LIVE: Mapping[str, Statement] = {  # of a recording that is under way: clauses after the name of a row of the view
+    "box-lost": warning("lost; trying to open it again"),
+    "box-silent": warning("silent for 3 s", "check whether it is stuck"),
+    "no-samples": warning("NO SAMPLES"),
+    "lost-so-far": warning("so far"),
+    "near-travel-end": warning("near the end of its travel"),
+    "beyond-travel": warning("BEYOND ITS TRAVEL"),
+    "robot-closed": warning("closed its stream"),
+    "robot-lost": warning("lost; trying to reach it again"),
+    "robot-silent": warning("silent for {time:.0f}"),
+    "file-loss": warning("{loss}"),
+    "sensor-silent": warning("{place}: the LVDT gives no values", "check that the bar is on, and its wires"),
+    "dwell-taken": note("{place}: {length:+.4f}, noise {noise:.1f}"),
+    "not-settled": warning("{place}: {length:+.4f}, noise {noise:.1f}, drift {drift:+.1f}: NOT settled"),
+    "other-mounted": warning(
+        "{place} needs {needed}, but {confirmed} was confirmed",
+        "name what is mounted, or correct the dwells with truearm session relabel",
+    ),
+    "mount-next": advice("at the next pose, mount {what}", "then press Enter"),
+    "plan-complete": advice("the plan is complete", "type q and Enter to end the recording"),
+    "damaged-part": warning(
+        "{place}: is damaged or has no end, so other commands refuse it and its further parts",
+        "to avoid this, end this recording, run truearm session recover {place}, and record with {@resume} {copy}",
+    ),
 }
 
 RMS_ERRORS = "{after} RMS, and {before} without the calibration"
@@ -821,6 +922,8 @@ STATEMENTS: Mapping[str, Statement] = {
     **READING,
     **SESSION,
     **RECORDING,
+    **BOX,
+    **LIVE,
     **REPEATABILITY,
     **VALIDATION,
     **CERTIFICATE,

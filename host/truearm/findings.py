@@ -62,9 +62,9 @@ class Finding:
 
     def text(self, argument: Callable[[str], str] = str) -> str:
         """Return the sentence and the remedy; ``argument`` is the format of arguments of truearm."""
-        severity, *templates = self.statement
-        texts = (worded(template, self.values, argument) for template in templates)
-        return ("; " if severity is Severity.ERROR else " ").join(filter(None, texts))
+        _, *templates = self.statement
+        sentence, remedy = (worded(template, self.values, argument) for template in templates)
+        return f"{sentence}{' ' if sentence.endswith('.') else '; '}{remedy}" if remedy else sentence
 
     def entry(self) -> dict[str, Any]:
         """Return the finding as JSON."""

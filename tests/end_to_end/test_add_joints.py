@@ -19,6 +19,7 @@ from truearm.record.session_writer import SessionWriter, copy_head, read_anchor
 from truearm.session.session_file import open_session
 from truearm.workflows.session_copies import joint_names
 from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_parts import open_finished
 
 NAMES = [f"joint{i}" for i in range(6)]
 SCRAMBLED = [2, 1, 0, 5, 3, 4]
@@ -43,7 +44,7 @@ class Recorded:
         self.t = [row["t"] for _, row in rows]
         self.q = np.array([row["q"] for _, row in rows])
         self.begin_ns = min(message.t_host_ns for message in open_session(self.bare).messages())
-        self.result = observations_of_session(self.path)
+        self.result = observations_of_session(open_finished(self.path))
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,7 @@ def check(recorded, out):
     A dwell of 2 s has 254 Hz · 1.4 s samples; its edges follow the arrival's jitter by a bin of 50 ms on each side, so that at most
     a fifth of them are others: the means differ by less than twice their standard error.
     """
-    found = observations_of_session(out)
+    found = observations_of_session(open_finished(out))
     assert len(found.table) == len(recorded.result.table) == 18
     # quantised readings (1.2e-5 rad), degrees to radians and back (2e-16)
     assert np.allclose(found.table.q, recorded.result.table.q, atol=2e-6)
@@ -212,4 +213,4 @@ def test_what_is_whole_of_a_damaged_session(recorded, tmp_path, out, capsys):
     assert "--allow-damaged" in capsys.readouterr().err
     assert main([*arguments, "--allow-damaged"]) == 0
     assert "damaged" in open_session(out).metadata["joints-added"]
-    assert 4 <= len(observations_of_session(out).table) < 18
+    assert 4 <= len(observations_of_session(open_finished(out)).table) < 18

@@ -10,6 +10,7 @@ from truearm.box.control import MAX_WAITING, BoxControl
 from truearm.box.gauge_run import sample
 from truearm.box.selftest import FAIL, PASS, WARN, findings
 from truearm.errors import LinkError, ProtocolError, RefusedError
+from truearm.findings import option
 from truearm.progress import listening
 from truearm.record.requests import NoAnswerError
 from truearm_wire import messages as wire
@@ -217,43 +218,41 @@ def result(value, ok=1, **more):
 
 
 def test_findings_pass_warn_and_fail():
-    found = {
-        f.name: f
-        for f in findings(
-            {
-                "converter_id": result(0x2400, 0, low=0x2401, high=0x24FF),
-                "rail_5v": result(4410, low=4400, high=5500),
-                "noise_0": result(2900),
-                "stops": result(15),
-                "temperature": "hot",
-                "coffee": result(3),
-                "tea": result(3, 0, low=None),
-            }
-        )
-    }
+    found = findings(
+        {
+            "converter_id": result(0x2400, 0, low=0x2401, high=0x24FF),
+            "rail_5v": result(4410, low=4400, high=5500),
+            "noise_0": result(2900),
+            "stops": result(15),
+            "temperature": "hot",
+            "coffee": result(3),
+            "tea": result(3, 0, low=None),
+        }
+    )
     verdicts = {PASS: {"noise_0", "coffee"}, FAIL: {"converter_id", "temperature", "tea"}}
     verdicts[WARN] = {"noise_1", "noise_2", "noise_3", "stops", "rail_5v"}
-    assert {verdict: {name for name, f in found.items() if f.verdict == verdict} for verdict in verdicts} == verdicts
-    assert found["converter_id"].value == "0x2400 (allowed: 0x2401 to 0x24ff)"
-    assert "SPI wires" in found["converter_id"].advice
-    assert found["rail_5v"].value == "4.41 V"
-    assert "near its limit" in found["rail_5v"].advice
-    assert "measure" in found["noise_1"].advice
-    assert found["noise_0"].advice == ""
+    assert {
+        verdict: {name for name, f in found.items() if f.values["verdict"] == verdict} for verdict in verdicts
+    } == verdicts
+    assert found["converter_id"].values["value"] == "0x2400 (allowed: 0x2401 to 0x24ff)"
+    supply = found["rail_5v"]
+    assert (supply.code, supply.values["value"], supply.values["near"]) == ("test-supply", "4.41 V", True)
+    assert (found["noise_1"].code, found["noise_1"].values["value"]) == ("test-noise", "")
+    assert {found[name].code for name in ("noise_0", "coffee")} == {"test-passed"}
+    assert (found["temperature"].code, found["tea"].code) == ("test-unreadable", "test-unknown")
 
 
 @pytest.mark.parametrize(
     "junk", [None, 3, [], {}, {"ok": 2, "value": 1}, {"ok": 1, "value": 2**70}, {"ok": 1, "value": True}]
 )
 def test_results_that_are_none_are_failures_or_not_measured(junk):
-    (found,) = [f for f in findings({"rail_5v": junk}) if f.name == "rail_5v"]
-    assert found.verdict == (WARN if junk is None else FAIL)
+    assert findings({"rail_5v": junk})["rail_5v"].values["verdict"] == (WARN if junk is None else FAIL)
 
 
 def test_advice_names_commands_for_this_box():
     few, none = {"ok": 0, "value": 0, "unit": ""}, {"ok": 0, "value": 1, "unit": ""}
     results = {"stops": few, "thermometers_missing": none, "excitation": few}
-    found = {f.name: f.advice for f in findings(results, "/dev/ttyACM1")}
+    found = {name: finding.text(option) for name, finding in findings(results, "/dev/ttyACM1").items()}
     assert "run truearm box config set magnetostrictive.period_us=0 --box /dev/ttyACM1" in found["stops"]
     assert "truearm box config get --box /dev/ttyACM1 prints" in found["thermometers_missing"]
     assert "run truearm box config set channel.NAME.over= --box /dev/ttyACM1 for each" in found["excitation"]

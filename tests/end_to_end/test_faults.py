@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from tests.end_to_end.conftest import record_session, truearm
 
 from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_parts import open_finished
 from truearm_sim.lab import STEP_NS
 from truearm_sim.simbox import Fault
 from truearm_wire.frame import frame
@@ -84,7 +85,7 @@ def test_inspect_counts_exactly_what_was_injected(faulty):
 def test_no_sample_across_a_gap_is_used(faulty):
     """A dwell that the fault hit keeps a whole piece or is rejected; all others are used, and every mean is right."""
     kind, session = faulty
-    result = observations_of_session(session.path)
+    result = observations_of_session(open_finished(session.path))
     truth = session.world.truth
     outage = {"crash": 3.0, "reboot": 3.0, "stall": 0.3}.get(kind, 0.02)
     hit = (truth.dwell_start < FAULT_S + outage) & (truth.dwell_end > FAULT_S)

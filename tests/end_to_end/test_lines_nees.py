@@ -15,6 +15,7 @@ from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.plan.plan_file import concatenate
 from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_parts import open_finished
 from truearm_sim.latency import FROM_ROBOT
 from truearm_sim.line_device import Flaws, drive_errors
 from truearm_sim.line_plan import TARGETS, drawn_line_plan, line_rig
@@ -80,7 +81,7 @@ def recorded(world, path):
     """Return the world's session through firmware, recorder and synchronisation."""
     with lab_with(world) as lab:
         recorded_with_plan(lab, path, osr=8192)
-    return observations_of_session(path).table
+    return observations_of_session(open_finished(path)).table
 
 
 def test_a_position_that_is_late_is_noticed_or_found_as_a_delay():

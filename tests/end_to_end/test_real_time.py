@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from tests.end_to_end.conftest import truearm, truearm_process
 
 from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_parts import open_finished
 from truearm_sim.clocks import draw_clocks
 
 
@@ -61,7 +62,7 @@ def test_recorded_over_a_real_port(simulator, tmp_path):
     assert counts["/sync"] >= 40
     assert counts["/box/heartbeat"] >= 6
     assert "/box/console" not in counts
-    result = observations_of_session(session)
+    result = observations_of_session(open_finished(session))
     assert (
         result.survey.losses.frames_lost
         == result.survey.losses.samples_lost

@@ -9,7 +9,7 @@ from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import SETUP, session_parts, with_parts
+from truearm.workflows.session_parts import SETUP, open_finished, session_parts, with_parts
 from truearm_sim.world import World, standard_plan
 
 CHAIN = builtin_robot("puma560").chain
@@ -34,7 +34,7 @@ def test_parts_are_one_session(in_parts):
     """All dwells of both parts, of which the break cost one or two; their lengths are those of the whole recording to its noise."""
     whole, first = in_parts
     assert [path.name for path in session_parts(first)] == ["s.mcap", "s.2.mcap"]
-    reference = observations_of_session(whole).table
+    reference = observations_of_session(open_finished(whole)).table
     _, table, *_ = read_sources(Sources(tuple(with_parts([first]))), CHAIN)
     assert len(reference) - 3 <= len(table) < len(reference)
     assert {str(source).split(" ")[0].split(":")[0] for source in table.source} >= {"s.mcap", "s.2.mcap"}

@@ -11,7 +11,9 @@ from tests.end_to_end.levels import wait_until_ready
 from truearm.estimate.identify import identify
 from truearm.kinds.rig_file import read_rig
 from truearm.session.session_tables import tabulate
-from truearm.workflows.session_observations import SessionOptions, observations_of_session
+from truearm.workflows.inputs import Sources, read_sources
+from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_parts import open_finished
 from truearm_sim.robot import STEP as ENCODER_STEP
 from truearm_sim.thermal import STEEL, Thermal
 from truearm_sim.world import Setup, World, standard_plan, standard_rig
@@ -63,8 +65,7 @@ def left(world, rig, result):
 def warm(tmp_path_factory):
     path = tmp_path_factory.mktemp("warm") / "session.mcap"
     world, rig = session(path, Thermal(drift=2.0, ahead=3.0, gain_drift=GAIN_DRIFT))
-    said = []
-    return world, rig, observations_of_session(path, options=SessionOptions(said=said)), said
+    return world, rig, observations_of_session(open_finished(path)), read_sources(Sources((path,)), None).findings
 
 
 def test_two_kelvins_of_a_steel_bar_are_corrected_to_the_noise(warm):
@@ -95,7 +96,7 @@ def test_an_unknown_expansion_is_found_from_a_session_with_a_drift_of_2_k(seeds,
     for seed in seeds:
         path = tmp_path / f"{seed}.mcap"
         world, rig = session(path, Thermal(drift=2.0, ahead=3.0, gain_drift=GAIN_DRIFT), seed=seed)
-        found = fitted(world, rig, observations_of_session(path).table)
+        found = fitted(world, rig, observations_of_session(open_finished(path)).table)
         assert found.parameter_names[-2:] == ("bar.bar46.expansion", "bar.bar46.gain_drift")
         assert found.sigma[-2] < 2e-6
         away.append((found.value[-2:] - (STEEL, GAIN_DRIFT)) / found.sigma[-2:])
@@ -138,10 +139,9 @@ def test_a_simulated_laboratory_that_warms_up_is_in_rig_inspect_and_report(tmp_p
 
 def test_without_a_thermometer_a_session_far_from_the_calibration_is_warned_of_with_the_size(tmp_path):
     session(tmp_path / "session.mcap", Thermal(begin=24.0, drift=0.0, ahead=1.0, thermometers=()))
-    said = []
-    result = observations_of_session(tmp_path / "session.mcap", options=SessionOptions(said=said))
-    assert "bar_temperature" not in result.table.columns
-    (warning,) = said
+    observed = read_sources(Sources((tmp_path / "session.mcap",)), None)
+    assert "bar_temperature" not in observed.table.columns
+    (warning,) = observed.findings
     assert (warning.code, warning.values["warmer"], warning.values["channel"]) == ("other-temperature", True, "lvdt")
     assert warning.values["difference"]["degc"] == pytest.approx(5.0, abs=0.05)
     # 5 K · (11.5 ppm/K · 460 mm + 100 ppm/K · 37.5 mm)

@@ -24,6 +24,7 @@ from truearm.model.rotation import rotation
 from truearm.results import DriftWith, Effect
 from truearm.types import Point
 from truearm.workflows.identify import IdentifyOptions, identified, rejudged, split_causes
+from truearm.workflows.inputs import Observed
 from truearm.workflows.selection import parse_effect
 
 UNMOVED = np.eye(4)
@@ -175,7 +176,7 @@ def test_laws_are_not_fitted_to_rounding(mode, decimals):
     rig = replace(worlds.RIG, bars=bars)
     robot = builtin_robot("puma560")
     options = IdentifyOptions(joint_laws=mode, apply=("chuck.c1",))
-    found = identified(robot, rig, rows, (), options)
+    found = identified(robot, Observed(rig, rows), (), options)
     assert found.estimate.status == "converged"
     assert not (found.estimate.joint_laws and found.estimate.joint_laws.kept)
     if decimals is None:

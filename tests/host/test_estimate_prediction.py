@@ -20,6 +20,7 @@ from truearm.model.rotation import rotation, rotation_vector
 from truearm.results import weights_of
 from truearm.types import BallBar, Device, Plane, Point, Rig, rms
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 SENSOR = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))  # m²: 0.1 mm each axis
@@ -232,7 +233,7 @@ def sagging(n: int, sensor: float, declared: float, joint: float = 0.0, shared: 
         trackers={"t": Device("t", (declared**2 * np.eye(3)).tolist())},
         targets={"ball": Point("ball", (0.0,) * 3, 0.0)},
     )
-    result = identified(robot, rig, table, (), IdentifyOptions(joint_laws="sag"))
+    result = identified(robot, Observed(rig, table), (), IdentifyOptions(joint_laws="sag"))
     assert result.estimate.joint_laws.kept
     return result, rms(np.linalg.norm(points - still, axis=1))
 

@@ -13,6 +13,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import covariance, spectrum
 from truearm.estimate.robust import CAUCHY, HUBER, Moments, sandwich, tuning, weigh
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber", "cauchy"])
@@ -85,7 +86,7 @@ def test_errors_are_as_large_as_the_covariance_says(loss):
 
 def robustly_identified(table, loss, **more):
     options = IdentifyOptions(loss=loss, joint_laws="none", **more)
-    return identified(ROBOT, FAULT_RIG, table, (), options)
+    return identified(ROBOT, Observed(FAULT_RIG, table), (), options)
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])

@@ -9,6 +9,7 @@ from truearm.estimate import information
 from truearm.estimate.identifiability import identifiability, suggested_free
 from truearm.estimate.ties import first_within, largest_first, pivots
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 
 RELATIVE = 1e-13
 ROUNDED = ("checksum", "seconds", "iterations", "rank_gap", "covariance")  # of a result: no choices
@@ -27,7 +28,7 @@ def skeleton(value):
 
 
 def choices(robot, rig, table):
-    return skeleton(identified(robot, rig, table, (), IdentifyOptions(joint_laws="none")).document)
+    return skeleton(identified(robot, Observed(rig, table), (), IdentifyOptions(joint_laws="none")).document)
 
 
 def assert_same_choices(case, monkeypatch, seeds):

@@ -12,8 +12,10 @@ from truearm.errors import SessionError
 from truearm.finding_texts import STATEMENTS, Severity
 from truearm.report.session_findings import REJECTED
 from truearm.types import Message
+from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.inspect import Contents
-from truearm.workflows.session_observations import SessionOptions, observations_of_session
+from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_parts import open_finished
 
 EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
 
@@ -162,7 +164,7 @@ def test_a_damaged_session_on_request(stream, tmp_path, run):
     assert (code, out) == (2, "")
     assert "--allow-damaged" in err
     with pytest.raises(SessionError):
-        observations_of_session(path)
+        observations_of_session(open_finished(path))
     code, out, err = run("inspect", path, "--allow-damaged", "--json")
     assert (code, err) == (0, "")
     findings = listed(json.loads(out))
@@ -170,9 +172,10 @@ def test_a_damaged_session_on_request(stream, tmp_path, run):
     assert 0.0 < findings["session-damaged"]["lost_s"] < findings["session-damaged"]["of_s"]
     assert "session-incomplete" not in findings
     assert not findings["received"]["complete"]
-    said = []
-    assert len(observations_of_session(path, options=SessionOptions(allow_damaged=True, said=said)).table) >= 3
-    assert (said[0].code, said[0].values["at"], said[0].values["place"]) == ("session-damaged", at, str(path))
+    observed = read_sources(Sources((path,), allow_damaged=True), None)
+    assert len(observed.table) >= 3
+    (damaged, *_) = observed.findings
+    assert (damaged.code, damaged.values["at"], damaged.values["place"]) == ("session-damaged", at, str(path))
 
 
 def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):

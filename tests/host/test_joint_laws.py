@@ -40,6 +40,7 @@ from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import correct_file
 from truearm.workflows.export import curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 from truearm.workflows.map import Section, map_files, mapped
 from truearm.workflows.requests import CorrectFiles, CorrectOptions, MapFiles
 from truearm.workflows.validate import validated
@@ -156,7 +157,7 @@ def world(rng, n, curves=True, masses=True, gravity=DOWN):
 
 
 def identified_with(table, held, mode):
-    return identified(ROBOT, RIG, table, held, IdentifyOptions(joint_laws=mode))
+    return identified(ROBOT, Observed(RIG, table), held, IdentifyOptions(joint_laws=mode))
 
 
 @pytest.fixture(scope="module")
@@ -346,7 +347,7 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
         "sag-payload",
         {"holder": "the robot", "mass": "6", "masses": ["0", "4"]},
     )
-    judged = validated(again, RIG, table.select(np.arange(260) >= 200))
+    judged = validated(again, Observed(RIG, table.select(np.arange(260) >= 200)))
     assert listed(judged.document)["sag-payload"]["holder"] == "each row"
     with pytest.raises(InputError, match="mass: -1 kg"):
         again.carrying(-1.0)
@@ -375,16 +376,16 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     assert parse_rig(format_rig(read), "again.toml") == read
     rig = replace(RIG, payload=read.payload, payload_centre=read.payload_centre)
     by_table = identified_with(table, none, "sag")
-    by_rig = identified(ROBOT, rig, without_payload(table), none, IdentifyOptions(joint_laws="sag"))
+    by_rig = identified(ROBOT, Observed(rig, without_payload(table)), none, IdentifyOptions(joint_laws="sag"))
     for found in (by_table, by_rig):
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert all(0.3 < law["range_share"] <= 1.0 for law in found.document["joint_laws"]["tried"] if law["kept"])
         assert [of.values for of in law_findings(found.document) if of.code == "sag-payload"] == [HELD_SAG]
     again = calibration_of(parse_result(strict_json(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
     assert again.payload_findings() == [Finding("sag-payload", HELD_SAG)]
-    assert "other-payload" not in listed(validated(again, rig, without_payload(table)).document)
+    assert "other-payload" not in listed(validated(again, Observed(rig, without_payload(table))).document)
     masses = np.where(np.arange(160) < 30, 4.0, 0.0)
-    light = validated(again, rig, table.replace(payload=masses))
+    light = validated(again, Observed(rig, table.replace(payload=masses)))
     assert listed(light.document)["sag-payload"] == HELD_SAG
     assert listed(light.document)["other-payload"] == {"n": 130, "rows": 160, "payload": ["0"], "masses": ["4"]}
     with pytest.raises(InputError, match="payload acts"):
@@ -596,7 +597,7 @@ def test_a_second_day_is_validated_with_the_laws(learned_arm):
     xyz = true_points(q) + rng.normal(0.0, NOISE, (60, 3))
     second = replace(found.table.select(np.arange(400) < 60), q=q, xyz=xyz)
     plain = identified_with(found.table, ~found.estimate.fitted, "none")
-    with_laws_, without = (validated(one, RIG, second) for one in (found, plain))
+    with_laws_, without = (validated(one, Observed(RIG, second)) for one in (found, plain))
     assert with_laws_.document["consistent"]
     assert not without.document["consistent"]
     assert with_laws_.document["placed"] == without.document["placed"]

@@ -9,6 +9,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.types import BallBar, Point, Rig
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 
 NOISE = 3e-5  # m
 SPHERES = np.array([[0.07, 0.04, 0.11], [-0.07, 0.04, 0.11], [0.0, -0.08, 0.11]])  # m
@@ -41,7 +42,7 @@ def world(seed, n, laws, error=""):
 
 
 def found(rig, table, mode):
-    return identified(ROBOT, rig, table, (), IdentifyOptions(joint_laws=mode)).estimate
+    return identified(ROBOT, Observed(rig, table), (), IdentifyOptions(joint_laws=mode)).estimate
 
 
 def names_of(estimate):

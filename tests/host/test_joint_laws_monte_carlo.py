@@ -12,6 +12,7 @@ from truearm.estimate.problem import build_problem
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_frames, point_forward
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 
 WORLDS = 40
 NOISE = 3e-5  # m
@@ -88,7 +89,7 @@ def rig_of(several):
 
 def fitted(table, rig, mode):
     none = np.zeros(len(table), dtype=bool)
-    return identified(ROBOT, rig, table, none, IdentifyOptions(joint_laws=mode))
+    return identified(ROBOT, Observed(rig, table), none, IdentifyOptions(joint_laws=mode))
 
 
 def judged(found, rig, table):

@@ -10,6 +10,7 @@ from ur10_bench import ROBOT
 from truearm.model.chain import joint_frames, point_forward
 from truearm.report.result_findings import outliers
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 
 GEAR, CYCLES = 4e-4, 17  # rad; cycles a turn
 SAG = 4e-4  # rad per m of a lever, of joint 2
@@ -48,7 +49,7 @@ def with_bad_rows(table, seed, share, low, high):
 
 def found(table, mode):
     nothing = np.zeros(len(table), dtype=bool)
-    return identified(ROBOT, rig_of(1), table, nothing, IdentifyOptions(joint_laws=mode))
+    return identified(ROBOT, Observed(rig_of(1), table), nothing, IdentifyOptions(joint_laws=mode))
 
 
 def check(clean, judges, mode, seed, share, low, high):

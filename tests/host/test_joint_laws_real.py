@@ -13,6 +13,7 @@ from truearm.kinds.table_file import parse_table
 from truearm.model.chain import forward
 from truearm.model.robot_file import load_robot
 from truearm.workflows.identify import identified
+from truearm.workflows.inputs import Observed
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
@@ -21,7 +22,7 @@ LARGEST = 0.36  # mm, of UR10 C
 
 def held_out_means(robot, rig, table, held):
     """Mean held-out errors [mm] of geometry and with laws."""
-    found = identified(robot, rig, table, held)
+    found = identified(robot, Observed(rig, table), held)
     steps = found.estimate.joint_laws.steps
     last = found.estimate.held_out.figures["m"].mean
     return 1e3 * steps[0].held_out.figures["m"].mean, 1e3 * last
@@ -48,7 +49,7 @@ def test_a_reflector_remounted_by_a_third_of_a_millimetre_is_named(real_arms):
     device = nearest_rotation((points - points.mean(0)).T @ (table.xyz - table.xyz.mean(0)), np.eye(3))
     axes = forward(robot.chain, robot.chain.params_nominal, table.q)[:, :3, :3]
     moved = (axes @ [2.4e-4, -1.5e-4, 9e-5]) @ device * (np.arange(120)[:, None] >= 40)
-    found = identified(robot, RIG, table.replace(xyz=table.xyz + moved)).estimate
+    found = identified(robot, Observed(RIG, table.replace(xyz=table.xyz + moved))).estimate
     assert [(fault.rivals[0].name, fault.rivals[0].rows) for fault in found.faults] == [
         ("target.reflector.step", (40, 120))
     ]

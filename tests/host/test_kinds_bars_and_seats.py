@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from puma_bench import BARS, CHAIN, CHUCKS, SPHERES, TRUTH, all_pairs, lengths, random_poses, table
 
 from truearm.estimate.problem import blocks, build_problem
@@ -133,7 +134,9 @@ def test_lengths_that_a_bar_cannot_have_are_named():
     """The stroke of the short bar ends 37.9 mm from its zero (75 mm · 1.01 / 2); 5 σ are 0.66 mm."""
     ends = 0.46 + np.array([0.0379 + 0.0006, -0.0379 - 0.0006, 0.0379 + 0.0008, 0.15])
     rows = replace(table(random_poses(4, np.random.default_rng(1)), ends, all_pairs(4)), bar=np.full(4, "short"))
-    (said,) = beyond_stroke(rows, UNKNOWN_RIG, CHAIN)
-    assert said.startswith("beyond the stroke of bar short, 422.1 to 497.9 mm: 2 of its 4 rows (first ")
-    assert f"{rows.source[2]}, 498.7 mm); check the bar" in said
+    (warning,) = beyond_stroke(rows, UNKNOWN_RIG, CHAIN)
+    expected = {"bar": "short", "n": 2, "rows": 4, "first": rows.source[2]}
+    assert (warning.code, expected.items() <= warning.values.items()) == ("beyond-stroke", True)
+    lengths = [warning.values[name]["mm"] for name in ("low", "high", "length")]
+    assert lengths == pytest.approx([422.1, 497.9, 498.7], abs=0.05)
     assert beyond_stroke(rows.select(np.arange(4) < 2), UNKNOWN_RIG, CHAIN) == []

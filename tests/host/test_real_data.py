@@ -19,6 +19,7 @@ from truearm.model.urdf import free_without_gains
 from truearm.report.result_findings import fault_findings
 from truearm.units import DEG
 from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.inputs import Observed
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 
@@ -135,7 +136,7 @@ def test_one_place_offers_nothing_to_apply(panda):
     robot = load_robot(str(MUKCA / "panda.urdf"), None, "ball_link")
     table = read_table(MUKCA / "panda_3.csv", robot.chain.joint_units)
     held = table.place != "backleft"
-    result = identified(robot, panda[1], table, held, IdentifyOptions(joint_laws="none"))
+    result = identified(robot, Observed(panda[1], table), held, IdentifyOptions(joint_laws="none"))
     assert [fault.rivals[0].name for fault in result.estimate.faults] == ["panda_joint2.step"]
     (finding,) = (finding for finding in fault_findings(result.document) if finding.code == "fault-choice")
     assert finding.values["few"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from record_live import NOISE, PAIRS, S, Session, plan
 
+from truearm.findings import Finding
 from truearm.live.session_progress import SessionProgress
 
 
@@ -58,7 +59,7 @@ class TestDwells:
         session = Session()
         session.position = 10.0  # beyond the converter's range
         session.dwell()
-        assert session.said[-1] == "dwell 1: the LVDT gives no values: is the bar on, or a wire broken?"
+        assert session.said[-1] == Finding("sensor-silent", {"place": "dwell 1"}).text()
         assert "mean_m" not in session.events("dwell")[0]
         # Its readings ended one second after it stopped: the bar goes on to be read, and the pose is not taken.
         session = Session(plan(*PAIRS))
@@ -85,7 +86,7 @@ class TestThePlan:
         assert session.row("taken").text.startswith("2 of 4 dwells, standing")
         session = Session(plan(*PAIRS[:2]))
         session.run(2.5)
-        said = "; the plan is complete; type q and Enter to end the recording"
+        said = f"; {Finding('plan-complete').text()}"
         assert not any(said in text for text in session.said)
         session.dwell()
         assert session.said[-1].endswith(said)
@@ -104,13 +105,12 @@ class TestThePlan:
         session.run(2.5)
         assert session.row("mounted").text == "bar b46, chuck c1, sphere s1"
         session.dwell()
-        assert session.said[-1] == (
-            "mounted: bar b46, chuck c1, sphere s1; at the next pose, mount bar b61, chuck c1, sphere s1; then press Enter"
-        )
-        assert session.row("mounted").alarm
+        asked = Finding("mount-next", {"what": "bar b61, chuck c1, sphere s1"}).text()
+        assert session.said[-1] == f"mounted: bar b46, chuck c1, sphere s1; {asked}"
+        assert session.row("mounted").alarms
         session.type("")
         assert session.events("mounted") == [{"bar": "b61", "chuck": "c1", "sphere": "s1"}]
-        assert not session.row("mounted").alarm
+        assert not session.row("mounted").alarms
         assert session.said[-1] == "mounted: bar b61, chuck c1, sphere s1"
 
     def test_with_and_without_a_confirmation(self):
@@ -119,15 +119,17 @@ class TestThePlan:
         session.run(2.5)
         for _ in range(2):
             session.dwell()
-        (warning,) = (text for text in session.said if text.startswith("contradiction"))
-        assert warning.startswith("contradiction: pose 2 needs bar b61, but bar b46, chuck c1, sphere s1 was confirmed")
+        assert len([text for text in session.said if text.startswith("contradiction")]) == 1
+        (warning,) = session.row("contradiction").alarms
+        values = {"place": "pose 2", "needed": "bar b61", "confirmed": "bar b46, chuck c1, sphere s1"}
+        assert warning == Finding("other-mounted", values)
         # The plan alone says what is mounted, and ``identify`` takes it; the view goes on asking.
         session = Session(plan(*PAIRS))
         session.run(2.5)
         for _ in range(2):
             session.dwell()
         assert not [text for text in session.said if text.startswith("contradiction")]
-        assert session.row("mounted").alarm
+        assert session.row("mounted").alarms
         session = Session(plan(*PAIRS), robot=False)
         session.run(2.5)
         session.dwell()
@@ -145,7 +147,7 @@ class TestThePlan:
         assert session.row("taken").text.startswith("0 of 2 lines")
         session.run(0.5, q_speed=1.0)
         assert session.row("taken").text.startswith("1 of 2 lines")
-        assert session.row("mounted").alarm.startswith("at the next pose, mount line l2, target t1")
+        assert session.row("mounted").alarms[0].values["what"] == "line l2, target t1"
         session.run(2.0)  # a stop is no dwell where the plan has none
         assert [event["pose"] for event in session.events("line")] == [1]
         session.run(0.5, q_speed=-1.0)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from record_live import PAIRS, TODAY, S, Session, box, plan
 
-from truearm.box.readiness import Purpose, Verdict, check_box, far_from_calibration
+from truearm.box.readiness import Purpose, check_box, far_from_calibration
 from truearm.errors import InputError
+from truearm.finding_texts import Severity
+from truearm.findings import Finding, option
 from truearm.live.keyboard import LONGEST, Typed
 from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
@@ -75,22 +77,22 @@ class TestTravel:
         session = Session(mounted={"bar": "b46"})
         session.run(0.5)
         assert session.row("lvdt").text.endswith(", travel ±37.5 mm")
-        assert not session.row("lvdt").alarm
-        session.run(3.1, speed=0.01)
-        assert session.row("lvdt").alarm == "near the end of its travel"
-        session.run(0.8, speed=0.01)
-        assert session.row("lvdt").alarm == "BEYOND ITS TRAVEL"
-        warnings = [text for text in session.said if text.startswith("lvdt")]
-        assert [text.rpartition("; ")[2] for text in warnings] == ["near the end of its travel", "BEYOND ITS TRAVEL"]
+        assert not session.row("lvdt").alarms
+        warnings = [Finding("near-travel-end"), Finding("beyond-travel")]
+        for seconds, warning in zip((3.1, 0.8), warnings, strict=True):
+            session.run(seconds, speed=0.01)
+            assert session.row("lvdt").alarms == (warning,)
+        messages = [text for text in session.said if text.startswith("lvdt")]
+        assert [text.rpartition("; ")[2] for text in messages] == [warning.text() for warning in warnings]
 
     def test_the_transverse_sensors_of_a_line(self):
         """What the LVDT shows here is a transducer's; its range is the rig's."""
         session = Session(mounted={"line": "l1", "target": "t1"}, rig=Rig(line_travel=0.015))
         session.state.approve(box(name="transverse_a"))
         session.run(0.5)
-        assert not session.row("transverse_a").alarm
+        assert not session.row("transverse_a").alarms
         session.run(0.7, speed=0.01)  # to 7 mm of 7.5
-        assert session.row("transverse_a").alarm
+        assert session.row("transverse_a").alarms
         assert session.row("transverse_a").text.endswith(", travel ±7.5 mm")
 
     def test_a_stream_that_has_run_dry(self):
@@ -99,51 +101,50 @@ class TestTravel:
         session.run(0.5)
         session.t += 3 * S
         row = session.row("adc")
-        assert (row.text, row.alarm) == ("1017.3 Hz", "NO SAMPLES")
+        assert (row.text, row.alarms) == ("1017.3 Hz", (Finding("no-samples"),))
         session.run(0.1)
         session.run(0.1)
-        assert not session.row("adc").alarm
-        assert session.said == ["adc: 1017.3 Hz; NO SAMPLES", "adc: 1017.3 Hz"]
+        assert not session.row("adc").alarms
+        assert session.said == [f"adc: 1017.3 Hz; {Finding('no-samples').text()}", "adc: 1017.3 Hz"]
 
 
 class TestCheck:
     def test_a_good_box(self):
-        assert check_box(box(), Purpose(ball_bar=True, osr=4096), TODAY) == Verdict()
+        assert not [*check_box(box(), Purpose(ball_bar=True, osr=4096), TODAY)]
 
     @pytest.mark.parametrize(
-        ("lvdt", "says"),
+        ("lvdt", "code"),
         [
-            (
-                {"name": "lvtd"},
-                "has no channel lvdt (it has lvtd, c1, c2, c3); to rename one, save what truearm box config get "
-                "--box /dev/ttyACM1 prints as box.toml, edit it, and run truearm box config set box.toml --box /dev/ttyACM1",
-            ),
-            (
-                {"calibration": {}},
-                "truearm box gauge lvdt --box /dev/ttyACM1",
-            ),
-            ({"calibration": {"unit": "V", "poly": [[1, 0]]}}, "calibrated to"),
-            ({"scale": [1]}, "channel lvdt cannot be used: scale must be"),
+            ({"name": "lvtd"}, "no-channel"),
+            ({"calibration": {}}, "uncalibrated-channel"),
+            ({"calibration": {"unit": "V", "poly": [[1, 0]]}}, "uncalibrated-channel"),
+            ({"scale": [1]}, "unusable-channel"),
         ],
     )
-    def test_refused_for_a_ball_bar(self, lvdt, says):
-        verdict = check_box(box(**lvdt), Purpose(ball_bar=True, device="/dev/ttyACM1"), TODAY)
-        assert says in verdict.refused[0]
-        assert not check_box(box(**lvdt), Purpose(), TODAY).refused
+    def test_refused_for_a_ball_bar(self, lvdt, code):
+        (finding,) = check_box(box(**lvdt), Purpose(ball_bar=True, device="/dev/ttyACM1"), TODAY)
+        assert (finding.code, finding.values["channel"]) == (code, "lvdt")
+        assert "--box /dev/ttyACM1" in finding.text(option)
+        assert finding.severity in (Severity.ERROR, Severity.REFUSAL)
+        assert {other.severity for other in check_box(box(**lvdt), Purpose(), TODAY)} <= {Severity.WARNING}
 
     def test_what_is_warned_of(self):
         old = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2024-11-22"}}
-        verdict = check_box(box(**old), Purpose(ball_bar=True, osr=128), TODAY)
-        assert verdict.warned == (
-            "channel lvdt was calibrated 730 days ago, on 2024-11-22; calibrate it again with truearm box gauge lvdt --box DEVICE",
-            "stream adc samples at oversampling ratio (osr) 4096, not 128 as requested",
-        )
+        warnings = check_box(box(**old), Purpose(ball_bar=True, osr=128), TODAY)
+        (calibrated, rate) = (dict(warning.values, code=warning.code) for warning in warnings)
+        assert (calibrated["code"], calibrated["days"], calibrated["date"]) == ("old-calibration", 730, "2024-11-22")
+        assert rate == {"code": "other-rate", "stream": "adc", "osr": 4096, "requested": 128}
         soon = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2030-01-01"}}
-        assert "which is in the future" in check_box(box(**soon), Purpose(ball_bar=True), TODAY).warned[0]
-        assert "no channel of the box" in check_box(box(calibration={}), Purpose(), TODAY).warned[0]
-        refused = check_box(box(), Purpose(line=True), TODAY).refused
-        assert ["magnetostrictive" in text for text in refused] == [True, False, False]
-        assert "transverse_b" in refused[2]
+        assert codes(box(**soon), Purpose(ball_bar=True)) == ["future-calibration"]
+        assert codes(box(calibration={}), Purpose()) == ["nothing-calibrated"]
+        refused = [*check_box(box(), Purpose(line=True), TODAY)]
+        assert {finding.code for finding in refused} == {"no-channel"}
+        assert [finding.values["switch"] for finding in refused] == [True, False, False]
+        assert refused[2].values["channel"] == "transverse_b"
+
+
+def codes(ident, purpose):
+    return [finding.code for finding in check_box(ident, purpose, TODAY)]
 
 
 def state(robot=False, purpose=None, **more):
@@ -168,7 +169,7 @@ class TestState:
         for ok, closed in ((True, False), (False, True), (True, False), (False, False)):
             session.look(robot_ok=ok, robot_closed=closed)
             (row,) = (row for row in session.state.rows if row.name == "robot")
-            assert bool(row.alarm) == (not ok and not closed)
+            assert bool(row.alarms) == (not ok and not closed)
         (text,) = session.said
         assert text.endswith("lost; trying to reach it again")
         session = Session(plan(*PAIRS[:1]))
@@ -186,11 +187,12 @@ class TestState:
         session.look(box_ok=False)
         session.look(file_losses=("s.mcap: was deleted",))
         assert [text.partition(":")[0] for text in session.said] == ["box", "box", "file"]
-        assert session.said[0].endswith("; silent for 3 s; is it stuck?")
+        assert session.said[0].endswith(f"; {Finding('box-silent').text()}")
         assert session.said[2] == "file: s.mcap: was deleted"
         view = state(purpose=Purpose(ball_bar=True))
-        with pytest.raises(InputError, match=r"length.* Nothing was started"):
+        with pytest.raises(InputError, match=r"length.* nothing was started") as refused:
             view.approve(box(calibration={}))
+        assert refused.value.finding.code == "unready-box"
         all_the_same = state(purpose=Purpose(ball_bar=True), unchecked=True)
         all_the_same.approve(box(calibration={}))
         assert "calibrated" in all_the_same.messages[0]
@@ -227,8 +229,8 @@ class TestState:
         unknown.approve(box())
         unknown.box_temperature(40.0)
         unknown.status(Session().status())
-        assert not unknown.rows[0].alarm  # nobody noted it
+        assert not unknown.rows[0].alarms  # nobody noted it
 
     def test_a_box_that_reads_a_thermometer_on_the_bar_is_not_warned_of(self):
         ident = dataclasses.replace(box(), thermometers=("bar",))
-        assert far_from_calibration(ident, "lvdt", 60.0) == ""
+        assert far_from_calibration(ident, "lvdt", 60.0) is None

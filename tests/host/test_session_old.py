@@ -12,6 +12,7 @@ from truearm.session.session_file import open_session
 from truearm.workflows.export_session import export_session_files
 from truearm.workflows.requests import ExportSession
 from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_parts import open_finished
 
 SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
 # dwells and passes that gave observations, and readings of the robot, all of which count
@@ -45,7 +46,7 @@ class TestOldSessions:
                 assert found[title].tolist() == expected.tolist(), title
 
     def test_everything_was_read(self, name):
-        result = observations_of_session(SESSIONS / f"{name}.mcap")
+        result = observations_of_session(open_finished(SESSIONS / f"{name}.mcap"))
         dwells, passes, readings = KNOWN[name]
         assert sum(not dwell.reason for dwell in result.dwells) == dwells
         assert sum(not one.reason for one in result.passes) == passes
@@ -59,7 +60,7 @@ def test_they_are_known_as_simulated(name, tmp_path):
     """By the uid of the simulated box: also in a selection, beside rows without a mark, and as an exported table."""
     export_session_files(ExportSession(SESSIONS / f"{name}.mcap", tmp_path / "tables"))
     exported = read_table(tmp_path / "tables" / "observations.csv")
-    for table in (observations_of_session(SESSIONS / f"{name}.mcap").table, exported):
+    for table in (observations_of_session(open_finished(SESSIONS / f"{name}.mcap")).table, exported):
         assert table.simulated
         first = table.select(slice(0, 1))
         unmarked = first.replace(simulated=None)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from truearm.box.readiness import described_channels
-from truearm.box.selftest import Finding
+from truearm.findings import Finding
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.text import one_line
 from truearm.units import MM, MS, NS, UM, US, length, micro
@@ -28,7 +28,7 @@ def ident_lines(ident: Ident) -> list[str]:
         described = zip(stream.channels, described_channels(ident, stream), strict=True)
         lines += [f"  {_channel(channel, entry)}" for channel, entry in described]
     for fault in ident.faults:
-        lines += ["", f"warning: {one_line(fault)}"]
+        lines += ["", f"warning: {Finding('box-fault', {'fault': fault}).text()}"]
     if isinstance(document.get("last_error"), str):
         lines += ["", "its last traceback (truearm box reset clears it):"]
         lines += ["  " + one_line(line) for line in document["last_error"].splitlines()]
@@ -53,18 +53,6 @@ def _channel(channel: Channel, entry: Any) -> str:
     calibration = entry.get("calibration", {})
     origin = " ".join(one_line(str(calibration[key])) for key in ("serial", "date") if calibration.get(key))
     return f"{text}, calibrated to {one_line(channel.calibrated_unit)} by {len(channel.poly)} coefficients ({origin or 'no serial, no date'})"
-
-
-def finding_lines(findings: Iterable[Finding]) -> list[str]:
-    """Return one line per result, followed by advice where there is any."""
-    lines = []
-    for finding in findings:
-        lines.append(
-            f"{finding.verdict.upper():<5} {one_line(finding.title)}{': ' + one_line(finding.value) if finding.value else ''}"
-        )
-        if finding.advice:
-            lines.append(f"      {one_line(finding.advice)}")
-    return lines
 
 
 def with_spread(value: float, spread: float, unit: str) -> str:

@@ -10,6 +10,7 @@ from truearm.box.conversation import conversation, one_line_of
 from truearm.box.requests import FlashOptions
 from truearm.box.uf2 import Image, read_uf2
 from truearm.errors import Argument, InputError, LinkError
+from truearm.findings import Finding
 from truearm.progress import step
 from truearm.record.ports import usb_ports
 from truearm.session.box_ident import Ident
@@ -19,8 +20,8 @@ from truearm_wire.messages import BOOT_LOADER
 _SHORT = 4  # attempts of half a second, repeated
 
 
-def flash_box(options: FlashOptions) -> Iterator[str]:
-    """Flash a box and wait for its answer; yields one line per step. Raises InputError, ImageError, LinkError."""
+def flash_box(options: FlashOptions) -> Iterator[str | Finding]:
+    """Flash a box and wait for its answer; yields one line per step, and warnings. Raises InputError, ImageError, LinkError."""
     earlier_ports = {port.device for port in usb_ports()} - {options.box}
     path = options.image or own_image()
     image = read_uf2(path)
@@ -38,9 +39,8 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
         ident = _wait_for_box(options.box, earlier_ports, options.timeout)
     yield f"it answers: {one_line_of(ident)}"
     if image.version and ident.firmware != image.version:
-        yield f"warning: the image has {image.version}, but the box runs {ident.firmware}: firmware files on its flash take precedence"
-    for fault in ident.faults:
-        yield f"warning: {fault}"
+        yield Finding("other-firmware", {"image": image.version, "box": ident.firmware})
+    yield from (Finding("box-fault", {"fault": fault}) for fault in ident.faults)
 
 
 def own_image() -> Path:

@@ -15,6 +15,7 @@ from truearm.box.control import BoxControl, Sent
 from truearm.box.conversation import conversation, one_line_of, streaming
 from truearm.box.description import with_spread
 from truearm.box.readiness import LVDT, far_from_calibration
+from truearm.findings import option
 from truearm.interrupt import asked_to_stop
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.clock import fit_clock
@@ -131,7 +132,7 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Iterator[tuple[s
         longest = MS.text(US.to_si(beat["loop_max_us"]), ".1f")
         yield "box", f"{DEGC.text(degc, '.1f')}, longest loop {longest}"
         if warning := far_from_calibration(watch.ident, LVDT, degc):
-            yield "temperature", warning
+            yield "temperature", warning.text(option)
     if watch.ident.thermometers:
         values = (watch.thermometers.get(k) for k in range(len(watch.ident.thermometers)))
         texts = ("not read yet" if value is None else DEGC.text(value, ".2f") for value in values)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Any
 
 from truearm.errors import InputError
+from truearm.findings import Finding
 from truearm.session.box_ident import Ident, Stream, find_channels
-from truearm.text import box_command, one_line
-from truearm.units import DEGC, MM
+from truearm.units import MM
 
 LVDT = "lvdt"
 BAR = "bar"  # name of the bar's thermometer
@@ -34,44 +34,28 @@ class Purpose:
     device: str = "DEVICE"
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Messages. ``refused``: why the session would be worthless; ``warned``: what the operator should know."""
-
-    refused: tuple[str, ...] = ()
-    warned: tuple[str, ...] = ()
-
-
-def check_box(ident: Ident, purpose: Purpose, today: date) -> Verdict:
-    """Check for missing, incorrectly described, uncalibrated or long-uncalibrated channels, and rates other than
-    requested.
+def check_box(ident: Ident, purpose: Purpose, today: date) -> Iterator[Finding]:
+    """Return missing, incorrectly described and uncalibrated channels, which make a session worthless, and as warnings
+    long-uncalibrated ones, and rates other than requested.
     """
-    refused: list[str] = []
-    warned: list[str] = []
+    device = [purpose.device]
     names = ((LVDT,) if purpose.ball_bar else ()) + (LINE_CHANNELS if purpose.line else ())
     for name in names:
-        again = box_command(f"gauge {name}", purpose.device)
         try:
             stream, index = usable_channel(ident, name, purpose.device)
         except InputError as exc:
-            refused.append(str(exc))
+            yield exc.finding
             continue
         if stream.channels[index].length_unit is None:
-            refused.append(f"channel {name} is not calibrated to a length; calibrate it with {again}")
+            yield Finding("uncalibrated-channel", {"channel": name, "device": device})
         else:
-            warned += _old(name, described_channels(ident, stream)[index], today, again)
+            yield from _old(name, described_channels(ident, stream)[index], today, device)
     channels = [channel for stream in ident.streams.values() for channel in stream.channels]
     if not names and all(channel.length_unit is None for channel in channels):
-        warned.append(
-            "no channel of the box is calibrated to a length, so truearm identify cannot use this session; calibrate one with "
-            f"{box_command('gauge CHANNEL', purpose.device)}"
-        )
+        yield Finding("nothing-calibrated", {"device": device})
     for stream in ident.streams.values():
         if purpose.osr is not None and stream.osr not in (0, purpose.osr):
-            warned.append(
-                f"stream {stream.name} samples at oversampling ratio (osr) {stream.osr}, not {purpose.osr} as requested"
-            )
-    return Verdict(tuple(refused), tuple(warned))
+            yield Finding("other-rate", {"stream": stream.name, "osr": stream.osr, "requested": purpose.osr})
 
 
 def described_channels(ident: Ident, stream: Stream) -> Sequence[Any]:
@@ -80,55 +64,45 @@ def described_channels(ident: Ident, stream: Stream) -> Sequence[Any]:
     return channels
 
 
-def _old(name: str, described: Any, today: date, again: str) -> list[str]:
-    """Return a warning of a calibration that is old; ``again`` calibrates the channel."""
+def _old(name: str, described: Any, today: date, device: list[str]) -> list[Finding]:
+    """Return a warning of a calibration that is old."""
     calibration = described.get("calibration") if isinstance(described, dict) else None
     calibrated_on = calibration.get("date") if isinstance(calibration, dict) else None
     try:
         days = (today - date.fromisoformat(str(calibrated_on))).days
     except ValueError:
         return []
-    text = f"channel {name} was calibrated"
-    if days < 0:
-        return [f"{text} on {calibrated_on}, which is in the future; check the date of this computer"]
-    return [f"{text} {days} days ago, on {calibrated_on}; calibrate it again with {again}"] * (days > OLD_DAYS)
+    values = {"channel": name, "days": days, "date": str(calibrated_on), "device": device}
+    code = "future-calibration" if days < 0 else "old-calibration"
+    return [Finding(code, values)] if days < 0 or days > OLD_DAYS else []
 
 
-def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
-    """Warn if the box, now at ``degc`` [°C], is FAR or more from the calibration temperature of ``channel``, else
-    return "".
+def far_from_calibration(ident: Ident, channel: str, degc: float) -> Finding | None:
+    """Warn if the box, now at ``degc`` [°C], is FAR or more from the calibration temperature of ``channel``.
 
     No warning is given if the box reads a thermometer on the bar: its lengths are corrected.
     """
     place = find_channels(ident, channel)
     if place is None or BAR in ident.thermometers:
-        return ""
+        return None
     stream, (index,) = place
     warmer = degc - stream.channels[index].calibrated_degc
     if not abs(warmer) >= FAR:  # also if it is not known
-        return ""
+        return None
     error = abs(warmer) * (STEEL * USUAL_BAR + LVDT_DRIFT * 0.5 * USUAL_TRAVEL)
-    return (
-        f"the box is {DEGC.text(abs(warmer), '.1f')} {'warmer' if warmer > 0.0 else 'colder'} than when {channel} was calibrated, "
-        f"and reads no thermometer on the bar: lengths may be off by about {MM.text(error, '.2f')} (a steel bar of {MM.text(USUAL_BAR, '.0f')}); "
-        "put a thermometer on the bar, or wait"
-    )
+    lengths = {"error": {"mm": MM.of(error)}, "length": {"mm": MM.of(USUAL_BAR)}}
+    values = {"channel": channel, "difference": {"degc": abs(warmer)}, "warmer": warmer > 0.0}
+    return Finding("box-temperature", {**values, **lengths})
 
 
 def usable_channel(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
     """Return the stream with a channel, and the channel's index. Raises InputError if there is none that can be used."""
     place = find_channels(ident, name)
     if place is None:
-        names = ", ".join(one_line(c.name) for s in ident.streams.values() for c in s.channels)
-        advice = (
-            f"switch it on with {box_command('config set magnetostrictive.period_us=983.04', device)}"
-            if name == LINE_CHANNELS[0]
-            else f"to rename one, save what {box_command('config get', device)} prints as box.toml, edit it, and run "
-            f"{box_command('config set box.toml', device)}"
-        )
-        raise InputError(f"the box has no channel {one_line(name[:40])} (it has {names}); {advice}")
+        names = [channel.name for stream in ident.streams.values() for channel in stream.channels]
+        is_head = name == LINE_CHANNELS[0]
+        raise InputError("no-channel", channel=name[:40], names=names, switch=is_head, device=[device])
     stream, (index,) = place
     if fault := stream.channels[index].fault:
-        command = box_command(f"config set channel.{name}.KEY=VALUE", device)
-        raise InputError(f"channel {name} cannot be used: {fault}; correct it with {command}")
+        raise InputError("unusable-channel", channel=name, fault=fault, device=[device])
     return stream, index

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
@@ -16,10 +17,10 @@ from truearm.box import configuration
 from truearm.box.boot_drive import find_drives
 from truearm.box.configuration_schema import check
 from truearm.box.conversation import conversation, one_line_of
-from truearm.box.description import finding_lines, ident_lines, port_lines
+from truearm.box.description import ident_lines, port_lines
 from truearm.box.flash import flash_box
 from truearm.box.requests import FlashOptions, GaugeOptions
-from truearm.box.selftest import FAIL, WARN, findings
+from truearm.box.selftest import FAIL, PASS, WARN, entry, findings
 from truearm.box.uf2 import CHIPS
 from truearm.cli.command import Answer, command
 from truearm.cli.output import print_lines
@@ -27,6 +28,7 @@ from truearm.cli.project import CommandGroup
 from truearm.disk import check_writable, read_text, write_atomic
 from truearm.errors import ConfigError, InputError, TruearmError
 from truearm.exit_codes import ExitCode
+from truearm.findings import Finding, ordered
 from truearm.live.choose_box import choose_box
 from truearm.record.ports import usb_ports
 from truearm_wire.messages import RESTART
@@ -94,22 +96,36 @@ def info(*, box: str | None = None) -> Answer:
 
 @command(app, "test")
 def self_test(*, box: str | None = None, stop: bool = False) -> Answer:
-    """Run the self-test of a box, and print each result with what to do about it.
+    """Run the self-test of a box, and print whether it passes, then each result with what to do about it.
 
     The exit code is 1 if a test failed. A warning marks what was not measured or is near its limit.
 
     Example: truearm box test --box /dev/ttyACM0
+
+    Options
+    -------
+    details
+        Print all results, however many lines they take.
     """
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
         results = connected.self_test()
         ident = connected.identify()  # its faults are those of this test
-    verdicts = findings(results, device)
-    failed, warned = (sum(f.verdict == verdict for f in verdicts) for verdict in (FAIL, WARN))
+    tested = findings(results, device)
+    verdicts = Counter(finding.values["verdict"] for finding in tested.values())
+    counts = {"passed": verdicts[PASS], "warned": verdicts[WARN], "failed": verdicts[FAIL], "box": one_line_of(ident)}
     faults = [fault for fault in ident.faults if not fault.startswith("the box says 'self-test")]
-    counts = f"{len(verdicts) - failed - warned} passed, {warned} with a warning, {failed} failed"
-    lines = [one_line_of(ident), *finding_lines(verdicts), *(f"warning: {fault}" for fault in faults), counts]
-    return Answer([vars(f) for f in verdicts], lines, end=ExitCode.FAILED if failed else ExitCode.DONE)
+    stated = [
+        Finding("box-failed" if verdicts[FAIL] else "box-passed", counts),
+        *sorted(tested.values(), key=lambda finding: finding.values["verdict"] != FAIL),
+        *(Finding("box-fault", {"fault": fault}) for fault in faults),
+    ]
+    return Answer(
+        [entry(name, finding) for name, finding in tested.items()],
+        findings=ordered(stated),
+        written=(),
+        end=ExitCode.FAILED if verdicts[FAIL] else ExitCode.DONE,
+    )
 
 
 @command(app)

@@ -12,7 +12,6 @@ import click
 from truearm.bounds import LINE_POINTS, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import command_line, issue_of, joints_of, sources_of
-from truearm.cli.output import before_error
 from truearm.cli.project import typed
 from truearm.errors import Argument, InputError
 from truearm.estimate.solvers import SOLVERS, with_loss
@@ -125,8 +124,7 @@ def identify(
     if out and default and typed(context, "out") and Path(default).resolve().parent != out.resolve().parent:
         results.append(Path(default))
     files = IdentifyFiles(robot, sources, tuple(results), table_out, report, command_line(context), force)
-    with before_error(sources.said):
-        identification = identify_files(files, hold_out, IdentifyOptions(**vars(options)))
+    identification = identify_files(files, hold_out, IdentifyOptions(**vars(options)))
     document, paths = identification.document, {path.name: str(path) for path in inputs}
     return Answer(
         document,
@@ -183,8 +181,7 @@ def report(
 
     sources = sources_of(inputs, rig, allow_damaged=True, line_points=line_points)
     files = IdentifyFiles(robot, sources, command=command_line(context), force=force)
-    with before_error(sources.said):
-        certificate = report_files(result, files, out, issue_of(number, tolerance_mm))
+    certificate = report_files(result, files, out, issue_of(number, tolerance_mm))
     decision = certificate.findings[0].text(option)
     lines = [f"{certificate.heading}: {decision}", f"Written: {one_line(str(out))}"]
     return Answer({"report": str(out), "decision": decision, "findings": entries(certificate.findings)}, lines)
@@ -238,8 +235,7 @@ def validate(
         detail = Argument("number" if number else "tolerance_mm")
         raise InputError("needs-option", place=detail, needed=Argument("report"))
     files = IdentifyFiles(robot, sources, report=report, command=command_line(context), force=force)
-    with before_error(sources.said):
-        document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
+    document = validate_files(result, files, issue_of(number, tolerance_mm), keep_rig).document
     return Answer(document, tables=error_tables(document), written=[report], details_hint="Errors by region: --details")
 
 

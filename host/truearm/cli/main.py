@@ -119,6 +119,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _run(arguments)
     except TruearmError as exc:
+        for finding in exc.noticed:
+            print(f"{finding.severity}: {finding.text(option)}", file=sys.stderr)
         _complain(exc.text(_option_of(arguments)), exc.finding, arguments)
         return exc.exit_code
     except click.UsageError as exc:

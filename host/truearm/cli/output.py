@@ -3,37 +3,24 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from truearm.errors import TruearmError
 from truearm.findings import Finding, option
 from truearm.strict_json import strict_json
 from truearm.text import one_line
 
 
-def print_lines(lines: Iterable[str]) -> None:
-    """Print lines on standard output."""
+def print_lines(lines: Iterable[str | Finding]) -> None:
+    """Print lines, or findings with their severity, on standard output."""
     for line in lines:
-        print(line, flush=True)
+        print(line if isinstance(line, str) else f"{line.severity}: {line.text(option)}", flush=True)
 
 
 def print_json(document: Any) -> None:
     """Print a document as JSON on standard output; a number that is not finite is null."""
     print(strict_json(document))
-
-
-@contextmanager
-def before_error(findings: Iterable[Finding]) -> Iterator[None]:
-    """Print findings on standard error if an error ends the command, as they may be its cause."""
-    try:
-        yield
-    except TruearmError:
-        for finding in findings:
-            print(f"{finding.severity}: {finding.text(option)}", file=sys.stderr)
-        raise
 
 
 def warn_of_further_parts(session: Path, advice: str) -> None:

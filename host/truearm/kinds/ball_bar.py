@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from truearm.findings import Finding
 from truearm.kinds.group import Group, KindFault
 from truearm.kinds.kind import DwellSensor, Kind
 from truearm.kinds.linearised import Linearised, gather, linearised
@@ -142,20 +143,18 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     )
 
 
-def beyond_stroke(rows: ObservationTable, rig: Rig, _: Chain) -> list[str]:
-    """Return a sentence for each bar with lengths that its stroke does not reach, by more than its zero may be off."""
+def beyond_stroke(rows: ObservationTable, rig: Rig, _: Chain) -> list[Finding]:
+    """Return a warning for each bar with lengths that its stroke does not reach, by more than its zero may be off."""
     out = []
     for name in np.unique(rows.bar).tolist():
         bar, of_bar = rig.bars[name], rows.select(rows.bar == name)
         reach = 0.5 * abs(bar.gain) * bar.travel
         beyond = np.flatnonzero(np.abs(of_bar.value - bar.zero) > reach + SURE * math.hypot(bar.sigma, bar.zero_sigma))
         if beyond.size:
-            low, high = bar.zero - reach, bar.zero + reach
-            first = f"{of_bar.source[beyond[0]]}, {MM.text(float(of_bar.value[beyond[0]]), '.1f')}"
-            out.append(
-                f"beyond the stroke of bar {name}, {MM.of(low):.1f} to {MM.text(high, '.1f')}: {beyond.size} of its {len(of_bar)} "
-                f"rows (first {first}); check the bar in these rows, and its zero_mm and travel_mm in the rig"
-            )
+            sizes = {"low": bar.zero - reach, "high": bar.zero + reach, "length": float(of_bar.value[beyond[0]])}
+            lengths = {size: {"mm": MM.of(length)} for size, length in sizes.items()}
+            values = {"bar": name, "n": beyond.size, "rows": len(of_bar), "first": str(of_bar.source[beyond[0]])}
+            out.append(Finding("beyond-stroke", {**values, **lengths}))
     return out
 
 

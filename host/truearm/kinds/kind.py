@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from truearm.findings import Finding
 from truearm.kinds.columns import KindColumns
 from truearm.kinds.group import Group
 from truearm.kinds.proposals import Proposing
@@ -64,8 +65,8 @@ class Kind(KindColumns):
         None  # (n,) [rad] at params, for a figure
     )
     check: Callable[[ObservationTable, Rig], None] | None = None  # raises TableError if rows and rig are inconsistent
-    doubts: Callable[[ObservationTable, Rig, Chain], list[str]] | None = (
-        None  # sentences on rows of this kind that the device in the rig cannot have measured
+    doubts: Callable[[ObservationTable, Rig, Chain], list[Finding]] | None = (
+        None  # about rows that the device in the rig cannot have measured; of a plug-in, "doubtful-rows" with a reason
     )
 
     @property

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truearm.errors import ProblemError
+from truearm.findings import Finding
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.rig_references import ORIGIN
@@ -80,11 +81,11 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
     return distances, np.array([ends for _, *ends in rows], dtype=np.intp).reshape(-1, 2)
 
 
-def other_lengths(seats: ObservationTable, rig: Rig, chain: Chain) -> list[str]:
-    """Return a sentence for each declared distance that is far from that by the nominal robot."""
+def other_lengths(seats: ObservationTable, rig: Rig, chain: Chain) -> list[Finding]:
+    """Return a warning for each declared distance that is far from that by the nominal robot."""
     balls = [rig.spheres.get(name) or next(iter(rig.spheres.values()), ORIGIN[""]) for name in seats.sphere.tolist()]
     points = point_forward(chain, chain.params_nominal, seats.q, np.array([ball.xyz for ball in balls]).reshape(-1, 3))
-    sentences = []
+    findings = []
     for measured in rig.socket_distances:
         lengths = []
         for place in np.unique(seats.place):
@@ -92,12 +93,9 @@ def other_lengths(seats: ObservationTable, rig: Rig, chain: Chain) -> list[str]:
             lengths += [np.linalg.norm(np.subtract(*(end.mean(axis=0) for end in ends)))] if all(map(len, ends)) else []
         by_joints = float(np.median(lengths)) if lengths else measured.distance
         if not measured.distance / FAR < by_joints < measured.distance * FAR:
-            declared, nominal = (MM.text(length, ".6g") for length in (measured.distance, by_joints))
-            sentences.append(
-                f"sockets {' and '.join(measured.sockets)}: their distance is {declared} in the rig, and about {nominal} by the "
-                "nominal robot; correct its unit (distance_mm or distance_m) in the rig, or the joints"
-            )
-    return sentences
+            sizes = {"declared": {"mm": MM.of(measured.distance)}, "nominal": {"mm": MM.of(by_joints)}}
+            findings.append(Finding("other-distance", {"sockets": list(measured.sockets), **sizes}))
+    return findings
 
 
 def distance_rows(distances: Used, sockets: Used, ends: Indices, layout: Layout) -> list[Group]:

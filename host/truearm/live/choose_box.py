@@ -4,14 +4,8 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from truearm.errors import Argument, InputError, LinkError
+from truearm.errors import InputError, LinkError
 from truearm.text import one_line
-
-NONE = (
-    "no box is plugged in: no serial port has a Pico's USB identity. Plug it in (a new Pico: truearm box flash), name its port with ",
-    Argument("box"),
-    ", or try all with truearm box list --all; without hardware, truearm simulate simulates a box",
-)
 
 
 def choose_box(device: str | None, output: TextIO) -> str:
@@ -25,7 +19,7 @@ def choose_box(device: str | None, output: TextIO) -> str:
         return device
     boxes = find_boxes()
     if not boxes:
-        raise LinkError(*NONE)
+        raise LinkError("no-box-plugged-in")
     listed = [one_line(f"{box.device} ({box.product}{box.serial and ', serial '}{box.serial})") for box in boxes]
     if len(boxes) == 1:
         print(f"box: {listed[0]}", file=output)

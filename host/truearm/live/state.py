@@ -1,7 +1,7 @@
 """What the operator of a recording is shown: the recorder's counts, the sensors, and the progress through the plan.
 
-The recorder calls it in its own thread; an error ends the view alone. A row of the view has a text and an ``alarm`` that
-needs the operator's attention. Every alarm that begins, changes or ends is also a message.
+The recorder calls it in its own thread; an error ends the view alone. A row of the view has a text and ``alarms`` that
+need the operator's attention. Every alarm that begins, changes or ends is also a message.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from truearm.box.monitor import LastSecond, value_of
 from truearm.box.readiness import LINE_CHANNELS, LVDT, Purpose, check_box, far_from_calibration
-from truearm.errors import Argument, InputError
+from truearm.errors import InputError
+from truearm.finding_texts import Severity
+from truearm.findings import Finding, option
 from truearm.live.session_progress import SessionProgress, check_mounted, parse_mounted, words_of
 from truearm.record.joint_lines import SILENCE_S
 from truearm.record.operator import Operator, OperatorEvent, Status
@@ -79,11 +81,11 @@ class ViewLine:
 
     name: str
     text: str
-    alarm: str = ""
+    alarms: tuple[Finding, ...] = ()
 
     @property
     def words(self) -> str:
-        return one_line("; ".join(filter(None, (self.text, self.alarm))))
+        return one_line("; ".join(filter(None, (self.text, *(alarm.text(option) for alarm in self.alarms)))))
 
 
 def _shielded(method: Callable[..., None]) -> Callable[..., None]:
@@ -125,20 +127,18 @@ class LiveState(Operator):
     _lvdt: tuple[LastSecond, int, Channel] | None = None  # its stream, column and calibration
     _q: Floats | None = None
     _counted: bool = False  # whether the current rest has been counted as a dwell
-    _contradiction: str = ""
-    _temperature: str = ""
-    _alarms: dict[str, str] = field(default_factory=dict)  # by row
+    _contradiction: tuple[Finding, ...] = ()
+    _temperature: Finding | None = None
+    _alarms: dict[str, tuple[Finding, ...]] = field(default_factory=dict)  # by row
 
     # --- the recorder's calls
 
     def approve(self, ident: Ident) -> None:
-        verdict = check_box(ident, self.purpose, date.today())
-        if verdict.refused and not self.unchecked:
-            raise InputError(
-                f"{'; '.join(one_line(text) for text in verdict.refused)}. Nothing was started; ",
-                *(Argument("unchecked"), " records anyway"),
-            )
-        self.messages.extend(f"warning: {text}" for text in (*verdict.refused, *verdict.warned))
+        findings = list(check_box(ident, self.purpose, date.today()))
+        refused = [finding.text(option) for finding in findings if finding.severity is not Severity.WARNING]
+        if refused and not self.unchecked:
+            raise InputError("unready-box", problems=refused)
+        self.messages.extend(f"warning: {finding.text(option)}" for finding in findings)
         self._ident = ident
         self._windows.clear()
 
@@ -174,8 +174,8 @@ class LiveState(Operator):
     def status(self, status: Status) -> None:
         self.elapsed_s, self.rows = status.elapsed_s, [row for row in self._rows(status) if row.words]
         for row in self.rows:
-            if row.alarm != self._alarms.get(row.name, ""):
-                self._alarms[row.name] = row.alarm
+            if row.alarms != self._alarms.get(row.name, ()):
+                self._alarms[row.name] = row.alarms
                 self.messages.append(f"{row.name}: {row.words}")
 
     def wishes(self) -> list[OperatorEvent]:
@@ -218,7 +218,7 @@ class LiveState(Operator):
         self._events.append(OperatorEvent("mounted", dict(self.progress.mounted)))
         self.messages.append(f"mounted: {words_of(self.progress.mounted)}")
         self._alarms.pop("mounted", None)
-        self._contradiction = ""
+        self._contradiction = ()
 
     # --- dwells and lines
 
@@ -240,21 +240,20 @@ class LiveState(Operator):
             label, row, mounted = f"pose {pose}", self.progress.rows[pose], self.progress.mounted
             planned = {key: row[key] for key in BAR_MOUNTED if row.get(key) and row[key] != mounted.get(key)}
             if planned and self.progress.confirmed:  # if nobody has stated what is mounted, only the plan counts
-                self._contradiction = (
-                    f"{label} needs {words_of(planned)}, but {words_of(mounted)} was confirmed; name what is mounted, "
-                    "or correct the dwells with truearm session relabel"
-                )
+                values = {"place": label, "needed": words_of(planned), "confirmed": words_of(mounted)}
+                self._contradiction = (Finding("other-mounted", values),)
         fields: dict[str, Any] = {"begin_ns": t_ns - int(NS.of(self._rest.duration_s)), "end_ns": t_ns, "pose": pose}
-        value = "the LVDT gives no values: is the bar on, or a wire broken?"
+        text = Finding("sensor-silent", {"place": label}).text(option)
         window, k, channel = self._lvdt or (LastSecond(), 0, None)
         counts = np.concatenate(window.blocks)[:, k] if channel else np.empty(0)
         if channel and counts.size >= 2 * LEAST_LAGS and not railed(counts).any():
             length = mean_of(extension(counts, channel))
             settled = abs(length.drift) <= max(MICRON, DRIFT_SIGMAS * length.drift_sigma)
             fields |= {"mean_m": length.value, "noise_m": length.noise, "settled": settled}
-            value = f"{MM.text(length.value, '+.4f')}, noise {UM.text(length.noise, '.1f')}"
-            value += "" if settled else f", drift {UM.text(length.drift, '+.1f')}: NOT settled"
-        self._say_taken("dwell", f"{label}: {value}", fields)
+            drift = None if settled else {"um": UM.of(length.drift)}
+            sizes = {"length": {"mm": MM.of(length.value)}, "noise": {"um": UM.of(length.noise)}, "drift": drift}
+            text = Finding("not-settled" if drift else "dwell-taken", {"place": label, **sizes}).text(option)
+        self._say_taken("dwell", text, fields)
 
     def _say_taken(self, kind: str, text: str, fields: Mapping[str, Any]) -> None:
         self.messages.append(text)
@@ -264,32 +263,33 @@ class LiveState(Operator):
 
     def _rows(self, status: Status) -> Iterator[ViewLine]:
         progress = self.progress
-        stuck = "lost; trying to open it again" if status.state == "link lost" else "silent for 3 s; is it stuck?"
-        faults = (f"{fault}; its samples are recorded anyway" for fault in status.faults)
-        alarms = filter(None, ("" if status.box_ok else stuck, *faults, self._temperature))
+        alarms = [Finding("box-fault", {"fault": fault, "recorded": True}) for fault in status.faults]
+        alarms += filter(None, [self._temperature])
+        if not status.box_ok:
+            alarms.insert(0, Finding("box-lost" if status.state == "link lost" else "box-silent"))
         text = f"{status.state}, {status.elapsed_s:.0f} s, {counted(status.counters.samples, 'sample')}"
         text += "" if status.rtt_us is None else f", shortest round trip {status.rtt_us:.0f} µs"
-        yield ViewLine("box", text, "; ".join(alarms))
+        yield ViewLine("box", text, tuple(alarms))
         for stream in () if self._ident is None else self._ident.streams.values():
             if (window := self._windows.get(stream.id)) is None or not window.period_ns:
                 continue
             dry = status.elapsed_s - self._heard_s[stream.id] > DRY_S
             self._lvdt = None if dry else self._lvdt
-            yield ViewLine(stream.name, f"{NS.factor / window.period_ns:.1f} Hz", "NO SAMPLES" if dry else "")
+            yield ViewLine(stream.name, f"{NS.factor / window.period_ns:.1f} Hz", (Finding("no-samples"),) * dry)
             counts = np.concatenate([*window.blocks][-DISPLAYED_BLOCKS:])
             for column, channel in zip(counts.T, stream.channels, strict=True):
                 yield self._position(column, channel, stream)
         for name, words in LOSSES.items():
             if number := getattr(status.counters, name):
-                yield ViewLine(words, f"{number}", "so far")
+                yield ViewLine(words, f"{number}", (Finding("lost-so-far"),))
         if self.with_robot:
             yield self._robot(status)
         yield self._progress(status)
         pairing = progress.change()
-        ask = "" if pairing is None else f"at the next pose, mount {words_of(pairing)}; then press Enter"
+        ask = () if pairing is None else (Finding("mount-next", {"what": words_of(pairing)}),)
         yield ViewLine("mounted", words_of(progress.mounted), ask)  # the arm still stands at the old pose
         yield ViewLine(CONTRADICTION, "", self._contradiction)
-        yield ViewLine("file", "", "; ".join(status.file_losses))
+        yield ViewLine("file", "", tuple(Finding("file-loss", {"loss": loss}) for loss in status.file_losses))
 
     def _position(self, counts: NDArray[np.int32], channel: Channel, stream: Stream) -> ViewLine:
         """Return a sensor's value, and whether it is within its travel."""
@@ -297,26 +297,26 @@ class LiveState(Operator):
         travel = bar.travel if bar and channel.name == LVDT else None
         if self.rig and channel.name in LINE_CHANNELS[1:] and "line" in self.progress.mounted:
             travel = self.rig.line_travel
-        text, alarm = value_of(counts, channel, stream), ""
+        text, code = value_of(counts, channel, stream), ""
         if travel and channel.length_unit and not railed(counts).any():
             text += f", travel ±{MM.text(0.5 * travel, '.1f')}"
             share = abs(float(extension(counts, channel).mean())) / (0.5 * travel)
             if share > 1.0 - 2.0 * NEAR_END:
-                alarm = "near the end of its travel" if share <= 1.0 else "BEYOND ITS TRAVEL"
-        return ViewLine(one_line(channel.name), text, alarm)
+                code = "near-travel-end" if share <= 1.0 else "beyond-travel"
+        return ViewLine(one_line(channel.name), text, (Finding(code),) * bool(code))
 
     def _robot(self, status: Status) -> ViewLine:
         """Return the rate of the robot's readings, the age of the last one, and what is wrong with its link."""
-        age_s, alarm = status.robot_age_s, ""
+        age_s, alarms = status.robot_age_s, list[Finding]()
         if not status.robot_ok:
-            alarm = "closed its stream" if status.robot_closed else "lost; trying to reach it again"
+            alarms = [Finding("robot-closed" if status.robot_closed else "robot-lost")]
         elif (age_s or 0.0) > SILENCE_S and not status.robot_waits:
-            alarm = f"silent for {SILENCE_S:g} s"
+            alarms = [Finding("robot-silent", {"time": {"s": SILENCE_S}})]
         text = f"{status.counters.robot_lines / max(status.elapsed_s, 1.0):.1f} readings/s"
         text += "" if age_s is None else f", last {age_s:.1f} s ago"
         if status.robot_closed or self.progress.complete:  # as usual at the end
-            text, alarm = f"{text}{alarm and ', '}{alarm}", ""
-        return ViewLine("robot", text, alarm)
+            text, alarms = ", ".join([text, *(alarm.text() for alarm in alarms)]), []
+        return ViewLine("robot", text, tuple(alarms))
 
     def _progress(self, status: Status) -> ViewLine:
         """Return the number of dwells and lines taken, and whether the robot may move on."""
@@ -330,5 +330,4 @@ class LiveState(Operator):
             texts.append(f"{unplanned} not in the plan")
         if self._rest.duration_s >= STANDING_S and (status.robot_ok if self.with_robot else status.box_ok):
             texts.append(f"standing for {self._rest.duration_s:.1f} s" + (", long enough" if self._counted else ""))
-        alarm = "the plan is complete; type q and Enter to end the recording" if progress.complete else ""
-        return ViewLine("taken", ", ".join(texts) or "nothing yet", alarm)
+        return ViewLine("taken", ", ".join(texts) or "nothing yet", (Finding("plan-complete"),) * progress.complete)

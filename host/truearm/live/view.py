@@ -78,5 +78,5 @@ def _own_file(output: TextIO) -> AbstractContextManager[TextIO]:
 def _table(rows: list[ViewLine], typed: Typed | None) -> RenderableType:
     table = Table.grid(padding=(0, 2))
     for row in rows:
-        table.add_row(Text(row.name, "dim"), Text(row.words, "bold yellow" if row.alarm else ""))
+        table.add_row(Text(row.name, "dim"), Text(row.words, "bold yellow" if row.alarms else ""))
     return table if typed is None else Group(table, Text(HELP, "dim"), Text(f"> {typed.text}"))

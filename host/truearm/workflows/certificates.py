@@ -24,8 +24,9 @@ from truearm.units import MM, PPM
 from truearm.version import VERSION
 from truearm.workflows.calibration import Calibration, Identification, masses_of
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error
+from truearm.workflows.inputs import Observed
 from truearm.workflows.project_file import Project
-from truearm.workflows.validate import Measured, Validation
+from truearm.workflows.validate import Validation
 
 NOT_GIVEN = "not given"
 FEWEST = 10  # rows whose error before is given
@@ -45,11 +46,9 @@ class Issue:
     tolerance: float | None = None
 
 
-def calibration_certificate(
-    identification: Identification, issue: Issue, recordings: Sequence[Recording], inputs: Sequence[Input]
-) -> Certificate:
+def calibration_certificate(identification: Identification, issue: Issue, observed: Observed) -> Certificate:
     """Return page one of the report on an identification."""
-    e, tool = identification.estimate, _tool_error(identification)
+    e, tool, recordings = identification.estimate, _tool_error(identification), observed.recordings
     nominal = nominal_error(identification.chain, identification.rig, identification.table, e)
     described = f"{size(rms(nominal), 'm')} RMS, {size(nominal.max(), 'm')} at most"
     unknown = f"not determined by {counted(len(nominal), 'row')}"  # which the placing of base and tool fits
@@ -80,15 +79,17 @@ def calibration_certificate(
             ("Observations and independent validation", tuple(rows)),
             ("Reference", _reference(identification.rig, identification.table, recordings)),
             ("Conditions", conditions(recordings)),
-            ("Files read", _files(inputs)),
+            ("Files read", _files(observed.inputs)),
         ),
         (_decision(issue.tolerance, tool, problem), *_excluded(identification)),
     )
 
 
-def validation_certificate(measured: Measured, validation: Validation, issue: Issue) -> Certificate:
+def validation_certificate(
+    calibration: Calibration, observed: Observed, validation: Validation, issue: Issue
+) -> Certificate:
     """Return page one of the report on a validation."""
-    calibration, rig, table, inputs, recordings, _ = measured
+    rig, table, _, recordings, _, inputs = observed
     errors: list[tuple[str, str]] = []
     for si, figures in validation.after.items():
         errors.append(("without the calibration", _figures_text(validation.before[si], si)))

@@ -29,7 +29,7 @@ from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import Floats, Rig
 from truearm.workflows.requests import CharacterizeFiles
-from truearm.workflows.session_observations import SessionOptions, observations_of_opened, reasons_text, recorded_rig
+from truearm.workflows.session_observations import observations_of_session, reasons_text, recorded_rig
 from truearm.workflows.session_parts import open_finished, session_parts
 
 LEAST_VISITS = 6
@@ -53,8 +53,7 @@ def characterize_files(files: CharacterizeFiles, bands: Sequence[float]) -> dict
     sessions = [open_finished(path, files.allow_damaged) for path in paths]
     rig = _recorded_rig(sessions) if files.rig is None else read_rig(files.rig)
     plan = None if files.plan is None else read_plan(files.plan)
-    options = SessionOptions(files.allow_damaged, may_be_empty=True, plan=plan)
-    results = [observations_of_opened(session, rig, options) for session in sessions]
+    results = [observations_of_session(session, rig, may_be_empty=True, plan=plan) for session in sessions]
     document, noise = characterized(results, chain, rig, bands, paths[0].name)
     if files.out is not None:
         write_atomic(files.out, format_noise(noise, list(remarks(document)), "m" in chain.joint_units))

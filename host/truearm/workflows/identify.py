@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -14,7 +13,7 @@ from truearm.arguments import Checked
 from truearm.checks.alternatives import Robots
 from truearm.checks.examination import MEAN, Examination, examined
 from truearm.checks.inputs import checked_inputs
-from truearm.errors import Argument, InputError, ProblemError
+from truearm.errors import Argument, InputError, ProblemError, noting
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.fit import fit
@@ -28,11 +27,11 @@ from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.result_document import copies_of, result_of
-from truearm.estimate.result_file import Input, RobotFrames, write_result
+from truearm.estimate.result_file import RobotFrames, write_result
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solution import Options
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.findings import Finding, entries
+from truearm.findings import entries
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import write_table
 from truearm.model.builtin import builtin_names
@@ -44,7 +43,7 @@ from truearm.results import Effect, Estimate, Figures, Fold
 from truearm.types import Floats, Mask, Rigs
 from truearm.workflows.calibration import Identification, calibration_of
 from truearm.workflows.calibration_report import write_page
-from truearm.workflows.inputs import Sources, check_files, hashed_inputs, read_sources
+from truearm.workflows.inputs import Observed, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.requests import FitOptions
 from truearm.workflows.selection import (
     all_held_out,
@@ -154,17 +153,17 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     outputs = [*(("result", path) for path in files.results), ("table", files.save_table), ("page", files.report)]
     check_files(sources, files.robot, outputs, files.force)
     robot = files.robot.load()
-    rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
-    origin = Origin(hashed_inputs(sources, files.robot), counts, sources.said)
+    observed = read_sources(sources, robot.chain, robot)._replace(inputs=hashed_inputs(sources, files.robot))
     try:
-        identification = identified(robot, rig, table, hold_out, options, origin)
+        with noting(observed.findings):
+            identification = identified(robot, observed, hold_out, options)
     except ProblemError:
-        _save_table(files, table, robot)  # it may show why
+        _save_table(files, observed.table, robot)  # it may show why
         raise
-    _save_table(files, table, robot)
+    _save_table(files, observed.table, robot)
     if files.report is not None:
         with step("drawing the report"):
-            write_page(files.report, identification, files.command, recordings)
+            write_page(files.report, identification, files.command, observed.recordings)
     for path in files.results:
         write_result(path, identification.stored)
     return identification
@@ -305,41 +304,28 @@ def held_out_in_turn(
     for name, rows in masks:
         held = rows & ~always_held
         with step(f"identifying without {name}"):
-            fit = identified(robot, rig, table, rows | always_held, options).estimate
+            fit = identified(robot, Observed(rig, table), rows | always_held, options).estimate
         folds.append(Fold(name, Figures.by_unit(fit.residual, held)))
         for unit, error in fit.residual.items():
             together.setdefault(unit, np.full(len(table), np.nan))[held] = error[held]
     return (*folds, Fold("", Figures.by_unit(together))) if folds else ()
 
 
-class Origin(NamedTuple):
-    """The files that rows came from, the accounts of the dwells of sessions, and what was noticed while they were read."""
-
-    inputs: Sequence[Input] = ()
-    counts: Sequence[Mapping[str, Any]] = ()
-    said: Sequence[Finding] = ()
-
-
-UNKNOWN = Origin()
-
-
 def identified(
     robot: Robot,
-    rig: Rigs,
-    table: ObservationTable,
+    observed: Observed,
     hold_out: Sequence[str] | Mask = (),
     options: IdentifyOptions = DEFAULTS,
-    origin: Origin = UNKNOWN,
     *,
     progress: Progress | None = None,
 ) -> Identification:
     """Identify a robot; ``hold_out``: the rows to judge by, as the user names them (``held_out_rows``, ``folds_of``).
 
-    ``origin``: that of the rows, for result.json. A choice of frame and joints that do not move are held fixed, unless
+    A choice of frame and joints that do not move are held fixed, unless
     their parameters were requested by name. Raises InputError for a pattern or group that matches nothing, and
     ProblemError if observations and robot do not form a problem that can be solved.
     """
-    chain, names = robot.chain, robot.chain.parameter_names
+    chain, names, rig, table = robot.chain, robot.chain.parameter_names, observed.rigs, observed.table
     folds = folds_of(table, hold_out, options.seed)
     held = held_out_rows(table, () if folds else hold_out, options.seed, options.fit_only)
     held_rows = np.zeros(len(table), dtype=bool) if held is None else held
@@ -425,11 +411,11 @@ def identified(
         table,
         RobotFrames.of(chain),
         predicted,
-        inputs=origin.inputs,
-        findings=entries(origin.said),
+        inputs=observed.inputs,
+        findings=entries(observed.findings),
         prior=prior,
         defaults=chosen,
-        sessions=origin.counts,
+        sessions=observed.counts,
         copies=copies_of(copied, table),
         made_with={"hold_out": groups, **vars(options)},
         held_out_by=(*held_out_by, *(f"all but {group}" for group in options.fit_only)),

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from truearm.disk import check_outputs, same_file
-from truearm.errors import Argument, InputError, RigError, SessionError
+from truearm.errors import Argument, InputError, RigError, SessionError, noting
 from truearm.estimate.result_file import Input, input_of
 from truearm.findings import Finding
 from truearm.kinds.noise_file import check_against_rigs, read_noise, with_noise
@@ -48,8 +48,7 @@ class Sources:
     ``rigs``: files, or rigs that were read, by the name in the rows' column rig, "" for the one rig of all rows; if
     empty, each session's own.
     ``noise``: a noise file that replaces the figures of the rigs. ``line_points``: maximum number per pass along a
-    line. ``said``: what is noticed while they are read, such as the
-    losses of a damaged session.
+    line.
     """
 
     inputs: tuple[Path, ...]
@@ -57,7 +56,6 @@ class Sources:
     noise: Path | None = None
     allow_damaged: bool = False
     line_points: int | None = None
-    said: list[Finding] = field(default_factory=list)
 
     @property
     def files(self) -> list[Path]:
@@ -85,12 +83,18 @@ def check_files(
 
 
 class Observed(NamedTuple):
-    """The rig, or the rigs by name, the observations, and of each session the account of its dwells (``sessions`` of result.json) and how it was recorded."""
+    """The rig, or the rigs by name, and the observations; if they were read, also what is known about their files.
+
+    These are the ``inputs`` themselves; of each session the account of its dwells (``sessions`` of result.json) and how it
+    was recorded; and what was noticed while they were read, such as the losses of a damaged session.
+    """
 
     rigs: Rigs
     table: ObservationTable
-    counts: Sequence[Mapping[str, Any]]
-    recordings: Sequence[Recording]
+    counts: Sequence[Mapping[str, Any]] = ()
+    recordings: Sequence[Recording] = ()
+    findings: Sequence[Finding] = ()
+    inputs: Sequence[Input] = ()
 
 
 def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = None) -> Observed:
@@ -109,37 +113,37 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     session_rig = {
         path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, named_rigs).items()
     }
-    tables, sessions_read = list[ObservationTable](), list[_SessionRead]()
-    for path in inputs:
-        if path in sessions:
-            sessions_read.append(_read_session(sessions[path], chain, session_rig[path], sources, robot))
-            tables.append(sessions_read[-1][0])
-            continue
-        tables.append(read_table(path) if chain is None else read_table(path, chain.joint_units, chain.mimics))
-        rows = [int(str(source).rpartition(" ")[2]) for source in tables[-1].source]
-        if rows != sorted(rows):  # than in the file
-            sources.said.append(Finding("rows-reordered", {"place": str(path)}))
-    _, counts, recordings, nothing = zip(*sessions_read, strict=True) if sessions_read else ((), (), (), ())
-    if sources.line_points is not None and not any(count["lines"] for count in counts):
-        raise InputError(
-            "no-effect", place=Argument("line_points"), reason="no input is a session with passes along a line"
+    reads = list[_Read]()
+    with noting(finding for read in reads for finding in read.findings):
+        for path in inputs:
+            if path in sessions:
+                reads.append(_read_session(sessions[path], chain, session_rig[path], sources, robot))
+            else:
+                reads.append(_read_table(path, chain))
+        counts, recordings, nothing = (
+            [getattr(read, name) for read in reads if read.account] for name in _Read._fields[2:]
         )
-    table = concatenate([rows for rows in tables if len(rows)] or tables)
-    if not len(table):
-        raise SessionError("; ".join(nothing))
-    rigs = named_rigs | dict(session_rig.values())
-    if noise is not None:
-        check_against_rigs(noise, rigs)
-    for name, file in sources.rigs.items():
-        if name and not (table.rig == name).any():
-            reason = "no row has that name in its column rig, and no session has that name; correct the name"
-            raise InputError(Argument("rig"), f" {name}={file}: {reason}")
-    completed = completed_rigs(rigs.get("", with_noise(Rig(), noise)) if "" in rigs or not rigs else rigs, table)
+        if sources.line_points is not None and not any(count["lines"] for count in counts):
+            reason = "no input is a session with passes along a line"
+            raise InputError("no-effect", place=Argument("line_points"), reason=reason)
+        tables = [read.table for read in reads]
+        table = concatenate([rows for rows in tables if len(rows)] or tables)
+        if not len(table):
+            raise SessionError("; ".join(nothing))
+        rigs = named_rigs | dict(session_rig.values())
+        if noise is not None:
+            check_against_rigs(noise, rigs)
+        for name, file in sources.rigs.items():
+            if name and not (table.rig == name).any():
+                reason = "no row has that name in its column rig, and no session has that name; correct the name"
+                raise InputError(Argument("rig"), f" {name}={file}: {reason}")
+        completed = completed_rigs(rigs.get("", with_noise(Rig(), noise)) if "" in rigs or not rigs else rigs, table)
+    findings = [finding for read in reads for finding in read.findings]
     if chain is not None:
         for name, rig in rigs_by_name(completed).items():
-            sources.said.extend(_doubts(table.select(table.rig == name) if name else table, rig, chain))
-    sources.said.extend(_repeated_distances(rigs_by_name(completed)))
-    return Observed(completed, table, counts, recordings)
+            findings += _doubts(table.select(table.rig == name) if name else table, rig, chain)
+    findings += _repeated_distances(rigs_by_name(completed))
+    return Observed(completed, table, counts, recordings, findings)
 
 
 def completed_rigs(rigs: Rigs, table: ObservationTable) -> Rigs:
@@ -177,19 +181,36 @@ def _repeated_distances(rigs: Mapping[str, Rig]) -> Iterator[Finding]:
 def _doubts(table: ObservationTable, rig: Rig, chain: Chain) -> Iterator[Finding]:
     """Return which rows the devices of the rig cannot have measured."""
     for name, kind in kinds().items():
-        for reason in kind.doubts(table.select(table.kind == name), rig, chain) if kind.doubts else ():
-            yield Finding("doubtful-rows", {"reason": reason})
+        if kind.doubts:
+            yield from kind.doubts(table.select(table.kind == name), rig, chain)
+
+
+class _Read(NamedTuple):
+    """The observations of an input, and what was noticed while they were read; of a session also the account of its dwells,
+    how it was recorded, and why it gives nothing if it gives no row."""
+
+    table: ObservationTable
+    findings: Sequence[Finding] = ()
+    account: Mapping[str, Any] = {}
+    recording: Recording | None = None
+    nothing: str = ""
+
+
+def _read_table(path: Path, chain: Chain | None) -> _Read:
+    table = read_table(path) if chain is None else read_table(path, chain.joint_units, chain.mimics)
+    rows = [int(str(source).rpartition(" ")[2]) for source in table.source]
+    reordered = rows != sorted(rows)  # than in the file
+    return _Read(table, [Finding("rows-reordered", {"place": str(path)})] if reordered else ())
 
 
 def _read_session(
     session: Session, chain: Chain | None, assigned: Assigned, sources: Sources, robot: Robot | None
-) -> _SessionRead:
+) -> _Read:
     path, (name, rig) = session.path, assigned
-    options = session_observations.SessionOptions(
-        sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.said
-    )
-    result = session_observations.observations_of_opened(session, rig, options)
-    table = result.table
+    options: dict[str, Any] = {"may_be_empty": is_part(path, list(sources.inputs)), "line_points": sources.line_points}
+    with noting(session_observations.damage_findings(session)):
+        result = session_observations.observations_of_session(session, rig, **options)
+    table, findings = result.table, session_observations.reading_findings(session, result, rig)
     if chain is not None and len(table):
         expected = len(chain.joints)
         if table.q.shape[1] not in (expected, len(chain.motors)):
@@ -224,7 +245,7 @@ def _read_session(
         "with_bar": result.with_bar,  # otherwise the dwells are only stops between lines
     }
     nothing = session_observations.nothing_observed(path, reasons, line_reasons, result.survey.marks.plan() is not None)
-    return table.replace(rig=name), count, recording_of(session, result, reasons), nothing
+    return _Read(table.replace(rig=name), findings, count, recording_of(session, result, reasons), nothing)
 
 
 def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
@@ -300,8 +321,6 @@ def _sigma(calibration: Mapping[str, Any], key: str) -> float | None:
 
 LONGEST = 64  # letters in a name, as for a table's identifiers
 Assigned = tuple[str, Rig]  # name, "" for the common rig, and the rig
-# observations of a session, account of its dwells, how it was recorded, and why it gives nothing if there are none
-_SessionRead = tuple[ObservationTable, dict[str, Any], Recording, str]
 
 
 def session_name(path: Path) -> str:

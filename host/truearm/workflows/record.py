@@ -14,7 +14,7 @@ from truearm.box.configuration_schema import MODULATOR_NS
 from truearm.box.readiness import Purpose
 from truearm.disk import check_writable, read_bytes
 from truearm.errors import Argument, IncompleteError, InputError, RigError, TruearmError, WriteError
-from truearm.findings import Finding, entries
+from truearm.findings import Finding, entries, option
 from truearm.interrupt import asked_to_stop
 from truearm.kinds.rig_file import MAX_BYTES, parse_rig, read_rig
 from truearm.live.choose_box import choose_box
@@ -33,14 +33,14 @@ from truearm.record.write_lock import is_held
 from truearm.session.dwells import POSE_TOLERANCE, needs_decision
 from truearm.session.plan_matching import distances
 from truearm.session.session_file import open_session
-from truearm.text import counted, one_line
+from truearm.text import counted
 from truearm.types import Move, Plan, Rig
 from truearm.units import NS
 from truearm.workflows.controller_model import as_hex, controller_state
 from truearm.workflows.requests import RecordOptions
 from truearm.workflows.session_copies import recovered_name
-from truearm.workflows.session_observations import SessionOptions, attached_rig, observations_of_session
-from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
+from truearm.workflows.session_observations import attached_rig, observations_of_session
+from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on, open_finished
 from truearm_wire.config import OSRS
 
 # The converter's modulator runs at 125 MHz / 15 / 2; a sample takes osr of its periods.
@@ -80,15 +80,11 @@ def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], 
     """Record until the end; the operator's display goes to ``output``, and warnings before the start to ``say``. Raises InputError, LinkError, IncompleteError."""
     work = _work(request)
     for path in work.earlier_session.damaged if work.earlier_session else ():
-        name, copy = one_line(str(path)), one_line(str(recovered_name(path)))
-        say(
-            f"{name}: is damaged or has no end, so other commands refuse it and its further parts; to avoid this, end this "
-            f"recording, run truearm session recover {name}, and record with --resume {copy}"
-        )
+        say(Finding("damaged-part", {"place": str(path), "copy": str(recovered_name(path))}).text(option))
     device = choose_box(request.box, output)
     controller = controller_state(work.robot, request.project_model)
     for finding in controller.findings:
-        say(finding.text())
+        say(finding.text(option))
     if controller.checksums:
         work = replace(work, setup={**work.setup, "controller_checksums": " ".join(as_hex(controller.checksums))})
     return replace(_record(device, work, request, output), findings=controller.findings)
@@ -263,7 +259,7 @@ def recorded_dwells(session: Path) -> RecordedDwells | None:
         rig = attached_rig(open_session(session), session)
         if rig is None or not rig.bars:
             return None
-        result = observations_of_session(session, rig, SessionOptions(may_be_empty=True))
+        result = observations_of_session(open_finished(session), rig, may_be_empty=True)
     except TruearmError:  # identify reports what is wrong with it
         return None
     plan, reasons = result.survey.marks.plan(), Counter[str]()

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from truearm.disk import sha256, write_atomic
-from truearm.errors import Argument, InputError
+from truearm.errors import Argument, InputError, noting
 from truearm.estimate.result_file import Result, read_result
 from truearm.findings import entries, findings_of
 from truearm.model.robot_file import load_robot
@@ -19,14 +19,14 @@ from truearm.progress import step
 from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.page import html_page, making, section, table
 from truearm.report.validation_findings import error_tables
-from truearm.workflows.calibration import Identification, frames_of
+from truearm.workflows.calibration import Identification, frames_of, read_calibration
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
-from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, Origin, identified
+from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identified
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.project import folders_of
 from truearm.workflows.project_file import find_project
-from truearm.workflows.validate import Validation, measured_files, validated
+from truearm.workflows.validate import Validation, validated
 
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
 
@@ -57,15 +57,16 @@ def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) ->
     _check_inputs(result, stored, {file.sha256 for file in inputs})
     name = choice.robot or stored.robot.name
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
-    rig, table, counts, recordings = read_sources(sources, robot.chain, robot)
-    identification = identified(robot, rig, table, hold_out, options, Origin(inputs, counts, sources.said))
+    observed = read_sources(sources, robot.chain, robot)._replace(inputs=inputs)
+    with noting(observed.findings):
+        identification = identified(robot, observed, hold_out, options)
     same_files = {file.sha256 for file in inputs} == {file.sha256 for file in stored.inputs}
     same_robot = bool(choice.files) or choice.robot in (None, stored.robot.name)
-    lines = any(count["lines"] for count in counts)
+    lines = any(count["lines"] for count in observed.counts)
     _check_same(result, stored.column("value"), identification, same_files and same_robot and not lines)
-    certificate = calibration_certificate(identification, issue, recordings, inputs)
+    certificate = calibration_certificate(identification, issue, observed)
     with step("drawing the report"):
-        write_page(out, identification, files.command, recordings, certificate)
+        write_page(out, identification, files.command, observed.recordings, certificate)
     return certificate
 
 
@@ -85,11 +86,14 @@ def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: b
     If there is a page ``files.report``, write it, and add the findings of its certificate, the decision after the verdict.
     Raises InputError with a one-line message.
     """
-    measured = measured_files(result, files)
-    validation = validated(*measured[:4], keep_rig, measured.said)
+    calibration, sources = read_calibration(result, files.robot), files.sources
+    check_files(sources, files.robot, [("page", files.report)], files.force)
+    observed = read_sources(sources, calibration.chain)._replace(inputs=hashed_inputs(sources, files.robot))
+    with noting(observed.findings):
+        validation = validated(calibration, observed, keep_rig)
     if files.report is not None:
-        certificate = validation_certificate(measured, validation, issue)
-        name = measured.calibration.chain.name
+        certificate = validation_certificate(calibration, observed, validation, issue)
+        name = calibration.chain.name
         write_atomic(files.report, validation_page(name, certificate, validation.document, files.command))
         decision, *excluded = entries(finding for finding in certificate.findings if finding.code != "simulated")
         stated, place = validation.document["findings"], 1 + validation.document["simulated"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,23 +30,7 @@ if TYPE_CHECKING:
     from truearm.types import BallBar, Plan, Rig
 
 RIG = "rig.toml"
-SAID = 3  # damaged places reported; inspect lists all
-
-
-@dataclass(frozen=True)
-class SessionOptions:
-    """How to read a session.
-
-    ``allow_damaged``: use the intact parts of a damaged file, and append the losses to ``said``. ``may_be_empty``: a
-    part of a session need not give an observation. ``line_points``: maximum number per pass along a line. ``plan``
-    replaces that of the session.
-    """
-
-    allow_damaged: bool = False
-    may_be_empty: bool = False
-    line_points: int | None = None
-    said: list[Finding] = field(default_factory=list)
-    plan: Plan | None = None
+MOST_PLACES = 3  # of damage that are reported; inspect lists all
 
 
 def reasons_text(rejected: Mapping[str, int]) -> str:
@@ -114,41 +98,52 @@ def surveyed(session: Session, messages: Source | None = None) -> Survey:
     return survey(messages or session.batches, recorded_ident(session), wander=recorded_wander(session))
 
 
-def observations_of_session(path: Path, rig: Rig | None = None, options: SessionOptions | None = None) -> SyncResult:
-    """Make observations from a session file. ``rig`` replaces the recorded one.
+def observations_of_session(
+    session: Session,
+    rig: Rig | None = None,
+    *,
+    may_be_empty: bool = False,
+    line_points: int | None = None,
+    plan: Plan | None = None,
+) -> SyncResult:
+    """Make observations from a session. ``rig`` and ``plan`` replace the recorded ones.
 
-    Raises SessionError for a file that is not a session or gives no observation, RigError if there is no rig.
+    ``may_be_empty``: it need not give an observation, as a part of a session. ``line_points``: maximum number per pass
+    along a line. Raises SessionError if it gives no observation, RigError if there is no rig.
     """
-    options = options or SessionOptions()
-    return observations_of_opened(open_finished(path, options.allow_damaged), rig, options)
-
-
-def observations_of_opened(session: Session, rig: Rig | None, options: SessionOptions) -> SyncResult:
-    """Do the same as ``observations_of_session`` with a session that was opened with the same ``allow_damaged``."""
-    from truearm.report.session_findings import damage_finding
     from truearm.session.observations import observations
 
     path = session.path
-    named, more = {"place": str(path)}, max(len(session.damage) - SAID, 0)
-    options.said.extend(damage_finding({**vars(damage), **named, "more": more}) for damage in session.damage[:SAID])
     rig = rig or recorded_rig(session, path)
     labels = read_labels(path)
     try:
         read = surveyed(session)
-        if options.plan is not None:
-            read = replace(read, marks=read.marks.with_plan(options.plan))
-        result = observations(read, rig, path.name, options.line_points, labels)
+        if plan is not None:
+            read = replace(read, marks=read.marks.with_plan(plan))
+        result = observations(read, rig, path.name, line_points, labels)
     except (RigError, SessionError) as exc:
         if str(exc).startswith(str(path)):
             raise
         raise exc.within(path) from exc
-    if not len(result.table) and not options.may_be_empty:
+    if not len(result.table) and not may_be_empty:
         planned = result.survey.marks.plan() is not None
         raise SessionError(nothing_observed(path, result.reasons, result.pass_reasons, planned))
-    if n := read.losses.plan_events_malformed:
-        options.said.append(Finding("malformed-plan", {**named, "plan_events_malformed": n}))
-    options.said.extend(_other_temperature(result, rig, str(path)))
     return result
+
+
+def damage_findings(session: Session) -> list[Finding]:
+    """Return the first damaged places of a session of which the intact parts are used."""
+    from truearm.report.session_findings import damage_finding
+
+    values = {"place": str(session.path), "more": max(len(session.damage) - MOST_PLACES, 0)}
+    return [damage_finding({**vars(damage), **values}) for damage in session.damage[:MOST_PLACES]]
+
+
+def reading_findings(session: Session, result: SyncResult, rig: Rig) -> list[Finding]:
+    """Return what is noticed while the observations of a session are made."""
+    named, n = {"place": str(session.path)}, result.survey.losses.plan_events_malformed
+    malformed = [Finding("malformed-plan", {**named, "plan_events_malformed": n})] if n else []
+    return [*damage_findings(session), *malformed, *_other_temperature(result, rig, str(session.path))]
 
 
 COUNTS = "_counts"

@@ -14,7 +14,6 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,15 +33,13 @@ from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
 from truearm.progress import step
-from truearm.report.certificate import Recording
 from truearm.report.validation_findings import BY_PLACE, error_tables, validation_findings
 from truearm.results import Effect, Figures
 from truearm.strict_json import without_nan
 from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key, shown
-from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
-from truearm.workflows.identify import IdentifyFiles
-from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
+from truearm.workflows.calibration import Calibration, covariance_of, unseen_of
+from truearm.workflows.inputs import Observed
 from truearm.workflows.selection import parse_effect
 
 LEAST_ROWS = 5  # in a region: fewer are not meaningful
@@ -137,39 +134,13 @@ class Validation(Displayed):
         return tuple(findings_of(self.document))
 
 
-class Measured(NamedTuple):
-    """A calibration, and independent observations to judge it by, with their rig and files, and findings about these."""
-
-    calibration: Calibration
-    rig: Rigs
-    table: ObservationTable
-    inputs: list[Input]
-    recordings: Sequence[Recording] = ()
-    said: Sequence[Finding] = ()
-
-
-def measured_files(result: Path, files: IdentifyFiles) -> Measured:
-    """Read a result and the observations for judging it, and check the report that will be written. Raises InputError."""
-    calibration, sources = read_calibration(result, files.robot), files.sources
-    check_files(sources, files.robot, [("page", files.report)], files.force)
-    rigs, table, _, recordings = read_sources(sources, calibration.chain)
-    return Measured(calibration, rigs, table, hashed_inputs(sources, files.robot), recordings, sources.said)
-
-
-def validated(
-    calibration: Calibration,
-    rig: Rigs,
-    table: ObservationTable,
-    inputs: Sequence[Input] = (),
-    keep_rig: bool = False,
-    said: Sequence[Finding] = (),
-) -> Validation:
-    """Return numbers and verdict; ``inputs`` are the files from which the rows were read, ``said`` what was noticed then.
+def validated(calibration: Calibration, observed: Observed, keep_rig: bool = False) -> Validation:
+    """Return numbers and verdict.
 
     ``keep_rig``: unknowns of the rig are held at their identified values. Raises InputError if no row can judge, or if
     nothing of the rig can be kept.
     """
-    chain, stored = calibration.chain, calibration.stored
+    chain, stored, rig, table = calibration.chain, calibration.stored, observed.rigs, observed.table
     copied, all_rows = copied_rows(chain, rig, table), table
     table = table.select(copied < 0)
     rig_values = _identified_rig(calibration) if keep_rig else {}
@@ -205,10 +176,10 @@ def validated(
     for si, error in judged.error.items():
         rows = judging & np.isfinite(error)
         if rows.any():
-            observed = rows & ~(due[si].unseen | elsewhere)
-            errors[si] = RowErrors(nominal.error[si], error, due[si], rows, observed)
+            determined = rows & ~(due[si].unseen | elsewhere)
+            errors[si] = RowErrors(nominal.error[si], error, due[si], rows, determined)
     fitted = {entry.sha256 for entry in stored.inputs}
-    hashes = [entry for entry in inputs if entry.role == "observations"]
+    hashes = [entry for entry in observed.inputs if entry.role == "observations"]
     named_regions = _named_regions(calibration, table)
     overall, *regions = (_region(name, rows & judging, errors) for name, rows in (("", judging), *named_regions))
     regions = [region for region in regions if region.n >= LEAST_ROWS]
@@ -257,7 +228,7 @@ def validated(
     document = without_nan(document)
     because, payloads = stored.unusable_because, payloads_of(rig, table.select(judging))
     unusable = [Finding("calibration-unusable", {"because": because})] if because else []
-    findings = validation_findings(document, [*unusable, *said, *calibration.payload_findings(payloads)])
+    findings = validation_findings(document, [*unusable, *observed.findings, *calibration.payload_findings(payloads)])
     words = next(finding.text() for finding in findings if finding.code != "simulated")
     counts = n_judging, judging.size - n_judging, n_settled, n_unseen
     document |= {"verdict": words, "findings": entries(findings)}
