@@ -9,6 +9,7 @@ from truearm.export.link_frames import joint_motion as joint_motion
 from truearm.export.writing import RobotToWrite as RobotToWrite
 from truearm.findings import Finding as Finding
 from truearm.kinds.group import Group as Group
+from truearm.kinds.group import KindFault as KindFault
 from truearm.kinds.kind import DwellSensor as DwellSensor
 from truearm.kinds.kind import Kind as Kind
 from truearm.kinds.linearised import Linearised as Linearised

@@ -19,7 +19,8 @@ function takes SI: if the name of an option ends in a unit, such as ``--dwell-s`
         force
         \"""
 
-A record, such as those of ``workflows/requests.py``, stands for its fields that are described.
+A record, such as those of ``workflows/requests.py``, stands for its fields that are described, by the command or in the
+record's own docstring.
 
 What the command does not describe, such as ``force``, is described in ``cli/options.py``; a name without a text only
 moves below another heading. A command that returns an ``Answer`` gets ``--json``, and ``--details`` if it describes it.
@@ -138,8 +139,10 @@ def command(
     """Return a decorator that makes a command of a function, in a group; ``{name}`` in a description stands for a text."""
 
     def declare(function: Callable[..., Any]) -> ProjectCommand:
-        page, entries = described(function.__doc__, {**options.TEXTS, **texts})
         hints = hints_of(function)
+        page, entries = described(function.__doc__, {**options.TEXTS, **texts})
+        for record in filter(is_record, hints.values()):
+            entries = described(record.__doc__, {**options.TEXTS, **texts})[1] | entries
         answers = hints.pop("return", None) is Answer
         documented = SHARED | {key: entry.completed(SHARED.get(key, Entry())) for key, entry in entries.items()}
         parameters = list(_parameters(function, hints, documented))

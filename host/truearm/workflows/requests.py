@@ -30,7 +30,43 @@ FAST_RATE_HZ = 500.0  # of what simulate records in virtual time
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What ``truearm.IdentifyOptions`` describes."""
+    """How to identify, as the command line describes it; ``truearm.IdentifyOptions`` has it for Python.
+
+    Options
+    -------
+    apply : mean|NAME[@FIRST[:LAST]]
+        Put a fault into the result that the output names: mean, the mean of its possible causes, or one of them, such as
+        bar.bar46.zero, chuck.c2@183 (from row 183 on, counted from 1 over all inputs), joint2@91:270,
+        bar.bar46.zero.drift or .thermal_drift, joint1.backlash or .settling (repeatable).
+    leave_out : ROWS
+        Rows to leave out completely: 120:140, counted from 1 over all inputs, or a row as messages name it, such as
+        'poses.csv row 100' (repeatable).
+
+    Expert options
+    --------------
+    fit_only : GROUP
+        Fit only these rows, such as place=front (repeatable). All others are held out.
+    free : PATTERN
+        Identify only parameters that match, such as 'joint*.offset' (repeatable); '*': also those that the robot file
+        fixes.
+    also_free : PATTERN
+        Identify these too, in addition to those that the robot file frees: '*.gain,link3.y' (repeatable).
+    freeze : PATTERN
+        Hold parameters that match at their nominal values (repeatable).
+    prior
+        Prior about the nominal values. weak: sigma of {weak}. wide: {wide}. where-needed: like
+        weak, but for weakly identifiable parameters only. Default for a URDF: weak. Default for other robots:
+        where-needed; wide with --solver map, none with renders-1991. The solver ls uses no prior.
+    solver
+        {solvers}.
+    loss
+        huber and cauchy tolerate outliers; for the solvers {lossy}.
+    joint_laws
+        Joint laws to fit: curve (error curves), sag, or auto (both, if geometry and declared noise do not explain the
+        residuals). A law is kept only if the rows give evidence for it. none: geometry alone.
+    max_iterations : N
+        Stop after N iterations, converged or not.
+    """
 
     free: tuple[str, ...] = ()
     also_free: tuple[str, ...] = ()

@@ -172,7 +172,7 @@ class LinesLink(LinkOnTop):
         super().__init__(link, clock)
         self.dialect = dialect
         self._joined = joined
-        self._runs = Runs(b"\n", MAX_LINE)
+        self.runs = Runs(b"\n", MAX_LINE)
         self._end: LinkError | None = None
 
     def read(self, timeout_s: float) -> Arrivals:
@@ -182,14 +182,14 @@ class LinesLink(LinkOnTop):
                 lines += [(t_host_ns, line) for line in self._lines(t_host_ns, data)]
         except LinkError as exc:
             self._end = exc
-            lines += [(self._clock.now_ns(), remainder)] if (remainder := self._runs.flush()) else []
+            lines += [(self._clock.now_ns(), remainder)] if (remainder := self.runs.flush()) else []
         if self._end is not None and not lines:
             raise self._end
         return lines
 
     def _lines(self, t_host_ns: int, data: bytes) -> list[bytes]:
         """Return the lines that ``data``, which arrived at ``t_host_ns``, completes."""
-        return [self._line(*run) + b"\n" for run in self._runs.push(data)]
+        return [self._line(*run) + b"\n" for run in self.runs.push(data)]
 
     def _line(self, is_whole: bool, line: bytes) -> bytes:
         joined, self._joined = self._joined, False
