@@ -375,7 +375,8 @@ class Scatter(NamedTuple):
     ``shared`` [m] and ``turned`` [rad] are of a displacement along, and a rotation about, each axis of the end that the
     rows of a pose share; ``joint`` of an error of each joint [rad, m of ``linear`` ones]. Beside them, the sensors'
     variances are ``factor`` times the declared ones. ``nats``: by how much the arm's errors raise the log evidence over a
-    factor alone. ``n``: poses with several rows; 0 if fewer than half of the rows are in one of these.
+    factor alone. ``n``: poses with several rows; 0 if fewer than half of the rows are in one of these. ``at_tool`` [m]:
+    RMS motion of the measured points by each joint's error, which is what the rows show of it.
     """
 
     factor: float
@@ -385,6 +386,7 @@ class Scatter(NamedTuple):
     linear: tuple[str, ...]
     nats: float
     n: int
+    at_tool: Mapping[str, float]
 
 
 class OtherFit(NamedTuple):

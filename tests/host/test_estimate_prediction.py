@@ -248,6 +248,12 @@ def test_scatter_and_sag_count_in_the_error_of_the_tool():
     result, scatter = sagging(300, sensor=2e-5, declared=6e-5, joint=6e-5)
     assert result.estimate.covariance_explains
     assert result.predicted.scatter == pytest.approx(scatter, rel=0.25)
+    # The ball is near the axis of joint 7: whatever angle is learned, it moves the ball by less than a reading scatters.
+    noise = result.document["joint_laws"]["noise"]
+    at_tool = [noise[f"panda_joint{number}_mm"] for number in range(1, 8)]
+    total = np.hypot.reduce([*at_tool, np.sqrt(3.0) * noise["shared_mm"]])
+    assert total == pytest.approx(1e3 * result.predicted.scatter)
+    assert at_tool[6] < 1e3 * 2e-5
     result, scatter = sagging(80, sensor=2e-5, declared=6.5e-5, shared=6e-5, rows=4)
     assert result.estimate.covariance_explains
     assert result.predicted.scatter == pytest.approx(scatter, rel=0.25)

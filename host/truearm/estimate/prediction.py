@@ -18,6 +18,7 @@ linearisation fails.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from truearm.kinds.position import nearest_rotation
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, about, along, forward, point_forward, point_jacobians, trace_point
-from truearm.results import MOVES, Estimate, PredictedError
+from truearm.results import MOVES, Estimate, PredictedError, Scatter
 from truearm.types import Floats, Rigs, rigs_by_name, rms, thinned
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
@@ -143,11 +144,32 @@ def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimat
     learned_beside_faults = not estimate.faults or estimate.law_parameters  # laws are chosen beside them
     if scatter is None or not learned_beside_faults or not is_of_arm(scatter):
         return np.zeros(len(table))
-    joints = np.array([scatter.joint[joint.name] for joint in chain.joints])
+    places, by_joints = _joint_motion(chain, rig, table, estimate, scatter)
+    of_link = 3.0 * scatter.shared**2 + 2.0 * scatter.turned**2 * (places**2).sum(axis=1)
+    return np.asarray(of_link + (by_joints**2).sum(axis=(1, 2)))
+
+
+def _joint_motion(
+    chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, scatter: Scatter
+) -> tuple[Floats, Floats]:
+    """Return the places (n, 3) of the measured points on the end, and their motion (n, 3, j) [m] by each joint's scatter."""
     places, _ = measured_points(rig, table, estimate)
     _, _, by_joints = point_jacobians(chain, estimate.value[: estimate.n_robot_parameters], table.q, places)
-    of_link = 3.0 * scatter.shared**2 + 2.0 * scatter.turned**2 * (places**2).sum(axis=1)
-    return np.asarray(of_link + ((by_joints * joints) ** 2).sum(axis=(1, 2)))
+    return places, by_joints * [scatter.joint[joint.name] for joint in chain.joints]
+
+
+def with_scatter_at_tool(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Estimate:
+    """Return the estimate with the motion of the measured points by each joint's scatter, where that was learned.
+
+    A point near a joint's axis shows this motion alone, and any angle.
+    """
+    if estimate.scatter is None:
+        return estimate
+    poses = table.select(thinned(len(table), MOST_POSES))
+    _, motion = _joint_motion(chain, rig, poses, estimate, estimate.scatter)
+    sizes = np.sqrt((motion**2).sum(axis=1).mean(axis=0)).tolist()
+    at_tool = dict(zip((joint.name for joint in chain.joints), sizes, strict=True))
+    return replace(estimate, scatter=estimate.scatter._replace(at_tool=at_tool))
 
 
 def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:

@@ -218,6 +218,7 @@ def _noise(scatter: results.Scatter) -> dict[str, float]:
     for joint, sigma in scatter.joint.items():
         scale = MM if joint in scatter.linear else MRAD
         sizes[named(joint, scale.suffix)] = float(scale.of(sigma))
+    sizes |= {named(joint, MM.suffix): float(MM.of(motion)) for joint, motion in scatter.at_tool.items()}
     return {"factor": scatter.factor, **sizes, "nats": scatter.nats}
 
 

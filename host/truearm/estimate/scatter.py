@@ -58,6 +58,7 @@ def scatter_of(problem: LawProblem, learned: Learned) -> Scatter:
         tuple(joint.name for joint in joints if joint.kind != "revolute"),
         nats_of_scatter(problem, learned),
         shared_poses(problem.problem, problem.pose),
+        {},
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from truearm.findings import Finding, stated
 from truearm.text import counted, one_line
 
+WORDS = {"shared": "shared by the rows of a pose", "turned": "of rotation shared by the rows of a pose"}
 SMALL_SHARE = 0.5  # of the range of a sag: it is extrapolated by more than it was measured
 
 
@@ -47,12 +48,11 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
 
 def scatter_terms(sizes: Mapping[str, float]) -> list[str]:
     """Return the arm's scatter in words: the sizes in the field ``noise`` of joint laws, or in ``pose_error``."""
-    words = {"shared": "shared by the rows of a pose", "turned": "of rotation shared by the rows of a pose"}
     terms = []
     for name, sigma in sizes.items():
         quantity, _, unit = name.rpartition("_")
-        if sigma and unit in ("mrad", "mm"):
-            terms.append(f"{sigma:.2g} {unit} {words.get(quantity, f'in {one_line(quantity)}')}")
+        if sigma and (unit == "mm" or quantity == "turned"):
+            terms.append(f"{sigma:.2g} {unit} {WORDS.get(quantity, f'at the tool by {one_line(quantity)}')}")
     return terms
 
 

@@ -23,7 +23,7 @@ from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, WithLaws, is_of_joint, with_joint_laws, without_outliers
 from truearm.estimate.law_choice import LawChoice
 from truearm.estimate.mean_error import with_gain
-from truearm.estimate.prediction import predicted_point_error
+from truearm.estimate.prediction import predicted_point_error, with_scatter_at_tool
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.result_document import copies_of, result_of
@@ -394,6 +394,7 @@ def identified(
         examination = examine_once(chain, estimate)
         estimate = with_faults(estimate, examination)
         estimate = with_average(chain, rig, table, estimate, examination, causes, effects)
+    estimate = with_scatter_at_tool(chain, rig, table.select(~estimate.left_out), estimate)
     estimate = with_drawing(robot, rig, table, with_gain(table, estimate))
     estimate = replace(estimate, folds=held_out_in_turn(robot, rig, table, folds, held_rows, options))
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
