@@ -64,7 +64,6 @@ EXPECTED = {  # frames lost, malformed, console runs with text, console runs, re
 def test_the_file_holds_every_byte_that_was_received_and_heartbeats_go_on(faulty):
     _, session = faulty
     assert received(session.path) == b"".join(session.sent).replace(b"\0", b"")
-    _, session = faulty
     beats = [cbor2.loads(m.data) for topic, m in messages(session.path) if topic == "/box/heartbeat"]
     assert len(beats) >= 45
 

@@ -22,7 +22,6 @@ from truearm.errors import InputError, RobotError, TargetError
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
 from truearm.export.formats import FORMATS
 from truearm.kinds.rig_file import write_rig
-from truearm.model.chain import forward
 from truearm.plan.options import Criterion
 from truearm.types import LinePlacement
 from truearm_sim.world import standard_rig
@@ -218,26 +217,6 @@ def test_rows_are_held_out_and_rigs_named(robot, table, rig):
     named = replace(table, rig=np.full(len(table), "monday"))
     found = truearm.identify(robot, named, {"monday": rig})
     assert found.estimate.rank == 36
-
-
-def test_export_correct_and_map(folder, result):
-    written = truearm.export_robot(result, "sheth-uicker", folder / "calibrated.toml")
-    assert (folder / "calibrated.toml").read_text() == written.text
-    assert truearm.load_robot(folder / "calibrated.toml").chain.joints
-    q = np.array([0.3, -0.6, 0.5, 0.2, 0.8, 0.1])
-    poses = forward(result.chain, result.nominal, q[None])
-    corrected = truearm.correct_poses(result, poses, home=q)
-    np.testing.assert_allclose(corrected.q_nominal, [q], atol=1e-9)
-    np.testing.assert_allclose(forward(result.chain, result.identified, corrected.q), poses, atol=1e-9)
-    assert truearm.error_map(result, at=[0.0] * 6, cell=0.2).error.ndim == 2
-
-
-def test_the_poses_of_a_robot_are_those_of_its_parameters(result, robot):
-    q = np.random.default_rng(1).uniform(-2.0, 2.0, (7, 6))
-    np.testing.assert_array_equal(robot.forward(q), forward(robot.chain, robot.chain.params_nominal, q))
-    np.testing.assert_array_equal(result.forward(q), forward(result.chain, result.identified, q))
-    np.testing.assert_array_equal(result.forward(q[3].tolist()), result.forward(q)[3])
-    assert np.abs(result.forward(q) - robot.forward(q)).max() > 1e-4
 
 
 def test_the_poses_of_a_calibrated_robot_hold_its_joint_laws(robot):

@@ -1,4 +1,4 @@
-"""Options: docs/reference/options.md says what each means, every command follows it, and earlier names are refused."""
+"""Options: docs/reference/options.md says what each means, every command and its --help follow it, and earlier names are refused."""
 
 import re
 import subprocess
@@ -18,6 +18,7 @@ from truearm.errors import RobotError
 from truearm.model.robot_file import load_robot
 from truearm.plan.options import PoseOptions
 from truearm.types import Payload
+from truearm_sim.simbox import FAULTS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "options.md").read_text()
 ROWS = {
@@ -27,13 +28,14 @@ ROWS = {
 }
 
 
-def commands(tree=None, name="truearm"):
-    """Every command that is not a group, by what is typed."""
+def commands(tree=None, name="truearm", groups=False):
+    """Every command by what is typed, with or without the groups."""
     tree = tree or command_tree()
-    below = getattr(tree, "commands", None)
-    if below is None:
-        return {name: tree}
-    return {key: one for word, sub in below.items() for key, one in commands(sub, f"{name} {word}").items()}
+    below = getattr(tree, "commands", {})
+    found = {name: tree} if groups or not below else {}
+    for word, sub in below.items():
+        found |= commands(sub, f"{name} {word}", groups)
+    return found
 
 
 def options():
@@ -124,6 +126,26 @@ def test_commands_exist_in_five_tasks():
     assert [*TASKS] == ["Try", "Measure", "Identify", "Use", "Box"]
     assert [*command_tree().commands] == [name for names in TASKS.values() for name in names]
     assert len(command_tree().commands) <= 20
+
+
+@pytest.mark.parametrize("name", commands(groups=True))
+def test_help_has_an_example_of_that_very_command_with_options_that_exist(run, name):
+    """Of a command's own example, wherever it stands in its help."""
+    outcome, command = run(*name.split()[1:], "--help"), commands(groups=True)[name]
+    words = " ".join(outcome.out.split())
+    assert (outcome.code, name in words.partition("Example")[2]) == (0, True)
+    assert "range>" not in words, "say what the number is, not of which type"
+    example = re.split(r"arguments:|Options:|Commands:", re.split(r"Examples?:", words)[-1])[0]
+    known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+    assert hasattr(command, "commands") or set(re.findall(r"(?<=\s)--[a-z][a-z-]*", example)) <= known
+
+
+def test_the_help_names_every_fault_and_every_command(run):
+    words = run("simulate", "--help").out.split()
+    assert all(fault in " ".join(words) for fault in FAULTS)
+    # It is written without importing them.
+    listed = {name: text for summaries in TASKS.values() for name, text in summaries.items()}
+    assert listed == {name: one.get_short_help_str(1000) for name, one in command_tree().commands.items()}
 
 
 def test_what_writes_a_file_has_force():

@@ -8,13 +8,9 @@ import signal
 import subprocess
 import sys
 
-import mcap.records
 import pytest
-from mcap.data_stream import ReadDataStream
 from mcap.reader import SeekingReader
-from mcap.records import Chunk
-from mcap.stream_reader import breakup_chunk
-from test_session import written
+from test_session import chunks_of, written
 from tests.refusals import ended
 
 from truearm.cli.main import main
@@ -38,14 +34,7 @@ def made(tmp_path):
     """Return the messages of a session, its bytes, its chunks, and the file to be damaged."""
     path = tmp_path / "s.mcap"
     messages = written(path)
-    with path.open("rb") as file:
-        chunks = SeekingReader(file).get_summary().chunk_indexes
-        rest = iter(messages)
-        for chunk in chunks:
-            file.seek(chunk.chunk_start_offset + 9)
-            records = breakup_chunk(Chunk.read(ReadDataStream(file)))
-            chunk.holds = [next(rest) for record in records if isinstance(record, mcap.records.Message)]
-    return messages, path.read_bytes(), chunks, path
+    return messages, path.read_bytes(), chunks_of(path, messages), path
 
 
 def mended(path, out):

@@ -5,10 +5,13 @@ import json
 import random
 from pathlib import Path
 
+import mcap.records
 import pytest
 import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Chunk
+from mcap.stream_reader import breakup_chunk
 from mcap.writer import Writer
 from record_box import MS, SECOND, Lab
 from tests.refusals import refused
@@ -39,6 +42,18 @@ def written(path: Path, n: int = 500, finish: bool = True) -> list[Message]:
     if finish:
         writer.close({"reason": "test"})
     return messages
+
+
+def chunks_of(path: Path, messages: list[Message]) -> list:
+    """Return the chunks of a session, each with those of its messages that it holds."""
+    rest = iter(messages)
+    with path.open("rb") as file:
+        chunks = SeekingReader(file).get_summary().chunk_indexes
+        for chunk in chunks:
+            file.seek(chunk.chunk_start_offset + 9)
+            records = breakup_chunk(Chunk.read(ReadDataStream(file)))
+            chunk.holds = [next(rest) for record in records if isinstance(record, mcap.records.Message)]
+    return chunks
 
 
 class TestRoundTrip:
@@ -78,20 +93,6 @@ class TestRoundTrip:
                 statistics = reader.get_summary().statistics
             assert read == [m.t_host_ns + offset for m in messages]
             assert (statistics.message_start_time, statistics.message_end_time) == (read[0], read[-1])
-
-    def test_summary_schemas_and_sequences(self, tmp_path):
-        messages = written(tmp_path / "s.mcap")
-        with (tmp_path / "s.mcap").open("rb") as file:
-            reader = SeekingReader(file, validate_crcs=True)
-            summary = reader.get_summary()
-            sequences = [m.sequence for _, c, m in reader.iter_messages(["/box/adc"])]
-        assert summary.statistics.message_count == len(messages)
-        assert summary.statistics.attachment_count == 2  # the rig and its copy at the end
-        encodings = {c.topic: c.message_encoding for c in summary.channels.values()}
-        assert encodings == {"/box/adc": "cbor", "/sync": "json", "/box/console": "application/octet-stream"}
-        (schema,) = (schema for schema in summary.schemas.values() if schema.name == "truearm/sync")
-        assert set(json.loads(schema.data)["properties"]) == {"id", "t0_ns", "t1_us", "t2_us", "t3_ns"}
-        assert sequences == list(range(500))
 
     def test_a_tail_of_zeros(self, tmp_path):
         """A power cut may leave a file's length on the disk without its last bytes."""
@@ -204,8 +205,6 @@ class TestStrangers:
 
 def with_chunk(chunk: Chunk) -> bytes:
     """Return a complete MCAP file that contains this chunk."""
-    from mcap.data_stream import RecordBuilder
-
     stream = io.BytesIO()
     writer = Writer(stream, use_statistics=False)
     writer.start()

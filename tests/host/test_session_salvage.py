@@ -1,12 +1,8 @@
 """A damaged session gives all its intact data, and the places and amounts of missing data."""
 
-import mcap.records
 import pytest
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader, breakup_chunk
-from test_session import written
+from test_session import chunks_of, written
 
 from truearm.errors import SessionError
 from truearm.session.session_file import MAX_BAD, open_session
@@ -24,14 +20,7 @@ def path(tmp_path):
 def made(path):
     """Messages of a good session, its bytes and its chunks; each chunk with the messages that are in it."""
     messages = written(path, N)
-    with path.open("rb") as file:
-        chunks = SeekingReader(file).get_summary().chunk_indexes
-        file.seek(0)
-        contents = [breakup_chunk(r) for r in StreamReader(file, emit_chunks=True).records if isinstance(r, Chunk)]
-    rest = iter(messages)
-    counts = [sum(isinstance(record, mcap.records.Message) for record in records) for records in contents]
-    for chunk, count in zip(chunks, counts, strict=True):
-        chunk.holds = [next(rest) for _ in range(count)]
+    chunks = chunks_of(path, messages)
     assert len(chunks) >= 5
     return messages, path.read_bytes(), chunks
 
