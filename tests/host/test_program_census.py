@@ -82,6 +82,7 @@ RAPID = {
     "component assigned": [module('v1.trans.x:=5;\nMoveL v1,~ !R')],
     "nothing is assigned": [module('v1:=;\nMoveL v1,~ !R\nMoveL p1,~ !K')],
     "component read by IF": [module('IF v1.trans.x > 3 THEN\nMoveL v1,~ !O\nENDIF')],
+    "AND before a bracket reads": [module('IF x>3 AND (v1.trans.x>3) THEN\nMoveL v1,~ !O\nENDIF')],
     "compact IF reads": [module('IF p1.trans.x>3 MoveL p2,~ !K\nMoveL p1,~ !O')],
     "array in a loop, one tool": [module('FOR i FROM 1 TO 2 DO\nMoveL a{i},~ !K\nENDFOR','CONST robtarget a{2}:=['+target(1,2)+','+target(3,4)+'];\n')],
     "array in a loop, element assigned": [module('a{2}:=p1;\nFOR i FROM 1 TO 2 DO\nMoveL a{i},~ !R\nENDFOR','VAR robtarget a{2}:=['+target(1,2)+','+target(3,4)+'];\n')],
@@ -451,6 +452,7 @@ def test_each_move_is_corrected_or_stays(language, files):
 OUTSIDE = {  # what files that are not there may do: with --strict, and for names that nothing outside changes
     "assumed": (module("other;\nMoveL p1,~ !K"), {}),
     "strict": (module("other;\nMoveL p1,~ !R"), {"strict": True}),
+    "strict with a condition": (module("IF a AND (b OR NOT (c)) THEN\nMoveL p1,~ !K\nENDIF"), {"strict": True}),
     "strict without such a routine": (module("MoveL p1,~ !K"), {"strict": True}),
     "passed on": (module("other v1;\nMoveL v1,~ !R"), {}),
     "passed on, unchanged": (module("other v1;\nMoveL v1,~ !O"), {"unchanged": frozenset({"v1"})}),

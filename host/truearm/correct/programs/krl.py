@@ -16,6 +16,7 @@ from functools import partial
 from itertools import groupby
 
 from truearm.correct.programs.data import Change, Datum, Form, Literal, Place, Scope, Uses
+from truearm.correct.programs.language_words import steps_of, words_of
 from truearm.correct.programs.order import closure
 from truearm.correct.programs.poses import check_reach, matrix_of_angles
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
@@ -29,43 +30,17 @@ from truearm.correct.programs.tokens import (
     is_word,
     separated,
     tokens_of,
-    words,
 )
 from truearm.types import Floats
 
-MOVES = words("ptp lin circ sptp slin scirc spl")
-RELATIVE = frozenset(f"{name}_rel" for name in MOVES)
-NO_ASSIGNMENT = words("if while until for switch wait spline") | MOVES | RELATIVE
-HERE = words("$pos_act $axis_act")  # where the robot is: a move to it moves nothing
-TYPES = words("e6pos pos frame e6axis axis fdat")
+WORDS, STEPS = words_of("krl"), steps_of("krl")
+RELATIVE = frozenset(f"{name}_rel" for name in WORDS["moves"])
+NO_ASSIGNMENT = WORDS["no_assignment"] | WORDS["moves"] | RELATIVE
 POSE, AXES = ("x", "y", "z", "a", "b", "c"), ("a1", "a2", "a3", "a4", "a5", "a6")
-QUIET = words(
-    "if while until for return switch case when and or not exor bas wait halt continue trigger pulse abs sin cos tan sqrt "
-    "varstate ext extp extfct decl global stool stool2 sbase sload sipo_mode svel_joint svel_cp sacc_joint sacc_cp sapo "
-    "sapo_ptp sgear_jerk sjerk sori_typ scirc_typ scirc_m use_cm_pro_values"
-)  # words before a bracket that change no data in it, and no frames
-HEADS = words("def deffct ext extp extfct")
-SYSTEM = words("tool_data base_data machine_frame_dat $h_pos")  # data that need no declaration
-ROOT_FRAMES = words("$nullframe $world tool_data[0] base_data[0]")
-ACTIVE = words("$tool $base $ipo_mode")
 FDAT = {"tool": "tool_no", "base": "base_no", "ipo_mode": "ipo_frame"}
-PARAMETERS = words("#frames #ptp_params #cp_params")  # of BAS, which sets the frames of FDAT_ACT by them
-FRAMELESS = words("#acc_cp #acc_ptp #acc_glue #vel_cp #vel_ptp #cp_dat #ptp_dat #out_sync #out_async #group")
-ROOTS = words("$robroot $world")  # of all frames
 # an offset that BAS adds
 CORRECTION = re.compile(r"\b(tool_corr_on|tool_corr_w_on|base_corr_on|m_bas_cor_on) = (?!false)")
 PLAIN = re.compile(r"(?:[-+] )?[\d.]+(?:[eE][-+]?\d+)?")  # a number with its sign
-STEPS = {
-    **dict.fromkeys(words("def deffct"), Step.ROUTINE),
-    **dict.fromkeys(words("end endfct endif endfor endwhile endloop endswitch until"), Step.END),
-    **dict.fromkeys(words("if switch"), Step.IF),
-    **dict.fromkeys(words("for while"), Step.LOOP),
-    **dict.fromkeys(words("loop repeat"), Step.REPEAT),
-    "case": Step.BRANCH,
-    **dict.fromkeys(words("else default"), Step.ELSE),
-    "exit": Step.LEAVE,
-    **dict.fromkeys(words("interrupt resume goto"), Step.CALL),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +67,8 @@ class Line:
     @property
     def sets_frames(self) -> bool:
         """Whether it may set the tool or base."""
-        is_command = self.texts[:2] == ["bas", "("] and FRAMELESS.isdisjoint(self.texts)
-        return is_command or self.texts[0] in ACTIVE or self.texts[0] == "fdat_act"
+        is_command = self.texts[:2] == ["bas", "("] and WORDS["frameless"].isdisjoint(self.texts)
+        return is_command or self.texts[0] in WORDS["active"] or self.texts[0] == "fdat_act"
 
 
 Modules = dict[str, dict[str, Datum]]
@@ -138,7 +113,7 @@ class _Reader(Reading):
 
     def read(self) -> None:
         """Read the lines of all files, then their data, then the uses of these."""
-        self.modules[""] = {name: Datum(name, "", "var", Place(0, 0)) for name in SYSTEM}
+        self.modules[""] = {name: Datum(name, "", "var", Place(0, 0)) for name in WORDS["system"]}
         self.lines = list(_lines(self.program.files, self.modules))
         self.routines = {line.routine for line in self.lines} - {""}
         self.is_stationary = any("#tcp" in line.texts for line in self.lines)
@@ -161,7 +136,7 @@ class _Reader(Reading):
         tokens = line.tokens
         if line.word in ("def", "deffct") and "(" in line.texts:
             self.parameters[line.scope.file] |= set(line.texts[line.texts.index("(") :])
-        kind = next((index for index, text in enumerate(line.texts[:4]) if text in TYPES), len(tokens))
+        kind = next((index for index, text in enumerate(line.texts[:4]) if text in WORDS["types"]), len(tokens))
         prefix = set(line.texts[:kind])
         if kind > len(tokens) - 2 or prefix - {"decl", "global", "const"}:
             return
@@ -173,7 +148,7 @@ class _Reader(Reading):
                     name, Datum(name, line.texts[kind], "var", place, names is not self.modules[""])
                 )
                 datum.written.add(place)
-                if datum.place != place and name not in SYSTEM:
+                if datum.place != place and name not in WORDS["system"]:
                     datum.changes.append(Change(place, "redeclared"))
                 if is_word(declared, 1, "="):
                     self.values[datum, ""].append((declared[2:], line.scope))
@@ -186,7 +161,7 @@ class _Reader(Reading):
         for index, token in enumerate(tokens):
             if token.kind != "word":
                 continue
-            if is_word(tokens, index + 1, "(") and token.text not in QUIET and line.word not in HEADS:
+            if is_word(tokens, index + 1, "(") and token.text not in WORDS["quiet"] and line.word not in WORDS["heads"]:
                 caller = token.text
                 if caller not in self.routines:
                     self.program.absent[caller] = None
@@ -219,7 +194,7 @@ class _Reader(Reading):
                 callers[routine].add(line.routine)
         setting = closure({line.routine for line in self.lines if line.sets_frames}, callers.__getitem__)
         for line in self.lines:
-            is_root = line.texts[0] in ROOTS and line.assigned
+            is_root = line.texts[0] in WORDS["roots"] and line.assigned
             is_event = line.word in ("interrupt", "trigger") and not setting.isdisjoint(line.texts)
             if is_root or is_event or CORRECTION.search(" ".join(line.texts)):
                 self.displace("displacing", line.texts[0].upper(), line.scope.place(line.tokens[0]))
@@ -238,7 +213,7 @@ class _Reader(Reading):
         self.check(datum)
         if not (values := self.values[datum, number]):
             name = f"{name}[{number}]" if number else name
-            raise Uncertain("undeclared" if datum.name in SYSTEM else "no-value", name=name.upper())
+            raise Uncertain("undeclared" if datum.name in WORDS["system"] else "no-value", name=name.upper())
         targets = self.once((datum, number), lambda: self.all_values(values, self.targets))
         return [(target, file, ((datum, scope.place(tokens[0])), *uses)) for target, file, uses in targets]
 
@@ -270,7 +245,7 @@ class _Reader(Reading):
     def frame(self, tokens: Tokens, subject: str, scope: Scope) -> Floats:
         """Return the pose (4, 4) of TOOL_DATA[n], BASE_DATA[n], $NULLFRAME, {X …} or a name. Raises Uncertain."""
         key = "".join(token.text for token in tokens)
-        if key in ROOT_FRAMES:
+        if key in WORDS["root_frames"]:
             return IDENTITY
         kinematics = self.values.get((self.modules[""]["machine_frame_dat"], key[len("base_data[") : -1]), ())
         if subject == "base" and any(_number(_components(value).get("mach_def_index", ())) for value, _ in kinematics):
@@ -310,15 +285,15 @@ def read_krl(files: Sequence[Source], surroundings: Surroundings) -> Program:
     reader.read()
     active = _ActiveFrames(reader)
     for line in reader.lines:
-        if line.word in MOVES | RELATIVE and line.assigned != 1:
-            if not HERE.issuperset(line.texts[1:2]):
+        if line.word in WORDS["moves"] | RELATIVE and line.assigned != 1:
+            if not WORDS["here"].issuperset(line.texts[1:2]):
                 place, end = line.scope.place(line.tokens[0]), line.tokens[-1].end
                 move = Move(line.word, place, end, line.word in ("lin", "slin"))
                 reader.add_move(move, partial(_goals, reader, line, active))
             continue
         is_call = is_word(line.tokens, 1, "(") or not reader.routines.isdisjoint(line.texts)
         is_label = is_word(line.tokens, 1, ":")
-        if line.word in STEPS or is_label or (is_call and line.word not in QUIET):
+        if line.word in STEPS or is_label or (is_call and line.word not in WORDS["quiet"]):
             active.forget()
             reader.program.steps.append(STEPS.get(line.word, Step.CALL))
         else:
@@ -348,20 +323,20 @@ class _ActiveFrames:
         """Note $TOOL=…, BAS(#TOOL,n), FDAT_ACT=…, BAS(#PTP_PARAMS,n), SPLINE and what else sets frames."""
         texts, tokens = line.texts, line.tokens
         command = "".join(texts[2:3]) if texts[:2] == ["bas", "("] else ""
-        if texts[0] in ACTIVE:
+        if texts[0] in WORDS["active"]:
             self.settings[texts[0][1:]] = partial(self.setting, tokens, line.scope)
         elif command in ("#tool", "#base"):
             self.settings[command[1:]] = partial(self.numbered, command[1:], tokens[4:-1], line.scope)
         elif texts[0] == "fdat_act":
             is_whole = line.assigned == 1
             self.described = {name: partial(self.component, name, tokens[2:], line.scope) for name in FDAT if is_whole}
-        elif command in PARAMETERS:
+        elif command in WORDS["parameters"]:
             self.settings = dict(self.described)
         elif texts[0] == "spline":
             self.outside, self.settings = self.settings, self.within(line)
         elif texts[0] == "endspline":
             self.settings = self.outside
-        elif line.sets_frames or not ACTIVE.isdisjoint(texts):
+        elif line.sets_frames or not WORDS["active"].isdisjoint(texts):
             self.forget()
 
     def setting(self, tokens: Tokens, scope: Scope) -> Floats:
@@ -395,7 +370,7 @@ class _ActiveFrames:
     def within(self, line: Line) -> Settings:
         """Return the settings for a line with those of its WITH."""
         clauses = line.tokens[line.texts.index("with") + 1 :] if "with" in line.texts else ()
-        active = [clause for clause in separated(clauses, ",") if clause and clause[0].text in ACTIVE]
+        active = [clause for clause in separated(clauses, ",") if clause and clause[0].text in WORDS["active"]]
         return {**self.settings, **{clause[0].text[1:]: partial(self.setting, clause, line.scope) for clause in active}}
 
     def tool_and_base(self, line: Line) -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ from truearm.correct.programs.program import Program, Surroundings
 from truearm.correct.programs.rapid import read_rapid
 from truearm.correct.programs.tokens import Source
 from truearm.correct.programs.urscript import read_urscript
-from truearm.correct.programs.urscript_names import DEFINING, calls_in
+from truearm.correct.programs.urscript_names import WORDS, calls_in
 from truearm.errors import InputError
 
 ProgramLanguage = Literal["rapid", "urscript", "krl", "ls"]
@@ -65,7 +65,7 @@ def _scripts(files: Sequence[Source]) -> list[list[Source]]:
     called, defined = list[set[str]](), list[set[str]]()
     for source in files:
         tokens = source.script_tokens
-        defined.append({name.text for word, name in pairwise(tokens) if word.text in DEFINING})
+        defined.append({name.text for word, name in pairwise(tokens) if word.text in WORDS["defining"]})
         called.append({token.text for _, token in calls_in(tokens)} - defined[-1])
     shared = set().union(*called) & set().union(*defined)
     linked: dict[int | str, set[int | str]] = defaultdict(set)  # files and the names of functions by which they are

@@ -14,19 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.correct.programs.data import Change, Datum, Form, Literal, Place, Scope
+from truearm.correct.programs.language_words import steps_of, table_of, words_of
 from truearm.correct.programs.poses import check_reach, matrix_of_quaternion
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
-from truearm.correct.programs.rapid_words import (
-    AIMLESS,
-    BY_NAME,
-    DISPLACING,
-    LANGUAGE,
-    LOADING,
-    MOVES,
-    READERS,
-    SEARCHES,
-    STRAIGHT,
-)
 from truearm.correct.programs.reading import Reading, Uncertain, arithmetic
 from truearm.correct.programs.tokens import (
     NUMBER,
@@ -38,7 +28,6 @@ from truearm.correct.programs.tokens import (
     is_word,
     separated,
     tokens_of,
-    words,
 )
 from truearm.types import Floats
 from truearm.units import MM
@@ -50,21 +39,22 @@ AXES = tuple(f"eax_{letter}" for letter in "abcdef")
 
 Value = float | str | bool | tuple["Value", ...]
 
-ROUTINE_ENDS = words("endproc endfunc endtrap endmodule endrecord")
-STEPS = {
-    **dict.fromkeys(("if", "test"), Step.IF),
-    **dict.fromkeys(("while", "for"), Step.LOOP),
-    **dict.fromkeys(("elseif", "case"), Step.BRANCH),
-    **dict.fromkeys(("else", "default"), Step.ELSE),
-    **dict.fromkeys(("endif", "endfor", "endwhile", "endtest"), Step.END),
-    **dict.fromkeys(("error", "undo", "backward"), Step.CALL),  # from anywhere in the routine
-}
-EVALUATING = words("if elseif test case while for")  # an expression follows
-ENDS = ROUTINE_ENDS | words("; : then do case default endtest")  # of a statement or expression
-SKIPPED = ENDS | words("local task")
-OPERATORS = words("and or xor not div mod")
-RECORDS = words("robtarget jointtarget tooldata wobjdata")  # types with several values of one name
 
+class Instruction(NamedTuple):
+    """An instruction that moves the robot: the places of its targets and of its tool among the arguments."""
+
+    targets: tuple[int, ...]
+    tool: int
+
+
+WORDS, STEPS = words_of("rapid"), steps_of("rapid")
+MOVES = {
+    name: Instruction(tuple(entry["targets"]), entry["tool"])
+    for entry in table_of("rapid")["moves"]
+    for name in entry["names"].split()
+}
+READERS = (MOVES.keys() | WORDS["reading"] | WORDS["displacing"] | WORDS["operators"]) - WORDS["searches"]
+LANGUAGE = MOVES.keys() | frozenset[str]().union(*WORDS.values())
 
 Parameters = list[tuple[str, str]]  # of a routine: name and mode, "" for by value
 
@@ -150,9 +140,9 @@ class _ModuleReader:
             elif word in ("proc", "func", "trap"):
                 self.begin_routine(word)
             elif word == "record":
-                while self.index < len(tokens) and tokens[self.index].text not in ROUTINE_ENDS:
+                while self.index < len(tokens) and tokens[self.index].text not in WORDS["routine_ends"]:
                     self.index += 1
-            elif word in ROUTINE_ENDS:
+            elif word in WORDS["routine_ends"]:
                 outline += [Step.END] * (len(self.blocks) > 1)
                 self.blocks = self.blocks[-1:]
             elif word in ("const", "var", "pers"):
@@ -162,7 +152,7 @@ class _ModuleReader:
                 self.structure(word)
             elif word and is_word(tokens, self.index, ":"):
                 outline.append(Step.CALL)  # GOTO may come from anywhere
-            elif (word and word not in SKIPPED) or (token.text == "%" and len(self.blocks) > 1):
+            elif (word and word not in WORDS["skipped"]) or (token.text == "%" and len(self.blocks) > 1):
                 self.index -= 1
                 self.add(self.end(), is_instruction=True)
                 outline += [Step.END] * self.compact
@@ -171,7 +161,7 @@ class _ModuleReader:
     def end(self) -> int:
         """Return the index of the next token that ends a statement."""
         index, tokens = self.index, self.tokens
-        while index < len(tokens) and tokens[index].text not in ENDS:
+        while index < len(tokens) and tokens[index].text not in WORDS["statement_ends"]:
             index += 1
         return index
 
@@ -242,7 +232,7 @@ class _ModuleReader:
             self.index += 1
         elif word == "endfor" and len(self.blocks) > 2:
             self.blocks = self.blocks[1:]
-        if word in EVALUATING:
+        if word in WORDS["evaluating"]:
             end = self.end()
             if word == "if" and not is_word(tokens, end, "then"):
                 self.compact += 1
@@ -252,8 +242,12 @@ class _ModuleReader:
     def begins_statement(self, index: int) -> bool:
         """Return whether a word follows an operand."""
         previous, token = self.tokens[index - 1], self.tokens[index]
-        is_operand = (previous.kind != "sign" and previous.text not in OPERATORS) or previous.text in (")", "]", "}")
-        return is_operand and token.kind == "word" and token.text not in OPERATORS
+        is_operand = (previous.kind != "sign" and previous.text not in WORDS["operators"]) or previous.text in (
+            ")",
+            "]",
+            "}",
+        )
+        return is_operand and token.kind == "word" and token.text not in WORDS["operators"]
 
 
 # names and what may change them
@@ -304,7 +298,7 @@ def _note_instruction(task: Task, statement: Statement) -> None:
     name, place = tokens[0].text, scope.place(tokens[0])
     if len(tokens) > 1 and tokens[1].text in (":=", "{", "."):
         datum = find(task, name, scope)
-        if datum is not None and tokens[1].text == ":=" and datum.type in RECORDS:
+        if datum is not None and tokens[1].text == ":=" and datum.type in WORDS["records"]:
             datum.values.append((tokens[2:], scope))
             datum.uses.discard(place)
         elif datum is not None:
@@ -313,15 +307,15 @@ def _note_instruction(task: Task, statement: Statement) -> None:
     if name == "%":
         task.program.absent["a routine called by a text (%…%)"] = None
         tokens = tokens[max(index for index, token in enumerate(tokens) if token.text == "%") :]
-    elif name in LOADING:
+    elif name in WORDS["loading"]:
         task.program.absent[name] = None
     _note_call(task, scope, name, tokens[1:])
     texts = {token.text for token in tokens}
-    if name in DISPLACING:
+    if name in WORDS["displacing"]:
         task.displace("displacing", name, place)
     if name == "singarea" and "lockaxis4" in texts:
         task.displace("locked-axis", name, place)
-    if name in BY_NAME:
+    if name in WORDS["by_name"]:
         task.by_name = Uncertain("by-name", name=name, where=task.program.where(place))
     task.is_unwatched |= name in ("confl", "confj") and "off" in texts
 
@@ -335,7 +329,7 @@ def _note_call(task: Task, scope: Scope, function: str, tokens: Tokens) -> None:
     if not routines and function in READERS:
         return
     positional, optional = arguments_of(tokens)
-    if function in SEARCHES and not routines:
+    if function in WORDS["searches"] and not routines:
         positional, optional = positional[1:2], {}
     by_key: list[tuple[int | str, Tokens]] = [*enumerate(positional), *optional.items()]
     for key, argument in by_key:
@@ -531,17 +525,17 @@ def _add_steps(task: Task, statement: Statement) -> None:
         program.steps.append(Step.CALL)
     if not statement.is_instruction or name in task.routines or is_word(tokens, 1, ":="):
         return
-    if name not in MOVES and name not in AIMLESS:
+    if name not in MOVES and name not in WORDS["aimless"]:
         program.steps += [Step.CALL] * task.is_foreign(name, scope)
         return
-    move = Move(name, scope.place(tokens[0]), tokens[-1].end, name in STRAIGHT)
+    move = Move(name, scope.place(tokens[0]), tokens[-1].end, name.startswith(tuple(WORDS["straight"])))
     task.add_move(move, lambda: _goals(task, statement))
 
 
 def _goals(task: Task, statement: Statement) -> list[Goal]:
     """Return the goals of a move. Raises Uncertain."""
     tokens, scope = statement.tokens, statement.scope
-    if tokens[0].text in AIMLESS:
+    if tokens[0].text in WORDS["aimless"]:
         raise Uncertain("aimless")
     positional, optional = arguments_of(tokens[1:])
     instruction = MOVES[tokens[0].text]

@@ -120,8 +120,3 @@ def separated(tokens: Tokens, *signs: str) -> Iterator[Tokens]:
 def is_word(tokens: Tokens, index: int, text: str) -> bool:
     """Return whether the token at an index is this word or sign."""
     return 0 <= index < len(tokens) and tokens[index].text == text
-
-
-def words(text: str) -> frozenset[str]:
-    """Return the words of a text."""
-    return frozenset(text.split())

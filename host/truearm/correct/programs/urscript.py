@@ -16,12 +16,10 @@ from truearm.correct.programs.poses import check_reach, poses_of
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Surroundings, Target
 from truearm.correct.programs.reading import MOST_TARGETS, Uncertain, arithmetic, only
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
-from truearm.correct.programs.urscript_names import Border, Call, Entry, Routine, Script, read_names
-from truearm.correct.programs.urscript_words import AIMLESS, MOVES, SOLVER, STRAIGHT
+from truearm.correct.programs.urscript_names import MOVES, WORDS, Border, Call, Entry, Routine, Script, read_names
 from truearm.types import Floats
 from truearm.units import DEG
 
-CURRENT_JOINTS = frozenset(("get_actual_joint_positions", "get_target_joint_positions"))  # as qnear: no choice
 Origins = frozenset[Entry | None]
 T = TypeVar("T")
 
@@ -114,7 +112,7 @@ class _Reader:
         call = self.script.call(tokens, scope)
         if call is None:
             raise Uncertain("run-time")
-        return self.solved(call) if call.name == SOLVER else self.product(call)
+        return self.solved(call) if call.name == "get_inverse_kin" else self.product(call)
 
     def named(self, tokens: Tokens, scope: Scope, index: str) -> list[Value]:
         """Return what a name may stand for; its literals are reached by this use of it, too."""
@@ -146,7 +144,7 @@ class _Reader:
         seed, tool = call.argument(1, "qnear"), call.argument(4, "tcp")
         readings: tuple[float, ...] = ()
         source = self.script.call(seed, call.scope)
-        if seed and (source is None or source.name not in CURRENT_JOINTS):
+        if seed and (source is None or source.name not in WORDS["current_joints"]):
             values = self.values(seed, call.scope)
             if len(values) != 1 or not values[0].is_joints:
                 raise Uncertain("several", name="its qnear")
@@ -182,7 +180,7 @@ class _Reader:
 
     def goals(self, call: Call) -> list[Goal]:
         """Return the goals of a move. Raises Uncertain."""
-        if call.name in AIMLESS:
+        if call.name in WORDS["aimless"]:
             raise Uncertain("aimless")
         self.script.check_displacement()
         goals: list[Goal] = []
@@ -229,10 +227,10 @@ def read_urscript(files: Sequence[Source], surroundings: Surroundings) -> Progra
     reached = _reached(script)
     moves: dict[Call, Move] = {}
     for call in script.placed_calls.values():
-        if call.name in MOVES.keys() | AIMLESS and call.routine in reached:
-            moves[call] = move = Move(call.name, call.place, call.tokens[-1].end, call.name in STRAIGHT)
+        if call.name in MOVES.keys() | WORDS["aimless"] and call.routine in reached:
+            moves[call] = move = Move(call.name, call.place, call.tokens[-1].end, call.name in WORDS["straight"])
             script.add_move(move, partial(reader.goals, call))
-    last = _last_calls(script, frozenset(MOVES.keys() | AIMLESS | program.absent.keys()), MOST_ORIGINS)
+    last = _last_calls(script, frozenset(MOVES.keys() | WORDS["aimless"] | program.absent.keys()), MOST_ORIGINS)
     for call, move in moves.items():
         program.origins[move] = frozenset(moves.get(origin) for origin in last.get(call) or UNKNOWN)  # type: ignore[arg-type]
     return program

@@ -6,23 +6,33 @@ values, which only makes the reader stricter; parameters are separate.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 from truearm.correct.programs.data import Change, Datum, Place, Scope
+from truearm.correct.programs.language_words import table_of, words_of
 from truearm.correct.programs.program import Program, Step, Surroundings
 from truearm.correct.programs.reading import Reading, Uncertain
-from truearm.correct.programs.tokens import DEPTH, Source, Token, Tokens, closing, is_word, separated, words
-from truearm.correct.programs.urscript_words import EFFECTS, MOVE_TEXT, is_in_language
+from truearm.correct.programs.tokens import DEPTH, Source, Token, Tokens, closing, is_word, separated
 
-TRACKING = words("track_conveyor_linear track_conveyor_circular frame_tracking_enable path_offset_enable")
-LENGTHS = words("length get_list_length size")  # of a list: its numbers do not count
-DEFINING = words("def thread sec")
-ENDING = words("end else elif")
+WORDS = words_of("urscript")
+MOVES: Mapping[str, tuple[tuple[str, ...], ...]] = table_of("urscript")[
+    "moves"
+]  # names of the arguments of each target
+MOVE_TEXT = re.compile(rf"({'|'.join(MOVES)}) *\(")  # in a text that is sent elsewhere
+EFFECTS = MOVES.keys() | WORDS["aimless"] | WORDS["effects"]
+FAMILIES = re.compile(  # what neither moves the robot nor sets its tool, like the quiet words
+    r"""(modbus|socket|str|encoder|conveyor|eip|rtde)_\w+
+    |(get|set|read|write)_(analog|configurable|digital|euromap|input|output|port|runstate|standard)_\w+
+    |(get|set)_tool_(analog|digital|output|voltage|current|communication|temp|accelerometer)\w*
+    |get_(actual|target)_(joint|tcp|payload)\w*|\w+_from_primary_client""",
+    re.VERBOSE,
+)
 
 
 @dataclass(eq=False)
@@ -109,10 +119,11 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Script:
         _note_uses(script, tokens, scope)
     for call in script.placed_calls.values():
         script.calls[call.name].append(call)
-    absent = [name for name in script.calls if name not in script.routines and not is_in_language(name)]
+    language = EFFECTS | WORDS["quiet"] | script.routines.keys()
+    absent = [name for name in script.calls if name not in language and not FAMILIES.fullmatch(name)]
     script.program.absent.update(dict.fromkeys(absent))
     for name, calls in script.calls.items():
-        if name in TRACKING:
+        if name in WORDS["tracking"]:
             script.displace("displacing", name, calls[0].place)
     for name in script.routines:
         if name in EFFECTS:
@@ -126,7 +137,7 @@ def _lines(tokens: Sequence[Token]) -> Iterator[list[Token]]:
     depth = 0
     for token in tokens:
         is_break = token.kind == "newline" and line and line[-1].text not in ("and", "or")
-        if line and depth <= 0 and (is_break or token.text in ENDING):
+        if line and depth <= 0 and (is_break or token.text in WORDS["ending"]):
             yield line
             line, depth = [], 0
         if token.kind == "newline":
@@ -157,7 +168,7 @@ class _ScriptReader:
             if word == "end" and self.blocks:
                 self.routine, steps = self.blocks.pop()
                 self.script.steps += steps
-            elif word in DEFINING and len(line) > 1:
+            elif word in WORDS["defining"] and len(line) > 1:
                 self.define(line)
             elif word in ("if", "while", "elif", "else"):
                 self.branch(word, line[1:])
@@ -249,7 +260,7 @@ def _note_uses(script: Script, tokens: Tokens, scope: Scope) -> None:
             continue
         datum = scope.find(token.text)
         following = tokens[index + 1].text if index + 1 < len(tokens) else ""
-        is_length = index > 1 and tokens[index - 1].text == "(" and tokens[index - 2].text in LENGTHS
+        is_length = index > 1 and tokens[index - 1].text == "(" and tokens[index - 2].text in WORDS["lengths"]
         if datum is not None and following not in ("(", "=") and not is_length:
             datum.uses.add(scope.place(token))
             if following == "." and is_word(tokens, index + 3, "("):
