@@ -27,7 +27,7 @@ from truearm.plan.route import ONCE, Route, Visits, n_checks, route
 from truearm.plan.shells import candidates
 from truearm.progress import step
 from truearm.text import counted
-from truearm.types import Floats, Plan, Rig
+from truearm.types import Plan, Rig
 from truearm.units import UNITS
 
 TRIALS = 6  # numbers of poses tried to meet a time budget
@@ -80,13 +80,8 @@ def make_site(knowledge: Knowledge, limits: Limits, sizes: Sizes, seed: int = 0)
     Raises PlanError unless the arm has a branch and at least six joints.
     """
     check_joints(knowledge.chain)
-    arm = arm_of(knowledge, np.random.default_rng([seed, 0xA2]))
-    return Site(
-        arm,
-        knowledge.rig,
-        make_shapes(knowledge.chain, knowledge.params, knowledge.rig, sizes, knowledge.links),
-        limits,
-    )
+    shapes = make_shapes(knowledge.chain, knowledge.params, knowledge.rig, sizes, knowledge.links)
+    return Site(arm_of(knowledge, np.random.default_rng([seed, 0xA2])), knowledge.rig, shapes, limits)
 
 
 def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:
@@ -116,7 +111,7 @@ def plan_ballbar(
         raise PlanError(
             "exclusive", first=Argument("poses"), second=Argument("minutes"), neither=budget.minutes is None
         )
-    pace = Pace(dwell=options.dwell)
+    pace, minutes = Pace(dwell=options.dwell), budget.minutes or 0.0
     with step("planning poses") as advance:
         looked, linked = LOOKING if budget.n is None else LOOKING_ONCE
         candidate_poses = candidates(site, pairings, options.candidates, options.seed, options.spread)
@@ -132,7 +127,7 @@ def plan_ballbar(
             )
         aim = _aim(site, candidate_poses, region, options.seed)
         table = bar_table(knowledge, candidate_poses)
-        poses = budget.n if budget.n is not None else int(60.0 * (budget.minutes or 0.0) / (pace.dwell + MOVE))
+        poses = budget.n if budget.n is not None else int(60.0 * minutes / (pace.dwell + MOVE))
         doubted = with_doubted_bars(knowledge) if poses >= DOUBTED_FROM * int(knowledge.free.sum()) else knowledge
         rows, information = candidate_rows(doubted, table)
         blocks, root = as_blocks(rows), region_root(doubted, table, aim)
@@ -171,18 +166,15 @@ def plan_ballbar(
                 advance(min(next(trials), 1.0))
                 return planned_route
 
-            n_most = min(len(candidate_poses), int(60.0 * (budget.minutes or 0.0) / pace.dwell))
+            n_most, first = min(len(candidate_poses), int(60.0 * minutes / pace.dwell)), max(1, int(FIRST * poses))
             routes = []
             for tie in ties:
                 longest.clear()
-                first = max(1, int(FIRST * poses))
-                within = _within(partial(tried, tie=tie), first, n_most, budget.minutes or 0.0, pace)
+                within = _within(partial(tried, tie=tie), first, n_most, minutes, pace)
                 routes += [] if within is None else [within]
             if not routes:
-                raise PlanError(
-                    f"{budget.minutes:g} min are too few, mounting one pairing takes {pace.mount:g} s; give more ",
-                    Argument("minutes"),
-                )
+                text = f"{minutes:g} min are too few, mounting one pairing takes {pace.mount:g} s; give more "
+                raise PlanError(text, Argument("minutes"))
         plans = [BallBarPlan(each, forecast(knowledge, bar_table(knowledge, each.plan), aim)) for each in routes]
         return min(plans, key=_loss)
 
@@ -272,13 +264,8 @@ def _within(planned: Callable[[int], Route], first: int, n_most: int, minutes: f
 
 def _aim(site: Site, candidate_poses: Plan, region: Region | None, seed: int) -> Aim:
     """Return poses of the region that contain the centre of the spheres; all spheres count."""
-    middle = np.mean([sphere.xyz for sphere in site.rig.spheres.values()], axis=0)
+    spheres = {name: np.array(sphere.xyz) for name, sphere in site.rig.spheres.items()}
     if region is None:
-        region = around(sphere_places(site, candidate_poses))
-    return Aim(poses_in(site, region, middle, seed=seed), tuple(site.rig.spheres))
-
-
-def sphere_places(site: Site, plan: Plan) -> Floats:
-    """Return the position (n, 3) of the sphere that each pose's bar holds."""
-    p_sphere = np.array([site.rig.spheres[name].xyz for name in plan.sphere])
-    return point_forward(site.arm.chain, site.arm.params, plan.q, p_sphere)
+        p_sphere = np.array([spheres[name] for name in candidate_poses.sphere])
+        region = around(point_forward(site.arm.chain, site.arm.params, candidate_poses.q, p_sphere))
+    return Aim(poses_in(site, region, np.mean([*spheres.values()], axis=0), seed=seed), tuple(spheres))

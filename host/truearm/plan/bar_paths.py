@@ -10,7 +10,6 @@ without a bar may detour through a pose of the branch.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,19 +65,6 @@ def moves_allowed(
     return good
 
 
-class _Moves(NamedTuple):
-    """Straight moves (m) that are sections of ways: the way, the shares of it where a move begins and ends, and joints."""
-
-    path: NDArray[np.intp]
-    low: Floats
-    high: Floats
-    start: Floats  # (m, j)
-    end: Floats
-
-    def select(self, rows: NDArray[np.bool_]) -> _Moves:
-        return _Moves(self.path[rows], self.low[rows], self.high[rows], self.start[rows], self.end[rows])
-
-
 def ways_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing) -> list[Floats | None]:
     """Return via points (v, j) of each move between start and end (m, j) with the bar on throughout; None for no path.
 
@@ -86,23 +72,26 @@ def ways_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing) -> l
     """
     n = len(start)
     lost = np.zeros(n, dtype=bool)
-    moves = _Moves(np.arange(n), np.zeros(n), np.ones(n), start, end)
-    vias = [(moves.path[:0], moves.low[:0], start[:0])]
+    path, low, high = (
+        np.arange(n),
+        np.zeros(n),
+        np.ones(n),
+    )  # of each section: its way, and where on it it begins and ends
+    vias = [(path[:0], low[:0], start[:0])]
     for halving in range(DEEPEST + 1):
-        moves = moves.select(~moves_allowed(site, moves.start, moves.end, pairing))
+        blocked = ~moves_allowed(site, start, end, pairing)
         if halving == DEEPEST:
-            lost[moves.path] = True
+            lost[path[blocked]] = True
             break
-        middle = onto_shell(site, 0.5 * (moves.start + moves.end), pairing)
-        lost[moves.path[~allowed(site, middle, pairing, site.limits.tightened())]] = True
-        possible = ~lost[moves.path]
-        moves, middle = moves.select(possible), middle[possible]
-        path, low, high, start, end = moves
+        middle = onto_shell(site, 0.5 * (start[blocked] + end[blocked]), pairing)
+        lost[path[blocked][~allowed(site, middle, pairing, site.limits.tightened())]] = True
+        middle, rows = middle[~lost[path[blocked]]], blocked & ~lost[path]
+        path, low, high, start, end = path[rows], low[rows], high[rows], start[rows], end[rows]
         share = 0.5 * (low + high)
         vias.append((path, share, middle))
-        halves = (low, share), (share, high), (start, middle), (middle, end)
-        moves = _Moves(np.tile(path, 2), *map(np.concatenate, halves))
-    path, share, q = (np.concatenate([via[k] for via in vias]) for k in range(3))
+        path, low, high = np.tile(path, 2), np.append(low, share), np.append(share, high)
+        start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
+    path, share, q = (np.concatenate(column) for column in zip(*vias, strict=True))
     order = np.lexsort((share, path))
     vias_of_paths = np.split(q[order], np.searchsorted(path[order], np.arange(1, n)))
     return [None if failed else via for failed, via in zip(lost.tolist(), vias_of_paths, strict=True)]

@@ -62,7 +62,7 @@ def candidate_lines(
     seed: int = 0,
     fewest: int = 1,
 ) -> Lines:
-    """Return up to ``n`` lines with their middles in the region. Raises PlanError for fewer than ``least``."""
+    """Return up to ``n`` lines with their middles in the region. Raises PlanError for fewer than ``fewest``."""
     rng = np.random.default_rng([seed, 0x11E5])
     branch, driveable = site.arm.branch, list[tuple[Floats, Floats]]()
     for _ in steps_of(range(ROUNDS), "looking for lines that the arm can drive"):

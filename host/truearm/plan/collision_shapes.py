@@ -57,6 +57,7 @@ class Shapes(NamedTuple):
     params: Floats
     links: Capsules
     p_spheres: Floats  # (s, 3)
+    p_feet: Floats  # (c, 3) of the chucks' posts, on the table
     p_posts: Floats  # (c, 3) the chucks
     sizes: Sizes
 
@@ -65,7 +66,8 @@ def make_shapes(chain: Chain, params: Floats, rig: Rig, sizes: Sizes, links: Cap
     """Return the shapes of a robot at params (p,); without ``links`` the capsules run along its joints."""
     spheres = np.array([s.xyz for s in rig.spheres.values()]).reshape(-1, 3)
     posts = np.array([c.xyz for c in rig.chucks.values()]).reshape(-1, 3)
-    return Shapes(chain, params, links or along_joints(chain, params, sizes.link), spheres, posts, sizes)
+    feet = np.column_stack([posts[:, :2], np.minimum(posts[:, 2], sizes.table)])
+    return Shapes(chain, params, links or along_joints(chain, params, sizes.link), spheres, feet, posts, sizes)
 
 
 def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool_]:
@@ -77,7 +79,7 @@ def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool
     good = _is_above_table(ends[:, moved], radius[moved], sizes)
     good &= (spheres[..., 2] > sizes.table + sizes.stud).all(axis=1)
     good &= _arm_is_clear_of_itself(shapes, ends, pose, spheres)
-    tops, feet = shapes.p_posts, np.array([_foot(chuck, sizes) for chuck in shapes.p_posts]).reshape(-1, 3)
+    feet, tops = shapes.p_feet, shapes.p_posts
     distance = _from(ends[:, moved, None], feet, tops)
     good &= (distance > radius[moved][:, None] + sizes.post).all(axis=(1, 2))
     studs = segment_distance(pose[:, None, None, :3, 3], spheres[:, :, None], feet, tops)
@@ -123,12 +125,10 @@ def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres:
 def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) -> NDArray[np.bool_]:
     """Check the bar against the arm up to its wrist, and against the posts of the other chucks."""
     p_sphere = pose[:, :3, :3] @ mounted.p_sphere + pose[:, :3, 3]
-    good = _wrist_is_clear(shapes, ends, p_sphere[:, None], mounted.p_chuck, shapes.sizes.bar)
-    for chuck in shapes.p_posts:
-        if not np.array_equal(chuck, mounted.p_chuck):
-            distance = segment_distance(_foot(chuck, shapes.sizes), chuck, p_sphere, mounted.p_chuck)
-            good &= distance > shapes.sizes.post + shapes.sizes.bar
-    return np.asarray(good)
+    others = (shapes.p_posts != mounted.p_chuck).any(axis=1)
+    distance = segment_distance(shapes.p_feet[others], shapes.p_posts[others], p_sphere[:, None], mounted.p_chuck)
+    good = (distance > shapes.sizes.post + shapes.sizes.bar).all(axis=1)
+    return good & _wrist_is_clear(shapes, ends, p_sphere[:, None], mounted.p_chuck, shapes.sizes.bar)
 
 
 def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carried: bool = True) -> bool:
@@ -142,9 +142,8 @@ def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carri
     start, end = start - out, end + out
     if min(start[2], end[2]) < sizes.table + sizes.rod:
         return False
-    for chuck in shapes.p_posts:
-        if segment_distance(_foot(chuck, sizes), chuck, start, end) < sizes.post + sizes.rod:
-            return False
+    if (segment_distance(shapes.p_feet, shapes.p_posts, start, end) < sizes.post + sizes.rod).any():
+        return False
     return not carried or bool(_wrist_is_clear(shapes, link_ends(shapes, q), start, end, sizes.rod).all())
 
 
@@ -161,11 +160,6 @@ def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, ra
 def tool_joint(shapes: Shapes) -> int:
     """Return the first joint (from 1) that counts as tool: the last but one, as the last turns about the tool's axis."""
     return len(shapes.chain.joints) - 1
-
-
-def _foot(chuck: Floats, sizes: Sizes) -> Floats:
-    """Return the foot (3,) of a chuck's post."""
-    return np.array([chuck[0], chuck[1], min(sizes.table, chuck[2])])
 
 
 def _from(ends: Floats, start: Floats, end: Floats) -> Floats:

@@ -55,9 +55,9 @@ def circle(
     prefix: str, count: int, centre: tuple[float, float, float], radius: float, *, turn: float, digits: int
 ) -> dict[str, Point]:
     """Return points evenly spaced on a circle in a plane of constant z [m], rounded to this number of digits."""
-    points = {}
+    points = []
     for i in range(count):
         angle = turn + 2.0 * math.pi * i / count
         x, y = centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)
-        points[f"{prefix}{i + 1}"] = Point(f"{prefix}{i + 1}", (round(x, digits), round(y, digits), centre[2]))
-    return points
+        points.append(Point(f"{prefix}{i + 1}", (round(x, digits), round(y, digits), centre[2])))
+    return {point.name: point for point in points}

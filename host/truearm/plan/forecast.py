@@ -178,7 +178,7 @@ def region_root(knowledge: Knowledge, planned: ObservationTable, aim: Aim) -> Fl
 
 def compiled(knowledge: Knowledge, planned: ObservationTable) -> tuple[Problem, Floats, NDArray[np.bool_]]:
     """Return the problem of all rows, the point x (P,) of its linearisation, and a mask (P,) of what is free."""
-    table = _all_rows(knowledge, planned)
+    table = all_rows(knowledge, planned)
     problem = build_problem(knowledge.chain, knowledge.rig, table)
     x = problem.at(knowledge.rig_values or {})
     x[: problem.n_robot] = knowledge.params
@@ -197,16 +197,8 @@ def bar_table(knowledge: Knowledge, plan: Plan) -> ObservationTable:
     """Return the plan as the rows that would be read if the model were exact."""
     p_sphere = np.array([knowledge.rig.spheres[name].xyz for name in plan.sphere])
     p_chuck = np.array([knowledge.rig.chucks[name].xyz for name in plan.chuck])
-    ends = point_forward(knowledge.chain, knowledge.params, plan.q, p_sphere)
-    return planned_table(
-        plan.q,
-        "ball_bar",
-        value=np.linalg.norm(ends - p_chuck, axis=1),
-        bar=plan.bar,
-        chuck=plan.chuck,
-        sphere=plan.sphere,
-        shell=plan.shell,
-    )
+    lengths = np.linalg.norm(point_forward(knowledge.chain, knowledge.params, plan.q, p_sphere) - p_chuck, axis=1)
+    return planned_table(plan.q, "ball_bar", value=lengths, **{name: getattr(plan, name) for name in Plan.IDS})
 
 
 def planned_table(q: Floats, kind: str, **columns: Any) -> ObservationTable:
@@ -214,7 +206,8 @@ def planned_table(q: Floats, kind: str, **columns: Any) -> ObservationTable:
     return ObservationTable(columns, q=q, kind=kind, source=[f"planned pose {i}" for i in range(len(q))])
 
 
-def _all_rows(knowledge: Knowledge, planned: ObservationTable) -> ObservationTable:
+def all_rows(knowledge: Knowledge, planned: ObservationTable) -> ObservationTable:
+    """Return the measured rows, if any, and the planned ones after them."""
     return planned if knowledge.measured is None else ObservationTable.joined([knowledge.measured, planned])
 
 
@@ -226,7 +219,7 @@ def _as_identified(knowledge: Knowledge, planned: ObservationTable) -> tuple[Kno
     """
     if knowledge.prior is None:
         return knowledge, prior_named(knowledge.chain, Prior.NONE), Defaults()
-    rows, named = _all_rows(knowledge, planned), np.zeros(knowledge.free.size, dtype=bool)
+    rows, named = all_rows(knowledge, planned), np.zeros(knowledge.free.size, dtype=bool)
     where_needed = knowledge.prior is Prior.WHERE_NEEDED
     free, weak, chosen = choose_defaults(knowledge.chain, knowledge.rig, rows, knowledge.free, named, where_needed)
     sigma = weak if where_needed else prior_named(knowledge.chain, knowledge.prior)

@@ -25,7 +25,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_law import terms
 from truearm.model.law_chain import with_laws
-from truearm.plan.forecast import Knowledge
+from truearm.plan.forecast import Knowledge, all_rows
 from truearm.types import rms
 
 TYPICAL = 2e-4  # rad, at each of the lengths
@@ -60,7 +60,7 @@ class RangeSigma(NamedTuple):
 
 def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> tuple[CurveForecast, ...]:
     """Return a forecast for every joint that would have an error curve."""
-    table = planned if knowledge.measured is None else ObservationTable.joined([knowledge.measured, planned])
+    table = all_rows(knowledge, planned)
     chain, n = _geometry(knowledge)
     laws, _ = candidates(chain, table.q, LawMode.CURVE, gravity_of(table, None))
     if not laws:
@@ -74,18 +74,13 @@ def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> tuple[Cu
     start[:n] = knowledge.params[:n]
     laws_problem = law_problem(problem, columns, start, poses(table), law_priors(chain, laws, table.q))
     prior = np.where(np.isin(LENGTHS, TYPICAL_LENGTHS), TYPICAL**2, 0.0)
-    learned = posterior(
-        laws_problem,
-        Learned(dict.fromkeys(laws, prior), PoseNoise.of(1.0, len(chain.joints)), {}, math.nan, laws_problem.start),
-    )
+    noise = PoseNoise.of(1.0, len(chain.joints))
+    learned = posterior(laws_problem, Learned(dict.fromkeys(laws, prior), noise, {}, math.nan, laws_problem.start))
     covariance = np.zeros((n + added, n + added))
     free = np.flatnonzero(columns[: n + added])
     covariance[np.ix_(free, free)] = learned.covariance[: free.size, : free.size]
-    whole_size = math.sqrt(prior.sum())
-    return tuple(
-        _forecast(curve, UNSEEN * whole_size)
-        for curve in sampled_curves(with_curves, laws, np.zeros(n + added), covariance)
-    )
+    curves = sampled_curves(with_curves, laws, np.zeros(n + added), covariance)
+    return tuple(_forecast(curve, UNSEEN * math.sqrt(prior.sum())) for curve in curves)
 
 
 def _forecast(curve: SampledCurve, unseen: float) -> CurveForecast:

@@ -102,9 +102,9 @@ def plan_lines(
         raise too_small
     knowledge = replace(knowledge, rig=replace(knowledge.rig, line_travel=options.transverse))
     table, devices = line_rows(knowledge, lines, names, target, options.passes)
-    errors = a_priori(site, lines.points, point)
-    expected = forecast(_with_lines(knowledge, devices), table, aim)
-    return LinePlan(lines, errors, _with_lines(knowledge, devices).rig, devices, stops, expected, seconds / 60.0)
+    knowledge, errors = _with_lines(knowledge, devices), a_priori(site, lines.points, point)
+    expected = forecast(knowledge, table, aim)
+    return LinePlan(lines, errors, knowledge.rig, devices, stops, expected, seconds / 60.0)
 
 
 def line_rows(
@@ -176,10 +176,8 @@ def _chosen(knowledge: Knowledge, candidates: Lines, n: int, options: LineOption
         unit = prior_unit(alone, problem, columns)[~of_device]
         blocks.append(condensed(jac[:, ~of_device] * unit, jac[:, of_device]))
     root = region_root(alone, table, aim)[:, ~of_device]
-    return [
-        int(i)
-        for i in choose(as_blocks(blocks), _information(knowledge, blocks[0].shape[1]), n, options.criterion, root)
-    ]
+    information = _information(knowledge, blocks[0].shape[1])
+    return list(map(int, choose(as_blocks(blocks), information, n, options.criterion, root)))
 
 
 def _information(knowledge: Knowledge, k: int) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle, product
 from typing import NamedTuple
 
 import numpy as np
@@ -95,10 +96,7 @@ def timed(site: Site, stops: Sequence[Stop], p_end_point: Floats, pace: Pace) ->
     """Return stops with the seconds of the moves to them, by the speed of points of the end (s, 3); 0 for lines."""
     q = np.array([stop.q for stop in stops])
     seconds = [0.0, *move_seconds(site, q[:-1], q[1:], p_end_point[1:], pace).tolist()]
-    return [
-        stop if stop.move == Move.LINE else stop._replace(seconds=move)
-        for stop, move in zip(stops, seconds, strict=True)
-    ]
+    return [stop._replace(seconds=move * (stop.move != Move.LINE)) for stop, move in zip(stops, seconds, strict=True)]
 
 
 def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap], visits: Visits) -> Route:
@@ -124,7 +122,8 @@ def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap],
 
 def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
     """Return the poses in the order of visits, by pairing; successive pairings share a chuck or a sphere."""
-    start = 0.5 * (site.arm.branch.lower + site.arm.branch.upper)
+    rig, start = site.rig, 0.5 * (site.arm.branch.lower + site.arm.branch.upper)
+    weights = np.full(len(start), 1.0 / pace.joint_speed)
     visited: list[NDArray[np.intp]] = []
     pairings = _pairings_in_order(site, plan)
     for visit, pairing in ((visit, pairing) for visit in range(visits.times) for pairing in pairings):
@@ -132,8 +131,6 @@ def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
         if not rows.size:
             continue
         q = plan.q[rows]
-        weights = np.full(q.shape[1], 1.0 / pace.joint_speed)
-        rig = site.rig
         cost = move_costs(
             site.arm, q, weights, rig.bars[pairing.bar], rig.chucks[pairing.chuck], rig.spheres[pairing.sphere]
         )
@@ -189,15 +186,11 @@ def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[
 
 def _pairings_in_order(site: Site, plan: Plan) -> list[Pairing]:
     """Order pairings by bar, then chuck, with spheres in alternating order, so that one end of the bar stays."""
-    pairings = {pairing_at(plan, i) for i in range(len(plan))}
-    order, forth = [], True
-    for bar in site.rig.bars:
-        for chuck in site.rig.chucks:
-            spheres = list(site.rig.spheres)
-            row = [Pairing(bar, chuck, sphere) for sphere in (spheres if forth else spheres[::-1])]
-            order += [pairing for pairing in row if pairing in pairings]
-            forth = not forth
-    return order
+    used = {pairing_at(plan, i) for i in range(len(plan))}
+    spheres = list(site.rig.spheres)
+    ends = zip(product(site.rig.bars, site.rig.chucks), cycle([spheres, spheres[::-1]]))
+    pairings = (Pairing(bar, chuck, sphere) for (bar, chuck), row in ends for sphere in row)
+    return [pairing for pairing in pairings if pairing in used]
 
 
 def _without_bar(site: Site, plan: Plan, i: int) -> Floats:

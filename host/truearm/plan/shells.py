@@ -37,32 +37,17 @@ def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, s
     gives none.
     """
     rng = np.random.default_rng(seed)
-    count = -(-n // len(pairings))
-    for pairing in pairings:
-        if _out_of_reach(site, pairing):
-            raise PlanError(*_unreached(pairing))
-    seeking = steps_of(pairings, f"looking for poses in reach of {len(pairings)} pairings")
-    joints = [_of_pairing(site, pairing, count, spread, rng) for pairing in seeking]
-    sizes = [len(q) for q in joints]
-    if min(sizes) == 0:
-        raise PlanError(*_unreached(pairings[sizes.index(0)]))
+    joints: list[Floats] = []
+    for pairing in steps_of(pairings, f"looking for poses in reach of {len(pairings)} pairings"):
+        joints.append(_of_pairing(site, pairing, -(-n // len(pairings)), spread, rng))
+        if not len(joints[-1]):
+            raise PlanError(
+                f"the arm cannot reach any pose with bar {pairing.bar} between chuck {pairing.chuck} and sphere "
+                f"{pairing.sphere}; give another length of the bar, move the chucks, or allow more of the joints' range with ",
+                Argument("branch"),
+            )
     names = [(f"{p.bar}-{p.chuck}", p.bar, p.chuck, p.sphere) for p in pairings]
-    return Plan(np.concatenate(joints), *np.repeat(names, sizes, axis=0).T)
-
-
-def _out_of_reach(site: Site, pairing: Pairing) -> bool:
-    """Return whether a chuck is beyond the stretched arm with sphere and bar; checked before any search."""
-    bar, mounted = pairing.of(site.rig)
-    longest = float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
-    return float(np.linalg.norm(mounted.p_chuck - site.arm.base)) > site.arm.reach + longest
-
-
-def _unreached(pairing: Pairing) -> tuple[str, ...]:
-    return (
-        f"the arm cannot reach any pose with bar {pairing.bar} between chuck {pairing.chuck} and sphere {pairing.sphere}; "
-        "give another length of the bar, move the chucks, or allow more of the joints' range with ",
-        Argument("branch"),
-    )
+    return Plan(np.concatenate(joints), *np.repeat(names, list(map(len, joints)), axis=0).T)
 
 
 def _of_pairing(site: Site, pairing: Pairing, count: int, spread: float, rng: np.random.Generator) -> Floats:
