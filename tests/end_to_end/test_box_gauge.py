@@ -154,8 +154,10 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
     ("text", "says"),
     [
         ("", "no-rows"),
-        ("reference_mm,reference_um\n1,2\n", "has no column reference_mm"),
-        ("reference_mm\n", "0 references"),
+        ("reference_mm,reference_um\n1,2\n", "given-twice"),
+        ("place,reference\n1,2\n", "missing-column"),
+        ("reference_cm\n1\n", "wrong-value"),
+        ("reference_mm\n", "no-rows"),
         ("reference_mm\none\n", "row 2 column reference_mm: 'one'"),
         ("a,reference_mm\n1\n", "row 2:"),
         ("reference_mm\n1,5\n", "row 2:"),
@@ -235,6 +237,11 @@ def test_kept_places_of_something_else_are_refused(tmp_path, monkeypatch, capsys
                 f'{lvdt}, "places": [{{"reference": null, "mean": [0, 0, 0, 0], "temperature": 0}}]}}',
                 "places[0].reference",
             ),
+            (
+                f'{lvdt}, "places": [{{"reference": 0, "mean": [0, -1, 0, 9, 9, 0, 0], "temperature": 0}}]}}',
+                "places[0].mean[1]",
+            ),
+            (f'{{"a": {"[" * 90_000}{"]" * 90_000}}}', "recursion"),
         ):
             kept.write_text(text)
             assert box("gauge", "lvdt", "--box", device) == 2

@@ -435,6 +435,9 @@ def test_the_newest_file_is_the_one_written_last(tmp_path):
 def test_a_command_without_a_file_names_the_command_that_makes_one(project, run):
     assert "folder sessions (truearm.toml) holds no session yet; make one with truearm record" in run("inspect").err
     assert "folder results (truearm.toml) holds no result yet; make one with truearm identify" in run("report").err
+    (project / "results").mkdir(exist_ok=True)
+    (project / "results" / "deep.json").write_text(f'{{"a": {90_000 * "["}{90_000 * "]"}}}')
+    assert (run("report").code, run("status").code) == (2, 0)
 
 
 def test_the_first_minutes_are_not_spent_on_mounts_that_show_little_of_the_arm(tmp_path, run):

@@ -17,17 +17,18 @@ import numpy as np
 from truearm.box.gauge_polynomial import distinct_places
 from truearm.disk import read_bytes, read_text, write_atomic
 from truearm.errors import InputError, TableError, WriteError
-from truearm.kinds.csv_cells import Column, CsvTable, read_cells
+from truearm.kinds.csv_cells import read_csv
 from truearm.session.sample_noise import MeanOfSamples
-from truearm.text import counted, one_line
+from truearm.text import counted, one_line, page
 from truearm.types import Floats
-from truearm.units import MM, suffixes
+from truearm.units import MM, named, suffixes
 
 UNITS = suffixes("m", ("mm", "um", "in"))
 FEWEST_PLACES = 5
 MAX_REFERENCES = 1000
 MAX_BYTES = 1 << 20  # 1000 places of 200 bytes
 MAX_METRES = 10.0
+PAGE = page("Set up the sensor box")
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class Places:
             return self
         try:
             places = msgspec.json.decode(read_bytes(path, MAX_BYTES, InputError), type=Places)
-        except (msgspec.MsgspecError, UnicodeDecodeError) as exc:
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
             raise InputError(f"{path}: holds no places of a gauging: {exc}; remove it") from None
         if replace(places, places=[]) != replace(self, places=[]):
             raise InputError(
@@ -108,16 +109,11 @@ class Places:
 
 def read_references(path: Path) -> list[float]:
     """Return the references [m] in a CSV file. Raises TableError."""
-    name = str(path)
-    header, rows = read_cells(read_text(path, MAX_BYTES, TableError), name)
-    titles = {f"reference_{unit}": unit for unit in UNITS}
-    columns = [Column(title, index, titles[title]) for index, title in enumerate(header) if title in titles]
-    if len(columns) != 1:
-        raise TableError("missing-column", place=path, column="reference_mm, reference_um or reference_in")
-    if not 1 <= len(rows) <= MAX_REFERENCES:
-        raise TableError(f"{path}: has {len(rows)} references; 1 to {MAX_REFERENCES} are possible")
-    table = CsvTable(name, rows, {"reference": columns[0]})
-    return [float(value) for value in table.numbers("reference", MAX_METRES, required=True)]
+    titles = {named("reference", unit): ("reference", unit) for unit in UNITS}
+    table = read_csv(read_text(path, MAX_BYTES, TableError), str(path), titles, PAGE, r"(?!reference_).*")
+    if len(table.rows) > MAX_REFERENCES:
+        raise TableError(f"{path}: has {len(table.rows)} references; 1 to {MAX_REFERENCES} are possible")
+    return list(map(float, table.numbers("reference", MAX_METRES, required=True)))
 
 
 def parse_reference(text: str, scale: float) -> float | None:

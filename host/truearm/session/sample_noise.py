@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from functools import cache
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from truearm.types import Floats
@@ -32,7 +33,7 @@ class MeanOfSamples(NamedTuple):
     """
 
     value: float
-    value_var: float
+    value_var: Annotated[float, Meta(ge=0.0)]
     noise: float
     n_samples: int
     n_eff: float

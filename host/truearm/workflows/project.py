@@ -74,7 +74,7 @@ def result_document(path: Path) -> dict[str, Any]:
 
     try:
         document = json.loads(path.read_bytes())
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return document if isinstance(document, dict) and document.get("format") == FORMAT else {}
 
