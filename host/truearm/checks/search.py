@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg, special
 
 from truearm.checks.catalogue import Hypothesis, alike, catalogue, rows_used, spans_of
-from truearm.checks.evidence import WIDEST, Design, Weighed, build_design, information, weigh
+from truearm.checks.evidence import WIDEST, Design, Information, Weighed, build_design, information, weigh
 from truearm.checks.noise import learned_noise
 from truearm.checks.whitened import DECLARED, WhitenedFit
 from truearm.estimate.ties import largest_first
@@ -33,6 +33,9 @@ FEWEST_BLOCKS = 3
 LEAST = 1e-9  # share of a direction that other rows determine: less is rounding
 ODD = 1e-3  # probability that χ² of noise as declared is so small or so large
 ODD_ORDER = 4.0  # standard deviations of the correlation of neighbours
+
+# Hypotheses with the ends of a candidate at any rows between the next knots, by that candidate; and their information.
+Finer = dict[tuple[Hypothesis, int], tuple[Hypothesis, Information]]
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,7 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
     sets = alike(hypotheses)
     prepared = [information(members, bare) for members in sets]
     detections: list[Detection] = []
+    finer: Finer = {}
     refused: tuple[str, ...] = ()
     while True:
         design = bare.extended(columns_of(detections, fit))
@@ -137,7 +141,7 @@ def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> 
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count[weighed.hypothesis.kind])}
         if not significant or refused or len(detections) == MOST_FINDINGS:
             return Search(tuple(detections), design, table, bare, fitted, bare, block, refused)
-        detection = detected(significant, table, design)
+        detection = detected(significant, table, design, finer)
         baseline = fitted.extended(columns_of(detections, fit))
         residual = left_out(baseline.extended(detection.best.columns), block)
         if bare.kernel.declared or gain(left_out(baseline, block), residual, block).chance < UNCONFIRMED:
@@ -157,12 +161,12 @@ def is_significant(weighed: Weighed, log_count: float) -> bool:
     return weighed.log_chance + log_count < math.log(LEVEL) and weighed.log_evidence > 0.0
 
 
-def detected(significant: Collection[str], table: Sequence[Weighed], design: Design) -> Detection:
+def detected(significant: Collection[str], table: Sequence[Weighed], design: Design, finer: Finer) -> Detection:
     """Return the most probable of the ``significant`` hypotheses, those nearly as probable, and those that no rows can tell from it.
 
     Steps and runs have their ends refined before they are compared: a large error has no evidence between two knots.
     """
-    refinements = [refined(weighed, design) for weighed in table]
+    refinements = [refined(weighed, design, finer) for weighed in table]
     likely = [refinements[number] for number in largest_first([weighed.log_evidence for weighed in refinements])]
     best = next(weighed for weighed in likely if weighed.name in significant)
     threshold = best.log_evidence - RIVAL
@@ -181,25 +185,28 @@ def is_same(first: Weighed, second: Weighed, design: Design) -> bool:
     return bool(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False).min() > SAME)
 
 
-def refined(best: Weighed, design: Design) -> Weighed:
+def refined(best: Weighed, design: Design, finer: Finer) -> Weighed:
     """Return a step or run with its ends at any rows between the next knots, if that has more evidence.
 
     Its evidence is a mean over all rows at which its ends may lie. A large error has its ends at certain rows, and
-    between two knots far less evidence.
+    between two knots far less evidence. What ``finer`` has, it has beside all findings.
     """
-    hypothesis, n = best.hypothesis, design.fit.n
+    hypothesis, key = best.hypothesis, (best.hypothesis, best.best)
     if hypothesis.candidates.pairs is None:
         return best
-    rows, spans = rows_used(hypothesis.columns, design.fit), hypothesis.candidates.spans
-    ends = []
-    for end, knots in zip(spans[best.best].tolist(), map(np.unique, spans.T), strict=True):
-        index = int(np.searchsorted(knots, end))
-        first, last = knots[[max(index - 1, 0), min(index + 1, knots.size - 1)]]
-        ends.append(np.union1d(rows[(first <= rows) & (rows <= last)], end))
-    moved = sum(choices.size > 1 for choices in ends)
-    tried = np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2)
-    finer = replace(hypothesis, candidates=spans_of(tried, n, rows.size**moved / max(moved, 1)))
-    (fine,) = weigh([finer], design)
+    if key not in finer:
+        rows, spans = rows_used(hypothesis.columns, design.fit), hypothesis.candidates.spans
+        ends = []
+        for end, knots in zip(spans[best.best].tolist(), map(np.unique, spans.T), strict=True):
+            index = int(np.searchsorted(knots, end))
+            first, last = knots[[max(index - 1, 0), min(index + 1, knots.size - 1)]]
+            ends.append(np.union1d(rows[(first <= rows) & (rows <= last)], end))
+        moved = sum(choices.size > 1 for choices in ends)
+        tried = np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2)
+        candidates = spans_of(tried, design.fit.n, rows.size**moved / max(moved, 1))
+        fine_hypothesis = replace(hypothesis, candidates=candidates)
+        finer[key] = fine_hypothesis, information([fine_hypothesis], design)
+    (fine,) = weigh([finer[key][0]], design, finer[key][1])
     return max(best, fine, key=lambda weighed: weighed.log_evidence)
 
 
