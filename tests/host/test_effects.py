@@ -14,7 +14,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.joint_laws import gravity_of, payloads_of
 from truearm.estimate.law_candidates import LawMode, candidates
 from truearm.estimate.prediction import predicted_point_error
-from truearm.estimate.problem import build_problem, modelled_of
+from truearm.estimate.problem import build_problem
 from truearm.estimate.systematic_effects import error_columns
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
@@ -70,7 +70,7 @@ def test_effects_of_rows_with_different_payloads_are_differentiated(what):
         CHAIN, rows.q, LawMode.SAG, gravity_of(rows, None), tuple(dict.fromkeys(payloads_of(RIG, rows)))
     )
     chain = with_laws(CHAIN, laws)
-    problem = build_problem(chain, RIG, rows, None, modelled_of(chain, RIG, rows, (Effect(what, 10, 20),)))
+    problem = build_problem(chain, RIG, rows, None, (Effect(what, 10, 20),))
     effects = range(len(problem.start) - (6 if what == "base" else 3), len(problem.start))
     steps = 1e-5 * np.eye(len(problem.start))[effects]
     groups = [group for group in problem.groups if group.row is not None]

@@ -7,7 +7,7 @@ from puma_bench import CHAIN, DESIGN, FREE, SIGMA, TRUTH, random_poses
 
 from truearm.checks.examination import examined
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.problem import build_problem, modelled_of
+from truearm.estimate.problem import build_problem
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.results import Effect
@@ -87,7 +87,7 @@ def test_the_bar_is_named_or_both_or_neither():
 
 def test_points_of_a_wrong_scale_and_their_derivatives_are_exact():
     rows = both(940004, bars=0, points=4)
-    problem = build_problem(CHAIN, RIG, rows, None, modelled_of(CHAIN, RIG, rows, [Effect("tracker.t.scale")]))
+    problem = build_problem(CHAIN, RIG, rows, None, [Effect("tracker.t.scale")])
     (group,) = problem.groups
     at = point_forward(CHAIN, DESIGN, rows.q, np.array(REFLECTOR.xyz)) - PLACE
     x = problem.start.copy()

@@ -13,10 +13,10 @@ from ur10_bench import RIG, ROBOT
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import InputError, ProblemError
-from truearm.estimate.evidence import ModePrior, learned, nats_of, seen_by, weigh
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.law_candidates import knots, law_priors
 from truearm.estimate.law_curves import SampledCurve, law_readings, sampled_curves, spectrum, strongest_periods
+from truearm.estimate.law_fit import ModePrior, learned, nats_of, seen_by, weigh
 from truearm.estimate.problem import build_problem
 from truearm.estimate.result_file import parse_result
 from truearm.export.writing import fit_to

@@ -16,7 +16,7 @@ from truearm.errors import Argument, InputError
 from truearm.estimate.circumstances import measured_order
 from truearm.estimate.outliers import HEAVY, MOST_BAD, single
 from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
-from truearm.estimate.problem import build_problem, modelled_of
+from truearm.estimate.problem import build_problem
 from truearm.estimate.solvers import Loss
 from truearm.estimate.validation import Judgement, Ways
 from truearm.estimate.whitened_rows import only
@@ -85,10 +85,8 @@ def examined(
     if estimate.chi2_freedom < 1.0:
         return None
     fitted = estimate.fitted
-    modelled = [effect.select(fitted) for effect in modelled_of(chain, rig, table, effects)]
     sigma = estimate.prior_sigma[: len(chain.parameters)]
-    problem = build_problem(chain, rig, table.select(fitted), sigma, modelled)
-    problem = only(problem, estimate.weight[fitted] > 0.0)
+    problem = only(build_problem(chain, rig, table, sigma, effects, fitted), estimate.weight[fitted] > 0.0)
     measured = measured_order(table, chain, fitted)
     gram = tool_gram(chain, rig, table.select(~estimate.left_out), estimate, any_base)
     covariance = estimate.covariance[np.ix_(estimate.free, estimate.free)]

@@ -22,7 +22,7 @@ from truearm.estimate.frame_choice import mounting
 from truearm.estimate.information import observe
 from truearm.estimate.levenberg_marquardt import DAMPING_START, Damping, Ends
 from truearm.estimate.prior import wide_prior
-from truearm.estimate.problem import Problem, build_problem, modelled_of
+from truearm.estimate.problem import Problem, build_problem
 from truearm.estimate.solution import Options, goodness_of, rms_of
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
@@ -131,9 +131,8 @@ def trial_problem(
     """Return the problem, its fitted columns (P,), and which parameters (P,) place base, tool or an item with an effect."""
     mounted = mounting(chain, chain.params_nominal).either
     prior = np.where(mounted, [UNITS[p.unit].vague_sigma for p in chain.parameters], wide_prior(chain))
-    modelled = modelled_of(chain, rig, table, effects)
-    problem = build_problem(chain, rig, table, prior, modelled)
-    estimated = np.isin(problem.names, [of_effect.effect.parameter(of_effect.column) for of_effect in modelled])
+    problem = build_problem(chain, rig, table, prior, effects)
+    estimated = np.isin(problem.names, list(problem.effects))
     vague = np.where(estimated, [UNITS[unit].vague_sigma for unit in problem.units], problem.prior_sigma)
     placing = estimated | np.pad(mounted, (0, estimated.size - mounted.size))
     return replace(problem, prior_sigma=vague), problem.columns(free | mounted), placing

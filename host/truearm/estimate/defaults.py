@@ -38,11 +38,10 @@ from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.solution import Options
 from truearm.estimate.solvers import Loss
-from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import Defaults, StillJoint
+from truearm.results import Defaults, Effect, StillJoint
 from truearm.types import Floats, Mask, Rigs, thinned
 from truearm.units import UNITS
 
@@ -63,25 +62,26 @@ def choose_defaults(
     free: Mask,
     named: Mask,
     prior: bool,
-    effects: Sequence[Modelled] = (),
+    effects: Sequence[Effect] = (),
+    fitted: Mask | None = None,
 ) -> tuple[Mask, Floats, Defaults]:
     """Return which of ``free`` (p,) to identify from the rows of a table, the σ (p,) of the prior (inf for none), and why.
 
     ``named`` (p,) are the parameters that the user asked for by name; these are never fixed. ``prior`` is whether a
     prior may be used. ``effects`` are the systematic errors that the identification estimates too: what they explain is
-    not noise. Raises ProblemError for the same reasons as ``build_problem``.
+    not noise. ``fitted`` (n,) are the rows; None: all. Raises ProblemError for the same reasons as ``build_problem``.
     """
-    if len(table) == 0:
+    rows = np.arange(len(table)) if fitted is None else np.flatnonzero(fitted)
+    if not rows.size:
         return free, np.full(free.size, np.inf), Defaults()
-    still = still_joints(chain, table.q)
-    problem, n_rows = build_problem(chain, rig, table, None, effects), len(table)
-    selection = thinned(n_rows, MANY)
+    still, n_rows = still_joints(chain, table.q[rows]), rows.size
+    problem = build_problem(chain, rig, table, None, effects, rows)
+    selection = rows[thinned(n_rows, MANY)]
     if selection.size < n_rows:
-        thin_problem = build_problem(
-            chain, rig, table.select(selection), None, [effect.select(selection) for effect in effects]
-        )
+        thin_problem = build_problem(chain, rig, table, None, effects, selection)
         if thin_problem.names == problem.names:
-            problem, table = thin_problem, table.select(selection)
+            problem, rows = thin_problem, selection
+    table = table.select(rows)
     p, rig_only = problem.n_robot, problem.of_rig
     x = fit(problem, rig_only, problem.start, Options()).x
     gross, x = gross_rows(problem, rig_only, x)

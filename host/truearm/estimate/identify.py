@@ -44,7 +44,6 @@ from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import (
     Problem,
     build_problem,
-    modelled_of,
     settled,
     without_effect_priors,
 )
@@ -52,7 +51,6 @@ from truearm.estimate.row_errors import Judge, RowErrors, judging, left_out_erro
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options, Solution, goodness_of, rms_of, solver_named
 from truearm.estimate.solvers import SOLVERS, Loss
-from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
 from truearm.estimate.validation import judge_problem
 from truearm.estimate.whitened_rows import only, weighted_chi2
@@ -202,7 +200,7 @@ class _Task(NamedTuple):
     left_out: NDArray[np.bool_]
     free: NDArray[np.bool_]  # (p,)
     prefer: NDArray[np.bool_]  # (p,)
-    effects: Sequence[Modelled]
+    effects: tuple[Effect, ...]
     problem: Problem
     columns: NDArray[np.bool_]  # (P,) the free ones of the robot, and the rig's unknowns
     pose: Indices  # of each fitted row
@@ -227,10 +225,9 @@ def _task(
     fitted = ~(held | left_out)
     if not fitted.any():
         raise ProblemError("nothing-left", what="observations")
-    effects, rows = modelled_of(chain, rig, table, options.effects), table.select(fitted)
-    problem = build_problem(chain, rig, rows, prior_sigma, [effect.select(fitted) for effect in effects])
-    columns, pose = problem.columns(free), poses(rows)
-    return _Task(chain, rig, table, fitted, held, left_out, free, prefer, effects, problem, columns, pose)
+    problem = build_problem(chain, rig, table, prior_sigma, options.effects, fitted)
+    masks, pose = (fitted, held, left_out, free, prefer), poses(table.select(fitted))
+    return _Task(chain, rig, table, *masks, options.effects, problem, problem.columns(free), pose)
 
 
 def _rejects(options: SolverOptions) -> bool:
@@ -338,7 +335,7 @@ def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> dict[str
     if still is not fitted_problem or not np.array_equal(solution.prior_sigma, task.problem.rig_prior[columns]):
         data = of_rows(still, x, columns)
     names = task.problem.names_of(columns)
-    sight = determined(still, x, columns, task.effects, data.root)
+    sight = determined(still, x, columns, data.root)
     suggested = suggested_free(data.root, n_free, task.prefer[task.free])
     unit = weak_prior(task.chain)[task.free]
     weak = hardly_seen(data.root, suggested.size, unit, names)
@@ -367,7 +364,7 @@ def _errors(task: _Task, nominal: _Nominal, solution: Solution, quality: _Qualit
     That is on held-out rows, or else on each pose in a fit without it; for the nominal robot too.
     """
     fitted, held = task.fitted, task.held
-    judge = partial(judged, task.problem, rig=task.rig, table=task.table, held=held, modelled=task.effects)
+    judge = partial(judged, task.problem, rig=task.rig, table=task.table, held=held, effects=task.effects)
     held_out_before, of_held_before = judge(nominal.x)
     held_out, of_held = judge(solution.x)
     if held_out is not None:
@@ -389,15 +386,13 @@ def _errors(task: _Task, nominal: _Nominal, solution: Solution, quality: _Qualit
     }
 
 
-def determined(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], effects: Sequence[Modelled], root: Floats | None = None
-) -> Identifiability:
+def determined(problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats | None = None) -> Identifiability:
     """Return what the rows determine of x[columns], linearised at x. Its ``unseen`` (P, d) has a row for each unknown.
 
     ``problem`` is ``settled``; ``root`` (k, k) is that of its rows with the priors of effects, where it was computed.
     """
-    if root is None or effects:
-        root = of_rows(without_effect_priors(problem, effects), x, columns).root
+    if root is None or problem.effects:
+        root = of_rows(without_effect_priors(problem), x, columns).root
     sight = identifiability(root, int(columns[: problem.n_robot].sum()), problem.names_of(columns))
     unseen = np.zeros((x.size, sight.unseen.shape[1]))
     unseen[columns] = sight.unseen
@@ -416,16 +411,15 @@ def judged(
     rig: Rigs,
     table: ObservationTable,
     held: NDArray[np.bool_],
-    modelled: Sequence[Modelled],
+    effects: Sequence[Effect],
 ) -> tuple[HeldOut | None, Residuals]:
     """Return errors on the held-out rows with the robot of x_fit; the rig's unknowns from x_fit, otherwise from these rows."""
     if not held.any():
         return None, {}
-    rows = table.select(held)
-    if modelled:  # the items that these rows use
-        names = build_problem(fitted.chain, rig, rows).errors.names
-        modelled = [effect.select(held) for effect in modelled if effect.column in names]
-    problem = build_problem(fitted.chain, rig, rows, None, modelled)
+    if effects:  # of the items that these rows use
+        causes = {cause.name for cause in build_problem(fitted.chain, rig, table, rows=held).causes}
+        effects = [effect for effect in effects if effect.what in causes]
+    problem = build_problem(fitted.chain, rig, table, None, effects, held)
     judgement = judge_problem(problem, dict(zip(fitted.names, x_fit, strict=True)))
     judging = judgement.judging
     error = {unit: np.where(judging, residual, np.nan) for unit, residual in judgement.residual.items()}

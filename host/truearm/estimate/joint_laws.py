@@ -33,12 +33,11 @@ from truearm.estimate.law_fit import LawProblem, law_problem, learn, nearer_geom
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.outliers import matter, misfit, single, within
 from truearm.estimate.pose_noise import PoseNoise
-from truearm.estimate.problem import Problem, build_problem, modelled_of, settled, without_knowledge
+from truearm.estimate.problem import Problem, build_problem, settled, without_knowledge
 from truearm.estimate.row_errors import RowErrors, row_errors
 from truearm.estimate.scatter import JOINT_NOISE, scatter_of
 from truearm.estimate.solution import rms_of
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
-from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import covariance_root, goodness
 from truearm.estimate.whitened_rows import gate, only
 from truearm.kinds.table import ObservationTable
@@ -231,17 +230,11 @@ class _Work:
         rows = np.flatnonzero(self.geometry.fitted)
         return in_any_pose(self.chain, self.table.select(rows[thinned(rows.size, LEAST_POSES)]))
 
-    @property
-    def effects(self) -> list[Modelled]:
-        return modelled_of(self.chain, self.rig, self.table, self.request.effects)
-
     def rows(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> Problem:
         """Compile the fitted rows, and those left out of the fit as outliers, for a robot with laws and further effects."""
         chain, prior, fitted = with_laws(self.chain, laws), self.request.prior_sigma, self.geometry.fitted
         prior = np.append(prior, np.full(len(chain.parameters) - prior.size, np.inf))
-        effects = modelled_of(chain, self.rig, self.table, (*self.request.effects, *beside))
-        effects = [effect.select(fitted) for effect in effects]
-        return build_problem(chain, self.rig, self.table.select(fitted), prior, effects)
+        return build_problem(chain, self.rig, self.table, prior, (*self.request.effects, *beside), fitted)
 
     def problem(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> LawProblem:
         """Return the problem of the rows that are no outliers."""
@@ -262,7 +255,7 @@ class _Work:
         nearer = nearer_geometry(laws_problem, anywhere, fitted, geometry.chi2_reduced)
         seen = observe(problem, nearer.x, np.zeros(nearer.x.size, dtype=bool))
         held = ~(geometry.fitted | geometry.left_out)
-        held_out, error = judged(problem, nearer.x, self.rig, self.table, held, self.effects)
+        held_out, error = judged(problem, nearer.x, self.rig, self.table, held, self.request.effects)
         x, p = nearer.x, problem.n_robot
         n_geometry, added = geometry.n_robot_parameters, p - geometry.n_robot_parameters
         is_law = np.arange(x.size) >= n_geometry
@@ -270,7 +263,7 @@ class _Work:
 
         covariance = np.zeros((x.size, x.size))
         covariance[np.ix_(laws_problem.columns, laws_problem.columns)] = nearer.covariance
-        sight = determined(settled(problem, x), x, laws_problem.columns & ~is_law, self.effects)
+        sight = determined(settled(problem, x), x, laws_problem.columns & ~is_law)
         covariance = _without_null(covariance, sight.unseen, problem.units)
         identifiable = np.insert(geometry.identifiable, [n_geometry] * added, True)
         sigma = np.where(identifiable & laws_problem.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)

@@ -1,14 +1,15 @@
 """Joint fit of geometry, rig and joint laws, with their variances and the noise per pose learned by evidence.
 
 The laws are fitted together with the geometry rather than to its residuals, because a geometry without sag has already
-absorbed most of it. ``law_choice`` decides which laws are kept.
+absorbed most of it. ``law_choice`` decides which laws are kept. docs/explanation/estimation.md derives everything here.
 
-Poses in a corner of the joint space determine the sum of geometry and laws there, but not elsewhere. The evidence keeps
-one of several combinations, whose extrapolation may be worse than that of the geometry. The estimate is therefore moved
-towards the geometry as far as the fitted rows permit (``nearer_geometry``): an RMS change elsewhere as large as what the
-geometry leaves costs as much as one residual of one σ (docs/explanation/estimation.md). Where many poses determine the
-laws, this changes nothing. The covariance of the result is P plus the square of the move, its mean square error if
-x ~ N(x, P).
+Linearised, measured − predicted = J_g·g + G·f + noise. g, geometry and rig, is integrated out. The modes f are
+independent, f_j ~ N(0, s_j) with s = v·spectra, and the variances v maximise the evidence (MacKay 1992, Neural
+Computation 4(3)). With A = G Gᵀ, L Lᵀ = I + Gᵀ S G, X = L⁻¹ Gᵀ and V = XᵀX, the covariance of the modes is S − S V S.
+
+Poses in a corner of the joint space determine the sum of geometry and laws there, but not elsewhere. The estimate is
+therefore moved towards the geometry as far as the fitted rows permit (``nearer_geometry``). Where many poses determine
+the laws, this changes nothing. The covariance of the result is P plus the square of the move.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg import get_lapack_funcs
 
-from truearm.estimate.evidence import ModePrior, Seen, learned, nats_of, seen_by, solve_lower, weigh
 from truearm.estimate.information import observe
 from truearm.estimate.law_candidates import LawPrior, acting
 from truearm.estimate.pose_noise import (
@@ -55,6 +56,94 @@ NOISE_END = 0.01  # the last round changes the variance of the rows by less
 SHARED_START = 1e-10  # m² and rad²
 RIG_SIGMA = 10.0  # m, rad: keeps unknowns without a prior finite along null directions
 ROUNDING = 1e-13  # of the information about an unknown, more than rounding leaves along null directions
+UNSEEN = 1e-3  # a prior at its cap gains half of this in nats along a neglected direction of the data
+REVIVED = 0.03  # of the cap: least √v where learning starts, because zero is a stationary point
+STEPS = 8  # of the variances, for one noise
+
+_pstrf = get_lapack_funcs("pstrf", dtype=np.float64)
+
+
+class ModePrior(NamedTuple):
+    """The prior of f modes: ``spectra`` (v, f) per variance, and the scale ``cap`` (v,) of the hyperprior on √v."""
+
+    spectra: Floats
+    cap: Floats
+
+
+class Seen(NamedTuple):
+    """The subspace of f that the data determine: A = G Gᵀ and b = G β, with G (f, r) and β (r,)."""
+
+    root: Floats
+    rhs: Floats
+
+
+class Weighed(NamedTuple):
+    """f at given variances: the log evidence [nats] relative to that without laws, and the factors of z and V."""
+
+    x: Floats  # (r, f)
+    z: Floats  # (f,)
+    nats: float
+
+
+def seen_by(information: Floats, rhs: Floats, prior: ModePrior) -> Seen:
+    """Return the directions of f that the data determine, from A (f, f) and b (f,)."""
+    if not rhs.size:
+        return Seen(np.zeros((0, 0)), np.zeros(0))
+    scale = np.sqrt(prior.cap**2 @ prior.spectra)
+    factor, pivot, rank, _ = _pstrf(scale[:, None] * information * scale, UNSEEN, lower=1)
+    lower, order = np.tril(factor[:, :rank]), pivot - 1
+    root = np.empty_like(lower)
+    root[order] = lower / scale[order, None]
+    return Seen(root, solve_lower(lower[:rank], (scale * rhs)[order[:rank]]))
+
+
+def weigh(data: Seen, sizes: Floats) -> Weighed:
+    """Return f at the prior variances ``sizes`` (f,)."""
+    half = np.sqrt(sizes)[:, None] * data.root
+    lower, y, nats = _evidence(data, half.T @ half)
+    # On its own the transpose is in LAPACK's order, which takes half the time of one array with the right side.
+    x = solve_lower(lower, data.root.T)
+    return Weighed(x, x.T @ y, nats)
+
+
+def nats_of(data: Seen, sizes: Floats, number: Indices) -> list[float]:
+    """Return by how much [nats] the log evidence falls without the modes of each ``number`` (f,), all others unchanged."""
+    half = np.sqrt(sizes)[:, None] * data.root
+    square = half.T @ half
+    dropped = (half[number == law] for law in range(int(number.max(initial=-1)) + 1))
+    total = _evidence(data, square)[2]
+    return [total - _evidence(data, square - modes.T @ modes)[2] for modes in dropped]
+
+
+def _evidence(data: Seen, square: Floats) -> tuple[Floats, Floats, float]:
+    """Return L (r, r), L⁻¹β (r,) and the log evidence, from Gᵀ S G (r, r)."""
+    lower = np.asarray(np.linalg.cholesky(np.eye(data.rhs.size) + square), dtype=float)
+    y = solve_lower(lower, data.rhs)
+    return lower, y, 0.5 * float(data.rhs @ data.rhs - y @ y) - float(np.log(np.diag(lower)).sum())
+
+
+def solve_lower(lower: Floats, right_side: Floats) -> Floats:
+    """Return L⁻¹ times a right side."""
+    if not lower.size:
+        return np.zeros_like(right_side)
+    return np.asarray(scipy.linalg.solve_triangular(lower, right_side, lower=True, check_finite=False))
+
+
+def learned(data: Seen, prior: ModePrior, variances: Floats, steps: int = STEPS) -> Floats:
+    """Return the variances (v,) that maximise the evidence with the hyperprior, at most ``steps`` from where they are."""
+    from scipy.optimize import minimize  # slow to import, and large
+
+    def cost(size: Floats) -> tuple[float, Floats]:
+        weighed = weigh(data, (size * prior.cap) ** 2 @ prior.spectra)
+        slope = prior.spectra @ (weighed.z**2 - (weighed.x**2).sum(axis=0))
+        return 0.5 * float(size @ size) - weighed.nats, size * (1.0 - prior.cap**2 * slope)
+
+    if not variances.size:
+        return variances
+    start = np.maximum(np.sqrt(variances) / prior.cap, REVIVED)
+    options = {"maxiter": steps, "ftol": 1e-5}
+    optimum = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * start.size, options=options)
+    return np.asarray((optimum.x * prior.cap) ** 2)
 
 
 @dataclass(frozen=True, eq=False)

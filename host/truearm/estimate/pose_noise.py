@@ -159,12 +159,10 @@ def _pieces(groups: Sequence[Group], pose: Indices, width: int) -> Iterator[list
     measured = [group for group in groups if group.row is not None]
     if not measured:
         return
-    of_group = [pose[group.row] for group in measured]
-    numbers = np.flatnonzero(np.bincount(np.concatenate(of_group)))
-    orders = [np.argsort(poses, kind="stable") for poses in of_group]
-    ends = [np.searchsorted(poses, numbers, "right", order) for poses, order in zip(of_group, orders, strict=True)]
-    starts = [np.searchsorted(poses, numbers, "left", order) for poses, order in zip(of_group, orders, strict=True)]
-    counts = np.stack(ends) - np.stack(starts)  # (groups, poses)
+    orders = [np.argsort(pose[group.row], kind="stable") for group in measured]
+    every_count = np.array([np.bincount(pose[group.row], minlength=int(pose.max()) + 1) for group in measured])
+    used = np.flatnonzero(every_count.any(axis=0))
+    counts, starts = every_count[:, used], (np.cumsum(every_count, axis=1) - every_count)[:, used]  # (groups, poses)
     example, signature_of = first_alike(counts)
     for k, signature in enumerate(counts[:, example].T.tolist()):
         alike = np.flatnonzero(signature_of == k)

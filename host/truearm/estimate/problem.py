@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.estimate.backlash import Backlash
 from truearm.estimate.circumstances import Circumstances, payloads_of
-from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
+from truearm.estimate.residual_noise import Backlash, checked_joint_cov, residual_cov
 from truearm.estimate.systematic_effects import (
     BASE,
     JUMPED,
@@ -44,7 +43,7 @@ from truearm.kinds.unknowns import Fault, Layout
 from truearm.model.chain import Chain
 from truearm.model.law_chain import has_payload_law
 from truearm.results import Effect
-from truearm.types import Floats, Residuals, Rig, Rigs, rigs_by_name
+from truearm.types import Floats, Indices, Mask, Residuals, Rig, Rigs, rigs_by_name
 from truearm.units import UNITS
 
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns takes 1.8 MB, about the second-level cache
@@ -67,6 +66,7 @@ class Problem:
     joint_cov: Floats | None = None  # (j, j) of the joint readings; None: exact
     errors: Errors = NO_ERRORS  # possible errors of the predictions, in the order of ``effects.error_columns``
     causes: tuple[Cause, ...] = ()  # how items can be off, as declared by their kinds
+    effects: frozenset[str] = frozenset()  # names of the parameters that are systematic errors
 
     @property
     def n_robot(self) -> int:
@@ -107,18 +107,25 @@ def build_problem(
     rig: Rigs,
     table: ObservationTable,
     prior_sigma: Floats | None = None,
-    effects: Sequence[Modelled] = (),
+    effects: Sequence[Effect] = (),
+    rows: Mask | Indices | slice = slice(None),
 ) -> Problem:
-    """Compile a table into a problem.
+    """Compile the ``rows`` of a table into a problem.
 
     ``prior_sigma`` (p,): σ of robot parameters, inf for none. ``rig`` is one rig for all rows, or rigs
     by the names in the table's ``rig`` column. ``effects`` are systematic errors that become parameters too, the last
-    of x.
+    of x. Their spans and drifts are those of the whole table.
 
     Raises ProblemError for joint readings that do not match the robot, for unknown kinds, chucks, spheres or bars
     (naming the row), for missing readings, for rigs that differ in the noise of the
     joints, and for a parameter of the rig that has the name of one of the robot.
     """
+    if effects:
+        causes = build_problem(chain, rig, table).causes
+        modelled = modelled_effects(causes, effects, Circumstances.of(table, chain))
+        problem = build_problem(chain, rig, table, prior_sigma, rows=rows)
+        return _with_effects(problem, [effect.select(rows) for effect in modelled])
+    table = table.select(rows)
     _check_joints(chain, table)
     bad = np.flatnonzero(~np.isin(table.kind, list(kinds())))
     if bad.size:
@@ -154,9 +161,7 @@ def build_problem(
         groups = with_payloads(groups, payloads_of(rigs, table))
     errors, causes = _errors(chain, rigs, layout, uses)
     problem = Problem(chain, names, units, start, prior, groups, len(table), joint_cov, errors, causes)
-    if backlash is not None:
-        problem = _with_unknown_sides(problem, backlash.unknown(table))
-    return _with_effects(problem, effects) if effects else problem
+    return problem if backlash is None else _with_unknown_sides(problem, backlash.unknown(table))
 
 
 def _errors(
@@ -213,7 +218,7 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
     named = {modelled.effect.parameter(modelled.column): modelled for modelled in effects}
     wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
     wider = np.isin(problem.names, list(named)) & (problem.prior_sigma < wide)
-    problem = replace(problem, prior_sigma=np.where(wider, wide, problem.prior_sigma))
+    problem = replace(problem, prior_sigma=np.where(wider, wide, problem.prior_sigma), effects=frozenset(named))
     effects = [modelled for name, modelled in named.items() if name not in problem.names]
     if not effects:
         return problem
@@ -257,13 +262,6 @@ def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
     return replace(problem, groups=tuple(groups))
 
 
-def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
-    """Return the parameters of effects, based on everything that the table uses."""
-    if not effects:
-        return []
-    return modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table, chain))
-
-
 def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
     """Yield the problem's observations, at most ``size`` at once, and fewer if the robot has more than WIDE parameters."""
     size = max(1, min(size, BLOCK * WIDE // problem.n_robot)) if problem.n_robot > WIDE else size
@@ -289,10 +287,10 @@ def settled(problem: Problem, x: Floats) -> Problem:
     return _with_groups(problem, [group.settle(problem.chain, x) for group in problem.groups])
 
 
-def without_effect_priors(problem: Problem, effects: Sequence[Modelled]) -> Problem:
+def without_effect_priors(problem: Problem) -> Problem:
     """Return the problem without the priors of its effects, to tell what the data determine of them."""
-    allowed = np.isin(problem.names, [effect.effect.parameter(effect.column) for effect in effects])
-    return replace(problem, prior_sigma=np.where(allowed, np.inf, problem.prior_sigma))
+    prior = np.where(np.isin(problem.names, list(problem.effects)), np.inf, problem.prior_sigma)
+    return replace(problem, prior_sigma=prior)
 
 
 def without_knowledge(problem: Problem) -> Problem:

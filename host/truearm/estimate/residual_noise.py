@@ -7,19 +7,26 @@ A reading q has an error δq of covariance S_q, so the residual measured − pre
 (Renders, Rossignol, Becquet, Hanus 1991, (7)–(12), there "C_i"), with J_q the derivative by the readings, updated at
 each linearisation. Without S_q the covariance of the estimate is far too small (docs/explanation/estimation.md).
 
-The weights stay constant while a step is evaluated: a solver that compares χ² before and after would otherwise see them
-change, and stall. ``information.weighed`` returns a problem with the weights of one x. At the end they are those of the
-estimate.
+The weights stay constant while a step is evaluated, or a solver that compares χ² would see them change, and stall
+(``information.weighed``).
+
+A link lags its encoder by half the backlash b, on the side s = ±1 that the joint came from: it is at q − ½ b s. Where
+the side is unknown, ½ b is noise (docs/decisions/0017-dwells-and-noise.md).
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from truearm.errors import ProblemError
+from truearm.kinds.table import ObservationTable
 from truearm.schema import Matrix
 from truearm.text import counted
-from truearm.types import Floats
+from truearm.types import Floats, Rig
+
+ROUNDING = 1e-9  # relative to joint_cov, which contains ½ b_j squared
 
 
 def residual_cov(sensor_cov: Floats, jac_joints: Floats, joint_cov: Floats | None) -> Floats:
@@ -66,3 +73,36 @@ def checked_joint_cov(matrix: Matrix, joints: int) -> Floats | None:
         )
     cov = np.array(matrix)
     return cov if cov.any() else None
+
+
+class Backlash(NamedTuple):
+    """``width`` (j,): b [rad, m]; ``cov_of_known_sides`` (j, j): covariance of a joint reading whose side is known."""
+
+    width: Floats
+    cov_of_known_sides: Floats
+
+    @classmethod
+    def of(cls, rig: Rig, joint_cov: Floats | None) -> Backlash | None:
+        """Return the backlash of a rig with this ``joint_cov``, or None if it has none.
+
+        Raises ProblemError if the two are inconsistent.
+        """
+        if not rig.backlash:
+            return None
+        width, sigma = np.array(rig.backlash), np.array(rig.backlash_sigma)
+        if joint_cov is None or width.shape != joint_cov.shape[:1] or sigma.shape != width.shape:
+            raise ProblemError("backlash needs joint_cov; backlash and backlash_sigma need one value for each joint")
+        left = np.diag(joint_cov) - 0.25 * width**2
+        if (left < -ROUNDING * np.diag(joint_cov)).any():
+            raise ProblemError("joint_cov must include the backlash: a joint's sigma must be at least half of it")
+        cov = joint_cov.copy()
+        np.fill_diagonal(cov, np.maximum(left, 0.0) + 0.25 * sigma**2)
+        return cls(width, cov)
+
+    def links(self, table: ObservationTable) -> Floats:
+        """Return the joint positions of the links (n, j), corrected where the side is known."""
+        return np.asarray(table.q - 0.5 * self.width * np.nan_to_num(table.side, nan=0.0))
+
+    def unknown(self, table: ObservationTable) -> Floats:
+        """Return the remaining standard deviation of the links (n, j): half the backlash where the side is unknown."""
+        return np.where(np.isnan(table.side), 0.5 * np.abs(self.width), 0.0)

@@ -70,7 +70,7 @@ class Modelled(NamedTuple):
     column: str
     profile: Floats  # (n,)
 
-    def select(self, rows: Mask | Indices) -> Modelled:
+    def select(self, rows: Mask | Indices | slice) -> Modelled:
         """Return the effect for some of the rows."""
         return self._replace(profile=self.profile[rows])
 

@@ -20,12 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
 from truearm.estimate.identifiability import project_out
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
 from truearm.estimate.problem import Problem, build_problem, settled, without_knowledge
-from truearm.estimate.systematic_effects import modelled_effects
 from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
@@ -91,8 +89,7 @@ def judge(
     plain = build_problem(chain, rig, table)
     causes = {cause.name: cause for cause in plain.causes}
     modelled = [effect for effect in allowed if effect.what in causes and set(causes[effect.what].numbers) <= set(kept)]
-    effects = modelled_effects(plain.causes, modelled, Circumstances.of(table, chain))
-    problem = build_problem(chain, rig, table, None, effects) if effects else plain
+    problem = build_problem(chain, rig, table, None, modelled) if modelled else plain
     return judge_problem(problem, {**dict(zip(chain.parameter_names, params, strict=True)), **kept}, place)
 
 

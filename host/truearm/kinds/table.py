@@ -132,7 +132,7 @@ class ObservationTable(Displayed):
             columns["side"] = np.sign(columns["side"])
         return self.replace(q=completed(self.q, mimics, n_joints), **columns) if mimics else self
 
-    def select(self, rows: NDArray[Any]) -> ObservationTable:
+    def select(self, rows: NDArray[Any] | slice) -> ObservationTable:
         """Return the rows selected by a boolean mask, an index array or a slice. Raises InputError for anything else.
 
         All rows in their order are the table itself, not a copy.

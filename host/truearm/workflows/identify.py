@@ -25,7 +25,7 @@ from truearm.estimate.law_choice import LawChoice
 from truearm.estimate.mean_error import with_gain
 from truearm.estimate.prediction import predicted_point_error, with_scatter_at_tool
 from truearm.estimate.prior import prior_named
-from truearm.estimate.problem import build_problem, modelled_of
+from truearm.estimate.problem import build_problem
 from truearm.estimate.result_document import copies_of, result_of
 from truearm.estimate.result_file import RobotFrames, write_result
 from truearm.estimate.robot_scale import with_scale
@@ -263,11 +263,9 @@ def rejudged(
     held = ~(estimate.fitted | estimate.left_out)
     if not held.any():
         return estimate
-    modelled = modelled_of(chain, rig, table, effects)
-    fitted = [effect.select(estimate.fitted) for effect in modelled]
-    problem = build_problem(chain, rig, table.select(estimate.fitted), effects=fitted)
+    problem = build_problem(chain, rig, table, None, effects, estimate.fitted)
     x = problem.at(dict(zip(estimate.parameter_names, estimate.value, strict=True)))
-    held_out, error = judged(problem, x, rig, table, held, modelled)
+    held_out, error = judged(problem, x, rig, table, held, effects)
     both = [{**errors} for errors in (estimate.residual, estimate.unfitted_error)]
     for unit, values in error.items():
         for errors in both:
@@ -342,10 +340,10 @@ def identified(
     check_rows(chain, table, ~unused)
     fitted = table.select(~unused)
     effects, causes = split_causes(chain, rig, table, options.apply)
-    allowed = [effect.select(~unused) for effect in modelled_of(chain, rig, table, effects)]
-    free, weak, chosen = choose_defaults(chain, rig, fitted, requested, named, prior is Prior.WHERE_NEEDED, allowed)
-    sigma = weak if prior is Prior.WHERE_NEEDED else prior_named(chain, prior)
-    if prior is Prior.WHERE_NEEDED and not chosen.believed:
+    where_needed = prior is Prior.WHERE_NEEDED
+    free, weak, chosen = choose_defaults(chain, rig, table, requested, named, where_needed, effects, ~unused)
+    sigma = weak if where_needed else prior_named(chain, prior)
+    if where_needed and not chosen.believed:
         prior = Prior.NONE
     fields_of_solver = {name: getattr(options, name) for name in ("solver", "loss", "max_iterations")}
     solver_options = SolverOptions(
