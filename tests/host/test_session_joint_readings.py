@@ -31,6 +31,10 @@ def arrived(messages):
     return [m._replace(t_host_ns=at) for m, at in zip(messages, latest, strict=True)]
 
 
+def joints_of(stream):
+    return stream.bins.joints(0, len(stream.bins))
+
+
 def still(n=500, t0=10.0, hz=125.0, q=(0.1, -0.2)):
     return [message(t0 + k / hz, k, q) for k in range(n)]
 
@@ -40,9 +44,9 @@ def test_a_clean_stream():
     assert (stream.readings, stream.lost, stream.duplicated, stream.late, stream.malformed) == (500, 0, 0, 0, 0)
     assert (stream.gaps, stream.restarts) == (0, 0)
     assert stream.rate_hz == pytest.approx(125.0, abs=1e-9)
-    assert stream.bins.n.sum() == 500
-    assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
-    assert list(np.flatnonzero(stream.bins.gap)) == [0]
+    assert stream.bins.times.n.sum() == 500
+    assert np.allclose(joints_of(stream).mean, (0.1, -0.2), atol=1e-15)
+    assert list(np.flatnonzero(stream.bins.times.gap)) == [0]
 
 
 def unnumbered(messages):
@@ -62,7 +66,7 @@ def test_readings_without_numbers_are_as_good(stranger):
     assert (numbered.lost, plain.lost) == (1, None)
     for name in ("readings", "duplicated", "late", "gaps", "rate_hz"):
         assert getattr(plain, name) == getattr(numbered, name)
-    assert np.array_equal(plain.bins.mean, numbered.bins.mean)
+    assert np.array_equal(joints_of(plain).mean, joints_of(numbered).mean)
     assert plain.malformed == len(stranger)
 
 
@@ -72,7 +76,7 @@ def test_no_readings_and_numbers_that_come_and_go():
     stream = read(lines)
     assert (stream.readings, stream.lost) == (500, None)
     stream = read([])
-    assert len(stream.bins.n) == 0
+    assert len(stream.bins) == 0
     assert find_dwells(stream) == []
 
 
@@ -88,9 +92,11 @@ def test_chunks_change_nothing(chunk, monkeypatch):
     parts = read(lines)
     for name in ("readings", "lost", "duplicated", "gaps", "rate_hz"):
         assert getattr(parts, name) == getattr(whole, name)
-    for name in ("t_first_s", "n", "below", "above", "gap"):
-        assert np.array_equal(getattr(parts.bins, name), getattr(whole.bins, name))
-    assert np.allclose(parts.bins.scatter, whole.bins.scatter, rtol=1e-6, atol=0)
+    for name in ("t_first_s", "n", "gap"):
+        assert np.array_equal(getattr(parts.bins.times, name), getattr(whole.bins.times, name))
+    for name in ("below", "above"):
+        assert np.array_equal(getattr(joints_of(parts), name), getattr(joints_of(whole), name))
+    assert np.allclose(joints_of(parts).scatter, joints_of(whole).scatter, rtol=1e-6, atol=0)
     assert repr(parts.reports) == repr(whole.reports)  # NaN is not equal to itself
 
 
@@ -140,7 +146,7 @@ def test_controller_restart_is_another_segment():
     assert len(stream.clocks) == 2
     dwells = find_dwells(stream)
     assert [dwell.segment for dwell in dwells] == [0, 1]
-    assert [len(set(stream.bins.segment[a:b])) for a, b in ((0, 79), (81, 160))] == [1, 1]
+    assert [len(set(stream.bins.times.segment[a:b])) for a, b in ((0, 79), (81, 160))] == [1, 1]
 
 
 def assert_same(one, other):
@@ -217,6 +223,6 @@ class TestCommandedJoints:
     def test_they_are_kept_apart_from_the_measured(self):
         """250 readings at 125 Hz; the command leads by 0.01 rad: a mean that mixed the two would be off by half of it."""
         stream = read(self.rows(*[[0.11, -0.21]] * 250))
-        assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
+        assert np.allclose(joints_of(stream).mean, (0.1, -0.2), atol=1e-15)
         (dwell,) = find_dwells(stream)
         assert np.allclose(dwell.q, (0.1, -0.2), atol=1e-15)

@@ -252,27 +252,31 @@ class Arrivals:
     """Collects (controller time, arrival) of one segment from its first reading; keeps the fastest of each second, and sums.
 
     Clocks with rates 45 ppm apart drift by 45 µs in a second, which would make its first readings seem the fastest.
-    Cells are kept so that the drift is removed first: 10 MB in six hours.
+    Cells are kept so that the drift is removed first: 10 MB in six hours. The last one may get more readings.
     """
 
     t_ref_s: float
     host_ref_ns: int
     last_s: float = float("-inf")
     _cells: list[Floats] = field(default_factory=list)  # (6, n) each, see ``seconds``
+    _last_cell: Floats = field(default_factory=lambda: np.empty((6, 0)))
 
     def add(self, t_robot_s: Floats, t_host_ns: Ints) -> None:
         """Take readings (n,) in order of arrival."""
         dt = t_robot_s - self.t_ref_s
         latency = (t_host_ns - self.host_ref_ns - np.rint(1e9 * dt).astype(np.int64)).astype(np.float64)
         rows = np.stack([np.floor(CELLS * dt), dt, latency, np.ones(dt.size), dt, latency])
-        self._cells.append(_merged(rows))
+        cells = _merged(np.concatenate([self._last_cell, rows], axis=1))
+        self._cells.append(cells[:, :-1])
+        self._last_cell = cells[:, -1:]
         self.last_s = float(t_robot_s[-1])
 
     def seconds(self) -> Floats:
         """Return rows (6, k) by second: its number; dt [s] and latency [ns] of the fastest reading; number of readings,
         sums of dt and latency.
         """
-        cells = _merged(np.concatenate(self._cells, axis=1))
+        cells = np.concatenate([*self._cells, self._last_cell], axis=1)
+        self._cells.clear()
         cells[0] = np.floor(cells[0] / CELLS)
         rough = _merged(cells)
         rate = float(np.median(np.diff(rough[2]) / np.diff(rough[1]))) if rough.shape[1] > 1 else 0.0

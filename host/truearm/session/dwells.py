@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream, binned
+from truearm.session.joint_readings import BIN_S, NOTED_S, BinJoints, Bins, BinTimes, JointStream, binned
 from truearm.session.sample_noise import LEAST_BLOCKS, rests_within, settled_from
 from truearm.session.samples import ChannelSamples, extension, railed
 from truearm.types import NEED_DECISION, Floats
@@ -91,10 +91,11 @@ def find_dwells(stream: JointStream) -> list[Dwell]:
 
 def find_stops(bins: Bins, step: Floats) -> list[Dwell]:
     """Return the stops of the signals in the bins, given their own noise and their step (j,)."""
-    if len(bins.n) < WINDOW_BINS:
+    if len(bins) < WINDOW_BINS:
         return []
+    times, windows = bins.times, len(bins) - WINDOW_BINS + 1
     # Of windows (b − 3,): which are without a gap, and in which all joints are quiet
-    quiet = complete = ~np.logical_or.reduce([bins.gap[k : len(bins.n) - WINDOW_BINS + 1 + k] for k in (1, 2, 3)])
+    quiet = complete = ~np.logical_or.reduce([times.gap[k : windows + k] for k in (1, 2, 3)])
     if not np.any(complete):
         return []
     for joint, smallest in enumerate(step):  # one by one: a session may hold half a million bins
@@ -107,25 +108,25 @@ def find_stops(bins: Bins, step: Floats) -> list[Dwell]:
     runs = [
         slice(first, last + 1)
         for first, last in edges.reshape(-1, 2).tolist()
-        if bins.t_last_s[last] - bins.t_first_s[first] >= PAUSE_S
+        if times.t_last_s[last] - times.t_first_s[first] >= PAUSE_S
     ]
-    bin_var = resting_variance(bins, runs)
+    bin_var = resting_variance(bins, runs, len(step))
     return [_dwell(bins, run, bin_var, step) for run in runs]
 
 
-def resting_variance(bins: Bins, runs: list[slice]) -> Floats:
+def resting_variance(bins: Bins, runs: list[slice], joints: int) -> Floats:
     """Return the variance (j,) of a bin's mean at rest: the median over the second halves of all sufficiently long
     stops.
     """
-    halves = [bins.mean[(run.start + run.stop) // 2 : run.stop] for run in runs]
+    halves = (bins.joints((run.start + run.stop) // 2, run.stop).mean for run in runs)
     spread = [np.var(half, axis=0, ddof=1) for half in halves if len(half) >= LEAST_BLOCKS]
-    return np.asarray(np.median(spread, axis=0)) if spread else np.zeros(bins.mean.shape[1])
+    return np.asarray(np.median(spread, axis=0)) if spread else np.zeros(joints)
 
 
 def _window_ranges(bins: Bins, joint: int) -> Floats:
     """Return the range (b − 3,) of a joint over the bins of each window."""
-    mean = bins.mean[:, joint]
-    high, low = mean + bins.above[:, joint], mean - bins.below[:, joint]
+    mean, below, above, _ = bins.joint(joint)
+    high, low = mean + above, mean - below
     for k in (1, 2):  # of two bins, then of four
         high, low = np.maximum(high[:-k], high[k:]), np.minimum(low[:-k], low[k:])
     return np.asarray(high - low)
@@ -133,24 +134,25 @@ def _window_ranges(bins: Bins, joint: int) -> Floats:
 
 def _dwell(bins: Bins, run: slice, bin_var: Floats, step: Floats) -> Dwell:
     """Return the dwell of a stop. ``bin_var`` (j,): variance of a bin's mean at rest."""
-    stood = float(bins.t_first_s[run.start])
+    begins_s = bins.times.t_first_s
+    stood = float(begins_s[run.start])
     begin_s = stood + SETTLE_S
-    inside = np.flatnonzero((bins.t_first_s[run] >= begin_s) & (bins.t_last_s[run] <= begin_s + LONGEST_DWELL_S))
+    inside = np.flatnonzero((begins_s[run] >= begin_s) & (bins.times.t_last_s[run] <= begin_s + LONGEST_DWELL_S))
     span = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1) if inside.size else run
-    lasts_s = _end_s(bins, span) - (float(bins.t_first_s[span.start]) if inside.size else begin_s)
+    lasts_s = _end_s(bins, span) - (float(begins_s[span.start]) if inside.size else begin_s)
     if not inside.size or lasts_s < LEAST_DWELL_S:
         return of_bins(bins, span, step, stood, "too short", f"{max(0.0, lasts_s):.2f} s")
     first, late = _settled(bins, span, bin_var, step)
     settled = slice(min(span.start + first, span.stop - 1), span.stop)
-    if first and _end_s(bins, settled) - bins.t_first_s[settled.start] < LEAST_DWELL_S:
-        swing = float(np.ptp(bins.mean[span][:, late]))
+    if first and _end_s(bins, settled) - begins_s[settled.start] < LEAST_DWELL_S:
+        swing = float(np.ptp(bins.joints(span.start, span.stop).mean[:, late]))
         return of_bins(bins, span, step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
     return of_bins(bins, settled, step, stood)
 
 
 def _settled(bins: Bins, span: slice, bin_var: Floats, step: Floats) -> tuple[int, int]:
     """Return the first of these bins from which all joints rest, and the joint that settles last."""
-    means, n = bins.mean[span], bins.n[span]
+    means, n = bins.joints(span.start, span.stop).mean, bins.times.n[span]
     if len(means) < LEAST_BLOCKS:
         return 0, 0
     signals, floor = np.ascontiguousarray(means.T), np.maximum(1.001 * step, LEAST_MOTION)
@@ -162,13 +164,13 @@ def _settled(bins: Bins, span: slice, bin_var: Floats, step: Floats) -> tuple[in
 
 
 def _end_s(bins: Bins, span: slice) -> float:
-    return float(bins.t_last_s[span.stop - 1]) - GUARD_S
+    return float(bins.times.t_last_s[span.stop - 1]) - GUARD_S
 
 
 def of_bins(bins: Bins, span: slice, step: Floats, stood: float, reason: str = "", detail: str = "") -> Dwell:
     return Dwell(
-        segment=int(bins.segment[span.start]),
-        start_s=float(bins.t_first_s[span.start]),
+        segment=int(bins.times.segment[span.start]),
+        start_s=float(bins.times.t_first_s[span.start]),
         end_s=_end_s(bins, span),
         stood_s=stood,
         reason=reason,
@@ -185,7 +187,7 @@ def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStre
     if start_s <= dwell.start_s:
         return dwell
     first, end = dwell.bins
-    first += int(np.searchsorted(stream.bins.t_first_s[first:end], start_s))
+    first += int(np.searchsorted(stream.bins.times.t_first_s[first:end], start_s))
     span = slice(min(first, end - 1), end)
     read = _readings(stream.bins, span, stream.step)
     return replace(dwell, start_s=start_s, start_host_ns=start_host_ns, **read)
@@ -193,10 +195,10 @@ def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStre
 
 def _readings(bins: Bins, span: slice, step: Floats) -> dict[str, Any]:
     """Return the mean and the variances (j,) of the readings in these bins; the latter are at least those of quantisation."""
-    n, mean = bins.n[span], bins.mean[span]
+    n, (mean, _, _, scatter) = bins.times.n[span], bins.joints(span.start, span.stop)
     total = int(np.sum(n))
     q = np.sum(n[:, None] * mean, axis=0) / total
-    squares = n @ (mean - q) ** 2 + np.sum(bins.scatter[span], axis=0, dtype=np.float64)
+    squares = n @ (mean - q) ** 2 + np.sum(scatter, axis=0, dtype=np.float64)
     # For a quantised reading the smallest change seen is the step; for a fine one it is negligible.
     q_var = squares / max(1, total - 1) + step**2 / 12.0
     return {"q": q, "q_var": q_var, "n_readings": total, "bins": (span.start, span.stop)}
@@ -215,18 +217,19 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
 
     Those in no rest of the sensor, or in one with another reading, carry their reason.
     """
-    bins, sensor = stream.bins, sensor_bins(samples)
-    stops = [] if sensor is None else find_stops(sensor, step=np.zeros(1))
+    bins = stream.bins
+    stops = find_stops(sensor_bins(samples), step=np.zeros(1))
     rests = [stop for stop in stops if stop.reason != "too short"]
     end_s = np.array([*(stop.end_s + GUARD_S for stop in rests), -np.inf])
-    noted_ns = stream.to_host_ns(bins.segment, bins.t_first_s)
+    times, mean = bins.times, bins.joints(0, len(bins)).mean
+    noted_ns = stream.to_host_ns(times.segment, times.t_first_s)
     rest_of = np.searchsorted([stop.stood_s for stop in rests], 1e-9 * noted_ns, side="right") - 1
     rest_of[1e-9 * noted_ns > end_s[rest_of]] = -1
     dwells = []
     for k, (number, t_ns) in enumerate(zip(rest_of.tolist(), noted_ns.tolist(), strict=True)):
         alike = np.flatnonzero(rest_of == number)
-        span = float(np.max(np.abs(bins.mean[alike] - bins.mean[k])))
-        dwell = of_bins(bins, slice(k, k + 1), stream.step, float(bins.t_first_s[k]))
+        span = float(np.max(np.abs(mean[alike] - mean[k])))
+        dwell = of_bins(bins, slice(k, k + 1), stream.step, float(times.t_first_s[k]))
         dwell = replace(dwell, end_s=dwell.start_s, start_host_ns=t_ns, end_host_ns=t_ns)
         if number < 0:
             detail = "the bar did not rest when the joints were noted"
@@ -239,13 +242,13 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
     return dwells
 
 
-def sensor_bins(samples: ChannelSamples) -> Bins | None:
-    """Return the sensor's extension in bins of BIN_S [s of the host's clock], as a single joint; None if there is none.
+def sensor_bins(samples: ChannelSamples) -> Bins:
+    """Return the sensor's extension in bins of BIN_S [s of the host's clock], as a single joint.
 
     Samples at a rail are left out: an open coil is quiet but not at rest. Raises SessionError if the channel has no
     calibration.
     """
-    pieces, last_piece = [], -1
+    bins, last_piece, last_s = Bins(), -1, -np.inf
     for batch in samples:
         t_s = np.asarray(1e-9 * batch.t_ns, np.float64)
         rails = railed(batch.counts[:, 0])
@@ -254,14 +257,13 @@ def sensor_bins(samples: ChannelSamples) -> Bins | None:
         metres = extension(batch.counts[:, :1], batch.channels[0])
         silent = np.diff(piece[~rails], prepend=last_piece) > 0
         last_piece = int(batch.piece[-1])
-        bins = binned(0, t_s[~rails], metres[~rails], key[~rails], silent)
-        filled = bins.n * batch.period_ns >= 0.5e9 * BIN_S
-        pieces.append([column[filled] for column in vars(bins).values()])
-    if not pieces:
-        return None
-    bins = Bins(*map(np.concatenate, zip(*pieces, strict=True)))
-    silence_s = bins.t_first_s - np.append(-np.inf, bins.t_last_s[:-1])
-    return replace(bins, gap=bins.gap | (silence_s > 2.0 * BIN_S))
+        times, joints = binned(0, t_s[~rails], metres[~rails], key[~rails], silent)
+        filled = times.n * batch.period_ns >= 0.5e9 * BIN_S
+        times = BinTimes(*(column[filled] for column in times))
+        silence_s = times.t_first_s - np.append(last_s, times.t_last_s[:-1])[: len(times.n)]
+        bins.append(times._replace(gap=times.gap | (silence_s > 2.0 * BIN_S)), BinJoints(*(c[filled] for c in joints)))
+        last_s = np.append(last_s, times.t_last_s)[-1]
+    return bins
 
 
 def _resting(dwell: Dwell, stop: Dwell, t_host_ns: int) -> Dwell:

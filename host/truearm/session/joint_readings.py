@@ -5,7 +5,7 @@ those of the lines; otherwise messages were lost or doubled, and the lines are p
 an earlier one) is counted and not used; it counts as lost too.
 
 A session may hold ten million readings. For each 50 ms only count, mean, extremes and scatter are kept
-(``JointReader``). That is 0.15 kB per bin for six joints, 63 MB for six hours.
+(``JointReader``), those of the joints on the disk.
 
 A reading shows the controller's inputs at its own instant (``InputTrack``). An edge lies between the last reading with
 the old level and the first with the new one: two controller times, one cycle apart if no reading is missing.
@@ -13,11 +13,12 @@ the old level and the first with the new one: two controller times, one cycle ap
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,19 +93,60 @@ FINEST_STEP = 1e-9  # rad or m; smaller differences are rounding errors, not an 
 COARSEST_STEP = 1e-3  # rad or m; upper limit for an encoder worth calibrating
 
 
-@dataclass(frozen=True)
-class Bins:
-    """Readings in bins (b,), in order. ``gap``: readings are missing before the bin, or another segment begins with it."""
+class BinJoints(NamedTuple):
+    """Measured joints in bins (b, j), but for ``mean`` in single precision."""
 
-    segment: NDArray[np.int32]
-    t_first_s: Floats
-    t_last_s: Floats
-    n: NDArray[np.int32]
-    mean: Floats  # (b, j), of the measured joints, as are all following fields
-    below: NDArray[np.float32]  # (b, j) mean less the least
-    above: NDArray[np.float32]  # (b, j) the greatest less the mean
-    scatter: NDArray[np.float32]  # (b, j) sums of squares of deviations from the mean
-    gap: NDArray[np.bool_]
+    mean: NDArray[Any]
+    below: NDArray[Any]  # mean less the least
+    above: NDArray[Any]  # the greatest less the mean
+    scatter: NDArray[Any]  # sums of squares of deviations from the mean
+
+
+class BinTimes(NamedTuple):
+    """When readings in bins (b,) were made. ``gap``: readings are missing before the bin, or another segment begins with it."""
+
+    segment: NDArray[Any]
+    t_first_s: NDArray[Any]
+    t_last_s: NDArray[Any]
+    n: NDArray[Any]
+    gap: NDArray[Any]
+
+
+class Bins:
+    """Readings in bins (b,), in order: ``times`` in memory, and the joints on the disk."""
+
+    def __init__(self) -> None:
+        self._times, self._begins, self._joints = list[BinTimes](), [0], Spool()
+
+    def append(self, times: BinTimes, joints: BinJoints) -> None:
+        """Add bins."""
+        self._times.append(times)
+        self._begins.append(len(self) + len(times.n))
+        self._joints.append(joints, (0, 0.0, 0.0))
+
+    def __len__(self) -> int:
+        return self._begins[-1]
+
+    @cached_property
+    def times(self) -> BinTimes:
+        """Return the times of all bins."""
+        nothing = BinTimes(*(np.empty(0, kind) for kind in (np.int32, np.float64, np.float64, np.int32, np.bool_)))
+        return BinTimes(*map(np.concatenate, zip(nothing, *self._times, strict=True)))
+
+    def joints(self, first: int, end: int) -> BinJoints:
+        """Return the joints in the bins from ``first`` to before ``end``, of at least one bin."""
+        batches = range(bisect_right(self._begins, first) - 1, bisect_left(self._begins, end))
+        columns = zip(*(self._batch(k, first, end) for k in batches), strict=True)
+        return BinJoints(*(column[0] if len(column) == 1 else np.concatenate(column) for column in columns))
+
+    def _batch(self, number: int, first: int, end: int) -> list[NDArray[Any]]:
+        begin = self._begins[number]
+        return [column[max(0, first - begin) : end - begin] for column in self._joints.load(number)]
+
+    def joint(self, joint: int) -> BinJoints:
+        """Return one joint (b,) in all bins, of at least one."""
+        batches = ([column[:, joint].copy() for column in self._joints.load(k)] for k in range(len(self._times)))
+        return BinJoints(*map(np.concatenate, zip(*batches, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -229,7 +271,7 @@ class JointReader:
         self._order = SegmentedReadings()
         self._arrivals: list[Arrivals] = []
         self._inputs: list[InputTrack] = []
-        self._bins = Spool()
+        self._bins = Bins()
         self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the open bin
         self._last_seq: int | None = None  # of the segment
         self._previous_bin_s = -np.inf
@@ -259,18 +301,12 @@ class JointReader:
             restarts=max(0, len(self._arrivals) - 1),
             rate_hz=(readings - len(self._arrivals)) / spans if spans > 0.0 else float("nan"),
             step=_step(self._step, self._fast_step),
-            bins=self._all_bins(),
+            bins=self._bins,
             clocks=tuple(clock for clock, _ in fits),
             reports=tuple(report for _, report in fits),
             inputs=tuple(self._inputs),
             all_readings=self._all_readings,
         )
-
-    def _all_bins(self) -> Bins:
-        numbers, load = range(len(self._bins.spans)), self._bins.load  # one column after the other, with little memory
-        nothing = [np.empty((0, 0))]
-        columns = (np.concatenate([load(row)[k] for row in numbers] or nothing) for k in range(len(fields(Bins))))
-        return Bins(*columns)
 
     def _take(self, segment: int, batch: JointBatch) -> None:
         """Take readings of one segment."""
@@ -328,12 +364,10 @@ class JointReader:
         silent = np.diff(t, prepend=self._previous_bin_s) > self._order.gap_s
         self._count["gaps"] += int(np.sum(silent)) - int(np.isinf(self._previous_bin_s))
         self._previous_bin_s = float(t[-1])
-        segment = len(self._arrivals) - 1
-        bins = binned(segment, t, q, key, silent)
-        self._bins.append(list(vars(bins).values()), (segment, float(t[0]), float(t[-1])))
+        self._bins.append(*binned(len(self._arrivals) - 1, t, q, key, silent))
 
 
-def binned(segment: int, t: Floats, q: Floats, key: Floats, silent: Mask) -> Bins:
+def binned(segment: int, t: Floats, q: Floats, key: Floats, silent: Mask) -> tuple[BinTimes, BinJoints]:
     """Return readings q (n, j) at times t (n,) [s] in bins, one for each value of ``key`` (n,), which rises.
 
     ``silent`` (n,): readings are missing before this one. Inside a bin, that counts as before it.
@@ -346,7 +380,8 @@ def binned(segment: int, t: Floats, q: Floats, key: Floats, silent: Mask) -> Bin
     below, above, scatter = (column.astype(np.float32) for column in (mean - low, high - mean, squares))
     numbers = np.full(n.size, segment, np.int32)
     gap = np.logical_or.reduceat(silent, starts)
-    return Bins(numbers, t[starts], t[starts + n - 1], n.astype(np.int32), mean, below, above, scatter, gap)
+    times = BinTimes(numbers, t[starts], t[starts + n - 1], n.astype(np.int32), gap)
+    return times, BinJoints(mean, below, above, scatter)
 
 
 def _smallest(change: Floats) -> Floats:

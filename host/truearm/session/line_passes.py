@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from truearm.kinds.table import ObservationTable
 from truearm.session.dwell_samples import MICRON
 from truearm.session.joint_format import UNNUMBERED
-from truearm.session.joint_readings import Bins, JointStream
+from truearm.session.joint_readings import BinTimes, JointStream
 from truearm.session.sample_noise import mean_variance
 from truearm.session.samples import ChannelSamples, Samples, extension, railed
 from truearm.types import Floats, Ints, Mask, rms_of_columns
@@ -59,10 +59,11 @@ class Leg:
 
 def find_legs(stream: JointStream) -> list[Leg]:
     """Return all legs in order of time."""
-    bins = stream.bins
-    if len(bins.n) < 2:
+    times = stream.bins.times
+    if len(times.n) < 2:
         return []
-    step, seconds, joined = _steps(bins)
+    mean = stream.bins.joints(0, len(times.n)).mean
+    step, seconds, joined = _steps(times, mean)
     speed = np.max(np.abs(step), axis=1) / seconds
     turns = np.einsum("ij,ij->i", step[1:], step[:-1]) < 0.0  # at bin k + 1
     # One more step at either end, before the readings began and after they ended
@@ -74,21 +75,21 @@ def find_legs(stream: JointStream) -> list[Leg]:
         joined[last + 2],
     )  # with the slow steps, in which the robot was at the ends of its motion
     span = np.stack([first - (begins & ~moving[first]), last + 1 + (ends & ~moving[last + 2])])
-    moved = np.max(np.abs(np.diff(bins.mean[span], axis=0)), axis=(0, 2)) >= LEAST_MOVE
+    moved = np.max(np.abs(np.diff(mean[span], axis=0)), axis=(0, 2)) >= LEAST_MOVE
     runs = [(a, b, cut) for (a, b), cut in zip(span.T[moved].tolist(), (~(begins & ends))[moved].tolist(), strict=True)]
-    segment = bins.segment[[a for a, _, _ in runs]]
-    times = np.array([(bins.t_first_s[a], bins.t_last_s[b]) for a, b, _ in runs]).reshape(-1, 2)
-    rows = zip(segment.tolist(), times.tolist(), runs, stream.to_host_ns(segment, times).tolist(), strict=True)
-    return [Leg(k, t[0], t[1], bins.mean[a], bins.mean[b], cut, *host) for k, t, (a, b, cut), host in rows]
+    segment = times.segment[[a for a, _, _ in runs]]
+    t_s = np.array([(times.t_first_s[a], times.t_last_s[b]) for a, b, _ in runs]).reshape(-1, 2)
+    rows = zip(segment.tolist(), t_s.tolist(), runs, stream.to_host_ns(segment, t_s).tolist(), strict=True)
+    return [Leg(k, t[0], t[1], mean[a], mean[b], cut, *host) for k, t, (a, b, cut), host in rows]
 
 
-def _steps(bins: Bins) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _steps(bins: BinTimes, mean: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return the change of the mean (b − 1, j) from each bin to the next, its time [s], and whether it is one motion."""
     middle = 0.5 * (bins.t_first_s + bins.t_last_s)
     seconds = np.diff(middle)
     joined = (np.diff(bins.segment) == 0) & (seconds > 0.0)
     joined &= bins.t_first_s[1:] - bins.t_last_s[:-1] < LONGEST_SILENCE_S
-    return np.diff(bins.mean, axis=0), np.where(joined, seconds, 1.0), joined
+    return np.diff(mean, axis=0), np.where(joined, seconds, 1.0), joined
 
 
 def _slow(speed: Floats, seconds: Floats, quantum: Floats) -> NDArray[np.bool_]:

@@ -247,15 +247,16 @@ def came_from(joints: JointStream, dwell: Dwell) -> Floats:
 
     −1 or 1, or 0 if the joint did not move or the direction is not known, as with readings that were noted one by one.
     """
-    bins, direction = joints.bins, np.zeros(dwell.q.size)
-    last = 0 if has_manual_joints(joints) else dwell.bins[0]
-    while last > 0 and bins.t_first_s[last - 1] >= dwell.stood_s and bins.segment[last - 1] == dwell.segment:
+    times, last = joints.bins.times, 0 if has_manual_joints(joints) else dwell.bins[0]
+    while last > 0 and times.t_first_s[last - 1] >= dwell.stood_s and times.segment[last - 1] == dwell.segment:
         last -= 1
-    for k in range(last - 1, max(-1, last - 1 - BACK_BINS), -1):
-        if bins.gap[k + 1] or bins.segment[k] != dwell.segment or np.all(direction):
-            break
-        offset = bins.mean[k] - dwell.q
-        above, below = offset + bins.above[k], bins.below[k] - offset
-        new = (direction == 0.0) & (np.maximum(above, below) > LEAST)
-        direction[new] = np.where(above > below, -1.0, 1.0)[new]
-    return direction
+    first = max(0, last - BACK_BINS)
+    broken = np.flatnonzero(times.gap[first + 1 : last + 1] | (times.segment[first:last] != dwell.segment))
+    first += int(broken[-1]) + 1 if broken.size else 0
+    if first == last:
+        return np.zeros(dwell.q.size)
+    mean, below, above, _ = joints.bins.joints(first, last)
+    above, below = above + (mean - dwell.q), below - (mean - dwell.q)
+    moved = np.maximum(above, below) > LEAST
+    latest = len(moved) - 1 - np.argmax(moved[::-1], axis=0), np.arange(dwell.q.size)
+    return np.where(moved.any(axis=0), np.where(above[latest] > below[latest], -1.0, 1.0), 0.0)

@@ -241,7 +241,7 @@ def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float
 
 def _mean_var(bins: Bins, dwell: Dwell) -> Floats:
     """Return the variance (j,) of the mean reading of a dwell, from the means of its bins."""
-    means = bins.mean[slice(*dwell.bins)]
+    means = bins.joints(*dwell.bins).mean
     if len(means) < 4:
         return np.full(dwell.q.size, np.nan)
     return np.array([mean_variance(column)[0] for column in (means - np.mean(means, axis=0)).T])
