@@ -229,7 +229,9 @@ def test_only_dwells_of_a_plan_are_poses_to_be_matched():
         marks.feed("/plan", 0, row)
     assert len(marks.rows) == 4
     assert marks.dwells == (1, 3)
-    assert marks.plan().q.tolist() == [[1.0, 0.0], [3.0, 0.0]]
+    marks.feed("/plan", 0, b'{"q":[5,0]}')
+    assert marks.dwells == (1, 3, 5)  # a row that cannot be used keeps its number
+    assert marks.plan().q.tolist() == [[1.0, 0.0], [3.0, 0.0], [5.0, 0.0]]
     assert marks.rows[2].mounted == {"line": "left", "target": "ball"}
 
 

@@ -113,6 +113,18 @@ def test_a_single_frame_behind_the_count_changes_nothing(seq):
     assert [block.gap for block in read(messages)[0]].count(True) == 1
 
 
+@pytest.mark.parametrize("bit", [12, 30])
+def test_a_first_frame_ahead_of_the_count_is_malformed_itself(bit):
+    """One that states the boot id; another one could be the last of a boot before."""
+    messages = long_box(20 * SECOND).messages
+    messages = messages[[k for k, m in enumerate(messages) if m.topic == "/box/heartbeat"][1] :]
+    seq = cbor2.loads(messages[0].data)[1]
+    assert not seq & 1 << bit
+    numbers = [b"\x1a" + number.to_bytes(4, "big") for number in (seq, seq | 1 << bit)]
+    odd = messages[0]._replace(data=messages[0].data.replace(*numbers, 1))
+    assert account([odd, *messages[1:]]) == account(messages[1:]) | {"frames_malformed": 1}
+
+
 @pytest.mark.parametrize("of", ["heartbeat", "adc"])
 @pytest.mark.parametrize("bit", [2, 12, 30])
 def test_a_single_frame_ahead_of_the_count_is_malformed_itself(of, bit):

@@ -21,6 +21,7 @@ from truearm.strict_json import number_or_null, strict_json
 from truearm.types import BAR_MOUNTED, DwellLabel
 
 SUFFIX = ".labels.json"
+FORMAT_VERSION: Literal[1] = 1
 MAX_BYTES = 64 << 20
 MOUNTED = (*BAR_MOUNTED, "shell")
 
@@ -66,6 +67,10 @@ class Decision(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=Tr
     robot: Text = ""
 
 
+class _Header(Struct):
+    format_version: int = 0
+
+
 class Labels(Struct, frozen=True, forbid_unknown_fields=True):
     """All decisions about the session with this SHA-256, the earliest first."""
 
@@ -90,7 +95,13 @@ def read_labels(session: Path) -> tuple[DwellLabel, ...] | None:
     if not path.exists():
         return None
     try:
-        labels = msgspec.json.decode(read_text(path, MAX_BYTES, SessionError), type=Labels)
+        text = read_text(path, MAX_BYTES, SessionError)
+        version = msgspec.json.decode(text, type=_Header).format_version
+        if version > FORMAT_VERSION:
+            raise SessionError(
+                f"{path}: has format version {version}, this truearm reads {FORMAT_VERSION}; update truearm"
+            )
+        labels = msgspec.json.decode(text, type=Labels)
     except (msgspec.MsgspecError, RecursionError) as exc:
         raise SessionError(f"{path}: {exc}; label the dwells again with truearm session relabel") from exc
     if labels.sha256 != sha256(session):
@@ -107,5 +118,5 @@ def write_labels(session: Path, labels: Sequence[DwellLabel], trust: str, robot:
         for start, end, mounted, pose, probability, detail in labels
     )
     name = session.name.encode(errors="backslashreplace").decode()
-    document = Labels("truearm-labels", 1, name, sha256(session), (Decision(trust, dwells, robot),))
+    document = Labels("truearm-labels", FORMAT_VERSION, name, sha256(session), (Decision(trust, dwells, robot),))
     write_atomic(labels_path(session), strict_json(msgspec.to_builtins(document)) + "\n")

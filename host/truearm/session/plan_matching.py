@@ -15,7 +15,7 @@ from bisect import bisect_right, insort
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from itertools import groupby, pairwise
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -48,8 +48,9 @@ class PlannedPoses:
 
 
 class PlanRow(NamedTuple):
-    """A row of the plan as in ``/plan`` (``types.Plan``)."""
+    """A row of the plan as in ``/plan`` (``types.Plan``); ``number``: its place, also behind rows that cannot be used."""
 
+    number: int
     q: list[float]
     mounted: dict[str, str]  # of FITTINGS
     move: str
@@ -73,17 +74,19 @@ class Marks:
     """Collects the contents of ``/plan`` and ``/events``. ``malformed``: messages that cannot be used."""
 
     rows: list[PlanRow] = field(default_factory=list)
+    planned: int = 0  # rows of the plan so far, with malformed ones
     mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
     kinds: Counter[str] = field(default_factory=Counter)
     malformed: int = 0
 
     def feed(self, topic: str, t_host_ns: int, data: bytes) -> None:
         """Take one message of either topic."""
-        mark = read_mark(topic, data)
+        mark, number = read_mark(topic, data), self.planned
+        self.planned += topic == "/plan"
         if mark is None or (topic == "/plan" and len(mark.q) != len((self.rows or [mark])[0].q)):
             self.malformed += 1
         elif topic == "/plan":
-            self.rows.append(PlanRow(mark.q, _fittings(mark), mark.move))
+            self.rows.append(PlanRow(number, mark.q, _fittings(mark), mark.move))
         else:
             if mark.kind in self.kinds or len(self.kinds) < MAX_KINDS:
                 self.kinds[mark.kind] += 1
@@ -93,27 +96,31 @@ class Marks:
     def with_plan(self, plan: Plan) -> Marks:
         """Return the same with the rows of another plan."""
         names = [{key: str(getattr(plan, key)[row]) for key in plan.IDS} for row in range(len(plan))]
-        rows = zip(plan.q.tolist(), names, plan.move.tolist(), strict=True)
-        return replace(self, rows=[PlanRow(q, {k: v for k, v in named.items() if v}, move) for q, named, move in rows])
+        mounted = [{key: name for key, name in named.items() if name} for named in names]
+        rows = zip(range(len(plan)), plan.q.tolist(), mounted, plan.move.tolist(), strict=True)
+        return replace(self, rows=list(map(PlanRow._make, rows)))
 
     @property
     def dwells(self) -> tuple[int, ...]:
-        """Return the rows at which the ball-bar is read."""
-        return tuple(number for number, row in enumerate(self.rows) if row.move == Move.DWELL)
+        """Return the numbers of the rows at which the ball-bar is read."""
+        return tuple(row.number for row in self.rows if row.move == Move.DWELL)
 
     def plan(self) -> PlannedPoses | None:
         """Return the poses of ``dwells``; None if there are none."""
-        poses = [self.rows[number] for number in self.dwells]
+        poses = [row for row in self.rows if row.move == Move.DWELL]
         q = np.array([row.q for row in poses], order="F")
         return PlannedPoses(q, tuple(row.mounted for row in poses), self.dwells) if poses else None
 
     def lines(self) -> PlannedPoses | None:
         """Return the lines of the plan; None if there are none."""
-        numbered = list(enumerate(self.rows))[1:]
-        rows = tuple(k for k, row in numbered if row.move == Move.LINE and "line" in row.mounted)
-        ends = np.array([[*self.rows[k - 1].q, *self.rows[k].q] for k in rows])
-        mounted = tuple({key: self.rows[k].mounted.get(key, "") for key in LINE_MOUNTED} for k in rows)
-        return PlannedPoses(ends, mounted, rows) if rows else None
+        driven = [
+            (start, end)
+            for start, end in pairwise(self.rows)
+            if end.move == Move.LINE and "line" in end.mounted and end.number == start.number + 1
+        ]
+        ends = np.array([start.q + end.q for start, end in driven])
+        mounted = tuple({key: end.mounted.get(key, "") for key in LINE_MOUNTED} for _, end in driven)
+        return PlannedPoses(ends, mounted, tuple(end.number for _, end in driven)) if driven else None
 
     @property
     def names_lines(self) -> bool:

@@ -207,7 +207,7 @@ def plan_columns(survey: Survey, joint_units: Sequence[str] = ()) -> Columns | N
     q = np.array([row.q for row in rows])
     units = tuple(joint_units) if len(joint_units) == q.shape[1] else ("rad",) * q.shape[1]
     return {
-        "pose": np.arange(len(rows)),
+        "pose": np.array([row.number for row in rows]),
         "move": np.array([row.move for row in rows], dtype=np.str_),
         **_joints(q, units),
         **_mounted([row.mounted for row in rows], ("shell", *BAR_MOUNTED, *LINE_MOUNTED)),

@@ -319,7 +319,9 @@ class BoxReader:
         A frame behind the count is malformed, and one ahead of the next frame (SPEC §1) or of the next that states the boot id.
         """
         seq, boot_id = table["seq"][begin : end + 1], table["boot_id"][begin:end]
-        expected = seq[:1] if self._next is None else self._next
+        # A first frame that both following ones are behind is malformed itself.
+        odd = self._next is None and end - begin > 2 and bool(np.all((seq[1:3] - seq[0]) % CIRCLE >= CIRCLE // 2))
+        expected = seq[int(odd)] if self._next is None else self._next
         ahead = (seq - expected + CIRCLE // 2) % CIRCLE - CIRCLE // 2
         before, following = np.append(-1, ahead)[: end - begin], np.append(ahead, CIRCLE)[1 : end - begin + 1]
         ahead = ahead[: end - begin]
